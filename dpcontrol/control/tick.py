@@ -409,7 +409,7 @@ class TickEquations:
         return out
 
     def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """Return the cart's mean acceleration over the period and the one at its end, from its velocity and acceleration.
+        """Return the mean acceleration of the cart over the period and the one at its end, in m/s².
 
         The drive keeps its own velocity reference within its limit. If that is beyond the limit already, the drive
         brings it back no faster than its greatest acceleration allows, see `DriveLimits.acting`.

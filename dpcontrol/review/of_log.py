@@ -37,18 +37,16 @@ from dpcontrol.references.reference import (
     summarised,
 )
 from dpcontrol.references.sustained import SustainedOrbit
+from dpcontrol.review.decoding import Decoded, decode_run, orbit_index
 from dpcontrol.review.motion import ACTUAL, PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
 from dpcontrol.review.score import (
     DRAWN_METADATA,
     MODEL_METADATA,
     PLANT_METADATA,
     REFERENCE_ATTACHMENT,
-    Decoded,
     Flown,
     counted,
-    decode_run,
     flights_of,
-    orbit_index,
     plan_of,
     recovered_note,
     score,
@@ -152,7 +150,7 @@ def run_view(log: RunLog) -> RunView:
     if verdict.falls or verdict.catches:
         planned, decoded = _with_falls(log, states, plan, planned)
     else:
-        decoded = decode_run(log.time, states[:, :n], log.reference[:, :n], notes=notes, rate_hz=log.rate_hz)
+        decoded = decode_run(log.time, states[:, :n], plan)
     seed = "" if verdict.seed is None else f", seed {verdict.seed}"
     return replace(
         view,
@@ -174,7 +172,7 @@ def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) 
     )
     run = spliced(flown, plan)
     rows = np.concatenate([rows for rows, _ in counted(flights, rate_hz=log.rate_hz)])
-    decoded = decode_run(run.time, run.angles, run.reference_angles, notes=plan_notes(plan), rate_hz=log.rate_hz)
+    decoded = decode_run(run.time, run.angles, plan)
 
     def clock(time: float) -> float:
         return float(np.interp(time, run.time, log.time[rows]))
@@ -325,17 +323,12 @@ def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> di
 
 
 def _done(decoded: Decoded, notes: PlanNotes, time: Array) -> tuple[Stay, ...]:
-    """Return the visits as stays: those of the plan by their saddle's name, others with where they were."""
-    stays = []
-    for k, visit in enumerate(decoded.visits):
-        homes = {name: np.asarray(saddle["angles"]) for name, saddle in notes["saddles"].items()}
-        turns = {name: (np.asarray(visit.angles) - home) / (2 * np.pi) for name, home in homes.items()}
-        near = (name for name, count in turns.items() if np.allclose(count, np.rint(count), atol=1e-6))
-        saddle, wanted = next(near, "elsewhere"), k < decoded.matched
-        place = ", ".join(f"{angle / np.pi:.0f}π" for angle in visit.angles)
-        text = saddle if wanted else f"{saddle} ({place})"
-        stays.append(Stay(float(time[visit.first]), float(time[visit.last]), saddle, text, wanted))
-    return tuple(stays)
+    """Return the stops that were reached as stays."""
+    names = (stop["saddle"] for stop in notes["stops"])
+    return tuple(
+        Stay(float(time[visit.first]), float(time[visit.last]), name, name, True)
+        for visit, name in zip(decoded.visits, names, strict=False)
+    )
 
 
 _RATE = 500.0  # Hz

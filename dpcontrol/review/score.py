@@ -3,16 +3,12 @@
 A run is completed when every symbol was realised in order with its winding, wraps are as asked, the cart kept inside
 its limits, and over the last full period the angles stay within 0.1 rad of the last orbit (least over phase).
 
-Stops are decoded from the angles: the lattice of saddles (each saddle's angles plus whole turns) is searched for the
-point nearest to the pendulum, and a point counts as visited once it has been nearest for half a period of the quickest
-orbit. Boxes at the equilibria would not do: at H = 0.2 the Down-Up orbit swings the inner arm by 1.8 rad, and a turning
-arm passes near other lattice points on its way, but quickly. While a plan has it on a transfer, it is nowhere.
+Symbols and wraps are decoded from the angles, see `dpcontrol.review.decoding`.
 """
 
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,197 +19,10 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
 from dpcontrol.loop.result import inside_95
-from dpcontrol.references.reference import PlanNotes, Reference, StopNote, load_reference, plan_notes
+from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes
+from dpcontrol.review.decoding import FOLLOWS, Decoded, decode_run, orbit_index
 
 Number = TypeVar("Number", int, float)
-
-_SAME = 1e-4
-"""rad."""
-
-
-@dataclass(frozen=True)
-class Visit:
-    """A stay at one lattice point: its angles (n,), first and last tick."""
-
-    angles: tuple[float, ...]
-    first: int
-    last: int
-
-
-def _same(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Return whether two lattice points are the same; those of one lattice are a fair part of a turn apart."""
-    return all(abs(x - y) <= _SAME for x, y in zip(a, b, strict=True))
-
-
-def settled_ticks(time: Array, notes: PlanNotes) -> NDArray[np.bool_]:
-    """Return at which ticks (K,) a plan has the pendulum on an orbit, a connection or at rest: not on a transfer."""
-    settled = np.ones(len(time), dtype=bool)
-    for begin, end in notes.get("transfers", []):
-        settled &= (time <= begin) | (time >= end)
-    return settled
-
-
-def decode_stops(angles: Array, saddles: Array, *, dwell: int, settled: NDArray[np.bool_] | None = None) -> list[Visit]:
-    """Return the lattice points visited by angles (K, n), in order.
-
-    saddles (S, n): angles of the saddles; any whole turns of them are lattice points. dwell: ticks for which a point
-    must stay nearest to count; shorter stays belong to the way between. settled (K,): ticks that are looked at.
-    """
-    ticks = np.arange(len(angles)) if settled is None else np.flatnonzero(settled)
-    if not ticks.size:
-        return []
-    # One row for each arm: rows are worked on several times as fast as columns of two or three.
-    seen = np.ascontiguousarray(angles[ticks].T)
-    distances = np.empty((len(saddles), len(ticks)))
-    turns = np.empty((*saddles.shape, len(ticks)))
-    for k, saddle in enumerate(saddles):
-        np.rint((seen - saddle[:, None]) / (2 * np.pi), out=turns[k])
-        distances[k] = np.sqrt(np.add.reduce((seen - (saddle[:, None] + 2 * np.pi * turns[k])) ** 2, axis=0))
-    nearest = np.argmin(distances, axis=0)
-    turned = np.take_along_axis(turns, nearest[None, None], axis=0)[0]
-    changed = nearest[1:] != nearest[:-1]
-    for arm in turned:
-        changed |= arm[1:] != arm[:-1]
-    starts = np.r_[0, np.flatnonzero(changed) + 1]
-    ends = np.r_[starts[1:], len(ticks)] - 1
-    visits: list[Visit] = []
-    for first, last in zip(starts, ends, strict=True):
-        point = tuple((saddles[nearest[first]] + 2 * np.pi * turned[:, first]).tolist())
-        if visits and _same(visits[-1].angles, point):
-            visits[-1] = Visit(point, visits[-1].first, int(ticks[last]))
-        elif last - first + 1 >= dwell:
-            visits.append(Visit(point, int(ticks[first]), int(ticks[last])))
-    return visits
-
-
-def without_detours(visits: list[Visit], planned: list[Visit], wanted: list[tuple[float, ...]]) -> list[Visit]:
-    """Return a run's visits without those that the reference makes too, although they are no stops of its plan.
-
-    A connection may pass close by another saddle for as long as a stop takes. planned: the visits decoded from the
-    reference itself; wanted: the angles of the plan's stops. A run need not make a detour that the reference makes.
-    """
-    stops: list[bool] = []
-    for visit in planned:
-        due = sum(stops)
-        stops.append(due < len(wanted) and _same(visit.angles, wanted[due]))
-    if sum(stops) < len(wanted):
-        return visits
-    kept: list[Visit] = []
-    place = 0
-    for k, visit in enumerate(visits):
-        ahead = place
-        while ahead < len(planned) and not stops[ahead] and not _same(planned[ahead].angles, visit.angles):
-            ahead += 1
-        if ahead == len(planned) or not _same(planned[ahead].angles, visit.angles):
-            return kept + visits[k:]
-        if stops[ahead]:
-            kept.append(visit)
-        place = ahead + 1
-    return kept
-
-
-def orbit_index(notes: PlanNotes, stop: StopNote) -> int:
-    """Return the index of a stop's orbit among the plan's."""
-    if "orbit" in stop:
-        return int(stop["orbit"])
-    return [o["saddle"] for o in notes["orbits"]].index(stop["saddle"])
-
-
-def section_crossings(time: Array, angles: Array, notes: PlanNotes, visits: list[Visit]) -> tuple[float | None, ...]:
-    """Return when each symbol between `visits`, the stops that were reached, crossed its section, in s.
-
-    None for a transfer, which has no section. It ends before the first symbol whose crossing is not found.
-    """
-    symbols = notes["symbols"]
-    crossings: list[float | None] = []
-    for k, (before, after) in enumerate(pairwise(visits)):
-        section = symbols[k]["section"]
-        if section is None:
-            crossings.append(None)
-            continue
-        height = angles @ np.asarray(section["normal"][: angles.shape[1]]) - section["value"]
-        middle, end = (before.first + before.last) // 2, (after.first + after.last) // 2
-        signs = np.flatnonzero(height[middle:end] * height[middle + 1 : end + 1] <= 0) + middle
-        if signs.size == 0:
-            break
-        if "program" in notes:
-            # Stays last as long as the plant's own period makes them: the place of a crossing identifies it.
-            i = signs[np.argmin(np.abs(angles[signs] - section["angles"]).max(axis=1))]
-        else:
-            i = signs[np.argmin(np.abs(time[signs] - symbols[k]["time"]))]
-        share = height[i] / (height[i] - height[i + 1]) if height[i] != height[i + 1] else 0.0
-        crossings.append(float(time[i] + share * (time[i + 1] - time[i])))
-    return tuple(crossings)
-
-
-def count_wraps(crossings: tuple[float | None, ...], notes: PlanNotes) -> tuple[int | None, ...]:
-    """Count the wraps at each interior stop that was reached, from the times of the sections' crossings.
-
-    None beside a transfer, and where the orbit is changed at a stop.
-    """
-    symbols, stops = notes["symbols"], notes["stops"]
-    counts: list[int | None] = []
-    for k, (arrived, left) in enumerate(pairwise(crossings)):
-        stop = stops[k + 1]
-        if arrived is None or left is None or "arrived_on" in stop:
-            counts.append(None)
-            continue
-        arriving, leaving = symbols[k], symbols[k + 1]
-        gap = (leaving["phase_out"] - arriving["phase_in"]) % 1.0
-        spare = left - arrived - arriving["time_in"] - leaving["time_out"]
-        counts.append(round(spare / notes["orbits"][orbit_index(notes, stop)]["period"] - gap))
-    return tuple(counts)
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """What a run's angles say: visits in order, how many of the plan's stops they match from the first on, when each
-    symbol crossed its section (s, None for a transfer) and the wraps at each interior stop that was reached. lost: the
-    tick at which the run ceased to follow its reference, None where it did to the end: what it visits then is chance.
-    """
-
-    visits: tuple[Visit, ...]
-    matched: int
-    crossings: tuple[float | None, ...]
-    wraps: tuple[int | None, ...]
-    lost: int | None
-
-
-FOLLOWS = 1.5
-"""rad: farther than that from its reference no run comes back. What it does then is no attempt to follow."""
-
-
-def _shortest_stay(notes: PlanNotes) -> float:
-    """Return for how long a point must be nearest to count as a stop, s."""
-    return 0.5 * min(orbit["period"] for orbit in notes["orbits"])
-
-
-def decode_run(time: Array, angles: Array, reference: Array, *, notes: PlanNotes, rate_hz: float) -> Decoded:
-    """Decode angles (K, n) at times (K,) s that were to follow reference angles (K, n) by a plan's notes."""
-    used = {stop["saddle"] for stop in notes["stops"]}
-    lattice = np.array([s["angles"] for name, s in notes["saddles"].items() if name in used])
-    dwell = max(1, int(_shortest_stay(notes) * rate_hz))
-    settled = settled_ticks(time, notes)
-    visits = decode_stops(angles, lattice, dwell=dwell, settled=settled)
-    wanted = [tuple(stop["angles"]) for stop in notes["stops"]]
-    # Decoding the reference takes as long as the run; a run that made the plan's stops and no other has no detours.
-    if len(visits) != len(wanted) or not all(_same(v.angles, w) for v, w in zip(visits, wanted, strict=True)):
-        # What the reference barely visits, a run may visit a little longer.
-        planned = decode_stops(reference, lattice, dwell=int(0.8 * dwell), settled=settled)
-        visits = without_detours(visits, planned, wanted)
-    matched = 0
-    far = np.flatnonzero(np.abs(angles - reference).max(axis=1) > FOLLOWS)
-    lost = int(far[0]) if far.size else None
-    until = len(angles) if lost is None else lost
-    while (
-        matched < min(len(visits), len(wanted))
-        and _same(visits[matched].angles, wanted[matched])
-        and (visits[matched].first + dwell <= until or matched == 0)
-    ):
-        matched += 1
-    crossings = section_crossings(time, angles, notes, visits[:matched])
-    return Decoded(tuple(visits), matched, crossings, count_wraps(crossings, notes), lost)
-
 
 NEAR_LAST_ORBIT = 0.1  # rad
 _DENSER = 8
@@ -428,8 +237,7 @@ def verdict_on(flown: Flown, plan: Reference) -> Verdict:
     if flown.flights:
         verdict = verdict_on(spliced(flown, plan), plan)
         return verdict if verdict.problem else replace(verdict, problem=_limits(flown))
-    notes = plan_notes(plan)
-    decoded = decode_run(flown.time, flown.angles, flown.reference_angles, notes=notes, rate_hz=flown.rate_hz)
+    decoded = decode_run(flown.time, flown.angles, plan)
     return Verdict(max(0, decoded.matched - 1), decoded.wraps, _problem(flown, plan, decoded))
 
 
@@ -553,38 +361,26 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     """Return why the run is not completed, naming the symbol, or an empty string."""
     if unknown := _unseen(flown):
         return unknown
-    notes, visits, matched = plan_notes(plan), decoded.visits, decoded.matched
+    notes, matched, lost = plan_notes(plan), decoded.matched, decoded.lost
     stops, symbols = notes["stops"], notes["symbols"]
     short = plan.duration - float(flown.time[-1])
     why = f": {flown.ended}" if flown.ended else ""
     early = f"; the run ended {short:.2f} s early{why}" if short > 1.5 / flown.rate_hz else ""
     # A run that fell back to something else goes on to its end.
     ended = early or (f"; {flown.ended}" if flown.ended else "")
-    if matched == 0 and flown.time[-1] - flown.time[0] < _shortest_stay(notes):
+    far = f"from t = {flown.time[lost or 0]:.2f} s an angle was more than {FOLLOWS:g} rad from the reference"
+    if matched == 0 and lost is None:
         return f"ended within the first half period about {stops[0]['saddle']}{ended}"
-    if matched == 0 and np.abs(flown.angles[0] - flown.reference_angles[0]).max() < _BEGUN:
-        return f"left the orbit about {stops[0]['saddle']} within its first half period{ended}"
+    if matched == 0 and np.abs(flown.angles[0] - plan.state(plan.mesh[0])[: flown.angles.shape[1]]).max() < _BEGUN:
+        return f"left the orbit about {stops[0]['saddle']} within its first half period: {far}{ended}"
     if matched == 0:
         return f"did not start on the orbit about {stops[0]['saddle']}{ended}"
     if matched < len(stops):
-        name = symbols[matched - 1]["text"]
-        if decoded.lost is not None and (len(visits) <= matched or decoded.lost < visits[matched].last):
-            far = f"an angle was more than {FOLLOWS:g} rad from the reference"
-            undone = f"symbol {matched} of {len(symbols)} ({name!r}) was not done"
-            return f"{undone}: from t = {flown.time[decoded.lost]:.2f} s {far}{ended}"
-        if len(visits) > matched:
-            found = ", ".join(f"{a / np.pi:+.0f}π" for a in visits[matched].angles)
-            at = flown.time[visits[matched].first]
-            return (
-                f"symbol {matched} of {len(symbols)} ({name!r}) was not done: at t = {at:.2f} s the arms went to "
-                f"({found}) instead of {stops[matched]['saddle']}{ended}"
-            )
-        return f"symbol {matched} of {len(symbols)} ({name!r}) was not done{ended}"
-    last = (
-        f"after symbol {len(symbols)} of {len(symbols)} ({symbols[-1]['text']!r})" if symbols else "that was to be kept"
-    )
-    if len(visits) > matched:
-        return f"left the last orbit {last}, at t = {flown.time[visits[matched].first]:.2f} s{ended}"
+        undone = f"symbol {matched} of {len(symbols)} ({symbols[matched - 1]['text']!r}) was not done"
+        return f"{undone}: {far}{ended}" if lost is not None else f"{undone}{ended}"
+    last = f"after symbol {len(symbols)} of {len(symbols)} ({symbols[-1]['text']!r})" if symbols else "to be kept"
+    if lost is not None:
+        return f"left the last orbit {last}: {far}{ended}"
     for k, (asked, done) in enumerate(zip(notes["wraps"], decoded.wraps, strict=False)):
         if asked is not None and asked != done:
             return f"wraps at stop {k + 1} are {done} instead of {asked}, before symbol {k + 2}"

@@ -14,7 +14,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, remark
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.references.reference import Reference, StartNote, plan_notes, start_arrays
-from dpcontrol.review.score import decode_run
+from dpcontrol.review.decoding import decode_run
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.pieces import ways_round
 from dpcontrol.scenes.transfers import kept_transfer
@@ -41,10 +41,10 @@ def planned_starts(
     n = itinerary.model.arms.count
     times = np.arange(0.0, reference.duration, 1 / _RATE)
     states = reference.state(times)
-    decoded = decode_run(times, states[:, :n], states[:, :n], notes=notes, rate_hz=_RATE)
+    decoded = decode_run(times, states[:, :n], reference)
     starts: list[StartNote] = []
     arrays: dict[str, Array] = {}
-    stays = decoded.visits[: decoded.matched]
+    stays = decoded.visits
     for stop, stay in enumerate(stays):
         here = part_of(progress, stop / len(stays), (stop + 1) / len(stays))
         angles = np.array(notes["stops"][stop]["angles"])

@@ -4,12 +4,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from independent_decoder import Plan, labels
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
-from dpcontrol.review.score import decode_stops
 from dpcontrol.scenes.model import Model
 from dpcontrol.walks.edges import Edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
@@ -57,9 +58,19 @@ def complaints(model: Model, followed: Followed) -> list[str]:
         (system.equilibrium(name) + offset * system.turn_lengths)[:n]
         for name, offset in zip(names, [orbit.offsets[0], *orbit.offsets[1:]], strict=True)
     ]
-    times = np.arange(0.0, reference.duration, 0.001)
-    period = min(c.source.period for c in orbit.connections)
-    lattice = np.array([system.equilibrium(name)[:n] for name in dict.fromkeys(names)])
-    seen = [v.angles for v in decode_stops(reference.state(times)[:, :n], lattice, dwell=int(500 * period))]
-    same = len(seen) == len(wanted) and np.allclose(seen, wanted)
+    states = reference.state(np.arange(0.0, reference.duration, 0.001))
+    orbits = {c.saddle: c for c in (orbit.connections[0].source, *(c.target for c in orbit.connections))}
+    notes = {
+        "saddles": {name: {"angles": system.equilibrium(name)[:n].tolist()} for name in orbits},
+        "orbits": [{"saddle": name} for name in orbits],
+    }
+    curves = [OrbitCurve(one).samples for one in orbits.values()]
+    plan = Plan(notes, curves, states, 1000.0, (np.inf, np.inf, np.inf))
+    seen = [
+        np.array(notes["saddles"][name]["angles"]) + 2 * np.pi * np.array(turns)
+        for (name, turns), *_ in labels(plan, states)
+    ]
+    # A connection may pass close by another orbit on its way.
+    left = iter(seen)
+    same = all(any(np.allclose(one, stop) for one in left) for stop in wanted)
     return [] if same else [f"{what}: stops {np.round(seen, 2).tolist()}, not {np.round(wanted, 2).tolist()}"]

@@ -8,7 +8,8 @@ import pytest
 from dpcontrol.cli.review import score_text
 from dpcontrol.control.estimator_settings import MEANS_OF, nis_means
 from dpcontrol.logs import RunLog
-from dpcontrol.review.score import FOLLOWS, score
+from dpcontrol.review.decoding import FOLLOWS
+from dpcontrol.review.score import score
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run import run_plan

@@ -19,7 +19,8 @@ from dpcontrol.logs import RunLog, read_log
 from dpcontrol.loop.loop import can_batch, loop_controller
 from dpcontrol.references.problem import state_scale
 from dpcontrol.references.trajectory import power_coefficients
-from dpcontrol.review.score import decode_run, score
+from dpcontrol.review.decoding import decode_run
+from dpcontrol.review.score import score
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan, make_plan, plan_key
 from dpcontrol.scenes.run import run_plan
@@ -64,7 +65,7 @@ def planned_wraps(plan: Plan) -> tuple[int | None, ...]:
     """The wraps of a reference itself, counted as those of a run are."""
     times = np.arange(0.0, plan.reference.duration, 1e-3)
     angles = plan.reference.state(times)[:, :2]
-    decoded = decode_run(times, angles, angles, notes=plan.notes, rate_hz=1000.0)
+    decoded = decode_run(times, angles, plan.reference)
     assert decoded.matched == len(plan.notes["stops"])
     return decoded.wraps
 

@@ -1,0 +1,228 @@
+"""Decode from the arms' angles which of a plan's stops and symbols a run did, and with how many wraps.
+
+A plan says at what time each symbol crosses its section, at which angles and in which direction. The decoder looks for
+the same crossings in the run, one after the other. They tie the run's clock to the plan's: at each tick the nearest
+crossing gives the offset, so that a longer or shorter stay does not disturb what follows. With that clock the run
+must stay on the plan's way:
+
+    min over |s| ≤ w of max over arms |θ(t) - θ*(τ(t) + s)| ≤ 1.5 rad            τ: the plan's time at run time t
+
+Angles are not wrapped, so a missing turn, a turn the wrong way, a left-out symbol and another saddle are all at least
+half a turn off. The window w is a quarter of the shortest period: a run may be early or late, but not by a wobble.
+A stop counts once the run is halfway through it, or half a period after its arrival, whichever comes first.
+
+Wraps are counted from the times between two crossings, because small orbits are hard to see:
+
+    N = N* + round((Δt - Δt*) / T)            N*, Δt*: of the plan; T: the period of the stop's orbit
+
+A threshold on how long the arms stay nearest to a saddle would not do: at H = 0.2 the orbit about Down-Up swings the
+inner arm by 1.8 rad, so that it is nearest to other saddles for much of each period.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.references.reference import PlanNotes, Reference, StopNote, SymbolNote, plan_notes
+
+FOLLOWS = 1.5
+"""rad: a run that is farther than that from its plan has lost it; half of the way to another saddle is π/2."""
+_GRID = 0.01
+"""s: spacing of the plan's samples that a run is compared with."""
+_BESIDE = 5e-3
+"""s: on either side of a crossing, to find its direction in the plan."""
+
+
+@dataclass(frozen=True)
+class Visit:
+    """A stay at a stop: the saddle's angles (n,), and the first and last tick near them."""
+
+    angles: tuple[float, ...]
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """What a run did of its plan.
+
+    visits: the stops that were reached, in order; crossings s: when each symbol between them crossed its section, None
+    for a transfer; wraps: at each interior stop between two crossings, else None. lost: the tick at which the run was
+    farther than `FOLLOWS` from the plan, None if it never was.
+    """
+
+    visits: tuple[Visit, ...]
+    crossings: tuple[float | None, ...]
+    wraps: tuple[int | None, ...]
+    lost: int | None
+
+    @property
+    def matched(self) -> int:
+        """The number of stops that were reached."""
+        return len(self.visits)
+
+
+def orbit_index(notes: PlanNotes, stop: StopNote) -> int:
+    """Return the index of a stop's orbit among the plan's."""
+    if "orbit" in stop:
+        return int(stop["orbit"])
+    return [o["saddle"] for o in notes["orbits"]].index(stop["saddle"])
+
+
+def shortest_period(notes: PlanNotes) -> float:
+    """Return the shortest of the periods of a plan's orbits, s."""
+    return min(orbit["period"] for orbit in notes["orbits"])
+
+
+def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
+    """Decode angles (K, n) at times (K,) s, the first of them on the plan's clock."""
+    notes = plan_notes(plan)
+    crossings = _crossings(time, angles, plan)
+    clock = _plan_time(time, notes, crossings)
+    lost = _lost(angles, clock, plan)
+    spans, arrivals = _spans(notes, plan.duration)
+    half = shortest_period(notes) / 2
+    visits: list[Visit] = []
+    for stop, (begin, end), arrival in zip(notes["stops"], spans, arrivals, strict=True):
+        reached = int(np.searchsorted(clock, min(arrival + half, (begin + end) / 2)))
+        if reached >= len(clock) or (lost is not None and reached > lost):
+            break
+        inside = np.flatnonzero((clock >= begin) & (clock <= end))
+        visits.append(_visit(angles, inside, stop, notes))
+    crossings = crossings[: max(0, len(visits) - 1)]
+    return Decoded(tuple(visits), crossings, _wraps(crossings, notes), lost)
+
+
+def _crossings(time: Array, angles: Array, plan: Reference) -> tuple[float | None, ...]:
+    """Return when each symbol crosses its section, s: where none is found when it is due, None for a transfer."""
+    crossings: list[float | None] = []
+    after, late = float(time[0]), 0.0
+    for symbol in plan_notes(plan)["symbols"]:
+        due = symbol["time"] + late
+        if symbol["section"] is None:
+            crossings.append(None)
+            continue
+        found = _crossing(time, angles, symbol, plan, between=(after, due))
+        crossings.append(found)
+        after, late = found, found - symbol["time"]
+    return tuple(crossings)
+
+
+def _crossing(
+    time: Array, angles: Array, symbol: SymbolNote, plan: Reference, *, between: tuple[float, float]
+) -> float:
+    """Return the time of the crossing nearest to when it is due, in the plan's direction and near its angles."""
+    section, n = symbol["section"], angles.shape[1]
+    assert section is not None
+    after, due = between
+    normal = np.asarray(section["normal"][:n])
+    ahead, behind = (plan.state(plan.mesh[0] + symbol["time"] + side)[:n] for side in (_BESIDE, -_BESIDE))
+    height = (angles @ normal - section["value"]) * (1.0 if (ahead - behind) @ normal > 0 else -1.0)
+    rows = np.flatnonzero((height[:-1] <= 0) & (height[1:] > 0) & (time[:-1] >= after))
+    rows = rows[np.abs(angles[rows] - section["angles"]).max(axis=1) <= FOLLOWS]
+    if not rows.size:
+        return max(due, after)
+    row = rows[np.argmin(np.abs(time[rows] - due))]
+    share = height[row] / (height[row] - height[row + 1])
+    return float(time[row] + share * (time[row + 1] - time[row]))
+
+
+def _plan_time(time: Array, notes: PlanNotes, crossings: tuple[float | None, ...]) -> Array:
+    """Return the plan's time (K,) at each tick, s: with the offset of the nearest crossing, none at the start."""
+    anchors, offsets = [float(time[0])], [0.0]
+    for at, symbol in zip(crossings, notes["symbols"], strict=True):
+        if at is not None:
+            anchors.append(at)
+            offsets.append(at - symbol["time"])
+    middles = [(a + b) / 2 for a, b in pairwise(anchors)]
+    return np.asarray(time - np.asarray(offsets)[np.searchsorted(middles, time)])
+
+
+def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
+    """Return the first tick at which the angles are farther than `FOLLOWS` from the plan near its time, or None."""
+    notes, n = plan_notes(plan), angles.shape[1]
+    way = plan.state(plan.mesh[0] + np.arange(0.0, plan.duration + _GRID, _GRID).clip(max=plan.duration))[:, :n]
+    # A kept orbit has the plant's own period, so that any phase of it may be the right one.
+    window = shortest_period(notes) * (0.5 if "program" in notes or "stay" in notes else 0.25)
+    reach = int(np.ceil(window / _GRID))
+    places = np.rint(clock / _GRID).astype(np.intp)
+
+    def gaps(rows: NDArray[np.intp], offset: int) -> Array:
+        return np.asarray(np.abs(angles[rows] - way[(places[rows] + offset).clip(0, len(way) - 1)]).max(axis=1))
+
+    # Not-a-number is far, too.
+    rows = np.arange(len(angles))
+    for offset in sorted(range(-reach, reach + 1), key=abs):
+        rows = rows[~(gaps(rows, offset) <= FOLLOWS)]
+        if not rows.size:
+            return None
+    return int(rows[0])
+
+
+def _spans(notes: PlanNotes, duration: float) -> tuple[list[tuple[float, float]], list[float]]:
+    """Return between what times of the plan it is at each stop, from crossing to crossing or without the transfers
+    beside it, and when the reference has arrived there, s.
+    """
+    begins, ends, arrivals = [0.0], [], [0.0]
+    for symbol in notes["symbols"]:
+        at = symbol["time"]
+        if symbol["section"] is None:
+            way = next(((a, b) for a, b in notes["transfers"] if a <= at <= b), (at, at))
+            ends.append(way[0])
+            begins.append(way[1])
+            arrivals.append(way[1])
+        else:
+            ends.append(at)
+            begins.append(at)
+            arrivals.append(at + symbol["time_in"])
+    return list(zip(begins, [*ends, duration], strict=True)), arrivals
+
+
+def _visit(angles: Array, inside: NDArray[np.intp], stop: StopNote, notes: PlanNotes) -> Visit:
+    """Return the stay at a stop within these ticks: from the first to the last that is nearer to it than to any other
+    saddle, or the nearest one.
+    """
+    seen, place = angles[inside], tuple(float(angle) for angle in stop["angles"])
+    away = np.square(seen - place).sum(axis=1)
+    others = [np.asarray(notes["saddles"][name]["angles"]) for name in {s["saddle"] for s in notes["stops"]}]
+    nearest = np.min([np.square((seen - o + np.pi) % (2 * np.pi) - np.pi).sum(axis=1) for o in others], axis=0)
+    near = inside[away <= nearest + 1e-6]
+    if not near.size:
+        near = inside[[int(np.argmin(away))]]
+    return Visit(place, int(near[0]), int(near[-1]))
+
+
+def _wraps(crossings: tuple[float | None, ...], notes: PlanNotes) -> tuple[int | None, ...]:
+    """Return the wraps at each interior stop that was reached.
+
+    None beside a transfer, and where the orbit is changed at a stop.
+    """
+    counts: list[int | None] = []
+    for k, (arrived, left) in enumerate(pairwise(crossings)):
+        planned = planned_wraps(notes, k)
+        if arrived is None or left is None or planned is None:
+            counts.append(None)
+            continue
+        longer = (left - arrived) - (notes["symbols"][k + 1]["time"] - notes["symbols"][k]["time"])
+        counts.append(round(planned) + round(longer / _period(notes, k + 1)))
+    return tuple(counts)
+
+
+def _period(notes: PlanNotes, stop: int) -> float:
+    return notes["orbits"][orbit_index(notes, notes["stops"][stop])]["period"]
+
+
+def planned_wraps(notes: PlanNotes, stop: int) -> float | None:
+    """Return the wraps that a plan's own times give at an interior stop, from 0, before they are rounded.
+
+    None beside a transfer, and where the orbit is changed at the stop.
+    """
+    arriving, leaving = notes["symbols"][stop], notes["symbols"][stop + 1]
+    if arriving["section"] is None or leaving["section"] is None or "arrived_on" in notes["stops"][stop + 1]:
+        return None
+    gap = (leaving["phase_out"] - arriving["phase_in"]) % 1.0
+    spare = leaving["time"] - arriving["time"] - arriving["time_in"] - leaving["time_out"]
+    return spare / _period(notes, stop + 1) - gap

@@ -1,0 +1,183 @@
+"""A second decoder of runs, to check verdicts against: own code, another method, written from the definition alone.
+
+Completed: every symbol in order with its winding, wraps as asked, the cart inside its limits throughout, and over the
+last full period both angles within 0.1 rad of the last orbit.
+
+Method: a tick has a label if the pendulum's whole state, angles and rates, is near an orbit of the plan about some
+saddle on some whole turns. The labels in order must be the plan's stops. Labels that the reference passes as well may
+come between them. Wraps are counted by turning points: two for each period, between leaving one stop and reaching the
+next but one, against those of the reference.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import find_peaks
+from scipy.spatial import cKDTree
+
+Array = np.ndarray
+Label = tuple[str, tuple[int, ...]]
+
+RATE_UNIT = 8.0
+"""rad/s that count as much as one rad: a swing's frequency, so that distances do not depend on the phase."""
+NEAR = 0.5
+"""rad, scaled."""
+BRIEF = 0.02
+"""s: shorter labels are passages."""
+LAST = 0.1
+"""rad: what is allowed over the last period."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is asked: stops and orbits of a plan's notes, each orbit's samples (M, 2n), the reference's states (K, 2n+2)
+    at `rate` Hz, and the cart's limits: m, m/s, m/s².
+    """
+
+    notes: dict
+    curves: list[Array]
+    states: Array
+    rate: float
+    limits: tuple[float, float, float]
+
+    @property
+    def arms(self) -> int:
+        return self.states.shape[1] // 2 - 1
+
+    @property
+    def stops(self) -> list[Label]:
+        return [self.label(stop["saddle"], np.array(stop["angles"])) for stop in self.notes["stops"]]
+
+    def label(self, saddle: str, angles: Array) -> Label:
+        home = np.array(self.notes["saddles"][saddle]["angles"])
+        return saddle, tuple(np.rint((angles - home) / (2 * np.pi)).astype(int).tolist())
+
+
+def plan_of(reference, rate: float, limits: tuple[float, float, float]) -> Plan:
+    times = np.arange(0.0, reference.duration, 1 / rate)
+    count = len(reference.notes["orbits"])
+    curves = [np.asarray(reference.extra[f"orbit_{k}"]) for k in range(count)]
+    return Plan(dict(reference.notes), curves, reference.state(times), rate, limits)
+
+
+def labels(plan: Plan, states: Array, near: float = NEAR) -> list[tuple[Label, int, int]]:
+    """Return which orbits the states (K, 2n+2) are near, one after the other, each with its first and last tick."""
+    n = plan.arms
+    angles, rates = states[:, :n], states[:, n : 2 * n] / RATE_UNIT
+    best = np.full(len(states), near)
+    which = np.full(len(states), -1)
+    found: list[Label] = []
+    for orbit, curve in zip(plan.notes["orbits"], plan.curves, strict=True):
+        scaled = np.hstack([curve[:, :n], curve[:, n : 2 * n] / RATE_UNIT])
+        # Chords between samples, where an orbit is quick.
+        scaled = np.concatenate([scaled + s * (np.roll(scaled, -1, axis=0) - scaled) for s in (0.0, 0.25, 0.5, 0.75)])
+        home = np.array(plan.notes["saddles"][orbit["saddle"]]["angles"])
+        tree = cKDTree(scaled)
+        # Orbits reach less than a turn from their saddle: two candidates for each arm.
+        lower = np.floor((angles - home) / (2 * np.pi))
+        for up in np.ndindex(*(2,) * n):
+            turns = lower + np.array(up)
+            distance, _ = tree.query(
+                np.hstack([angles - 2 * np.pi * turns, rates]), p=np.inf, distance_upper_bound=near
+            )
+            for row in np.unique(turns[distance < best], axis=0):
+                label = (orbit["saddle"], tuple(row.astype(int).tolist()))
+                if label not in found:
+                    found.append(label)
+                here = (distance < best) & (turns == row).all(axis=1)
+                which[here], best[here] = found.index(label), distance[here]
+    out: list[tuple[Label, int, int]] = []
+    edges = np.flatnonzero(np.diff(which)) + 1
+    for first, end in zip(np.r_[0, edges], np.r_[edges, len(which)], strict=True):
+        if which[first] < 0 or end - first < BRIEF * plan.rate:
+            continue
+        label = found[which[first]]
+        if out and out[-1][0] == label:
+            out[-1] = (label, out[-1][1], int(end) - 1)
+        else:
+            out.append((label, int(first), int(end) - 1))
+    return out
+
+
+def _matched(seen: list[tuple[Label, int, int]], stops: list[Label]) -> list[tuple[int, int]] | None:
+    """Return first and last tick of each stop in what was seen, None if one is missing."""
+    spans, at = [], 0
+    for k, stop in enumerate(stops):
+        while at < len(seen) and seen[at][0] != stop:
+            at += 1
+        if at == len(seen):
+            return None
+        first, last = seen[at][1:]
+        # The stop lasts until the next one is seen.
+        while at + 1 < len(seen) and (k + 1 == len(stops) or stops[k + 1] not in [s[0] for s in seen[at + 1 : at + 2]]):
+            if stop == seen[at + 1][0]:
+                last = seen[at + 1][2]
+            elif k + 1 < len(stops) and stops[k + 1] == seen[at + 1][0]:
+                break
+            at += 1
+        spans.append((first, last))
+        at += 1
+    return spans
+
+
+def turning_points(values: Array, least: float) -> int:
+    """Return how many maxima and minima of at least this prominence there are."""
+    return sum(len(find_peaks(side * values, prominence=least)[0]) for side in (1, -1))
+
+
+def _swing(plan: Plan, stop: dict) -> tuple[int, float]:
+    """Return the arm that swings most on a stop's orbit, and how far."""
+    sizes = np.ptp(plan.curves[stop["orbit"]][:, : plan.arms], axis=0)
+    return int(np.argmax(sizes)), float(sizes.max())
+
+
+def faults(plan: Plan, states: Array, accelerations: Array | None) -> list[str]:
+    """Return why a run with these true states (K, 2n+2) at the plan's rate is not completed."""
+    out: list[str] = []
+    n, stops = plan.arms, plan.stops
+    if not np.isfinite(states).all():
+        return ["not finite"]
+    if len(states) < len(plan.states) - 1 and "program" not in plan.notes:
+        out.append(f"ended {(len(plan.states) - len(states)) / plan.rate:.3f} s early")
+    seen, wanted = labels(plan, states), labels(plan, plan.states)
+    spans, due = _matched(seen, stops), _matched(wanted, stops)
+    if due is None:
+        return [*out, f"the reference itself does not make its stops: {[s[0] for s in wanted]}"]
+    if spans is None:
+        return [*out, f"stops {[s[0] for s in seen]} instead of {stops}"]
+    strange = {s[0] for s in seen} - {s[0] for s in wanted}
+    if strange:
+        out.append(f"was at {strange}")
+    for k, asked in enumerate(plan.notes["wraps"]):
+        if asked is None:
+            continue
+        arm, size = _swing(plan, plan.notes["stops"][k + 1])
+        mine, theirs = (
+            turning_points(which[one[k][1] : one[k + 2][0] + 1, arm], 0.3 * size)
+            for which, one in ((states, spans), (plan.states, due))
+        )
+        if abs(mine - theirs) >= 2:
+            out.append(f"{mine} turning points at stop {k + 1} instead of {theirs}")
+    bounds = [("position", states[:, 2 * n]), ("velocity", states[:, 2 * n + 1])]
+    bounds += [] if accelerations is None else [("acceleration", accelerations)]
+    for (name, values), bound in zip(bounds, plan.limits, strict=False):
+        if np.abs(values).max() > bound + 1e-9:
+            out.append(f"{name} {np.abs(values).max():.4f}")
+    if (gap := last_gap(plan, states)) > LAST:
+        out.append(f"last period {gap:.3f} rad off")
+    return out
+
+
+def last_gap(plan: Plan, states: Array) -> float:
+    """Return how far the angles are from the last orbit over the last period, rad; of a hold as long as it lasts."""
+    n, stop = plan.arms, plan.notes["stops"][-1]
+    orbit = plan.notes["orbits"][stop["orbit"]]
+    home = np.array(plan.notes["saddles"][stop["saddle"]]["angles"])
+    count = int(orbit["period"] * plan.rate)
+    if plan.notes["transfers"]:
+        count = min(count, int((len(plan.states) / plan.rate - plan.notes["transfers"][-1][1]) * plan.rate))
+    curve = plan.curves[stop["orbit"]][:, :n]
+    shares = np.linspace(0.0, 1.0, 16, endpoint=False)
+    dense = np.concatenate([curve + s * (np.roll(curve, -1, axis=0) - curve) for s in shares])
+    late = states[-count:, :n] - (np.array(stop["angles"]) - home)
+    return float(cKDTree(dense).query(late, p=np.inf)[0].max())
