@@ -10,6 +10,7 @@ next but one, against those of the reference.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -22,6 +23,8 @@ RATE_UNIT = 8.0
 """rad/s that count as much as one rad: a swing's frequency, so that distances do not depend on the phase."""
 NEAR = 0.5
 """rad, scaled."""
+LOOKS = 200.0
+"""Hz."""
 BRIEF = 0.02
 """s: shorter labels are passages."""
 LAST = 0.1
@@ -48,6 +51,11 @@ class Plan:
     def stops(self) -> list[Label]:
         return [self.label(stop["saddle"], np.array(stop["angles"])) for stop in self.notes["stops"]]
 
+    @cached_property
+    def made(self) -> list[tuple[Label, int, int]]:
+        """The labels of the reference."""
+        return labels(self, self.states)
+
     def label(self, saddle: str, angles: Array) -> Label:
         home = np.array(self.notes["saddles"][saddle]["angles"])
         return saddle, tuple(np.rint((angles - home) / (2 * np.pi)).astype(int).tolist())
@@ -62,7 +70,8 @@ def plan_of(reference, rate: float, limits: tuple[float, float, float]) -> Plan:
 
 def labels(plan: Plan, states: Array, near: float = NEAR) -> list[tuple[Label, int, int]]:
     """Return which orbits the states (K, 2n+2) are near, one after the other, each with its first and last tick."""
-    n = plan.arms
+    n, stride = plan.arms, max(1, round(plan.rate / LOOKS))
+    states = states[::stride]
     angles, rates = states[:, :n], states[:, n : 2 * n] / RATE_UNIT
     best = np.full(len(states), near)
     which = np.full(len(states), -1)
@@ -89,13 +98,13 @@ def labels(plan: Plan, states: Array, near: float = NEAR) -> list[tuple[Label, i
     out: list[tuple[Label, int, int]] = []
     edges = np.flatnonzero(np.diff(which)) + 1
     for first, end in zip(np.r_[0, edges], np.r_[edges, len(which)], strict=True):
-        if which[first] < 0 or end - first < BRIEF * plan.rate:
+        if which[first] < 0 or (end - first) * stride < BRIEF * plan.rate:
             continue
         label = found[which[first]]
         if out and out[-1][0] == label:
-            out[-1] = (label, out[-1][1], int(end) - 1)
+            out[-1] = (label, out[-1][1], (int(end) - 1) * stride)
         else:
-            out.append((label, int(first), int(end) - 1))
+            out.append((label, int(first) * stride, (int(end) - 1) * stride))
     return out
 
 
@@ -139,7 +148,7 @@ def faults(plan: Plan, states: Array, accelerations: Array | None) -> list[str]:
         return ["not finite"]
     if len(states) < len(plan.states) - 1 and "program" not in plan.notes:
         out.append(f"ended {(len(plan.states) - len(states)) / plan.rate:.3f} s early")
-    seen, wanted = labels(plan, states), labels(plan, plan.states)
+    seen, wanted = labels(plan, states), plan.made
     spans, due = _matched(seen, stops), _matched(wanted, stops)
     if due is None:
         return [*out, f"the reference itself does not make its stops: {[s[0] for s in wanted]}"]

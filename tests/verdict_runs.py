@@ -1,0 +1,166 @@
+"""Runs whose verdicts two decoders give, and wrong runs made of right ones."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from independent_decoder import LAST, Plan, faults, last_gap, plan_of
+
+from dpcontrol.loop.loop import can_batch, loop_controller, loop_recovery, run_batch, run_loop
+from dpcontrol.loop.result import BatchRun, Ending
+from dpcontrol.references.reference import Reference
+from dpcontrol.review.score import Flown, verdict_on
+from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.run_options import RunOptions
+
+Array = np.ndarray
+
+UNSURE = 0.004
+"""rad: the last period's gap is found on curves of two kinds of samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A run to be judged; text: what it is; accelerations m/s²: those of the true cart."""
+
+    text: str
+    flown: Flown
+    accelerations: Array | None
+
+
+def drawn_options(random: np.random.Generator, *, recovers: bool = False) -> RunOptions:
+    """Return a bench that is easy, ordinary or hard; recovers: runs go on after a fall."""
+
+    def within(low: float, high: float) -> float:
+        return float(random.uniform(low, high))
+
+    values: dict[str, Any] = {"mismatch": random.choice([0.0, 0.02, 0.05, 0.1, 0.2, 0.35]), "travel": 0.8}
+    values |= random.choice([
+        {}, {"initial_error": within(0.0, 0.15)}, {"lag": within(0.0, 0.02), "command_noise": within(0.0, 1.0)},
+        {"travel": within(0.15, 0.5)}, {"pushes": 3, "push_impulse": 10 ** within(-3.3, -1.8)},
+        {"controller": "tvlqr"}, {"controller": "feedforward", "mismatch": 0.001}, {"zero_error": within(0.0, 0.1)},
+        {"controller": "feedforward"}, {"tilt": within(-0.1, 0.1)}, {"response": within(0.5, 1.4)},
+        {"knocks": 2, "knock_velocity": within(0.05, 1.0)},
+    ])  # fmt: skip
+    if recovers:
+        values |= {
+            "on_fall": str(random.choice(["resume", "restart"])), "knocks_per_minute": 20.0, "knock_impulse": 0.05,
+        }  # fmt: skip
+    return RunOptions(**values)
+
+
+def runs(itinerary: Itinerary, reference: Reference, options: RunOptions, seeds: list[int]) -> Iterator[Case]:
+    """Fly these seeds."""
+    scene = itinerary.with_run(options)
+    loop, arms = scene.loop, scene.model.arms
+    controller, limits = loop_controller(reference, arms, loop), loop.limits(reference)
+    if can_batch(loop, controller):
+        flights = run_batch(arms, settings=loop, seeds=seeds, controller=controller, limits=limits)
+    else:
+        recovery = loop_recovery(reference, arms, loop, controller)
+        flights = [
+            BatchRun.of(
+                run_loop(reference, arms, settings=replace(loop, seed=s), controller=controller, recovery=recovery)
+            )
+            for s in seeds
+        ]
+    bounds = (limits.position, limits.velocity, limits.acceleration)
+    for seed, run in zip(seeds, flights, strict=True):
+        ended = "" if run.ending is Ending.FINISHED else run.reason
+        flown = Flown(
+            time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied, rate_hz=loop.rate,
+            limits=bounds, ended=ended, flights=run.flights,
+        )  # fmt: skip
+        yield Case(f"seed {seed}, {options.given()}", flown, None)
+
+
+def counted_states(flown: Flown, plan: Plan) -> Array:
+    """Return the true states that count of a run with falls: each flight up to where a later one begins again."""
+    if not flown.flights:
+        return flown.states
+    n, out = plan.arms, []
+    for k, flight in enumerate(flown.flights):
+        later = min((f.at for f in flown.flights[k + 1 :]), default=np.inf)
+        count = min(flight.end - flight.first, round((later - flight.at) * plan.rate))
+        if count <= 0:
+            continue
+        piece = flown.states[flight.first : flight.first + count].copy()
+        due = plan.states[min(round(flight.at * plan.rate), len(plan.states) - 1), :n]
+        wanted = flown.reference_angles[flight.first]
+        piece[:, :n] -= 2 * np.pi * np.rint((wanted - due) / (2 * np.pi))
+        out.append(piece)
+    return np.concatenate(out)
+
+
+def disagreement(case: Case, reference: Reference, plan: Plan) -> str:
+    """Return what two decoders say differently about a run, or an empty string."""
+    verdict = verdict_on(case.flown, reference)
+    states = counted_states(case.flown, plan)
+    found = faults(plan, states, case.accelerations)
+    if case.flown.flights:
+        found += [
+            f"{name} beyond its limit in a return"
+            for at, name, bound in ((-2, "position", plan.limits[0]), (-1, "velocity", plan.limits[1]))
+            if np.abs(case.flown.states[:, at]).max() > bound + 1e-9
+        ]
+    if bool(verdict.problem) == bool(found):
+        return ""
+    if np.isfinite(states).all() and abs(last_gap(plan, states) - LAST) < UNSURE:
+        return ""
+    return f"{case.text}: the score says {verdict.problem or 'completed'!r}, the other decoder {found or 'completed'}"
+
+
+@cache
+def judged_plan(reference: Reference, rate: float, limits: tuple[float, float, float]) -> Plan:
+    """Return the plan as the other decoder reads it, with the limits of a run."""
+    return plan_of(reference, rate, limits)
+
+
+# Wrong runs.
+
+
+def mutants(case: Case, plan: Plan, random: np.random.Generator) -> Iterator[Case]:
+    """Make runs that are not completed from one that is: each changes both the states and what was to be followed."""
+    n, flown, notes = plan.arms, case.flown, plan.notes
+    stops, symbols = notes["stops"], notes["symbols"]
+
+    def with_rows(text: str, rows: Array, turns: Array) -> Case:
+        states, wanted = flown.states[rows].copy(), flown.reference_angles[rows] + turns
+        states[:, :n] += turns
+        time = np.arange(len(rows)) / flown.rate_hz
+        changed = replace(flown, states=states, reference_angles=wanted, time=time, applied=flown.applied[rows])
+        return Case(f"{case.text}, {text}", changed, None)
+
+    count = len(flown.states)
+    whole, none = np.arange(count), np.zeros((count, n))
+    if any(abs(angle) > 1e-9 for stop in stops for angle in stop["angles"]):
+        mirrored = flown.states.copy()
+        mirrored[:, : 2 * n] *= -1
+        yield Case(f"{case.text}, mirrored", replace(flown, states=mirrored), None)
+    if symbols:
+        at = round(float(random.choice([s["time"] for s in symbols])) * flown.rate_hz)
+        turns = none.copy()
+        turns[at:, int(random.integers(n))] += 2 * np.pi * random.choice([-1, 1])
+        yield with_rows("a turn more from one symbol on", whole, turns)
+        drop = round(symbols[-1]["time"] * flown.rate_hz) - round(0.3 * flown.rate_hz)
+        yield with_rows("stopped before the last symbol", whole[: max(drop, 2)], none[: max(drop, 2)])
+    for k, asked in enumerate(notes["wraps"]):
+        if asked is None or "arrived_on" in stops[k + 1]:
+            continue
+        period = round(notes["orbits"][stops[k + 1]["orbit"]]["period"] * flown.rate_hz)
+        middle = round((symbols[k]["time"] + symbols[k + 1]["time"]) / 2 * flown.rate_hz)
+        more = np.concatenate([whole[: middle + period // 2], whole[middle - period + period // 2 :]])
+        yield with_rows(f"a wobble more at stop {k + 1}", more, none[more])
+        if asked >= 2:
+            less = np.concatenate([whole[: middle - period // 2], whole[middle - period // 2 + period :]])
+            yield with_rows(f"a wobble less at stop {k + 1}", less, none[less])
+        if stops[k]["saddle"] == stops[k + 1]["saddle"] == stops[k + 2]["saddle"]:
+            # The second symbol left out, with its wobbles.
+            first, second = (round(s["time"] * flown.rate_hz) for s in symbols[k : k + 2])
+            skipped = np.concatenate([whole[:first], whole[second:]])
+            turns = none[skipped].copy()
+            turns[first:] -= np.array(stops[k + 1]["angles"]) - np.array(stops[k]["angles"])
+            if np.abs(np.array(stops[k + 2]["angles"]) - np.array(stops[k + 1]["angles"])).max() > 1:
+                yield with_rows(f"symbol {k + 1} left out", skipped, turns)
