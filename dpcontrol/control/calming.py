@@ -15,6 +15,8 @@ them. There the cart is moved against their momentum itself, for which Ḣ = -P 
 
     u = clip(γ P / σ) - U'(x)/σ - c v/σ
 
+The cart's speed is kept to a share of its limit, and its place to a share of the track.
+
 Sources: Ortega, van der Schaft, Mareels & Maschke, Putting energy back in control (2001), on interconnection; Den
 Hartog, Mechanical Vibrations, chapter 3, on the damper that a mass on a spring makes.
 """
@@ -37,6 +39,10 @@ from dpcontrol.references.problem import Limits
 SWITCH_MARGIN = 0.05
 """Share of the track that is left free at its ends: the supervisor ends what comes nearer."""
 
+SPEED_MARGIN = 0.2
+"""Share of the cart's greatest speed that is left free: arms that pull at a light cart add to what is commanded."""
+_SLOWING = 0.02
+"""s: time constant of approaching the speed that is left, so that the drive is not braked at full force there."""
 _DRAINING = 0.8
 """Share of the greatest acceleration for the arms' momentum; the rest keeps the cart near the middle."""
 
@@ -116,7 +122,10 @@ class CalmingSession(ClockedSession):
         held = energy < np.where(self._near, 4 * law.near, law.near)
         self._near = held if self.lanes is MANY else bool(held[0])
         feedback = np.where(held, (wanted - columns) @ law.regulator.gain, np.where(energy > law.fast, swift, far))
-        feedback = np.where(self._leaves(columns), -columns[:, -1] / law.period, feedback)
+        speed = columns[:, -1]
+        fastest = (1 - SPEED_MARGIN) * law.limits.velocity
+        feedback = np.clip(feedback, (-fastest - speed) / _SLOWING, (fastest - speed) / _SLOWING)
+        feedback = np.where(self._leaves(columns), -speed / law.period, feedback)
         if self.lanes is ONE:
             return 0.0, float(feedback[0]), wanted[0]
         return np.zeros(len(columns)), feedback, wanted

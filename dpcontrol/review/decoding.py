@@ -226,3 +226,99 @@ def planned_wraps(notes: PlanNotes, stop: int) -> float | None:
     gap = (leaving["phase_out"] - arriving["phase_in"]) % 1.0
     spare = leaving["time"] - arriving["time"] - arriving["time_in"] - leaving["time_out"]
     return spare / _period(notes, stop + 1) - gap
+
+
+NEAR_LAST_ORBIT = 0.1  # rad
+_DENSER = 8
+"""Points on each chord between an orbit's samples from which the distance is measured."""
+
+
+def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
+    """Return by how many rad angles (K, n) leave those (M, n) of an orbit whose period takes `ticks`; 0 if near enough.
+
+    Infinite where the angles are no numbers.
+    """
+    if not np.isfinite(angles).all():
+        return np.inf
+    # The point of the same phase is no nearer than the nearest one, and much sooner found.
+    closed = max(len(orbit) - bool(np.abs(orbit[0] - orbit[-1]).max() < 1e-6), 1)
+    first = int(np.argmin(np.abs(orbit - angles[0]).max(axis=1)))
+    ahead = np.rint(np.arange(len(angles)) * (closed / ticks)).astype(np.intp)
+    late = angles[np.abs(orbit[(first + ahead) % closed] - angles).max(axis=1) > NEAR_LAST_ORBIT]
+    far = [place for place in late if np.abs(orbit - place).max(axis=1).min() > NEAR_LAST_ORBIT]
+    if not far:
+        return 0.0
+    share = np.arange(_DENSER)[:, None, None] / _DENSER
+    points = (orbit * (1 - share) + np.roll(orbit, -1, axis=0) * share).reshape(-1, orbit.shape[1])
+    gap = max(float(np.abs(points - place).max(axis=1).min()) for place in far)
+    return gap if gap > NEAR_LAST_ORBIT else 0.0
+
+
+def last_gap(time: Array, angles: Array, plan: Reference, *, rate_hz: float) -> float:
+    """Return by how many rad angles (K, n) leave the last orbit over its last period; 0 if they stay near enough.
+
+    At an equilibrium, the last period is no longer than the plan stays there.
+    """
+    notes, n = plan_notes(plan), angles.shape[1]
+    stop = notes["stops"][-1]
+    k = orbit_index(notes, stop)
+    period = notes["orbits"][k]["period"]
+    begin = max([time[-1] - period, *(end for _, end in notes["transfers"] if end < time[-1])])
+    home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
+    late = angles[time >= begin] - (np.asarray(stop["angles"]) - home)
+    return _leaves(plan.extra[f"orbit_{k}"][:, :n], late, ticks=period * rate_hz)
+
+
+_REACHES = 0.3
+"""rad, scaled: farther than that a reference does not visit an orbit. Visits without a wrap come within 0.03."""
+_RATE_UNIT = 8.0
+"""rad/s that count as 1 rad: about the frequency of the orbits, so that the distance hardly depends on the phase."""
+_COUNTED = 0.3
+"""By how much the wraps may differ from a whole number."""
+
+
+def shortfall(plan: Reference) -> str:
+    """Return why a run that follows the reference exactly is not completed, and what helps, or an empty string."""
+    notes = plan_notes(plan)
+    stops, symbols = notes["stops"], notes["symbols"]
+    times = np.arange(0.0, plan.duration, _GRID / 10)
+    states = plan.state(plan.mesh[0] + times)
+    angles = states[:, : len(stops[0]["angles"])]
+    spans, _ = _spans(notes, plan.duration)
+    for k, (stop, (begin, end)) in enumerate(zip(stops, spans, strict=True)):
+        away = _distance(states[(times >= begin) & (times <= end)][::10], stop, plan)
+        if away <= _REACHES:
+            continue
+        near = f"no nearer than {away:.2f} rad to the orbit about {stop['saddle']}"
+        if not k:
+            return f"it starts {near}; raise lead_in to {(notes['lead_in'] or 0) + 1}"
+        text = f"symbol {k} of {len(symbols)} ({symbols[k - 1]['text']!r}) comes {near}"
+        return f"{text}; raise " + ("the wraps there by 1" if k < len(symbols) else _longer(notes))
+    for k, asked in enumerate(notes["wraps"]):
+        made = planned_wraps(notes, k)
+        if made is not None and asked is not None and abs(made - asked) > _COUNTED:
+            return f"wraps at stop {k + 1} are {made:.1f} instead of {asked}; ask for {round(made)} wraps there"
+    if gap := last_gap(times, angles, plan, rate_hz=10 / _GRID):
+        return (
+            f"over the last period it is up to {gap:.2f} rad from the orbit about {stops[-1]['saddle']} "
+            f"(allowed: {NEAR_LAST_ORBIT:g}); raise {_longer(notes)}"
+        )
+    found = decode_run(times, angles, plan)
+    if found.matched < len(stops):
+        undone = f"symbol {found.matched} of {len(symbols)} ({symbols[found.matched - 1]['text']!r})"
+        return f"{undone if found.matched else 'the first stop'} does not show in its angles; raise {_longer(notes)}"
+    return ""
+
+
+def _longer(notes: PlanNotes) -> str:
+    return f"lead_out to {(notes['lead_out'] or 0) + 1}"
+
+
+def _distance(states: Array, stop: StopNote, plan: Reference) -> float:
+    """Return the least scaled distance between states (K, 2n+2) and a stop's orbit on its turns."""
+    notes, n = plan_notes(plan), len(stop["angles"])
+    curve = plan.extra[f"orbit_{orbit_index(notes, stop)}"][:, : 2 * n] / np.repeat([1.0, _RATE_UNIT], n)
+    home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
+    seen = states[:, : 2 * n] - np.pad(np.asarray(stop["angles"]) - home, (0, n))
+    seen /= np.repeat([1.0, _RATE_UNIT], n)
+    return min((float(np.abs(curve - one).max(axis=1).min()) for one in seen), default=np.inf)

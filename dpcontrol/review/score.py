@@ -20,35 +20,9 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
 from dpcontrol.loop.result import inside_95
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes
-from dpcontrol.review.decoding import FOLLOWS, Decoded, decode_run, orbit_index
+from dpcontrol.review.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_run, last_gap
 
 Number = TypeVar("Number", int, float)
-
-NEAR_LAST_ORBIT = 0.1  # rad
-_DENSER = 8
-"""Points on each chord between an orbit's samples from which the distance is measured."""
-
-
-def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
-    """Return by how many rad angles (K, n) leave those (M, n) of an orbit whose period takes `ticks`; 0 if near enough.
-
-    Infinite where the angles are no numbers.
-    """
-    if not np.isfinite(angles).all():
-        return np.inf
-    # The point of the same phase is no nearer than the nearest one, and much sooner found.
-    closed = max(len(orbit) - bool(np.abs(orbit[0] - orbit[-1]).max() < 1e-6), 1)
-    first = int(np.argmin(np.abs(orbit - angles[0]).max(axis=1)))
-    ahead = np.rint(np.arange(len(angles)) * (closed / ticks)).astype(np.intp)
-    late = angles[np.abs(orbit[(first + ahead) % closed] - angles).max(axis=1) > NEAR_LAST_ORBIT]
-    far = [place for place in late if np.abs(orbit - place).max(axis=1).min() > NEAR_LAST_ORBIT]
-    if not far:
-        return 0.0
-    share = np.arange(_DENSER)[:, None, None] / _DENSER
-    points = (orbit * (1 - share) + np.roll(orbit, -1, axis=0) * share).reshape(-1, orbit.shape[1])
-    gap = max(float(np.abs(points - place).max(axis=1).min()) for place in far)
-    return gap if gap > NEAR_LAST_ORBIT else 0.0
-
 
 REFERENCE_ATTACHMENT = "reference.npz"
 MODEL_METADATA = "model_parameters"
@@ -429,14 +403,9 @@ def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
     """Return how far the last full period was from the last orbit where that is too far, or an empty string."""
     notes = plan_notes(plan)
     stop = notes["stops"][-1]
-    k = orbit_index(notes, stop)
     if ended:
         return f"the last orbit was not held to the end {last}{ended}"
-    period = notes["orbits"][k]["period"]
-    rows = flown.time >= flown.time[-1] - period
-    home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
-    angles = flown.angles[rows] - (np.asarray(stop["angles"]) - home)
-    gap = _leaves(plan.extra[f"orbit_{k}"][:, : angles.shape[1]], angles, ticks=period * flown.rate_hz)
+    gap = last_gap(flown.time, flown.angles, plan, rate_hz=flown.rate_hz)
     if gap:
         return (
             f"over the last period the arms were up to {gap:.2f} rad from the orbit about {stop['saddle']} "

@@ -224,6 +224,7 @@ def make_plan(
         return Plan(itinerary, load_reference(BytesIO(content)), file, cached=True)
     announce(plan_cost(itinerary), yes=yes)
     # A plan that is kept needs nothing of what makes plans.
+    from dpcontrol.review.decoding import shortfall
     from dpcontrol.scenes.planning import planned
 
     reference, notes, arrays = planned(
@@ -231,6 +232,9 @@ def make_plan(
     )
     notes["plan"], notes["made_from"]["code"] = plan_key(itinerary), code_hash(__name__)
     reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
+    if reference.converged and (problem := shortfall(reference)):
+        status = f"the reference converged, but a run that follows it would not be completed: {problem}"
+        reference = replace(reference, converged=False, status=status)
     plan = Plan(itinerary, reference, file, cached=False)
     if plan.converged:
         keep(file, plan.archive)
