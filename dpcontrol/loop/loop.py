@@ -615,7 +615,7 @@ def run_loop(
         recovery=recovery, until=until, keep=keep, library=library, progress=progress,
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
-    return replace(loop.run(rig), plant=draw.plant.arms)
+    return replace(loop.run(rig), plant=draw.plant.arms, hardest=rig.hardest)
 
 
 def loop_margins(
@@ -739,13 +739,14 @@ class _Lockstep:
                     break
         references = ticker.references
         angles = references[:, : self._arms, None] if references.ndim == 2 else references
-        return [
+        runs = [
             rows.run(
                 lane, self._counts[lane], angles[:, :, lane % angles.shape[2]], stands_from=self._stopped_at[lane],
                 period=self._period, ending=self._endings[lane], reason=self._reasons[lane],
             )
             for lane in range(self._runs)
         ]  # fmt: skip
+        return [replace(run, hardest=float(most)) for run, most in zip(runs, bench.hardest, strict=True)]
 
     def _heed(self, k: int, report: Array, rows: JudgedTicks) -> None:
         """Do what the outcomes of tick k ask for."""

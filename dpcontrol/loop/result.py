@@ -302,7 +302,8 @@ class LoopResult:
 
     ticks: its rows. ending, and reason, a sentence. late: ticks that began too late; elapsed s. thinking (K,) s: what
     each tick of controller and estimator took. plant: the parameters that were simulated, if any. falls: from which it
-    recovered, or not; flights: when it was on its itinerary, where it could recover.
+    recovered, or not; flights: when it was on its itinerary, where it could recover. hardest: the largest acceleration
+    that a simulated drive applied, m/s².
     """
 
     ticks: Ticks
@@ -314,6 +315,7 @@ class LoopResult:
     plant: ArmChainParameters | None = None
     falls: int = 0
     flights: tuple[Flight, ...] = ()
+    hardest: float | None = None
 
     @property
     def finished(self) -> bool:
@@ -353,8 +355,8 @@ def rms(values: Array) -> float:
 class BatchRun:
     """One run of K ticks: what it is judged by, and a few of its figures.
 
-    times (K,) s; truth (K, 2n+2); references (K, n): angles; applied (K,) m/s²; ending and why; falls, flights: see
-    `LoopResult`. SI units.
+    times (K,) s; truth (K, 2n+2); references (K, n): angles; applied (K,) m/s²; ending and why; falls, flights and
+    hardest: see `LoopResult`. SI units.
     """
 
     times: Array
@@ -367,6 +369,7 @@ class BatchRun:
     rms_feedback: float
     falls: int = 0
     flights: tuple[Flight, ...] = ()
+    hardest: float | None = None
 
     @classmethod
     def of(cls, result: LoopResult) -> "BatchRun":
@@ -381,7 +384,7 @@ class BatchRun:
         angles = ticks.references[:, : ticks.measured.shape[1] - 1]
         return cls(
             ticks.times, ticks.truth, angles, ticks.control[:, 3], result.ending, result.reason,
-            result.nis_inside_95, result.rms_feedback, result.falls, result.flights,
+            result.nis_inside_95, result.rms_feedback, result.falls, result.flights, result.hardest,
         )  # fmt: skip
 
 

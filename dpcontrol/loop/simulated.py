@@ -272,6 +272,9 @@ class SimulatedBench:
         self._plant = SimulatedPlant([d.plant for d in draws], first, track=own.position)
         self.truth: Array = self._plant.state[: 2 * n + 2]
         """The true state (2n+2,) or states (2n+2, S) at the last reading's tick; overwritten at the next."""
+        self.hardest: Any = 0.0
+        """The largest acceleration that the drive has applied, m/s², of each run where there are many."""
+        self._larger: Any = max if lanes is ONE else np.maximum
         self._seen: list[Any] | None = None
         self._cart, self._ticks, self._tick = 2 * n, draw.ticks, -1
         self._braking: Any = None
@@ -351,9 +354,13 @@ class SimulatedBench:
     def _acting(self, demand: Any, duration: float) -> Any:
         drive, velocity, braking = self._drive, self._plant.loop_velocity, self._braking
         if braking is None:
-            return drive.acting(demand, velocity, duration)
-        stops = drive.braking(velocity, duration)
-        return stops if braking is True else np.where(braking, stops, drive.acting(demand, velocity, duration))
+            acting = drive.acting(demand, velocity, duration)
+        else:
+            acting = drive.braking(velocity, duration)
+            if braking is not True:
+                acting = np.where(braking, acting, drive.acting(demand, velocity, duration))
+        self.hardest = self._larger(self.hardest, abs(acting))
+        return acting
 
 
 class SimulatedRig(SimulatedBench):

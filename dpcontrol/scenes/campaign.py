@@ -207,6 +207,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         limits=(limits.position, limits.velocity, limits.acceleration),
         ended=ended,
         flights=run.flights,
+        hardest=run.hardest,
     )
     verdict = verdict_on(flown, reference)
     symbols = reference.notes["symbols"]

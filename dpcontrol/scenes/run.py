@@ -71,6 +71,7 @@ from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
 from dpcontrol.review.score import (
     DRAWN_METADATA,
+    HARDEST_METADATA,
     MODEL_METADATA,
     PLANT_METADATA,
     REFERENCE_ATTACHMENT,
@@ -247,8 +248,10 @@ def watched(plan: Plan, sink: LoopSink, *, live: bool) -> Iterator[LoopSink]:
 
 
 def outcome(result: LoopResult) -> dict[str, str]:
-    """Return what a log says of how a run went: its pace, its ending, what ticks took."""
+    """Return the metadata on how a run went: its pace, its ending, the time that ticks took, the hardest drive."""
     noted = {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
+    if result.hardest is not None:
+        noted[HARDEST_METADATA] = repr(result.hardest)
     if len(result.thinking):
         quantiles = np.quantile(result.thinking, [0.5, 0.99]).tolist()
         noted |= {name: repr(value) for name, value in zip(THINKING_METADATA, quantiles, strict=True)}
