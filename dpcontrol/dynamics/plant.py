@@ -8,10 +8,15 @@ M: mass of cart and arms together. A heavy cart makes `force` into `drive`, a fa
 every level gravity may pull along the track too, as on a track that is tilted: b m/s², with the Lagrangian's further
 term b (Σ S_i sin θ_i + M x). Angles are then still measured from the track's normal.
 
+Components add to this at every level (`dpcontrol.dynamics.components`). A component with a motor stands between drive
+and cart: the drive then moves the motor, ẍ_m = u or a, and the component gives the cart its acceleration, or the force
+M times that.
+
 Source: Åström & Murray, Feedback Systems (2008), section 2.2 and example 2.1 (balance systems).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
@@ -21,7 +26,8 @@ import casadi as ca
 import numpy as np
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Level, arm_chain_equations, chain_energies
-from dpcontrol.dynamics.compiled import Compiled, compiled_step
+from dpcontrol.dynamics.compiled import Compiled, compiled_step, fixed_step
+from dpcontrol.dynamics.components import Component, Frame, Terms
 from dpcontrol.dynamics.equations import Equations, Mechanics, mechanics, solve_symmetric
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
@@ -31,6 +37,9 @@ _SMOOTH_STEP = 2e-3
 """s: the longest step at which the arms' own motion is exact to 1e-12."""
 _SHARE_OF_LAG = 0.25
 _COULOMB_STEP = 2.5e-4
+
+
+Kinds = tuple[type[Component], ...]
 
 
 class PlantLevel(StrEnum):
@@ -47,7 +56,8 @@ class PlantParameters(Settings):
 
     lag s: time constant of the drive's velocity loop, zero for one that follows at once. cart_mass kg without the
     arms, zero for a cart that the arms cannot move; cart_viscous N s/m. tilt rad of the track, positive where its
-    right end is the lower one: gravity then pulls by g sin(tilt) along it, by g cos(tilt) across.
+    right end is the lower one: gravity then pulls by g sin(tilt) along it, by g cos(tilt) across. components: what the
+    plant has besides, in the order of their states.
     """
 
     arms: ArmChainParameters
@@ -55,6 +65,7 @@ class PlantParameters(Settings):
     cart_mass: float = setting(0.0, least=0, most=1e6, unit="kg")
     cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m")
     tilt: float = setting(0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad")
+    components: tuple[Component, ...] = ()
 
     def _check_together(self) -> None:
         """Check what a cart with mass or friction needs."""
@@ -76,47 +87,100 @@ class PlantParameters(Settings):
     @property
     def equations(self) -> Equations:
         """The equations that go with `numbers`."""
-        return plant_equations(self.arms.count, self.level, friction=self.arms.friction)
+        return plant_equations(self.arms.count, self.level, friction=self.arms.friction, components=self.kinds)
+
+    @property
+    def kinds(self) -> Kinds:
+        """The classes of the components."""
+        return tuple(type(one) for one in self.components)
+
+    @property
+    def plain_size(self) -> int:
+        """Length of the state without the components' states."""
+        return 2 * self.arms.count + 2 + (self.level is not PlantLevel.CART)
+
+    @property
+    def places(self) -> list[tuple[Component, int]]:
+        """The components, each with the place in the state where its own states begin."""
+        sizes = [one.sizes(self.arms.count).states for one in self.components]
+        return [(one, self.plain_size + sum(sizes[:k])) for k, one in enumerate(self.components)]
+
+    @property
+    def motor(self) -> int:
+        """Where in the state the position of what the drive moves stands: the cart, or a component's motor."""
+        return next((place for one, place in self.places if one.motor), 2 * self.arms.count)
+
+    @property
+    def reads(self) -> dict[int, int]:
+        """The places in the state that sensors read in place of joints and cart: {sensor: place}."""
+        count = self.arms.count
+        return {k: place + own for one, place in self.places for k, own in one.reads(count).items()}
+
+    def own_states(self, state: Array) -> Array:
+        """Return the components' first states; state (2n+2,): of arms and cart."""
+        return np.concatenate([np.zeros(0), *(one.start(state) for one in self.components)])
 
     def numbers(self) -> Array:
-        """Return the parameters (p,) of `equations`: base parameters, b, then τ, then M and k_c where they occur."""
+        """Return the parameters (p,) of `equations`: base parameters, b, then τ, then M and k_c where they occur.
+
+        The components' own follow.
+        """
         upright = replace(self.arms, gravity=self.arms.gravity * float(np.cos(self.tilt)))
         further = [self.arms.gravity * np.sin(self.tilt)]
         if self.level is not PlantLevel.CART:
             further.append(self.lag)
         if self.level is PlantLevel.FORCE:
             further += [self.cart_mass + sum(self.arms.mass), self.cart_viscous]
+        further += [number for one in self.components for number in one.numbers()]
         return np.concatenate([upright.base(), further])
 
 
 @cache
 def _symbols() -> SimpleNamespace:
-    """Return those that all levels share: b, τ, M, k_c and F."""
-    return SimpleNamespace(**{name: ca.SX.sym(name) for name in ("pull", "lag", "mass", "drag", "force")})
+    """Return those that all levels share: u, b, τ, M, k_c and F."""
+    return SimpleNamespace(**{name: ca.SX.sym(name) for name in ("command", "pull", "lag", "mass", "drag", "force")})
 
 
 @cache
-def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool) -> Mechanics:
+def _own(count: int, components: Kinds) -> tuple[Frame, ...]:
+    """Return each component's own symbols, in frames without arms and cart."""
+    none, frames = ca.SX(0, 1), []
+    for k, one in enumerate(components):
+        own = (ca.SX.sym(f"{one.__name__}_{k}_{c}", size) for c, size in enumerate(one.sizes(count)))
+        frames.append(Frame(none, none, ca.SX.sym("demand"), *own))
+    return tuple(frames)
+
+
+def _terms(q: ca.SX, v: ca.SX, components: Kinds) -> list[Terms]:
+    frames = _own(q.shape[0] - 1, components)
+    return [one.terms(replace(frame, position=q, velocity=v)) for one, frame in zip(components, frames, strict=True)]
+
+
+@cache
+def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool, components: Kinds = ()) -> Mechanics:
     """Return arms on a track that may be tilted, with a cart that moves as prescribed or is free."""
     n, chain, s = count, chain_energies(count, friction=friction), _symbols()
 
     def lagrangian(q: ca.SX, v: ca.SX, p: ca.SX) -> ca.SX:
         total = chain.lagrangian(q, v, p) + s.pull * ca.dot(chain.coupling, ca.sin(q[:n]))
+        total += sum((term.lagrangian for term in _terms(q, v, components)), ca.SX(0))
         # The chain's own Lagrangian stands on a cart of 1 kg.
         return total + (s.mass - 1) * v[n] ** 2 / 2 + (s.force + s.mass * s.pull) * q[n] if free_cart else total
 
     def dissipation(q: ca.SX, v: ca.SX, p: ca.SX) -> ca.SX:
-        return chain.dissipation(q, v, p) + (s.drag * v[n] ** 2 / 2 if free_cart else 0)
+        total = chain.dissipation(q, v, p) + (s.drag * v[n] ** 2 / 2 if free_cart else 0)
+        return total + sum((term.dissipation for term in _terms(q, v, components)), ca.SX(0))
 
     free, prescribed = (n + 1, 0) if free_cart else (n, 1)
     return mechanics(lagrangian, dissipation, free=free, prescribed=prescribed, parameters=chain.parameters)
 
 
-def _parameters(count: int, level: PlantLevel, friction: tuple[Friction, ...]) -> ca.SX:
+def _parameters(count: int, level: PlantLevel, friction: tuple[Friction, ...], components: Kinds = ()) -> ca.SX:
     s = _symbols()
     further = {PlantLevel.CART: [s.pull], PlantLevel.DRIVE: [s.pull, s.lag],
                PlantLevel.FORCE: [s.pull, s.lag, s.mass, s.drag]}  # fmt: skip
-    return ca.vertcat(chain_energies(count, friction=friction).parameters, *further[level])
+    own = [frame.parameters for frame in _own(count, components)]
+    return ca.vertcat(chain_energies(count, friction=friction).parameters, *further[level], *own)
 
 
 def _state(q: ca.SX, v: ca.SX, demand: ca.SX, level: PlantLevel) -> ca.SX:
@@ -125,30 +189,76 @@ def _state(q: ca.SX, v: ca.SX, demand: ca.SX, level: PlantLevel) -> ca.SX:
     return cart if level is PlantLevel.CART else ca.vertcat(cart, demand)
 
 
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """The motion of a plant, symbolically.
+
+    demand: a; frames: of the components; moving (n+1,): accelerations of arms and cart; drive: acceleration of what the
+    drive moves; modes: in which a step begins; rates: of the components' states.
+    """
+
+    parts: Mechanics
+    demand: ca.SX
+    frames: tuple[Frame, ...]
+    moving: ca.SX
+    drive: ca.SX
+    modes: ca.SX
+    rates: ca.SX
+
+    def state(self, velocity: ca.SX, level: PlantLevel, own: Sequence[ca.SX]) -> ca.SX:
+        """Return the state with these velocities (n+1,) and components' states."""
+        return ca.vertcat(_state(self.parts.position, velocity, self.demand, level), *own)
+
+
 @cache
-def plant_equations(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) -> Equations:
+def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], components: Kinds) -> _Motion:
+    s, free_cart, a = _symbols(), level is PlantLevel.FORCE, ca.SX.sym("a")
+    parts = _parts(count, friction, free_cart=free_cart, components=components)
+    q, v, demand = parts.position, parts.velocity, s.command if level is PlantLevel.CART else a
+    frames = tuple(replace(one, position=q, velocity=v, demand=demand) for one in _own(count, components))
+    terms = [one.terms(frame) for one, frame in zip(components, frames, strict=True)]
+    belts = [term.drive for one, term in zip(components, terms, strict=True) if one.motor]
+    pushed = belts[0] if belts else demand
+    if free_cart:
+        moving = ca.substitute(parts.free_acceleration, s.force, s.mass * pushed)
+    else:
+        pushed = pushed + s.pull if belts else pushed
+        moving = ca.substitute(parts.free_acceleration, parts.acceleration, pushed)
+    modes = ca.SX(0, 1)
+    for one, frame in zip(components, frames, strict=True):
+        chosen = one.chosen(frame, parts.mass_matrix, moving)
+        before = ca.vertcat(*(other.modes for other in frames))[: modes.shape[0]]
+        modes = ca.vertcat(modes, ca.substitute(chosen, before, modes))
+        moving = one.constrained(frame, parts.mass_matrix, moving)
+    if not free_cart:
+        moving = ca.vertcat(moving, pushed)
+    # The velocity loop is that of the motor where there is one.
+    driven = demand if belts else moving[count]
+    return _Motion(parts, a, frames, moving, driven, modes, ca.vertcat(*(term.rates for term in terms)))
+
+
+@cache
+def plant_equations(
+    count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = (), components: Kinds = ()
+) -> Equations:
     """Return the equations of `count` arms on the bench at `level`.
 
     State: angles, rates, cart position and velocity, then (levels drive and force) a, the acceleration that the
-    drive's velocity loop demands; the input is the commanded acceleration u. Parameters as `PlantParameters.numbers`.
+    drive's velocity loop demands, then the components' states. Inputs: the commanded acceleration u, then the
+    components' modes. Parameters as `PlantParameters.numbers`.
     """
-    n, s = count, _symbols()
-    u, a = ca.SX.sym("u"), ca.SX.sym("a")
-    parts = _parts(count, friction, free_cart=level is PlantLevel.FORCE)
-    q, v, given, free = parts.position, parts.velocity, parts.acceleration, parts.free_acceleration
-    if level is PlantLevel.FORCE:
-        moving = ca.substitute(free, s.force, s.mass * a)
-    else:
-        given_now = u if level is PlantLevel.CART else a
-        moving = ca.vertcat(ca.substitute(free, given, given_now), given_now)
+    n, s, motion = count, _symbols(), _motion(count, level, friction, components)
+    v, moving = motion.parts.velocity, motion.moving
     rate = ca.vertcat(v[:n], moving[:n], v[n], moving[n])
     if level is not PlantLevel.CART:
-        rate = ca.vertcat(rate, (u - moving[n]) / s.lag)
-    state = _state(q, v, a, level)
+        rate = ca.vertcat(rate, (s.command - motion.drive) / s.lag)
+    state = motion.state(v, level, [frame.states for frame in motion.frames])
     arms = arm_chain_equations(count, Level.CART, friction=friction)
     energies = [arms.hamiltonian, arms.momentum, arms.mass_matrix]
     hamiltonian, momentum, mass = ca.substitute(energies, [arms.state], [state[: 2 * n + 2]])
-    return Equations(state, u, _parameters(count, level, friction), ca.cse(rate), hamiltonian, momentum, mass)
+    inputs = ca.vertcat(s.command, *(frame.modes for frame in motion.frames))
+    parameters, rate = _parameters(count, level, friction, components), ca.cse(ca.vertcat(rate, motion.rates))
+    return Equations(state, inputs, parameters, rate, hamiltonian, momentum, mass)
 
 
 @cache
@@ -180,9 +290,45 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
 
 
 @cache
-def plant_step(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) -> Compiled:
-    """Return `fixed_step` of `plant_equations` as machine code, made once in a process."""
-    return compiled_step(plant_equations(count, level, friction=friction))
+def plant_step(
+    count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = (), components: Kinds = ()
+) -> Compiled:
+    """Return `fixed_step` of `plant_equations` as machine code, made once in a process.
+
+    With components, the state that follows is settled by them, and their guards come after it.
+    """
+    equations = plant_equations(count, level, friction=friction, components=components)
+    if not components:
+        return compiled_step(equations)
+    motion = _motion(count, level, friction, components)
+    velocity, own, guards = motion.parts.velocity, [], []
+    for one, frame in zip(components, motion.frames, strict=True):
+        now = replace(frame, velocity=velocity)
+        guards.append(one.guards(now))
+        velocity, states = one.settled(now)
+        own.append(states)
+    given = [equations.state, equations.inputs, equations.parameters]
+    settled = ca.Function("settled", given, [ca.vertcat(motion.state(velocity, level, own), *guards)])
+    step = fixed_step(equations)
+    x, u, h, p = symbols = step.sx_in()
+    following = settled(step(x, u, h, p), u, p)
+    return Compiled(ca.Function("settled_step", symbols, [ca.cse(ca.densify(following))], _INPUTS, ["following"]))
+
+
+_INPUTS = ["state", "inputs", "duration", "parameters"]
+
+
+@cache
+def plant_modes(
+    count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = (), components: Kinds = ()
+) -> Compiled | None:
+    """Return the function of `plant_step`'s inputs that chooses the components' modes; None if they have none."""
+    modes = _motion(count, level, friction, components).modes
+    if modes.is_empty():
+        return None
+    equations = plant_equations(count, level, friction=friction, components=components)
+    given = [equations.state, equations.inputs, ca.SX.sym("h"), equations.parameters]
+    return Compiled(ca.Function("plant_modes", given, [ca.cse(ca.densify(modes))], _INPUTS, ["modes"]))
 
 
 def longest_step(plant: PlantParameters) -> float:
@@ -192,6 +338,7 @@ def longest_step(plant: PlantParameters) -> float:
     there where arms turn slowly, 1e-7 where they are struck by 2000 rad/s².
     """
     longest = min(_SMOOTH_STEP, _SHARE_OF_LAG * plant.lag if plant.lag else math.inf)
+    longest = min((longest, *(one.longest_step for one in plant.components)))
     return min(longest, _COULOMB_STEP) if Friction.COULOMB in plant.arms.friction else longest
 
 
@@ -199,9 +346,14 @@ def after_blow(
     plant: PlantParameters, state: Array, *, impulses: Array | None = None, jumps: Array | None = None, knock: float = 0
 ) -> Array:
     """Return the state (N,) after a blow: a couple's impulses (n,) N m s, jumps (n,) rad/s, the cart's knock m/s."""
-    n = plant.arms.count
+    n, size = plant.arms.count, plant.plain_size
     function = blow(n, plant.level, friction=plant.arms.friction)
-    none = np.zeros(n)
-    out = function(state, none if impulses is None else impulses, none if jumps is None else jumps, knock,
-                   plant.numbers())  # fmt: skip
-    return np.asarray(out, dtype=float).ravel()
+    none, numbers = np.zeros(n), plant.numbers()
+    plain = numbers[: len(numbers) - sum(len(one.numbers()) for one in plant.components)]
+    out = function(state[:size], none if impulses is None else impulses, none if jumps is None else jumps, knock,
+                   plain)  # fmt: skip
+    after = np.concatenate([np.asarray(out, dtype=float).ravel(), state[size:]])
+    if plant.motor >= size:
+        # The motor's loop does not feel what strikes the cart.
+        after[2 * n + 2 : size] = state[2 * n + 2 : size]
+    return after

@@ -28,7 +28,13 @@ from dpcontrol.foundation.errors import InputError
 T = TypeVar("T")
 
 
-_READERS = {float: "number", int: "integer", str: "text", tuple[str, ...]: "texts"}
+_READERS = {
+    float: "number",
+    int: "integer",
+    str: "text",
+    tuple[str, ...]: "texts",
+    float | tuple[float, ...]: "number_or_numbers",
+}
 """Types of settings that a table can fill, and by which of its methods."""
 
 
@@ -85,6 +91,10 @@ class Table:
     def numbers(self, key: str, default: Any = MISSING) -> tuple[float, ...]:
         """Return a list of finite numbers."""
         return tuple(self._number(v, key) for v in self._list(key, default))
+
+    def number_or_numbers(self, key: str, default: Any = MISSING) -> float | tuple[float, ...]:
+        """Return a finite number or a list of them."""
+        return self.numbers(key, default) if isinstance(self._values.get(key), list) else self.number(key, default)
 
     def integers(self, key: str, default: Any = MISSING, *, least: int = 0) -> tuple[int, ...]:
         """Return a list of whole numbers of at least `least`."""

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.interface import clip_number
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
+from dpcontrol.dynamics.components import Belt, Cable, Component, EncoderPlay, Stiction
 from dpcontrol.dynamics.plant import PlantParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
@@ -208,28 +209,81 @@ class DisturbanceSettings(Settings, table="disturbances"):
 
 
 @dataclass(frozen=True)
+class MechanicsSettings(Settings, table="mechanics"):
+    """Mechanics of an ordinary rig that no model has; see `dpcontrol.dynamics.components`.
+
+    belt Hz: frequency of the cart on an elastic belt with the motor held, belt_damping: its ratio; belt_scale: whether
+    the cart's scale sits on the "motor" or on the "cart". play rad: between joint and encoder, the whole width, for all
+    arms or for each; where the encoder begins in it is random. cable_torque N m on the hanging inner arm and
+    cable_stiffness N m/rad against its turning. stiction N m: break-away torque of the joints, for all or each, and
+    kinetic: their torque while they slide, as a share of it. initial_rate rad/s: uniform ± on each rate of the first
+    state; initial_cart m: where the cart stands at first.
+    """
+
+    belt: float = setting(0.0, least=1, most=1000, zero="a rigid belt", unit="Hz")
+    belt_damping: float = setting(0.05, least=0, most=1)
+    belt_scale: str = setting("motor", choices=("motor", "cart"))
+    play: float | tuple[float, ...] = setting(0.0, least=0, most=1, unit="rad")
+    cable_torque: float = setting(0.0, least=-1000, most=1000, unit="N m")
+    cable_stiffness: float = setting(0.0, least=0, most=1000, unit="N m/rad")
+    stiction: float | tuple[float, ...] = setting(0.0, least=0, most=1000, unit="N m")
+    kinetic: float = setting(0.8, least=0, most=1)
+    initial_rate: float = setting(0.0, least=0, most=1000, unit="rad/s")
+    initial_cart: float = setting(0.0, least=-100, most=100, unit="m")
+
+    def of_each(self, name: str, arms: int) -> tuple[float, ...]:
+        """Return the values of `play` or `stiction` for each arm.
+
+        Raises:
+            InputError: their number is not that of the arms.
+        """
+        value = getattr(self, name)
+        values = tuple(value) if isinstance(value, tuple | list) else (value,) * arms
+        if len(values) != arms:
+            raise self.refusal(name, f"must be one number, or {arms}, one for each arm")
+        return values
+
+    def components(self, arms: int, offsets: Array) -> tuple[Component, ...]:
+        """Return the components of a plant of so many arms; offsets (n,): of encoders in their play, -0.5 to 0.5."""
+        found: list[Component] = []
+        play, stiction = self.of_each("play", arms), self.of_each("stiction", arms)
+        if self.belt:
+            found.append(Belt(self.belt, self.belt_damping, motor_scale=self.belt_scale == "motor"))
+        if any(play):
+            found.append(EncoderPlay(play, tuple((offsets * play).tolist())))
+        if self.cable_torque or self.cable_stiffness:
+            found.append(Cable(self.cable_torque, self.cable_stiffness))
+        if any(stiction):
+            found.append(Stiction(stiction, tuple(self.kinetic * torque for torque in stiction)))
+        return tuple(found)
+
+
+@dataclass(frozen=True)
 class BenchSettings:
     """What stands between the model and the world."""
 
     sensors: SensorSettings = field(default_factory=SensorSettings)
     drive: DriveSettings = field(default_factory=DriveSettings)
     disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
+    mechanics: MechanicsSettings = field(default_factory=MechanicsSettings)
 
-    def plant(self, arms: ArmChainParameters) -> PlantParameters:
-        """Return these arms on this drive and track.
+    def plant(self, arms: ArmChainParameters, offsets: Array) -> PlantParameters:
+        """Return these arms on this drive and track; offsets: see `MechanicsSettings.components`.
 
         Raises:
             InputError: the drive or the tilt is impossible.
         """
-        drive = self.drive
+        drive, components = self.drive, self.mechanics.components(arms.count, offsets)
         return PlantParameters(
-            arms, lag=drive.lag, cart_mass=drive.cart_mass, cart_viscous=drive.cart_viscous, tilt=self.disturbances.tilt
-        )
+            arms, lag=drive.lag, cart_mass=drive.cart_mass, cart_viscous=drive.cart_viscous,
+            tilt=self.disturbances.tilt, components=components,
+        )  # fmt: skip
 
 
 # Their order is that of the seed's streams: append only, or old seeds give other runs.
 _STREAMS = ("plant", "initial_error", "zero_errors", "command_noise", "ages", "dropped", "missed", "noise",
-            "rate_noise", "pushes", "knocks", "model", "zero_drift", "random_blows")  # fmt: skip
+            "rate_noise", "pushes", "knocks", "model", "zero_drift", "random_blows",
+            "initial_rate", "play")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,11 +354,11 @@ def _drawn(name: str) -> Any:
 class BenchDraw:
     """One run's draws for n arms and K ticks.
 
-    plant; initial_error (n,) rad on the angles; zeros (n,) rad of the encoders, drift (n,) rad/s of them; blows by
-    their tick. streams: by name what is drawn for each tick, also beyond the K; None stands below for none of the kind,
-    which costs nothing. command_noise (K,) m/s²; ages (K,) s of the readings; dropped (K,): ticks without reading;
-    missed (K, n): counts lost where the joint moves; noise (K, n+1) on relative angles, rad, and cart, m; rate_noise
-    (K, n) rad/s on estimated rates.
+    plant; initial_error (n,) rad on the angles, initial_rate (n,) rad/s on the rates; zeros (n,) rad of the encoders,
+    drift (n,) rad/s of them; blows by their tick. streams: by name what is drawn for each tick, also beyond the K; None
+    stands below for none of the kind, which costs nothing. command_noise (K,) m/s²; ages (K,) s of the readings;
+    dropped (K,): ticks without reading; missed (K, n): counts lost where the joint moves; noise (K, n+1) on relative
+    angles, rad, and cart, m; rate_noise (K, n) rad/s on estimated rates.
     """
 
     seed: int
@@ -312,6 +366,7 @@ class BenchDraw:
     period: float
     plant: PlantParameters
     initial_error: Array
+    initial_rate: Array
     zeros: Array
     drift: Array
     streams: Mapping[str, Stream]
@@ -422,8 +477,10 @@ def draw_bench(
         true_arms = true_arms.with_friction(friction)
     strokes = shares("pushes", blows.pushes, 3), shares("knocks", blows.knocks, 2)
     return BenchDraw(
-        seed=seed, ticks=ticks, period=period, plant=settings.plant(true_arms),
+        seed=seed, ticks=ticks, period=period,
+        plant=settings.plant(true_arms, within("play", 0.5 if settings.mechanics.play else 0.0)),
         initial_error=within("initial_error", initial_error),
+        initial_rate=within("initial_rate", settings.mechanics.initial_rate),
         zeros=within("zero_errors", sensors.zero_error),
         drift=np.copysign(sensors.zero_drift / 3600, within("zero_drift", sensors.zero_drift)),
         streams=streams,

@@ -38,6 +38,7 @@ from dpcontrol.loop.bench import (
     BenchSettings,
     DisturbanceSettings,
     DriveSettings,
+    MechanicsSettings,
     SensorSettings,
     StreamReader,
     draw_bench,
@@ -323,6 +324,7 @@ class LoopSettings(Settings, table="run"):
     sensors: SensorSettings = field(default_factory=SensorSettings)
     drive: DriveSettings = field(default_factory=DriveSettings)
     disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
+    mechanics: MechanicsSettings = field(default_factory=MechanicsSettings)
     supervisor: SupervisorSettings = field(default_factory=SupervisorSettings)
 
     def _check_together(self) -> None:
@@ -343,7 +345,7 @@ class LoopSettings(Settings, table="run"):
     @property
     def bench(self) -> BenchSettings:
         """What stands between the model and the world."""
-        return BenchSettings(self.sensors, self.drive, self.disturbances)
+        return BenchSettings(self.sensors, self.drive, self.disturbances, self.mechanics)
 
     def draw(
         self,

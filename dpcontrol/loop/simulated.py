@@ -9,14 +9,15 @@ What is a number for one run is an array (S,) for S runs in lockstep, computed b
 
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import MANY, ONE, Lanes
-from dpcontrol.dynamics.compiled import VECTOR
-from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_step
+from dpcontrol.dynamics.compiled import VECTOR, Compiled
+from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_modes, plant_step
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import BenchDraw, BenchSettings, Blow, SensorSettings
@@ -28,7 +29,7 @@ class Encoders:
     """Relative encoders of `arms` joints and the cart's scale, during a run: they remember what went wrong.
 
     zeros (n,) rad: the encoders' zero errors, drift (n,) rad/s of them, or (n, S) with `MANY` lanes; counts are lost,
-    and sensors stick, in one run only.
+    and sensors stick, in one run only. places: in the state, of what sensors read in place of joints and cart.
 
     Raises:
         InputError: the sensor that sticks is none of these.
@@ -36,7 +37,7 @@ class Encoders:
 
     def __init__(
         self, arms: int, settings: SensorSettings, *, zeros: Array | None = None, drift: Array | None = None,
-        lanes: Lanes = ONE,
+        lanes: Lanes = ONE, places: Mapping[int, int] = MappingProxyType({}),
     ) -> None:  # fmt: skip
         if math.isfinite(settings.stuck_at) and settings.stuck_sensor > arms:
             raise InputError(
@@ -44,6 +45,7 @@ class Encoders:
             )
         self.settings = settings
         self._arms, self._lanes = arms, lanes
+        self._places, self._cart_place = [places.get(k) for k in range(arms)], places.get(arms, 2 * arms)
         self._angle, self._cart = settings.steps
         self._zeros: list[Any] = [0.0] * arms if zeros is None else lanes.rows(np.asarray(zeros, dtype=float))
         self._drift: list[Any] | None = None if drift is None or not drift.any() else lanes.rows(drift)
@@ -75,13 +77,13 @@ class Encoders:
         if drift is not None:
             zeros = [zero + rate * time for zero, rate in zip(zeros, drift, strict=True)]
         for k, zero in enumerate(zeros):
-            outer = state[k]
-            value = outer - inner + zero
+            outer, own = state[k], self._places[k]
+            value = (outer - inner if own is None else state[own]) + zero
             inner = outer
             if added is not None:
                 value += added[k]
             readings.append(step * (nearest(value / step) - lost[k]) if step else value)
-        cart = state[2 * arms] if added is None else state[2 * arms] + added[arms]
+        cart = state[self._cart_place] if added is None else state[self._cart_place] + added[arms]
         readings.append(self._cart * nearest(cart / self._cart) if self._cart else cart)
         if self._stuck_at <= time < self._stuck_until:
             which = self.settings.stuck_sensor
@@ -102,6 +104,48 @@ class Encoders:
             inner = outer
 
 
+_SWITCHES, _HALVINGS = 8, 24
+"""Changes of modes within a step at most, and halvings of the time at which one occurs: to 1e-10 s."""
+
+
+class ModalStep:
+    """A plant's step in the modes of its components, one lane or many: it is split where a component changes them."""
+
+    def __init__(self, step: Compiled, modes: Compiled) -> None:
+        self._step, self._choose = step.machine, modes.machine
+        self._state, self._duration = step.slices["state"], step.slices["duration"].start
+        inputs = step.slices["inputs"]
+        self._modes, self._size = slice(inputs.stop - modes.size_out, inputs.stop), step.size_out
+
+    def __call__(self, inputs: Array, out: Array) -> None:
+        """Write the states (N, S) that follow `inputs` (M, S)."""
+        n, work, found = len(out), inputs.copy(), np.empty((self._size, inputs.shape[1]))
+        chosen, left = np.empty((self._modes.stop - self._modes.start, inputs.shape[1])), work[self._duration].copy()
+
+        def flown(duration: Array) -> NDArray[np.bool_]:
+            work[self._duration] = duration
+            self._step(work, found)
+            return found[n:].min(axis=0) < 0
+
+        for k in range(_SWITCHES):
+            self._choose(work, chosen)
+            work[self._modes] = chosen
+            beyond, taken = flown(left), left
+            if k < _SWITCHES - 1 and np.logical_or.reduce(beyond):
+                within, taken = np.zeros(len(left)), left.copy()
+                for _ in range(_HALVINGS):
+                    middle = (within + taken) / 2
+                    passed = flown(np.where(beyond, middle, left))
+                    taken[beyond & passed] = middle[beyond & passed]
+                    within[beyond & ~passed] = middle[beyond & ~passed]
+                flown(taken)
+            work[self._state] = found[:n]
+            left = left - taken
+            if not left.any():
+                break
+        out[:] = work[self._state]
+
+
 class SimulatedPlant:
     """Arms, cart and drive between ticks, with hard stops at ±track m; state (N,) of `plant_equations`, or (N, S).
 
@@ -114,15 +158,18 @@ class SimulatedPlant:
         self.faults: dict[int, str] = {}
         """What has happened at the end of the track, by the number of the run."""
         self._many = many = state.ndim > 1
-        self._step = step = plant_step(first.arms.count, first.level, friction=first.arms.friction)
-        self._machine = step.machine
+        kind = {"friction": first.arms.friction, "components": first.kinds}
+        step = plant_step(first.arms.count, first.level, **kind)
+        modes = plant_modes(first.arms.count, first.level, **kind)
+        self._machine = step.machine if modes is None else ModalStep(step, modes)
         # One run fills a whole vector: it is computed as it would be among others, to the last bit.
         lanes = state.shape[1] if many else VECTOR
-        self._inputs, following = np.zeros((step.size_in, lanes)), np.zeros((step.size_out, lanes))
+        size = step.slices["state"].stop
+        self._inputs, following = np.zeros((step.size_in, lanes)), np.zeros((size, lanes))
         self._flown, self._following = following, following if many else following[:, 0]
         self._inputs[step.slices["parameters"]] = np.array([p.numbers() for p in plants]).T
         self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
-        self._cart, self._lag = 2 * first.arms.count, first.lag
+        self._cart, self._motor, self._lag = 2 * first.arms.count, first.motor, first.lag
         self._longest, self._lasts = min(longest_step(p) for p in plants), 0.0
         self._states: Array = self._inputs[step.slices["state"]]
         self.state: Array = self._states if many else self._states[:, 0]
@@ -138,8 +185,8 @@ class SimulatedPlant:
 
     @property
     def loop_velocity(self) -> Any:
-        """The velocity reference w of the drive's loop, m/s; the cart's velocity where nothing lags."""
-        v = self.values[self._cart + 1]
+        """The velocity reference w of the drive's loop, m/s; the velocity of cart or motor where nothing lags."""
+        v = self.values[self._motor + 1]
         return v + self._lag * self.values[self._cart + 2] if self._lag else v
 
     def move(self, acceleration: Any, duration: float, *, time: float) -> None:
@@ -183,7 +230,7 @@ class SimulatedPlant:
     def _flow(self, acceleration: float, duration: float) -> Array:
         self._inputs[self._input], self._inputs[self._duration] = acceleration, duration
         self._lasts = duration
-        self._step(self._inputs, self._flown)
+        self._machine(self._inputs, self._flown)
         return self._following
 
     def _meet_stop(self, acceleration: float, duration: float, time: float) -> None:
@@ -212,7 +259,10 @@ class SimulatedPlant:
         none = np.zeros(self.plants[0].arms.count)
         self.strike(Blow(none, none, -self.values[self._cart + 1]))
         held = self.state.copy()
-        held[self._cart], held[self._cart + 1 :] = side * self.track, 0.0
+        for place in (self._cart, self._motor):
+            held[place], held[place + 1] = side * self.track, 0.0
+        if self._lag:
+            held[self._cart + 2] = 0.0
         self._be(held)
 
 
@@ -264,11 +314,20 @@ class SimulatedBench:
         self._sent_before, self._past = whole + 1, 0
         self._command_noise, self._noise = by_tick("command_noise"), by_tick("noise", np.asarray)
         self._missed, self._ages = draw.reader("missed", np.asarray), draw.reader("ages")
-        self._encoders = Encoders(n, settings.sensors, zeros=zeros, drift=joined("drift"), lanes=lanes)
+        self._encoders = Encoders(
+            n, settings.sensors, zeros=zeros, drift=joined("drift"), lanes=lanes, places=draw.plant.reads
+        )
         first = np.array(start if lanes is ONE else np.broadcast_to(start, (len(draws), 2 * n + 2)), dtype=float).T
         first[:n] += errors
+        if (rates := joined("initial_rate")) is not None:
+            first[n : 2 * n] += rates
+        first[2 * n] += settings.mechanics.initial_cart
+        further = np.array([
+            d.plant.own_states(state) for d, state in zip(draws, first.reshape(2 * n + 2, -1).T, strict=True)
+        ]).T  # fmt: skip
         if draw.plant.lag:
             first = np.append(first, [self._demands[0]], axis=0)
+        first = np.append(first, further if lanes is MANY else further[:, 0], axis=0)
         self._plant = SimulatedPlant([d.plant for d in draws], first, track=own.position)
         self.truth: Array = self._plant.state[: 2 * n + 2]
         """The true state (2n+2,) or states (2n+2, S) at the last reading's tick; overwritten at the next."""

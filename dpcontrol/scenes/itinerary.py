@@ -30,7 +30,7 @@ from dpcontrol.control.tracking import AdaptiveSettings, FeedforwardSettings, Tv
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
-from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
 from dpcontrol.loop.controllers import ESTIMATORS, KEEPERS, ControllerSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import SupervisorSettings
@@ -174,7 +174,12 @@ CONTROLLERS: Mapping[str, type[ControllerSettings]] = {
     "lqr": HoldSettings, "feedforward": FeedforwardSettings,
 }  # fmt: skip
 """Kinds of controller and what holds the settings of each."""
-_PARTS: Mapping[str, type] = {"sensors": SensorSettings, "drive": DriveSettings, "disturbances": DisturbanceSettings}
+_PARTS: Mapping[str, type] = {
+    "sensors": SensorSettings,
+    "drive": DriveSettings,
+    "disturbances": DisturbanceSettings,
+    "mechanics": MechanicsSettings,
+}
 _HOMES = {f.name: part for part, kind in _PARTS.items() for f in fields(kind) if f.name != "explicit"}
 """Which part of the loop's settings has a key of [run]; those of none are the loop's own."""
 

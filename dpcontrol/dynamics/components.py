@@ -1,0 +1,300 @@
+"""Components of a plant besides its arms, cart and drive: their interface, and four that ordinary rigs have.
+
+A component adds terms to the plant's Lagrangian and Rayleigh function, and it can have states of its own. Where smooth
+equations are not enough it has modes: numbers that are constant within a step and are chosen at its beginning.
+
+    belt      ẍ = ω² (x_m - x) + 2 ζ ω (ẋ_m - ẋ) + b,  ẍ_m: acceleration of the drive, b: gravity along the track
+    play      e⁺ = min(max(e, φ - w/2), φ + w/2),  φ: angle of the joint, e: angle of its encoder, w: the play
+    cable     torque T - k θ_1 on the inner arm
+    stiction  a joint at rest stays at rest while the torque that holds it is at most its break-away torque;
+              a joint that slides is braked by its kinetic torque
+
+Sources: Karnopp, Computer simulation of stick-slip friction in mechanical dynamic systems (1985); Visintin,
+Differential models of hysteresis (1994), section III.2, for the play operator.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import ClassVar, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from dpcontrol.dynamics.equations import solve_symmetric
+from dpcontrol.foundation.arrays import Array
+
+
+class Sizes(NamedTuple):
+    """Numbers of a component's states, parameters and modes."""
+
+    states: int = 0
+    parameters: int = 0
+    modes: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The symbols from which a component builds its expressions.
+
+    position, velocity (n+1,): the arms' angles and the cart; demand m/s²: acceleration of the drive. states,
+    parameters and modes are the component's own.
+    """
+
+    position: ca.SX
+    velocity: ca.SX
+    demand: ca.SX
+    states: ca.SX
+    parameters: ca.SX
+    modes: ca.SX
+
+    @property
+    def joints(self) -> ca.SX:
+        """The joints' angles (n,)."""
+        return ca.diff(ca.vertcat(0, self.position[:-1]))
+
+    @property
+    def joint_rates(self) -> ca.SX:
+        """The joints' rates (n,)."""
+        return ca.diff(ca.vertcat(0, self.velocity[:-1]))
+
+
+class Terms(NamedTuple):
+    """A component's part in the equations of motion.
+
+    lagrangian J, dissipation W; rates: time derivatives of the component's states; drive m/s²: the acceleration of the
+    cart in place of the drive's own, for a component with a motor.
+    """
+
+    lagrangian: ca.SX = ca.SX(0)
+    dissipation: ca.SX = ca.SX(0)
+    rates: ca.SX = ca.SX(0, 1)
+    drive: ca.SX = ca.SX(0)
+
+
+@dataclass(frozen=True)
+class Component:
+    """One component: a frozen dataclass of numbers whose class methods give the equations.
+
+    Plants whose components are of the same classes share one compiled step; `numbers` are its parameters. A class
+    overrides what it needs; the defaults add nothing.
+    """
+
+    motor: ClassVar[bool] = False
+    """Whether the first two states are position and velocity of a motor, which the drive moves in place of the cart."""
+
+    @classmethod
+    def sizes(cls, arms: int) -> Sizes:
+        """Return the numbers of states, parameters and modes."""
+        return Sizes()
+
+    @classmethod
+    def terms(cls, frame: Frame) -> Terms:
+        """Return the terms in the equations of motion."""
+        return Terms()
+
+    @classmethod
+    def constrained(cls, frame: Frame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
+        """Return the accelerations (N,) in these modes; mass (N, N) and acceleration (N,): without this component."""
+        return acceleration
+
+    @classmethod
+    def chosen(cls, frame: Frame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
+        """Return the modes in which a step begins."""
+        return frame.modes
+
+    @classmethod
+    def guards(cls, frame: Frame) -> ca.SX:
+        """Return numbers that are negative once a step has left its modes."""
+        return ca.SX(0, 1)
+
+    @classmethod
+    def settled(cls, frame: Frame) -> tuple[ca.SX, ca.SX]:
+        """Return velocities (n+1,) and own states at the end of a step."""
+        return frame.velocity, frame.states
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return the parameters."""
+        return ()
+
+    def start(self, state: Array) -> Array:
+        """Return the first values of the component's states; state (2n+2,): of arms and cart."""
+        return np.zeros(0)
+
+    def reads(self, arms: int) -> dict[int, int]:
+        """Return the component's states that sensors read: {sensor: state}; sensors 0 … n-1 are joints, n the cart."""
+        return {}
+
+    @property
+    def longest_step(self) -> float:
+        """The longest step, s, that keeps the error near round-off."""
+        return math.inf
+
+
+_SHARE_OF_BELT = 0.2
+"""Step of a belt as a share of 1/ω."""
+
+
+@dataclass(frozen=True)
+class Belt(Component):
+    """An elastic belt between motor and cart: frequency Hz of the cart on it with the motor held, damping ratio.
+
+    motor_scale: whether the cart's scale sits on the motor. The drive holds its motor against the belt's force.
+    """
+
+    frequency: float
+    damping: float
+    motor_scale: bool
+    motor: ClassVar[bool] = True
+
+    @classmethod
+    def sizes(cls, arms: int) -> Sizes:
+        return Sizes(states=2, parameters=2)
+
+    @classmethod
+    def terms(cls, frame: Frame) -> Terms:
+        x, v, (stiffness, damping) = frame.position[-1], frame.velocity[-1], ca.vertsplit(frame.parameters)
+        pull = stiffness * (frame.states[0] - x) + damping * (frame.states[1] - v)
+        return Terms(rates=ca.vertcat(frame.states[1], frame.demand), drive=pull)
+
+    def numbers(self) -> tuple[float, ...]:
+        omega = 2 * math.pi * self.frequency
+        return omega**2, 2 * self.damping * omega
+
+    def start(self, state: Array) -> Array:
+        return state[-2:].copy()
+
+    def reads(self, arms: int) -> dict[int, int]:
+        return {arms: 0} if self.motor_scale else {}
+
+    @property
+    def longest_step(self) -> float:
+        return _SHARE_OF_BELT / (2 * math.pi * self.frequency)
+
+
+@dataclass(frozen=True)
+class EncoderPlay(Component):
+    """Play between each joint and its encoder, which reverses only once the joint has crossed the play.
+
+    widths (n,) rad; offsets (n,) rad: of the encoders from the middle of their play at the start.
+    """
+
+    widths: tuple[float, ...]
+    offsets: tuple[float, ...]
+
+    @classmethod
+    def sizes(cls, arms: int) -> Sizes:
+        return Sizes(states=arms, parameters=arms)
+
+    @classmethod
+    def terms(cls, frame: Frame) -> Terms:
+        return Terms(rates=ca.SX.zeros(frame.states.shape[0]))
+
+    @classmethod
+    def settled(cls, frame: Frame) -> tuple[ca.SX, ca.SX]:
+        half = frame.parameters / 2
+        return frame.velocity, ca.fmin(ca.fmax(frame.states, frame.joints - half), frame.joints + half)
+
+    def numbers(self) -> tuple[float, ...]:
+        return self.widths
+
+    def start(self, state: Array) -> Array:
+        return np.diff(state[: len(self.widths)], prepend=0.0) + self.offsets
+
+    def reads(self, arms: int) -> dict[int, int]:
+        return {k: k for k in range(arms)}
+
+
+@dataclass(frozen=True)
+class Cable(Component):
+    """A cable that the inner arm twists: torque N m where the arm hangs, stiffness N m/rad against its turning."""
+
+    torque: float
+    stiffness: float
+
+    @classmethod
+    def sizes(cls, arms: int) -> Sizes:
+        return Sizes(parameters=2)
+
+    @classmethod
+    def terms(cls, frame: Frame) -> Terms:
+        (torque, stiffness), angle = ca.vertsplit(frame.parameters), frame.position[0]
+        return Terms(lagrangian=torque * angle - stiffness * angle**2 / 2)
+
+    def numbers(self) -> tuple[float, ...]:
+        return self.torque, self.stiffness
+
+
+def _sign(values: ca.SX) -> ca.SX:
+    return ca.if_else(values > 0, 1, 0) - ca.if_else(values < 0, 1, 0)
+
+
+_STICTION_STEP = 5e-4
+"""s: a joint breaks away at the beginning of a step."""
+
+
+@dataclass(frozen=True)
+class Stiction(Component):
+    """Dry friction in each joint: break-away torques (n,) at rest and kinetic torques (n,) while it slides, N m.
+
+    A mode is the sign of the rate at which a joint slides, 0 for a joint at rest.
+    """
+
+    breakaway: tuple[float, ...]
+    kinetic: tuple[float, ...]
+
+    @classmethod
+    def sizes(cls, arms: int) -> Sizes:
+        return Sizes(parameters=2 * arms, modes=arms)
+
+    @classmethod
+    def _solved(cls, frame: Frame, mass: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the accelerations (N,), and the torques (n,) that hold the joints at rest."""
+        n, size = frame.modes.shape[0], mass.shape[0]
+        # Rates are `sums` times the joints' rates; a cart that is free is the last of both.
+        sums = ca.SX.eye(size)
+        sums[:n, :n] = ca.DM(np.tril(np.ones((n, n))))
+        inertia = sums.T @ mass @ sums
+        push = sums.T @ mass @ acceleration
+        moves = ca.vertcat(frame.modes**2, ca.SX.ones(size - n))
+        push[:n] -= frame.parameters[n:] * frame.modes
+        free = ca.diag(moves) @ inertia @ ca.diag(moves) + ca.diag(1 - moves)
+        joints = solve_symmetric(free, moves * push)
+        return sums @ joints, ((inertia @ joints - push) * (1 - moves))[:n]
+
+    @classmethod
+    def constrained(cls, frame: Frame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
+        return cls._solved(frame, mass, acceleration)[0]
+
+    @classmethod
+    def chosen(cls, frame: Frame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
+        n = frame.modes.shape[0]
+        modes = _sign(frame.joint_rates)
+        # A joint that breaks away changes the torques on the others: one after the other, the worst first.
+        for _ in range(n):
+            torques = cls._solved(replace(frame, modes=modes), mass, acceleration)[1]
+            excess = ca.fabs(torques) - frame.parameters[:n]
+            worst = reduce(ca.fmax, ca.vertsplit(excess), ca.SX(0))
+            breaks = ca.logic_and(excess >= worst, excess > 0)
+            modes = ca.if_else(breaks, -_sign(torques), modes)
+        return modes
+
+    @classmethod
+    def guards(cls, frame: Frame) -> ca.SX:
+        return frame.modes * frame.joint_rates
+
+    @classmethod
+    def settled(cls, frame: Frame) -> tuple[ca.SX, ca.SX]:
+        rates: list[ca.SX] = []
+        # A joint at rest turns with the arm before it, to the last bit.
+        for k in range(frame.modes.shape[0]):
+            before, own = rates[-1] if rates else ca.SX(0), frame.velocity[k]
+            rates.append(ca.if_else(frame.modes[k] * frame.joint_rates[k] <= 0, before, own))
+        return ca.vertcat(*rates, frame.velocity[-1]), frame.states
+
+    def numbers(self) -> tuple[float, ...]:
+        return (*self.breakaway, *self.kinetic)
+
+    @property
+    def longest_step(self) -> float:
+        return _STICTION_STEP
