@@ -128,6 +128,9 @@ _DOUBT = 30.0
 """Mean NIS per position: stuck encoders gave 50 and more with the default filter, sensors that work 1 or so. Of a plant
 off its model it is no less, so it is never the only evidence. The cart's scale is detected without it: only its own
 commands contradict it."""
+_MOVES = 3.4
+"""Standard deviations of a reading by which an encoder with play has moved: of one that only counts, 0.98 counts."""
+_IN_PLAY = float(__import__("os").environ.get("INPLAY","3"))
 _UNSEEN = 0.2
 """rad: taken for a count while a sensor has not moved at all."""
 _BIG = 1e30
@@ -210,7 +213,7 @@ class TickEquations:
     whole, lead: the delay's whole periods, and for how many the command is computed ahead. shares (E,): which extras
     are relative errors that the law trusts only so far; None for a law without gains on them. unrolled: whether the
     memory holds the commands on their way; else whoever keeps it keeps them, too, for delays of any length. lags:
-    whether the drive's velocity loop takes its time, as far as is known.
+    whether the drive's velocity loop takes its time, as far as is known. plays: whether encoders have a known play.
 
     For coarser arithmetic: same rad and m, how near to each other readings of a joint and of the cart are the same
     count; split, whether the filter's positions are kept as a sum of two numbers: single precision rounds an angle of
@@ -223,6 +226,7 @@ class TickEquations:
     shares: tuple[bool, ...] | None = None
     unrolled: bool = True
     lags: bool = False
+    plays: bool = False
     same: tuple[float, float] = (SAME, SAME)
     split: bool = False
 
@@ -241,7 +245,8 @@ class TickEquations:
         Then sensor by sensor: last reading, smallest step, ticks with this reading, what it should have been when
         they began, by how much that has moved since; of each joint pulled rad/s and held_back rad: what the filter
         has changed of its rate since, and what it would have moved by without; strained rad/s: those changes without
-        their signs; travelled m: how far the cart was sent. Split: origin, which the positions in z are relative to;
+        their signs; travelled m: how far the cart was sent. With play: mark (n,) rad, angle of each encoder when its
+        joint last moved it. Split: origin, which the positions in z are relative to;
         whoever keeps the memory may move from one to the other.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
@@ -251,7 +256,7 @@ class TickEquations:
             z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=1,
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, cut=1, doubts=1, last=m, step=m, same=m,
             begin=m, away=m, pulled=m - 1, strained=m - 1, held_back=m - 1, travelled=1, heading=1, turns=m - 1,
-            **({"origin": m} if self.split else {}),
+            **({"mark": m - 1} if self.plays else {}), **({"origin": m} if self.split else {}),
         )  # fmt: skip
 
     @cached_property
@@ -285,12 +290,13 @@ class TickEquations:
         """What does not change in a run.
 
         bounds; lag s: of the drive, and lag_keeps: what it leaves of an acceleration after a period; noise: R packed;
-        parameters, process: see `FilterEquations`; fresh (N+E,): variances after a restart.
+        parameters, process: see `FilterEquations`; fresh (N+E,): variances after a restart. With play: play (n,) rad,
+        and moves rad: the change of an encoder's angle that shows that its joint moves it.
         """
         known, m = self.filter.inputs, self.filter.arms + 1
         return Layout(
             **dict.fromkeys(BOUNDS, 1), lag=1, lag_keeps=1, noise=m * (m + 1) // 2, parameters=known["parameters"],
-            process=known["process"], fresh=self.filter.dimension,
+            process=known["process"], fresh=self.filter.dimension, **({"play": m - 1, "moves": 1} if self.plays else {}),
         )  # fmt: skip
 
     @cached_property
@@ -301,8 +307,9 @@ class TickEquations:
         """
         size = self.filter.dimension
         return Layout(
-            z=size, covariance=size * (size + 1) // 2, sigmas=size, nis=1, used=1, sound=1, turns=self.filter.arms
-        )
+            z=size, covariance=size * (size + 1) // 2, sigmas=size, nis=1, used=1, sound=1, turns=self.filter.arms,
+            **({"mark": self.filter.arms} if self.plays else {}),
+        )  # fmt: skip
 
     @cached_property
     def report(self) -> Layout:
@@ -359,7 +366,11 @@ class TickEquations:
         covariance = unpack(ca.vertcat(*entries), size)
         # NaN must not reach the products: zero times NaN is not zero.
         measured = ca.vertcat(*(ca.if_else(r["present"][i], positions_read[i], 0) for i in range(n + 1)))
-        after, covariance, innovation, nis = self.filter.updated(z, covariance, measured, r["present"], c["noise"])
+        noise, marks = c["noise"], {}
+        if self.plays:
+            shift, spread, marks = self._without_play(m, r, c, measured - ca.DM(self.filter.observation) @ z)
+            measured, noise = measured + shift, noise + pack(spread)
+        after, covariance, innovation, nis = self.filter.updated(z, covariance, measured, r["present"], noise)
         turns, slipped = self._slipped(m, r, measured - ca.DM(self.filter.observation) @ z, innovation)
         variances = ca.diag(covariance)
         if self.filter.as_measured:
@@ -375,11 +386,37 @@ class TickEquations:
         used = ca.sum1(r["present"])
         out = {
             "z": after, "covariance": pack(covariance), "sigmas": sigmas, "nis": nis, "used": used, "sound": sound,
-            "turns": turns,
+            "turns": turns, **marks,
         }  # fmt: skip
         if self.split:
             out |= {"z": after + self._origin(m), "relative": after}
         return out
+
+    def _without_play(
+        self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], c: Mapping[str, ca.SX], apart: ca.SX
+    ) -> tuple[ca.SX, ca.SX, dict[str, ca.SX]]:
+        """Corrections (n+1,) from the encoders' angles to the joints', their covariance, and the new marks.
+
+        apart (n+1,): readings less what was predicted. A joint that moves its encoder is at the side of the play to
+        which it turns. Any other joint is somewhere in the play: where the filter predicts it, or at the nearest side.
+        """
+        n = self.filter.arms
+        sums = ca.DM(np.tril(np.ones((n, n))))
+        shifts, variances, marks = [], [], []
+        for i in range(n):
+            angle = r["measured"][i] - (r["measured"][i - 1] if i else 0)
+            change, half, behind = angle - m["mark"][i], c["play"][i] / 2, (apart[i - 1] if i else 0) - apart[i]
+            known = _all(*(r["present"][k] for k in range(max(i - 1, 0), i + 1)))
+            marked = _finite(m["mark"][i])
+            moves = _all(ca.fabs(change) >= c["moves"], known, marked)
+            somewhere = _within(ca.atan2(ca.sin(behind), ca.cos(behind)), half)
+            shift = ca.if_else(moves, ca.if_else(change > 0, half, -half), somewhere)
+            shifts.append(ca.if_else(known, shift, 0))
+            variances.append(ca.if_else(moves, 0, (_IN_PLAY * half) ** 2))
+            # The first mark is the first reading.
+            marks.append(ca.if_else(ca.logic_or(moves, ca.logic_not(marked)), angle, m["mark"][i]))
+        spread = sums @ ca.diag(ca.vertcat(*variances)) @ sums.T
+        return ca.vertcat(sums @ ca.vertcat(*shifts), 0), ca.diagcat(spread, 0), {"mark": ca.vertcat(*marks)}
 
     def _slipped(
         self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], apart: ca.SX, innovation: ca.SX
@@ -633,6 +670,8 @@ class TickEquations:
             memory["covariance"] = propagated(jacobian, covariance, noise)
         else:
             memory |= {"z": m["z"], "covariance": m["covariance"]}
+        if self.plays:
+            memory["mark"] = e["mark"]
         if self.split:
             memory["origin"] = m["origin"]
         memory["drive"] = moved_on
@@ -727,12 +766,12 @@ def _function(name: str, inputs: Mapping[str, ca.SX], out: ca.SX) -> ca.Function
 @lru_cache(maxsize=32)
 def _tick_equations(
     equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int] | None,
-    shares: tuple[bool, ...] | None, lags: bool,
+    shares: tuple[bool, ...] | None, lags: bool, plays: bool,
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
     """Return a tick's equations and the machine code made of them so far: once for all runs of a process."""
     filters = FilterEquations(equations, period, augments, as_measured=True)
     whole, lead = path or (0, 0)
-    return TickEquations(filters, whole, lead, shares, unrolled=path is not None, lags=lags), {}
+    return TickEquations(filters, whole, lead, shares, unrolled=path is not None, lags=lags, plays=plays), {}
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
@@ -766,13 +805,14 @@ class TickProgram:
         bounds: Mapping[str, float],
         shares: tuple[bool, ...] | None = None,
         runs: int = 1,
+        play: Sequence[float] = (),
     ) -> None:
         self._delay = whole, self.lead = whole_periods(delay)
         unrolls = self.lead <= UNROLLED
         # Code for all delays that are too long to unroll: the commands on their way are kept here.
         path = self._delay if unrolls else None
         self.equations, self._made = _tick_equations(
-            model.equations, model.period, settings.augments, path, shares, model.lag > 0
+            model.equations, model.period, settings.augments, path, shares, model.lag > 0, any(play)
         )
         self.model, self.settings, self.runs = model, settings, runs
         equations, arms = self.equations, model.arms
@@ -785,6 +825,8 @@ class TickProgram:
             "noise": packed(checked_noise(noise, arms)),
             "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again**2,
         }  # fmt: skip
+        if equations.plays:
+            known |= {"play": np.array(play), "moves": _MOVES * np.sqrt(noise[0, 0])}
         parts = {
             "memory": equations.memory, "reading": equations.reading, "row": equations.row, "numbers": equations.numbers
         }  # fmt: skip
@@ -837,6 +879,8 @@ class TickProgram:
             "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
             "velocity": speed[None], "heading": speed[None], "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip
+        if self.equations.plays:
+            start["mark"] = np.inf
         if self.equations.lags:
             # What acted last.
             start["drive"] = sent[1][None]

@@ -512,7 +512,7 @@ def make_ticker(
     program = make(
         model, settings.estimator, noise=noise, delay=delay, runs=runs,
         bounds=_bounds(settings, limits, can_hold=can_hold, trust=0.0 if schedule is None else schedule.trust),
-        shares=None if schedule is None else schedule.shares,
+        shares=None if schedule is None else schedule.shares, play=settings.mechanics.of_each("play", parameters.count),
     )  # fmt: skip
     estimator = None if compiled else make_estimator(settings.estimator, model, noise=noise)
     ticker = Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=settings.estimator.kind)
