@@ -44,7 +44,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property, lru_cache, partial, reduce
 from itertools import combinations_with_replacement
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -130,7 +130,11 @@ off its model it is no less, so it is never the only evidence. The cart's scale 
 commands contradict it."""
 _MOVES = 3.4
 """Standard deviations of a reading by which an encoder with play has moved: of one that only counts, 0.98 counts."""
-_IN_PLAY = float(__import__("os").environ.get("INPLAY","3"))
+_AT_SIDE, _IN_PLAY = 0.3, 10.0
+"""Standard deviations of a joint's place in its play, in halves of it: of a joint that moves its encoder, which allows
+for a play that is known badly, and of any other, whose readings are alike for some time."""
+_SHAPED_DAMPING = 1.0
+"""Damping ratio that a belt has with shaped commands."""
 _UNSEEN = 0.2
 """rad: taken for a count while a sensor has not moved at all."""
 _BIG = 1e30
@@ -206,6 +210,30 @@ def _largest(values: Sequence[ca.SX]) -> ca.SX:
     return reduce(ca.fmax, values)
 
 
+class KnownMechanics(NamedTuple):
+    """What the loop knows of a rig's mechanics: play (n,) rad of the joints' encoders, belt Hz and its damping ratio.
+
+    Commands are shaped for an elastic belt: a notch takes its resonance out of them, and both together are a lag.
+    """
+
+    play: tuple[float, ...]
+    belt: float
+    damping: float
+
+    @property
+    def lag(self) -> float:
+        """The lag, s, of belt and shaping."""
+        return 2 * (_SHAPED_DAMPING - self.damping) / (2 * np.pi * self.belt) if self.belt else 0.0
+
+    def notch(self, period: float) -> Array:
+        """Return b0, b1, b2, a1, a2 of (s² + 2ζωs + ω²)/(s² + 2ζ'ωs + ω²) by the bilinear transform, exact at ω."""
+        k = 1 / np.tan(np.pi * self.belt * period)
+        own, wide = 2 * self.damping * k, 2 * _SHAPED_DAMPING * k
+        below = k**2 + wide + 1
+        middle = 2 * (1 - k**2) / below
+        return np.array([(k**2 + own + 1) / below, middle, (k**2 - own + 1) / below, middle, (k**2 - wide + 1) / below])
+
+
 @dataclass(frozen=True, eq=False)
 class TickEquations:
     """The tick of one filter, delay and law.
@@ -213,7 +241,8 @@ class TickEquations:
     whole, lead: the delay's whole periods, and for how many the command is computed ahead. shares (E,): which extras
     are relative errors that the law trusts only so far; None for a law without gains on them. unrolled: whether the
     memory holds the commands on their way; else whoever keeps it keeps them, too, for delays of any length. lags:
-    whether the drive's velocity loop takes its time, as far as is known. plays: whether encoders have a known play.
+    whether the drive's velocity loop takes its time, as far as is known. plays: whether encoders have a known play;
+    shapes: whether commands are shaped for a known belt.
 
     For coarser arithmetic: same rad and m, how near to each other readings of a joint and of the cart are the same
     count; split, whether the filter's positions are kept as a sum of two numbers: single precision rounds an angle of
@@ -227,6 +256,7 @@ class TickEquations:
     unrolled: bool = True
     lags: bool = False
     plays: bool = False
+    shapes: bool = False
     same: tuple[float, float] = (SAME, SAME)
     split: bool = False
 
@@ -246,7 +276,8 @@ class TickEquations:
         they began, by how much that has moved since; of each joint pulled rad/s and held_back rad: what the filter
         has changed of its rate since, and what it would have moved by without; strained rad/s: those changes without
         their signs; travelled m: how far the cart was sent. With play: mark (n,) rad, angle of each encoder when its
-        joint last moved it. Split: origin, which the positions in z are relative to;
+        joint last moved it. With a belt: shaped (2,) m/s², memory of what shapes commands.
+        Split: origin, which the positions in z are relative to;
         whoever keeps the memory may move from one to the other.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
@@ -256,7 +287,8 @@ class TickEquations:
             z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=1,
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, cut=1, doubts=1, last=m, step=m, same=m,
             begin=m, away=m, pulled=m - 1, strained=m - 1, held_back=m - 1, travelled=1, heading=1, turns=m - 1,
-            **({"mark": m - 1} if self.plays else {}), **({"origin": m} if self.split else {}),
+            **({"mark": m - 1} if self.plays else {}), **({"shaped": 2} if self.shapes else {}),
+            **({"origin": m} if self.split else {}),
         )  # fmt: skip
 
     @cached_property
@@ -291,12 +323,14 @@ class TickEquations:
 
         bounds; lag s: of the drive, and lag_keeps: what it leaves of an acceleration after a period; noise: R packed;
         parameters, process: see `FilterEquations`; fresh (N+E,): variances after a restart. With play: play (n,) rad,
-        and moves rad: the change of an encoder's angle that shows that its joint moves it.
+        and moves rad: the change of an encoder's angle that shows that its joint moves it. With a belt: notch (5,), see
+        `Mechanics.notch`.
         """
         known, m = self.filter.inputs, self.filter.arms + 1
         return Layout(
             **dict.fromkeys(BOUNDS, 1), lag=1, lag_keeps=1, noise=m * (m + 1) // 2, parameters=known["parameters"],
-            process=known["process"], fresh=self.filter.dimension, **({"play": m - 1, "moves": 1} if self.plays else {}),
+            process=known["process"], fresh=self.filter.dimension,
+            **({"play": m - 1, "moves": 1} if self.plays else {}), **({"notch": 5} if self.shapes else {}),
         )  # fmt: skip
 
     @cached_property
@@ -412,7 +446,7 @@ class TickEquations:
             somewhere = _within(ca.atan2(ca.sin(behind), ca.cos(behind)), half)
             shift = ca.if_else(moves, ca.if_else(change > 0, half, -half), somewhere)
             shifts.append(ca.if_else(known, shift, 0))
-            variances.append(ca.if_else(moves, 0, (_IN_PLAY * half) ** 2))
+            variances.append((ca.if_else(moves, _AT_SIDE, _IN_PLAY) * half) ** 2)
             # The first mark is the first reading.
             marks.append(ca.if_else(ca.logic_or(moves, ca.logic_not(marked)), angle, m["mark"][i]))
         spread = sums @ ca.diag(ca.vertcat(*variances)) @ sums.T
@@ -672,13 +706,19 @@ class TickEquations:
             memory |= {"z": m["z"], "covariance": m["covariance"]}
         if self.plays:
             memory["mark"] = e["mark"]
+        shaped = command
+        if self.shapes:
+            # What the drive, the shaping and the belt make of a command is a lag, which the filter knows.
+            (b0, b1, b2, a1, a2), (first, second) = ca.vertsplit(c["notch"]), ca.vertsplit(m["shaped"])
+            shaped = b0 * command + first
+            memory["shaped"] = ca.vertcat(b1 * command - a1 * shaped + second, b2 * command - a2 * shaped)
         if self.split:
             memory["origin"] = m["origin"]
         memory["drive"] = moved_on
         report = {
             "state": e["z"][:size], "wish": wish, "feedforward": forward, "feedback": feedback, "acting": acting,
             "saturated": saturated, "nis": e["nis"], "mode": mode, "sigmas": e["sigmas"], "extra": e["z"][size:],
-            "command": command, "outcome": outcome, "stop": stop, "done": still > SETTLING, "newly_cut": newly_cut,
+            "command": shaped, "outcome": outcome, "stop": stop, "done": still > SETTLING, "newly_cut": newly_cut,
             "doubted": newly_doubted, "sensor": sensor, "repeats": repeats,
             "error": error, "mean_nis": nis,
             "silent": silent, "used": e["used"], "ahead": ahead, "notable": outcome + stop,
@@ -766,12 +806,12 @@ def _function(name: str, inputs: Mapping[str, ca.SX], out: ca.SX) -> ca.Function
 @lru_cache(maxsize=32)
 def _tick_equations(
     equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int] | None,
-    shares: tuple[bool, ...] | None, lags: bool, plays: bool,
+    shares: tuple[bool, ...] | None, lags: bool, mechanics: tuple[bool, bool],
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
     """Return a tick's equations and the machine code made of them so far: once for all runs of a process."""
     filters = FilterEquations(equations, period, augments, as_measured=True)
     whole, lead = path or (0, 0)
-    return TickEquations(filters, whole, lead, shares, unrolled=path is not None, lags=lags, plays=plays), {}
+    return TickEquations(filters, whole, lead, shares, path is not None, lags, *mechanics), {}
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
@@ -805,14 +845,20 @@ class TickProgram:
         bounds: Mapping[str, float],
         shares: tuple[bool, ...] | None = None,
         runs: int = 1,
-        play: Sequence[float] = (),
+        mechanics: KnownMechanics | None = None,
     ) -> None:
         self._delay = whole, self.lead = whole_periods(delay)
         unrolls = self.lead <= UNROLLED
         # Code for all delays that are too long to unroll: the commands on their way are kept here.
         path = self._delay if unrolls else None
         self.equations, self._made = _tick_equations(
-            model.equations, model.period, settings.augments, path, shares, model.lag > 0, any(play)
+            model.equations,
+            model.period,
+            settings.augments,
+            path,
+            shares,
+            model.lag > 0,
+            (mechanics is not None and any(mechanics.play), mechanics is not None and mechanics.belt > 0),
         )
         self.model, self.settings, self.runs = model, settings, runs
         equations, arms = self.equations, model.arms
@@ -825,8 +871,10 @@ class TickProgram:
             "noise": packed(checked_noise(noise, arms)),
             "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again**2,
         }  # fmt: skip
-        if equations.plays:
-            known |= {"play": np.array(play), "moves": _MOVES * np.sqrt(noise[0, 0])}
+        if equations.plays and mechanics is not None:
+            known |= {"play": np.array(mechanics.play), "moves": _MOVES * np.sqrt(noise[0, 0])}
+        if equations.shapes and mechanics is not None:
+            known["notch"] = mechanics.notch(model.period)
         parts = {
             "memory": equations.memory, "reading": equations.reading, "row": equations.row, "numbers": equations.numbers
         }  # fmt: skip

@@ -218,6 +218,8 @@ class MechanicsSettings(Settings, table="mechanics"):
     cable_stiffness N m/rad against its turning. stiction N m: break-away torque of the joints, for all or each, and
     kinetic: their torque while they slide, as a share of it. initial_rate rad/s: uniform ± on each rate of the first
     state; initial_cart m: where the cart stands at first.
+
+    known_belt Hz, known_play rad: what the loop knows of them, by default the bench's own; 0: nothing.
     """
 
     belt: float = setting(0.0, least=1, most=1000, zero="a rigid belt", unit="Hz")
@@ -230,14 +232,18 @@ class MechanicsSettings(Settings, table="mechanics"):
     kinetic: float = setting(0.8, least=0, most=1)
     initial_rate: float = setting(0.0, least=0, most=1000, unit="rad/s")
     initial_cart: float = setting(0.0, least=-100, most=100, unit="m")
+    known_belt: float = setting(math.inf, least=1, most=1000, zero="none", infinite="as belt", unit="Hz")
+    known_play: float | tuple[float, ...] = setting(math.inf, least=0, most=1, infinite="as play", unit="rad")
 
     def of_each(self, name: str, arms: int) -> tuple[float, ...]:
-        """Return the values of `play` or `stiction` for each arm.
+        """Return the values of `play`, `known_play` or `stiction` for each arm.
 
         Raises:
             InputError: their number is not that of the arms.
         """
         value = getattr(self, name)
+        if value == math.inf:
+            return self.of_each("play", arms)
         values = tuple(value) if isinstance(value, tuple | list) else (value,) * arms
         if len(values) != arms:
             raise self.refusal(name, f"must be one number, or {arms}, one for each arm")

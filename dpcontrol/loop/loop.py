@@ -25,7 +25,7 @@ from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, schedule_of
 from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.margins import Margins, law_margins
-from dpcontrol.control.tick import Outcome, TickProgram, whole_periods
+from dpcontrol.control.tick import KnownMechanics, Outcome, TickProgram, whole_periods
 from dpcontrol.control.tracking import TvlqrSettings, costs_to_go
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
 from dpcontrol.dynamics.compiled import VECTOR
@@ -298,6 +298,10 @@ class ControlLoop:
             self.sink.ticks(self._rows.between(first - self._first, until - self._first))
 
 
+_SHAPED = 0.25
+"""Belt's frequency as a share of the loop's rate up to which commands are shaped for it."""
+
+
 @dataclass(frozen=True)
 class LoopSettings(Settings, table="run"):
     """A run: rate Hz; initial_error rad, uniform ± on each angle of the true first state; mismatch of the plant's
@@ -347,6 +351,23 @@ class LoopSettings(Settings, table="run"):
         """What stands between the model and the world."""
         return BenchSettings(self.sensors, self.drive, self.disturbances, self.mechanics)
 
+    def known_mechanics(self, arms: int) -> KnownMechanics:
+        """Return what the loop knows of the bench's mechanics."""
+        own = self.mechanics
+        return KnownMechanics(own.of_each("known_play", arms), self.known_belt, own.belt_damping)
+
+    @property
+    def known_belt(self) -> float:
+        """Frequency of the belt that the loop knows, Hz; 0 if there is none, or if the rate is too low for shaping."""
+        own = self.mechanics
+        belt = own.belt if np.isinf(own.known_belt) else own.known_belt
+        return belt if belt < _SHAPED * self.rate else 0.0
+
+    @property
+    def known_lag(self) -> float:
+        """The lag that filter, prediction and gains know of, s: of the drive, and of a belt with its shaping."""
+        return self.drive_lag + KnownMechanics((), self.known_belt, self.mechanics.belt_damping).lag
+
     def draw(
         self,
         arms: ArmChainParameters,
@@ -384,7 +405,7 @@ def loop_controller(reference: Reference, parameters: ArmChainParameters, settin
         InputError: the reference did not converge, or is not one of these arms.
         GoalMissed: no controller can be made for it.
     """
-    model = sampled_model(parameters, settings.rate, settings.drive_lag)
+    model = sampled_model(parameters, settings.rate, settings.known_lag)
     return make_controller(
         reference, parameters, model, settings=settings.controller, estimator=settings.estimator, keep=settings.keep
     )
@@ -401,7 +422,7 @@ def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings
         return None
     law = settings.controller
     flies = law if isinstance(law, TvlqrSettings) else TvlqrSettings()
-    model = sampled_model(parameters, settings.rate, settings.drive_lag)
+    model = sampled_model(parameters, settings.rate, settings.known_lag)
     return nearest_keeper(reference, parameters, model, flies=flies)
 
 
@@ -435,7 +456,7 @@ def loop_recovery(
     # Runs that do not recover do without what finds references.
     from dpcontrol.references.find import tail
 
-    model = sampled_model(parameters, settings.rate, settings.drive_lag)
+    model = sampled_model(parameters, settings.rate, settings.known_lag)
     limits = settings.limits(reference)
     law = TvlqrSettings() if isinstance(settings.controller, HoldSettings) else settings.controller
     ways = []
@@ -454,7 +475,7 @@ def loop_recovery(
             gains = before
         whole = started(gains, main, lead_in=ticks, place=place, turns=turns)
         ways.append(StartController(note["stop"], note["at"], ticks, turns, whole))
-    reaction = (settings.drive.delay + 1) / settings.rate + settings.drive_lag
+    reaction = (settings.drive.delay + 1) / settings.rate + settings.known_lag
     calming = calming_controller(model, limits, CalmingSettings(), reaction=reaction, seconds=RETURN_SECONDS)
     notes = plan_notes(reference)
     last = notes["stops"][-1]["orbit"]
@@ -500,7 +521,7 @@ def make_ticker(
     """
     # The estimator believes in the sensors' resolution and noise.
     noise = settings.sensors.covariance(parameters.count)
-    model = sampled_model(parameters, settings.rate, settings.drive_lag)
+    model = sampled_model(parameters, settings.rate, settings.known_lag)
     schedule = schedule_of(controller, whole_periods(delay)[1])
     compiled = isinstance(settings.estimator, EkfSettings)
     make: Any = TickProgram
@@ -512,7 +533,7 @@ def make_ticker(
     program = make(
         model, settings.estimator, noise=noise, delay=delay, runs=runs,
         bounds=_bounds(settings, limits, can_hold=can_hold, trust=0.0 if schedule is None else schedule.trust),
-        shares=None if schedule is None else schedule.shares, play=settings.mechanics.of_each("play", parameters.count),
+        shares=None if schedule is None else schedule.shares, mechanics=settings.known_mechanics(parameters.count),
     )  # fmt: skip
     estimator = None if compiled else make_estimator(settings.estimator, model, noise=noise)
     ticker = Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=settings.estimator.kind)
@@ -525,9 +546,9 @@ def _bounds(settings: LoopSettings, limits: Limits, *, can_hold: bool, trust: fl
     s, delay = settings.supervisor, settings.drive.delay
     return {
         "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": limits.position,
-        "reaction": (delay + 1) / settings.rate + settings.drive_lag,
+        "reaction": (delay + 1) / settings.rate + settings.known_lag,
         # The state ahead is that at which a command acts: the delay is in it.
-        "onset": (delay - whole_periods(delay)[1] + 1) / settings.rate + settings.drive_lag,
+        "onset": (delay - whole_periods(delay)[1] + 1) / settings.rate + settings.known_lag,
         "brake": 2 * s.braking * limits.acceleration,
         "margin": s.margin, "lost_tracking": s.lost_tracking, "lost_estimate": s.lost_estimate,
         "resynchronise": s.resynchronise, "restarts": s.restarts, "missing": s.missing, "can_hold": can_hold,
@@ -643,7 +664,7 @@ def loop_margins(
     return law_margins(
         controller or loop_controller(reference, parameters, settings), program_of, rate=settings.rate,
         wobble=max((orbit["period"] for orbit in notes.get("orbits", ())), default=_WOBBLE),
-        repeats="stay" in notes, lags=settings.drive_lag > 0,
+        repeats="stay" in notes, lags=settings.known_lag > 0,
     )  # fmt: skip
 
 

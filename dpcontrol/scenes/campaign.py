@@ -165,7 +165,7 @@ def _rows(job: Job) -> list[Row]:
     arms, loop = job.arms, job.case.loop
     # By what a controller depends on: cases that differ in the bench share one.
     decisive = LoopSettings(
-        seed=0, rate=loop.rate, drive_lag=loop.drive_lag, keep=loop.keep, controller=loop.controller,
+        seed=0, rate=loop.rate, drive_lag=loop.known_lag, keep=loop.keep, controller=loop.controller,
         estimator=loop.estimator,
         supervisor=loop.supervisor,
     )  # fmt: skip

@@ -40,8 +40,9 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Settings, bounds_of, setting
 from dpcontrol.foundation.statistics import wilson
+from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings, can_batch
 from dpcontrol.review.campaign import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt, plain_reason
 from dpcontrol.review.score import Score
@@ -149,7 +150,8 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
         value = setting_of(loop, key)
         if value == nothing:
             return
-        halved = [by(half, advice, **{key: (value + nothing) / 2})] if half else []
+        smaller = tuple(one / 2 for one in value) if isinstance(value, tuple) else (value + nothing) / 2
+        halved = [by(half, advice, **{key: smaller})] if half else []
         yield [*halved, *([by(none, **{key: nothing})] if none else [])]
 
     yield from less(
@@ -191,6 +193,13 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
     yield from less("dropout", "with half the dropouts", "without dropouts")
     yield from less("jitter", "with half the jitter", "without jitter")
     yield from less("stuck_at", "", "with a sensor that does not stick", nothing=math.inf)
+    yield from less("stiction", "with half the stiction", "without stiction", "looser joints: half the stiction")
+    yield from less("cable_torque", "with half the cable's torque", "without the cable's torque")
+    yield from less("cable_stiffness", "with half the cable's stiffness", "without the cable's stiffness")
+    yield from less("initial_rate", "with half the first rates", "from rest")
+    yield from less("initial_cart", "with the cart half as far off at first", "with the cart at the centre at first")
+    yield from less("play", "with half the play", "without play", "encoders without play: half of it")
+    yield from less("belt", "", "with a rigid belt")
     yield from less("tilt", "with half the tilt", "on a level track", "level the track: half the tilt")
     yield from less("push_impulse", "with half the pushes' impulse", "without the pushes")
     yield from less("knock_velocity", "with half the knocks' velocity", "without the knocks")
@@ -261,7 +270,7 @@ class Hazard:
     falling: bool = False
     shown: float = 1.0
     step: float = 0.0
-    besides: tuple[tuple[str, float], ...] = ()
+    besides: tuple[tuple[str, Any], ...] = ()
 
     def place(self, value: float) -> float:
         """Return a value's place on a scale that grows as it gets worse; minus infinity where there is no trouble."""
@@ -474,7 +483,7 @@ class _Amounts(NamedTuple):
 
 _FEW = 128
 """Seeds for the rate up to which all else is done with the fewest that tell anything."""
-_KINDS, _CHANGES = 7, 9
+_KINDS, _CHANGES = 10, 9
 _CHOICES = tuple(map(_Amounts.of, (320, 256, 192, 160, 128, 96, 64, 48, 32)))
 
 
@@ -618,6 +627,11 @@ def as_known(scene: Itinerary, options: RunOptions) -> tuple[Itinerary, list[Kno
         "blows": (blows.push_impulse if blows.pushes else 0.0, "N m s", "push_impulse"),
     }
     known += [Known(name, f"{value:g} {unit}", of(key)) for name, (value, unit, key) in others.items() if value]
+    for key in ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "initial_rate", "initial_cart"):
+        if value := getattr(loop.mechanics, key):
+            shown = " and ".join(f"{one:g}" for one in (value if isinstance(value, tuple) else (value,)))
+            unit = bounds_of(MechanicsSettings)[key].unit
+            known.append(Known(key.replace("_", " "), f"{shown} {unit}", of(key)))
     known.append(Known("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator")))
     return chosen, known
 
@@ -664,8 +678,16 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
     and on few seeds.
     """
     loop, rate = scene.loop, scene.loop.rate
-    drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
+    drive, sensors, blows, rig = loop.drive, loop.sensors, loop.disturbances, loop.mechanics
     pushes = blows.pushes or 2
+    # What the loop knows of the bench stays as it is.
+    known = (("known_belt", loop.known_belt), ("known_play", rig.of_each("known_play", scene.model.arms.count)))
+    further = [
+        Hazard("cable torque", "cable_torque", "mN m", abs(rig.cable_torque), 0.05, 5.0, shown=1e3),
+        Hazard("cable stiffness", "cable_stiffness", "mN m/rad", rig.cable_stiffness, 0.02, 2.0, shown=1e3),
+        Hazard("first rates", "initial_rate", "rad/s", rig.initial_rate, 1.0, 30.0),
+        Hazard("cart at first", "initial_cart", "mm", abs(rig.initial_cart), 0.1, 1.0, shown=1e3),
+    ]
     return [
         Hazard("delay", "delay", "ms", drive.delay, 0.01 * rate, max(min(0.04 * rate, most_delay), 2 * drive.delay, 2),
                shown=1e3 / rate, step=1.0),
@@ -677,6 +699,12 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
         Hazard("counts", "counts", "a turn", sensors.counts or math.inf, 1000, 16, falling=True, step=1.0),
         Hazard("travel", "travel", "mm", loop.limits(plan.reference).position, math.inf,
                plan.reference.max_cart_position, falling=True, shown=1e3),
+        Hazard("belt", "belt", "Hz", rig.belt or math.inf, 40.0, 4.0, falling=True, besides=known),
+        Hazard("play", "play", "mrad", max(rig.of_each("play", scene.model.arms.count)), 0.01, 0.8, shown=1e3,
+               besides=known),
+        Hazard("stiction", "stiction", "mN m", max(rig.of_each("stiction", scene.model.arms.count)), 0.004, 0.5,
+               shown=1e3),
+        *(one for one in further if one.set),
     ]  # fmt: skip
 
 

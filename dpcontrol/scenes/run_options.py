@@ -44,6 +44,8 @@ class RunOptions:
     kinetic: float | None = _option(PLANT, "Torque of a sliding joint as a share of its break-away torque [0.8].")
     initial_rate: float | None = _option(PLANT, "Largest first rate of each arm, rad/s.")
     initial_cart: float | None = _option(PLANT, "Position of the cart at the start, m.")
+    known_belt: float | None = _option(DRIVE, "Frequency of the belt that the controller knows of, Hz [as --belt].")
+    known_play: float | None = _option(ESTIMATOR, "Play that the estimator knows of, rad [as --play].")
     pushes: int | None = _option(DISTURBANCES, "Number of random blows on the arms.")
     push_impulse: float | None = _option(DISTURBANCES, "Their greatest impulse, N m s.")
     knocks: int | None = _option(DISTURBANCES, "Number of random blows on the cart.")
