@@ -224,11 +224,10 @@ def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], compo
     else:
         pushed = pushed + s.pull if belts else pushed
         moving = ca.substitute(parts.free_acceleration, parts.acceleration, pushed)
-    modes = ca.SX(0, 1)
+    modes, before = ca.SX(0, 1), ca.SX(0, 1)
     for one, frame in zip(components, frames, strict=True):
         chosen = one.chosen(frame, parts.mass_matrix, moving)
-        before = ca.vertcat(*(other.modes for other in frames))[: modes.shape[0]]
-        modes = ca.vertcat(modes, ca.substitute(chosen, before, modes))
+        modes, before = ca.vertcat(modes, ca.substitute(chosen, before, modes)), ca.vertcat(before, frame.modes)
         moving = one.constrained(frame, parts.mass_matrix, moving)
     if not free_cart:
         moving = ca.vertcat(moving, pushed)

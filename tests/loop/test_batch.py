@@ -1,6 +1,7 @@
 """Many seeds side by side and each alone: the same code, so the same states to the last bit, and the same endings."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from shadowing_stand_in import LAB, StandIn
 from dpcontrol.control.estimator_settings import EkfSettings, UkfSettings
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
 from dpcontrol.loop.loop import LoopSettings, can_batch, loop_controller, run_batch, run_loop
 from dpcontrol.loop.result import BatchRun, Ending, SupervisorSettings
 from dpcontrol.references.reference import Reference
@@ -29,6 +30,10 @@ def with_drive(**values: float) -> LoopSettings:
 
 def with_sensors(**values: float) -> LoopSettings:
     return replace(BASE, sensors=SensorSettings(**values))
+
+
+def with_mechanics(**values: Any) -> LoopSettings:
+    return replace(BASE, mechanics=MechanicsSettings(**values))
 
 
 KEPT_UP = {
@@ -53,6 +58,11 @@ KEPT_UP = {
     "gains by phase": replace(BASE, mismatch=0.02, controller=TvlqrSettings(schedule="phase"), sensors=SMOOTH),
     "a delay too long to unroll": with_drive(delay=10.0),
     "lag that the controller knows of": replace(with_drive(lag=0.02), drive_lag=0.02),
+    "belt": with_mechanics(belt=60.0, known_belt=0.0),
+    "belt that the controller knows of": with_mechanics(belt=15.0, belt_scale="cart"),
+    "play": with_mechanics(play=(0.01, 0.006)),
+    "stiction and a cable": with_mechanics(stiction=5e-4, cable_torque=2e-3, cable_stiffness=1e-3),
+    "another start": with_mechanics(initial_rate=0.1, initial_cart=0.01),
 }
 """Bench and loop of runs that come to their end."""
 
