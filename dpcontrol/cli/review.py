@@ -34,14 +34,17 @@ if TYPE_CHECKING:
 def score_command(
     *,
     logs: tuple[Path, ...] = argument(metavar="LOG|FOLDER..."),
-    why: bool = option(default=False, help="Simulate each failed run again, one setting changed at a time."),
+    why: bool = option(
+        default=False, help="Simulate each failed run again with changes, and print the options that complete it."
+    ),
+    yes: bool = YES,
 ) -> Answer:
     """Score logged runs: symbols done, wraps, limits, tracking, consistency of the estimator. Of a long run's folder:
     uptime, falls and their causes, times to return, repetitions, drift of what was estimated.
 
-    With --why it says which single change (more travel, half the lag, another law …) would have saved a failed run's
-    seed, or that none of those tried would; only what was simulated can be tried again. With --json, one log gives one
-    object, several give {"runs": [...]}. Exits with 1 if a run is not completed.
+    With --why it prints the options of `dpcontrol run` (more travel, half the lag, another law …) that complete a
+    failed run, and more often than harmless changes do. Only simulated runs can be tried again. With --json, one log
+    gives one object, several give {"runs": [...]}. Exits with 1 if a run is not completed.
     """
     from dpcontrol.logs import read_log
     from dpcontrol.review.score import score
@@ -58,10 +61,11 @@ def score_command(
 
         for run, document, text in zip(runs, documents, lines, strict=True):
             with progress_bar("why") as progress:
-                found = Run(run).why(progress=progress)
+                found = Run(run).why(yes=yes, progress=progress)
             document["why"] = found.document()
             text[:] = [line for line in text if not line.startswith(_WHY)]
             text.append(f"{_WHY}{found.sentence}")
+            text += [f"{' ' * len(_WHY)}{line}" for line in found.lines()]
     failed = [verdict for verdict in verdicts if verdict.completed is False]
     return Answer(
         documents[0] if len(documents) == 1 else {"runs": documents},
@@ -98,7 +102,7 @@ def score_text(verdict: "Score") -> Iterator[str]:
     if verdict.nis_means is not None:
         yield f"  NIS      {verdict.nis_means.sentence}"
     if verdict.completed is False:
-        yield f"{_WHY}`dpcontrol score LOG --why` tries on this seed which single change would have saved it"
+        yield f"{_WHY}`dpcontrol score LOG --why` prints options that complete this run, if there are any"
     if verdict.thinking is not None:
         median, most = 1e6 * verdict.thinking.median, 1e6 * verdict.thinking.within_99
         yield f"  thinking {median:.3g} µs a tick in the median, 99 % within {most:.3g} µs"

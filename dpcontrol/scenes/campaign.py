@@ -124,7 +124,7 @@ class Case:
 class Job:
     """Seeds of one case. reference: the plan's archive; path: "compiled" (many seeds in lockstep) or "ticks";
     uncertainty: of the arms, for cases that draw their plants from it; replayed: how many failures in lockstep are run
-    again tick by tick.
+    again tick by tick. mismatches: one for each seed, in place of the case's own.
     """
 
     itinerary: str
@@ -135,6 +135,7 @@ class Job:
     path: str
     uncertainty: Uncertainty | None = None
     replayed: int = 4
+    mismatches: tuple[float, ...] = ()
 
     @property
     def key(self) -> str:
@@ -172,24 +173,27 @@ def _rows(job: Job) -> list[Row]:
     reference, controller, fallback = _prepared(job.reference, arms, decisive)
     recovery = loop_recovery(reference, arms, loop, controller)
 
-    def tick_by_tick(seed: int) -> Row:
+    mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
+
+    def tick_by_tick(seed: int, mismatch: float) -> Row:
         result = run_loop(
-            reference, arms, settings=replace(loop, seed=seed), controller=controller, fallback=fallback,
-            recovery=recovery, uncertainty=job.uncertainty,
+            reference, arms, settings=replace(loop, seed=seed, mismatch=mismatch), controller=controller,
+            fallback=fallback, recovery=recovery, uncertainty=job.uncertainty,
         )  # fmt: skip
         return _row(job, reference, seed, BatchRun.of(result), path="ticks")
 
     if job.path == "ticks" or not can_batch(loop, controller):
-        return [tick_by_tick(seed) for seed in job.seeds]
+        return [tick_by_tick(seed, mismatch) for seed, mismatch in zip(job.seeds, mismatches, strict=True)]
     runs = run_batch(
         arms, settings=loop, seeds=job.seeds, controller=controller, limits=loop.limits(reference),
-        uncertainty=job.uncertainty,
+        uncertainty=job.uncertainty, mismatches=mismatches,
     )  # fmt: skip
     rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
-    for row in [row for row in rows if not row["completed"]][: job.replayed]:
+    failed = [pair for pair in zip(rows, mismatches, strict=True) if not pair[0]["completed"]]
+    for row, mismatch in failed[: job.replayed]:
         # What is listed as a failure should be one when its seed is run alone; where a law keeps a clock of its own,
         # round-off decides a few.
-        row["replays"] = not tick_by_tick(row["seed"])["completed"]
+        row["replays"] = not tick_by_tick(row["seed"], mismatch)["completed"]
     return rows
 
 

@@ -182,6 +182,8 @@ _PARTS: Mapping[str, type] = {
 }
 _HOMES = {f.name: part for part, kind in _PARTS.items() for f in fields(kind) if f.name != "explicit"}
 """Which part of the loop's settings has a key of [run]; those of none are the loop's own."""
+_OPTION_HOMES = {**_HOMES, **dict.fromkeys(("hold", "on_fall", "attempts"), "supervisor")}
+"""The same for the options of a run."""
 
 
 def read_run_settings(
@@ -230,15 +232,14 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
     Raises:
         InputError: an unknown kind, or an impossible value.
     """
-    homes = {**_HOMES, **dict.fromkeys(("hold", "on_fall", "attempts"), "supervisor")}
     kinds: Mapping[str, Mapping[str, type]] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}
     changes: dict[str, dict[str, Any]] = {}
     own: dict[str, Any] = {}
     for name, value in options.given().items():
         if name == "plant":
             continue
-        if name in homes:
-            changes.setdefault(homes[name], {})[name] = value
+        if name in _OPTION_HOMES:
+            changes.setdefault(_OPTION_HOMES[name], {})[name] = value
         elif name not in kinds:
             own[name] = value
         elif value not in kinds[name]:
@@ -261,8 +262,12 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
 
 
 def setting_of(loop: LoopSettings, name: str) -> Any:
-    """Return the value of the setting that `overridden` would replace by this name: the loop's own, or a part's."""
-    return getattr(getattr(loop, _HOMES[name]) if name in _HOMES else loop, name)
+    """Return the value of the setting that `overridden` would replace by this name: the loop's own, or a part's.
+
+    Of controller and estimator it is the kind.
+    """
+    value = getattr(getattr(loop, _OPTION_HOMES[name]) if name in _OPTION_HOMES else loop, name)
+    return value.kind if name in ("controller", "estimator") else value
 
 
 def _changed(filters: EstimatorSettings) -> dict[str, Any]:

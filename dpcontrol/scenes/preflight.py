@@ -1,13 +1,7 @@
-"""What would save a run; and before the first one on a rig: how likely it completes, what ends it, what helps.
+"""Preflight: how likely the first run on a rig completes, what ends it, and which changes help.
 
-*Why* (`dpcontrol score --why`): the seed of a run that was lost is run again with one setting changed at a time. Only
-what the run had is taken off or made less, and every change keeps the seed's draws: the same blows strike the same
-plant. A trouble is halved first; where that does not save the run it is left out altogether, so that what is named is
-the cheapest of its kind that was tried. The plan stays as it was flown.
-
-*Preflight*: runs are drawn as a campaign draws them, from what is known of the arms and of the bench: the model's
-identified uncertainty, or an assumed mismatch where its file gives none; delay, lag, counts and zeros as [run] has
-them.
+Runs are drawn as a campaign draws them, from what is known of the arms and of the bench: the model's identified
+uncertainty, or an assumed mismatch where its file gives none; delay, lag, counts and zeros as [run] has them.
 
 The rate comes with Wilson's interval, at 99 %: at 95 % one scene in twenty would lie outside, and more with the noise
 of the campaign it is compared with. The border of a trouble is the value at which the itinerary completes half as often
@@ -15,7 +9,8 @@ as on the bench as it is, on the same seeds; it is bracketed by doubling, then n
 bracket's ends. A value is run on blocks of seeds until it is clear on which side it lies. Over the points found the
 share is made to fall (isotonic regression), and the border read off between them.
 
-What a change would gain is found by running again, with it, some of the seeds that failed and some that completed.
+The gain of a change is measured on some of the seeds that failed and on some that completed. The changes are options of
+`dpcontrol run`, the same that `dpcontrol.scenes.remedies` tries on a single run.
 
 Everything is made of a campaign's jobs, each kept in the cache: repeated or interrupted, a preflight goes on where it
 was, and on any machine it comes to the same figures.
@@ -26,17 +21,15 @@ Source of isotonic regression: Barlow et al., Statistical Inference under Order 
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.estimator_settings import Augment, EkfSettings
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
-from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
@@ -45,7 +38,6 @@ from dpcontrol.foundation.statistics import wilson
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings, can_batch
 from dpcontrol.review.campaign import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt, plain_reason
-from dpcontrol.review.score import Score
 from dpcontrol.scenes.campaign import MOST_TICKS, Case, Job, run_job
 from dpcontrol.scenes.itinerary import Itinerary, overridden, setting_of
 from dpcontrol.scenes.plan import Plan
@@ -54,172 +46,110 @@ from dpcontrol.scenes.run_options import RunOptions
 
 @dataclass(frozen=True)
 class SceneChange:
-    """A change to be tried: what is said of a run that it saves, and the run's settings with it.
+    """A change to try: its text, its options of `dpcontrol run`, and the advice that a preflight gives for it.
 
-    options: the same by the names of run settings, where these have it. advice: what to do on a bench, as a preflight
-    says it; without it no preflight tries the change.
+    Preflights try only changes with advice.
     """
 
     text: str
-    loop: LoopSettings
-    options: RunOptions = field(default_factory=RunOptions)
+    options: RunOptions
     advice: str = ""
 
 
 @dataclass(frozen=True)
-class TriedChange:
-    """One change: whether the run was completed with it, and its verdict."""
+class _Trouble:
+    """A setting of the bench that can be reduced, by its name in RunOptions.
 
-    change: str
-    completed: bool
-    verdict: str
-
-
-@dataclass(frozen=True)
-class Why:
-    """What was tried for one seed; reason: of the run as it was."""
-
-    log: str
-    seed: int | None
-    reason: str
-    trials: tuple[TriedChange, ...]
-
-    @property
-    def saves(self) -> tuple[str, ...]:
-        """The changes with which the run is completed."""
-        return tuple(trial.change for trial in self.trials if trial.completed)
-
-    @property
-    def sentence(self) -> str:
-        """What would have saved the run, in one line."""
-        if not self.trials:
-            return "completed as it is: nothing was tried"
-        if not self.saves:
-            return f"none of {len(self.trials)} single changes saves this seed; it takes more than one"
-        return f"this seed is completed {', or '.join(self.saves)} ({len(self.trials)} single changes tried)"
-
-    def __repr__(self) -> str:
-        return f"<why: {self.sentence}>"
-
-    def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol score --why --json` prints."""
-        return {**asdict(self), "saves": list(self.saves), "sentence": self.sentence}
-
-
-def why(
-    scene: Itinerary, score: Score, run: Callable[[LoopSettings], Score], *, progress: Progress = no_progress
-) -> Why:
-    """Return which single changes complete a run of this scene that was scored so; run: scores it with other settings.
-
-    Raises:
-        InputError, GoalMissed: as `run`; of a change that cannot be made only the change fails.
+    what: its name in a sentence. remedy: how a laboratory halves it. nothing: the value without the trouble. halves,
+    removed: whether half of it, or nothing of it, is tried.
     """
-    trials: list[TriedChange] = []
-    groups = [] if score.completed else [*changes(scene)]
-    for k, group in enumerate(groups):
-        progress("why", k / len(groups))
-        for change in group:
-            try:
-                found = run(change.loop)
-            except GoalMissed as missed:
-                trials.append(TriedChange(change.text, completed=False, verdict=str(missed)))
-                continue
-            trials.append(TriedChange(change.text, completed=bool(found.completed), verdict=found.reason))
-            if found.completed:
-                break
-    progress("why", 1.0)
-    return Why(score.log, score.seed, score.reason, tuple(trials))
+
+    setting: str
+    what: str
+    remedy: str = ""
+    nothing: float = 0.0
+    halves: bool = True
+    removed: bool = True
+
+
+_TROUBLES = (
+    _Trouble("mismatch", "mismatch", "identify the arms"),
+    _Trouble("model_uncertainty", "model uncertainty", "identify the arms"),
+    _Trouble("initial_error", "initial error", "hold the arms still at the start"),
+    _Trouble("lag", "drive lag", "tune a stiffer velocity loop", removed=False),
+    _Trouble("delay", "delay", "answer sooner"),
+    _Trouble("friction", "friction error", nothing=1.0),
+    _Trouble("response", "response error", nothing=1.0),
+    _Trouble("command_noise", "command noise", "use a quieter drive"),
+    _Trouble("cart_mass", "cart mass", halves=False),
+    _Trouble("jerk", "jerk limit", nothing=math.inf, halves=False),
+    _Trouble("zero_error", "zero error", "set the encoders' zeros"),
+    _Trouble("zero_drift", "zero drift"),
+    _Trouble("noise", "encoder noise", "use quieter encoders"),
+    _Trouble("rate_noise", "rate noise"),
+    _Trouble("missed_counts", "missed counts"),
+    _Trouble("dropout", "dropouts"),
+    _Trouble("jitter", "jitter"),
+    _Trouble("stuck_at", "stuck sensor", nothing=math.inf, halves=False),
+    _Trouble("stiction", "stiction", "loosen the joints"),
+    _Trouble("cable_torque", "cable torque"),
+    _Trouble("cable_stiffness", "cable stiffness"),
+    _Trouble("initial_rate", "initial rates"),
+    _Trouble("initial_cart", "initial cart offset"),
+    _Trouble("play", "play", "use encoders with less play"),
+    _Trouble("belt", "belt", halves=False),
+    _Trouble("tilt", "tilt", "level the track"),
+    _Trouble("push_impulse", "impulse of the pushes"),
+    _Trouble("knock_velocity", "velocity of the knocks"),
+    _Trouble("knock_impulse", "impulse of the random blows"),
+)
 
 
 def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
-    """Yield the changes of each kind, the least first, of those that this scene's run leaves room for."""
+    """Yield the changes of each kind, the smallest first, that are possible for this scene's run."""
     loop = scene.loop
-    limit = loop.travel or scene.limits.position
-
-    def by(text: str, advice: str = "", **options: Any) -> SceneChange:
-        given = RunOptions(**options)
-        return SceneChange(text, overridden(loop, given), given, advice)
-
-    def longer(factor: float, advice: str = "") -> SceneChange:
-        change = by(f"with a travel of ±{factor * limit:.3g} m", advice, travel=factor * limit)
-        return replace(change, loop=replace(change.loop, drive=replace(change.loop.drive, track=math.inf)))
-
-    yield longer(1.5, f"more travel: ±{1.5 * limit:.3g} m"), longer(2.0)
-
-    def less(key: str, half: str, none: str, advice: str = "", nothing: Any = 0.0) -> Iterator[Sequence[SceneChange]]:
-        value = setting_of(loop, key)
-        if value == nothing:
-            return
-        smaller = tuple(one / 2 for one in value) if isinstance(value, tuple) else (value + nothing) / 2
-        halved = [by(half, advice, **{key: smaller})] if half else []
-        yield [*halved, *([by(none, **{key: nothing})] if none else [])]
-
-    yield from less(
-        "mismatch", "with half the mismatch", "on a plant that is as the model says",
-        "identify the arms: half the mismatch",
-    )  # fmt: skip
-    yield from less(
-        "model_uncertainty", "with half the model's uncertainty", "on a plant as the model says",
-        "identify the arms: half the uncertainty",
-    )  # fmt: skip
-    yield from less(
-        "initial_error", "with half the error at the start", "without an error at the start",
-        "hold the arms still at the start: half the error",
-    )  # fmt: skip
-    yield from less("lag", "with half the drive's lag", "", "a stiffer velocity loop: half the lag")
-    if loop.drive.lag and loop.drive_lag != loop.drive.lag:
-        known = "with a controller that knows of the lag"
-        yield (by(known, "tell the controller of the lag", drive_lag=loop.drive.lag),)
-    yield from less("delay", "with half the delay", "without the delay", "half the delay")
-    yield from less("friction", "with half the friction's factor", "with the plant's own friction", nothing=1.0)
-    if loop.plant is not None:
-        yield (SceneChange("with the model's own arms as the plant", replace(loop, plant=None)),)
-    yield from less("response", "with half the error of response", "with a drive that does as told", nothing=1.0)
-    yield from less(
-        "command_noise", "with half the noise on the command", "without noise on the command",
-        "a quieter drive: half the noise on its command",
-    )  # fmt: skip
-    yield from less("cart_mass", "", "on a cart that the arms do not push")
-    yield from less("jerk", "", "without a limit of jerk", nothing=math.inf)
-    yield from less(
-        "zero_error", "with half the error of the zeros", "with the encoders' zeros set",
-        "set the encoders' zeros: half their error",
-    )  # fmt: skip
-    yield from less(
-        "noise", "with half the encoders' noise", "without the encoders' noise", "quieter encoders: half their noise"
+    limit, drive, counts = loop.travel or scene.limits.position, loop.drive, loop.sensors.counts
+    wide, wider = _short(1.5 * limit), _short(2 * limit)
+    yield (
+        SceneChange(f"a travel of ±{wide:g} m", RunOptions(travel=wide), f"more travel: ±{wide:g} m"),
+        SceneChange(f"a travel of ±{wider:g} m", RunOptions(travel=wider)),
     )
-    yield from less("rate_noise", "with half the noise on the rates", "without noise on the rates")
-    yield from less("missed_counts", "with half the missed counts", "without missed counts")
-    yield from less("dropout", "with half the dropouts", "without dropouts")
-    yield from less("jitter", "with half the jitter", "without jitter")
-    yield from less("stuck_at", "", "with a sensor that does not stick", nothing=math.inf)
-    yield from less("stiction", "with half the stiction", "without stiction", "looser joints: half the stiction")
-    yield from less("cable_torque", "with half the cable's torque", "without the cable's torque")
-    yield from less("cable_stiffness", "with half the cable's stiffness", "without the cable's stiffness")
-    yield from less("initial_rate", "with half the first rates", "from rest")
-    yield from less("initial_cart", "with the cart half as far off at first", "with the cart at the centre at first")
-    yield from less("play", "with half the play", "without play", "encoders without play: half of it")
-    yield from less("belt", "", "with a rigid belt")
-    yield from less("tilt", "with half the tilt", "on a level track", "level the track: half the tilt")
-    yield from less("push_impulse", "with half the pushes' impulse", "without the pushes")
-    yield from less("knock_velocity", "with half the knocks' velocity", "without the knocks")
-    if loop.disturbances.explicit:
-        without = replace(loop, disturbances=replace(loop.disturbances, explicit=()))
-        yield (SceneChange("without the blows", without),)
-    if loop.sensors.counts:
-        finer = 4 * loop.sensors.counts
-        yield (by(f"with {finer} counts a turn", "finer encoders: four times the counts", counts=finer),)
+    for one in _TROUBLES:
+        value = setting_of(loop, one.setting)
+        if value == one.nothing or (one.setting == "knock_impulse" and not loop.disturbances.knocks_per_minute):
+            continue
+        tried = []
+        if one.halves:
+            smaller = (
+                tuple(_short(v / 2) for v in value) if isinstance(value, tuple) else _short((value + one.nothing) / 2)
+            )
+            half, text = RunOptions().over({one.setting: smaller}), f"half the {one.what}"
+            tried.append(SceneChange(text, half, one.remedy and f"{one.remedy}: {text}"))
+        if one.removed:
+            tried.append(SceneChange(f"no {one.what}", RunOptions().over({one.setting: one.nothing})))
+        yield tried
+    if drive.lag and loop.drive_lag != drive.lag:
+        known = "a controller that knows the drive's lag"
+        yield (SceneChange(known, RunOptions(drive_lag=drive.lag), "give the controller the drive's lag"),)
+    if counts:
+        finer = RunOptions(counts=4 * counts)
+        yield (SceneChange(f"{4 * counts} counts a turn", finer, "finer encoders: four times the counts"),)
     if loop.rate < _QUICK:
         # The delay stays the same in seconds.
-        yield (by(f"at {_QUICK:g} Hz", rate=_QUICK, delay=loop.drive.delay * _QUICK / loop.rate),)
-    if isinstance(loop.estimator, EkfSettings) and Augment.DRIVE not in loop.estimator.augments:
-        known = {*loop.estimator.augments, Augment.ZEROS, Augment.DRIVE}
-        asked = replace(loop.estimator, augment=tuple(kind.value for kind in Augment if kind in known))
-        text = 'with an estimator of the drive\'s error (augment = "drive")'
-        yield (SceneChange(text, replace(loop, estimator=asked)),)
-    if loop.keep == "none" and scene.stay is None:
+        delay = _short(drive.delay * _QUICK / loop.rate) if drive.delay else None
+        yield (SceneChange(f"a rate of {_QUICK:g} Hz", RunOptions(rate=_QUICK, delay=delay)),)
+    if loop.estimator.kind != "ekf":
+        yield (SceneChange("the ekf as the estimator", RunOptions(estimator="ekf")),)
+    if loop.keep != "none":
+        yield (SceneChange("no keeper of the stops", RunOptions(keep="none")),)
+    elif scene.stay is None:
         other = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
-        yield (by(f"with {other} as the law", f"another law: {other}", controller=other),)
+        yield (SceneChange(f"{other} as the law", RunOptions(controller=other), f"another law: {other}"),)
+
+
+def _short(value: float) -> float:
+    """Return a value with four digits, which an option gives exactly."""
+    return float(f"{value:.4g}")
 
 
 _QUICK = 1000.0
@@ -317,15 +247,15 @@ _Task = Job | _Search | _Trial
 
 def _do(task: _Task) -> "tuple[RunEnd, ...] | HazardBorder | Improvement":
     if isinstance(task, Job):
-        return _outcomes(task, len(task.seeds))
+        return outcomes(task, len(task.seeds))
     return _border(task) if isinstance(task, _Search) else _change(task)
 
 
-def _outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
+def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
     """Return how a job's seeds ended, from the cache where they have been run; most: seeds at once, for memory."""
     if len(job.seeds) > most:
         parts = (replace(job, seeds=job.seeds[k : k + most]) for k in range(0, len(job.seeds), most))
-        return tuple(row for part in parts for row in _outcomes(part, most))
+        return tuple(row for part in parts for row in outcomes(part, most))
     file = cache_file("preflights", job.itinerary, content_hash(job.key, code_hash("dpcontrol.scenes.campaign")))
     if (content := kept(file)) is not None:
         return tuple(RunEnd(*row) for row in json.loads(content))
@@ -397,7 +327,7 @@ def _point(search: _Search, value: float, *, until_clear: bool = True) -> ShareA
     done = of = used = 0
     while used < len(job.seeds):
         block = slice(used, len(job.seeds) if used else min(search.block, len(job.seeds)))
-        done += sum(row.completed for row in _outcomes(_with(job, loop, job.seeds[block]), search.most))
+        done += sum(row.completed for row in outcomes(_with(job, loop, job.seeds[block]), search.most))
         of += sum(search.completed[block])
         used = block.stop
         seen = wilson(min(done, of), of, confidence=_SURE)
@@ -442,7 +372,7 @@ def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | Non
 
 
 def _change(trial: _Trial) -> Improvement:
-    done = [row.completed for row in _outcomes(trial.job, trial.most)]
+    done = [row.completed for row in outcomes(trial.job, trial.most)]
     before = trial.completed
     failing, completing = before.count(False), before.count(True)
     rescued = sum(now and not then for now, then in zip(done, before, strict=True))
@@ -455,6 +385,13 @@ _TICK, _TICK_ALONE = 1.8e-6, 2e-4
 """s that a processor takes for a tick of one run of many side by side, and of one on its own."""
 _AHEAD = 0.15
 """By how much more for each period of delay that the loop computes ahead, as a share."""
+
+
+def seconds_of(loop: LoopSettings) -> float:
+    """Return the time that one tick of a run with these settings takes on one processor, s."""
+    return _TICK * (1 + _AHEAD * loop.drive.delay) if can_batch(loop) else _TICK_ALONE
+
+
 _AFFORD, _AFFORD_DELAY = 180.0, 40.0
 """s of one processor that a preflight may take, and besides its search for the border of delay: two minutes of two,
 less what starts and compiles."""
@@ -515,8 +452,7 @@ def preflight(
     scene, known = as_known(plan.followed().itinerary, options)
     loop, name = scene.loop, scene.name
     ticks = max(round(plan.reference.duration * loop.rate), 1)
-    lockstep = can_batch(loop)
-    tick = _TICK * (1 + _AHEAD * loop.drive.delay) if lockstep else _TICK_ALONE
+    lockstep, tick = can_batch(loop), seconds_of(loop)
     amounts = _amounts(settings.runs, ticks * tick, lockstep=lockstep)
     searches = lockstep or settings.runs > 0
     workers, count = settings.workers or processors(), amounts.runs if searches else amounts.rate
@@ -532,10 +468,10 @@ def preflight(
     most = max(min(MOST_TICKS // ticks, 256), 1)
     size = min(128 if amounts.rate > _FEW else 64, most)
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
-    outcomes: dict[int, RunEnd] = {}
+    found_of: dict[int, RunEnd] = {}
     for done in _all(run(jobs, workers=workers), len(jobs), "rate", part_of(progress, 0.0, 0.15)):
-        outcomes |= {row.seed: row for row in done}
-    ordered = [outcomes[seed] for seed in seeds]
+        found_of |= {row.seed: row for row in done}
+    ordered = [found_of[seed] for seed in seeds]
     completed = [row.completed for row in ordered]
     share = wilson(sum(completed), len(completed), confidence=settings.confidence)
     notes = _notes(scene, loop)
@@ -569,10 +505,10 @@ def _all(pieces: Any, count: int, what: str, progress: Progress) -> Any:
         yield done
 
 
-def endings(outcomes: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
+def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
     """Return what ended the runs that were not completed, the most frequent first, in the words of the loop."""
     groups: dict[tuple[str, str], list[RunEnd]] = {}
-    for row in outcomes:
+    for row in ends:
         if not row.completed:
             groups.setdefault((row.ending, plain_reason(row.reason)), []).append(row)
     ordered = sorted(groups.items(), key=lambda item: -len(item[1]))
@@ -718,4 +654,7 @@ def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, m
     seeds, before = [job.seeds[k] for k in chosen], tuple(completed[k] for k in chosen)
     rate = sum(completed) / len(completed)
     advised = [change for group in changes(scene) for change in group if change.advice]
-    return [_Trial(change, _with(job, change.loop, seeds), before, rate, most) for change in advised]
+    loops = [scene.with_run(change.options).loop for change in advised]
+    return [
+        _Trial(change, _with(job, loop, seeds), before, rate, most) for change, loop in zip(advised, loops, strict=True)
+    ]

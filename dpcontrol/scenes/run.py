@@ -22,12 +22,13 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 import dpcontrol
-from dpcontrol.control.estimator_settings import EkfSettings, extra_names
+from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, extra_names
 from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
 from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.margins import Margins
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tick import TickProgram, whole_periods
+from dpcontrol.control.tracking import AdaptiveSettings
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
@@ -79,9 +80,10 @@ from dpcontrol.review.score import (
     Score,
     score,
 )
-from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from
+from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from, setting_of
 from dpcontrol.scenes.model import folders, model_from
 from dpcontrol.scenes.plan import Plan, plan_key, recoverable
+from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,7 +92,7 @@ if TYPE_CHECKING:
     from dpcontrol.rig.bench import BenchProcess, BenchRecipe
     from dpcontrol.rig.client import Deadlines, UdpRig
     from dpcontrol.rig.commissioning import Commissioning
-    from dpcontrol.scenes.preflight import Why
+    from dpcontrol.scenes.remedies import Why
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
 _LIBRARY = "controller_library"
@@ -133,21 +135,24 @@ class Run:
         """The verdict in one line."""
         return self._judged.sentence if self._judged else f"{len(self.log.time):,} samples, no plan to be judged by"
 
-    def why(self, *, progress: Progress = no_progress) -> "Why":
-        """Return which single changes would have saved the run: its seed simulated again with each.
+    def why(self, *, workers: int = 0, yes: bool = False, progress: Progress = no_progress) -> "Why":
+        """Return which options of `dpcontrol run` complete a run that failed, and more often than harmless changes do.
+
+        workers: processes, 0 for one on each processor. yes: however long it takes.
 
         Raises:
-            InputError: the log is not of a simulated run, or lacks what a repetition needs.
+            InputError: the log is not of a simulated run, lacks what a repetition needs, or it would take too long.
         """
-        from dpcontrol.scenes.preflight import why
+        from dpcontrol.scenes.remedies import why
 
         with TemporaryDirectory() as folder:
             plan = _plan(self.log, Path(folder))
+            scene = itinerary_from(plan.itinerary.text, plan.itinerary.name, plan.itinerary.model)
 
-            def again(loop: LoopSettings) -> Score:
-                return run_plan(replace(plan, itinerary=replace(plan.itinerary, loop=loop))).score()
+            def typed(change: RunOptions) -> Plan:
+                return _with_options(plan, scene, change)
 
-            return why(plan.itinerary, self.score(), again, progress=progress)
+            return why(plan, self.score(), typed, workers=workers, yes=yes, progress=progress)
 
     @cached_property
     def _judged(self) -> Score | None:
@@ -423,6 +428,28 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
     return Plan(_with_settings(itinerary, log, cannot=cannot), load_reference(file), file, cached=True)
 
 
+def _with_options(plan: Plan, scene: Itinerary, change: RunOptions) -> Plan:
+    """Return the plan of a logged run with options added to its command line.
+
+    scene: the itinerary without any options. The run's own options are those settings in which it differs from that;
+    where they do not account for all that the log notes, the options are applied to the noted settings.
+    """
+    then = plan.itinerary
+    names = [field.name for field in fields(RunOptions) if field.name != "plant"]
+    pairs = {name: (setting_of(scene.loop, name), setting_of(then.loop, name)) for name in names}
+    own = RunOptions(**{name: noted for name, (before, noted) in pairs.items() if before != noted})
+    accounted = scene.with_run(own, seed=then.loop.seed).loop == then.loop
+    chosen = (scene.with_run(own, seed=then.loop.seed) if accounted else then).with_run(
+        own.over(change.given()) if accounted else change
+    )
+    reference = plan.reference
+    if chosen.loop.travel != then.loop.travel and "starts" in reference.notes:
+        # Starts are planned for the travel.
+        notes = {name: note for name, note in reference.notes.items() if name != "starts"}
+        reference = replace(reference, notes=notes)
+    return replace(plan, itinerary=chosen, reference=reference)
+
+
 def _says(now: Any, noted: Any) -> bool:
     """Return whether settings are as a log notes them; those that came later are at their defaults."""
     if isinstance(now, dict) and isinstance(noted, dict):
@@ -450,7 +477,11 @@ def _settings(kind: type, values: Mapping[str, Any]) -> Any:
     """Return settings of dataclass `kind` from what `asdict` and JSON made of them."""
     hints = get_type_hints(kind)
     names = [field.name for field in fields(kind) if field.init and field.name in values]
-    return kind(**{name: _value(name, hints[name], values[name]) for name in names})
+    read = {name: _value(name, hints[name], values[name]) for name in names}
+    if isinstance(read.get("controller"), AdaptiveSettings) and isinstance(read.get("estimator"), EkfSettings):
+        # As itineraries read it: with the defaults that go with an adaptive law.
+        read["estimator"] = _settings(AdaptiveEkfSettings, values["estimator"])
+    return kind(**read)
 
 
 def _value(name: str, hint: Any, value: Any) -> Any:

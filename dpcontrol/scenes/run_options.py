@@ -3,6 +3,7 @@
 Nothing heavy is imported here: the command line makes its options of these fields.
 """
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -95,6 +96,12 @@ class RunOptions:
         """Return the settings that are given, by name."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return {name: value for name, value in values.items() if value is not None}
+
+    @property
+    def typed(self) -> str:
+        """The options as the command line reads them, such as `--travel 0.6`."""
+        texts = {name: str(value) for name, value in self.given().items()}
+        return " ".join(f"--{name.replace('_', '-')} {shlex.quote(text)}" for name, text in texts.items())
 
     def over(self, options: Mapping[str, Any]) -> "RunOptions":
         """Return the options with others by name in their place.

@@ -17,7 +17,7 @@ from dpcontrol.review.campaign import HazardBorder, Improvement, Preflight, Shar
 from dpcontrol.review.page import save_figure
 from dpcontrol.scenes import preflight as module
 from dpcontrol.scenes.campaign import CampaignSettings, Job, cases_of, run_campaign
-from dpcontrol.scenes.itinerary import load_itinerary, overridden
+from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan, make_plan
 from dpcontrol.scenes.preflight import ASSUMED_MISMATCH, PreflightSettings, SceneChange, as_known, falling, preflight
 from dpcontrol.scenes.run_options import RunOptions
@@ -140,7 +140,7 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(module, "hazards", lambda plan, scene, **most: [])
     half = RunOptions(mismatch=0.1)
-    changed = SceneChange("", overridden(turn.itinerary.with_run(HARD).loop, half), half, "half")
+    changed = SceneChange("", half, "half")
     monkeypatch.setattr(module, "changes", lambda scene: [[changed]])
     found = preflight(turn, HARD, settings=SMALL)
     assert found.changes[0].gain > 0

@@ -1,0 +1,262 @@
+"""Remedies of a failed run: options of `dpcontrol run` that complete it more often than harmless changes do.
+
+A run that fails by chance is completed by almost any change, even by 39,999 instead of 40,000 counts. So a change must
+beat a null group. One half of it are harmless variants of the failed run, whose mismatches differ by a ten-thousandth.
+The other half are neighbouring seeds with the present settings. Each change is tried on the same variants and seeds.
+It is a remedy if it meets three conditions:
+
+    chance       McNemar's exact test of the pairs rejects chance at `_LEVEL`.
+    neighbours   On the neighbouring seeds it rescues at least as many runs as it loses.
+    the run      The failed run itself is completed if the option is added to its command line.
+
+Changes of one kind are tried from the smallest; the first remedy of a kind ends it. If no single change is a remedy,
+the three best are tried in pairs.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import combinations
+from typing import Any, NamedTuple
+
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.processes import in_processes, processors
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
+from dpcontrol.foundation.statistics import paired
+from dpcontrol.loop.loop import can_batch
+from dpcontrol.review.score import Score
+from dpcontrol.scenes.campaign import Case, Job
+from dpcontrol.scenes.plan import Plan, recoverable
+from dpcontrol.scenes.preflight import SceneChange, changes, outcomes, seconds_of
+from dpcontrol.scenes.run import run_plan
+from dpcontrol.scenes.run_options import RunOptions
+
+SAME, SAME_ALONE = 16, 8
+"""Variants of the failed run, and as many neighbouring seeds: side by side, and one after the other."""
+_HARMLESS = 1e-4
+"""Share by which the mismatch of one variant differs from that of the one before."""
+_LEVEL = 0.02
+"""Largest two-sided p of a remedy."""
+_PAIRED = 3
+
+
+class Completed(NamedTuple):
+    """How many runs were completed: variants of the failed run, and neighbouring seeds; each of `of`."""
+
+    same_seed: int
+    neighbours: int
+    of: int
+
+
+@dataclass(frozen=True)
+class TriedChange:
+    """One change.
+
+    change: its text. option: its text on the command line. completed: whether the failed run is completed with it.
+    verdict: on that run. helps: whether it is a remedy. counts: None if the groups were not run.
+    """
+
+    change: str
+    option: str
+    completed: bool
+    verdict: str
+    helps: bool = False
+    counts: Completed | None = None
+
+
+@dataclass(frozen=True)
+class Why:
+    """The changes tried for a failed run. reason: of the failure. unchanged: the null group's count."""
+
+    log: str
+    seed: int | None
+    reason: str
+    trials: tuple[TriedChange, ...]
+    unchanged: Completed | None = None
+
+    @property
+    def remedies(self) -> tuple[TriedChange, ...]:
+        """The changes that help, the surest first."""
+        found = [trial for trial in self.trials if trial.helps and trial.counts is not None]
+        return tuple(sorted(found, key=lambda trial: -sum((trial.counts or (0, 0, 0))[:2])))
+
+    @property
+    def saves(self) -> tuple[str, ...]:
+        """The options that complete the run."""
+        return tuple(trial.option for trial in self.remedies)
+
+    @property
+    def sentence(self) -> str:
+        """The remedies in one line."""
+        if self.unchanged is None:
+            return "the run was completed, so no change was tried"
+        count = f"{len(self.trials)} change{'s' * (len(self.trials) != 1)}"
+        if self.saves:
+            return f"completed with {', or with '.join(f'`{one}`' for one in self.saves)} ({count} tried)"
+        text = f"none of {count} completes this run more often than harmless changes do"
+        if 2 * self.unchanged.same_seed >= self.unchanged.of:
+            text += f"; these complete it {self.unchanged.same_seed} times in {self.unchanged.of}, so chance decides"
+        return text
+
+    def lines(self) -> list[str]:
+        """Return the evidence for each remedy."""
+        if self.unchanged is None:
+            return []
+        null = self.unchanged
+        head = f"unchanged: {null.same_seed} of {null.of} harmless variants, {null.neighbours} of {null.of} other seeds"
+        return [head] + [
+            f"{one.option}: {one.counts.same_seed} and {one.counts.neighbours} of {null.of} ({one.change})"
+            for one in self.remedies
+            if one.counts is not None
+        ]
+
+    def __repr__(self) -> str:
+        return f"<why: {self.sentence}>"
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of `dpcontrol score --why`."""
+        trials = [
+            {**asdict(one), "counts": None if one.counts is None else one.counts._asdict()} for one in self.trials
+        ]
+        null = None if self.unchanged is None else self.unchanged._asdict()
+        found = {"trials": trials, "unchanged": null, "saves": list(self.saves), "sentence": self.sentence}
+        return {**asdict(self), **found}
+
+
+@dataclass(frozen=True)
+class _Groups:
+    """Changes of one kind with their jobs, of which the first entry is the failed run; before: the null group's."""
+
+    tried: tuple[tuple[SceneChange, Job], ...]
+    before: tuple[bool, ...] = ()
+
+
+def why(
+    plan: Plan,
+    failed: Score,
+    typed: Callable[[RunOptions], Plan],
+    *,
+    workers: int = 0,
+    yes: bool = False,
+    progress: Progress = no_progress,
+) -> Why:
+    """Return the changes that complete a logged run.
+
+    typed: returns the run's plan with options added to its command line.
+
+    Raises:
+        InputError: it would take too long.
+        GoalMissed: no controller can be made for the run, or workers died again and again.
+    """
+    if failed.completed:
+        return Why(failed.log, failed.seed, failed.reason, ())
+    scene, groups = plan.itinerary, [*changes(plan.itinerary)]
+    lockstep = can_batch(scene.loop)
+    size = SAME if lockstep else SAME_ALONE
+    ticks = max(round(plan.reference.duration * scene.loop.rate), 1)
+    workers = workers or processors()
+    each, tried = 2 * size * ticks * seconds_of(scene.loop), sum(map(len, groups))
+    cost = (tried + 1) * (each + _OVERHEAD) / workers if lockstep else (tried * 0.3 + 1) * each / workers
+    announce(Cost(f"{tried} changes", cost, 4e8 * workers, f"--why of {scene.name}"), yes=yes)
+
+    def jobs(group: Sequence[SceneChange]) -> tuple[tuple[SceneChange, Job], ...]:
+        made = []
+        for change in group:
+            try:
+                made.append((change, _job(typed(change.options), size)))
+            except InputError:
+                # The option does not go with the run's other settings.
+                continue
+        return tuple(made)
+
+    unchanged = _Groups(((SceneChange("", RunOptions()), _job(plan, size)),))
+    progress("harmless changes", 0.0)
+    before, _ = _tried(unchanged)[0]
+    null = Completed(sum(before[:size]), sum(before[size:]), size)
+    trials: list[TriedChange] = []
+
+    def run(pieces: Sequence[_Groups]) -> None:
+        remedy = "Finished jobs are kept: run the same command again"
+        ended = in_processes(_tried, pieces, workers, remedy=remedy)
+        for k, (piece, found) in enumerate(ended, 1):
+            progress(f"changes: {k} of {len(pieces)} kinds", k / (len(pieces) + 1))
+            for (change, _), (done, verdict) in zip(piece.tried, found, strict=False):
+                trials.append(_judged(change, done, verdict, before, typed))
+
+    run([_Groups(made, before) for group in groups if (made := jobs(group))])
+    promising = [one for one in trials if one.counts is not None and sum(one.counts[:2]) > sum(null[:2])]
+    if not any(one.helps for one in trials) and len(promising) > 1:
+        known = {change.text: change for group in groups for change in group}
+        best = sorted(promising, key=lambda one: -sum((one.counts or null)[:2]))[:_PAIRED]
+        pairs = [_together(known[a.change], known[b.change]) for a, b in combinations(best, 2)]
+        run([_Groups(made, before) for pair in pairs if (made := jobs([pair]))])
+    progress("why", 1.0)
+    return Why(failed.log, failed.seed, failed.reason, tuple(trials), null)
+
+
+_OVERHEAD = 2.0
+"""s that a lockstep job takes in addition to its ticks."""
+
+
+def _together(one: SceneChange, other: SceneChange) -> SceneChange:
+    return SceneChange(f"{one.text} and {other.text}", one.options.over(other.options.given()))
+
+
+def _job(plan: Plan, size: int) -> Job:
+    """Return the job of a failed run's variants, the run itself first, and of as many neighbouring seeds."""
+    scene, loop = plan.itinerary, plan.itinerary.loop
+    seeds = (*[loop.seed] * size, *range(loop.seed + 1, loop.seed + 1 + size))
+    variants = [loop.mismatch * (1 - _HARMLESS * k) if loop.mismatch else 1e-2 * _HARMLESS * k for k in range(size)]
+    return Job(
+        scene.name, plan.archive, scene.model.arms, Case("why", (), loop), seeds, "compiled", scene.uncertainty,
+        replayed=0, mismatches=(*variants, *[loop.mismatch] * size),
+    )  # fmt: skip
+
+
+def _tried(groups: _Groups) -> list[tuple[tuple[bool, ...], str]]:
+    """Return for each job which runs were completed and the first run's verdict, up to the first that beats the null.
+
+    If runs go one after the other, the rest of a job is run only if its first run is completed.
+    """
+    found: list[tuple[tuple[bool, ...], str]] = []
+    for _, job in groups.tried:
+        first = replace(job, seeds=job.seeds[:1], mismatches=job.mismatches[:1])
+        try:
+            ended = outcomes(first if groups.before and not can_batch(job.case.loop) else job, len(job.seeds))
+            if ended[0].completed and len(ended) == 1:
+                ended = outcomes(job, len(job.seeds))
+        except (GoalMissed, InputError) as missed:
+            found.append(((), str(missed)))
+            continue
+        done = tuple(row.completed for row in ended)
+        found.append((done, ended[0].reason))
+        if done[0] and _beats(done, groups.before):
+            break
+    return found
+
+
+def _beats(done: Sequence[bool], before: Sequence[bool]) -> bool:
+    """True if runs are completed more often than those of the null group, pair by pair."""
+    if len(done) != len(before):
+        return False
+    half = len(done) // 2
+    all_pairs, others = paired(before, done), paired(before[half:], done[half:])
+    surely = all_pairs.only_second > all_pairs.only_first and all_pairs.p_value <= _LEVEL
+    return surely and others.only_second >= others.only_first
+
+
+def _judged(
+    change: SceneChange,
+    done: Sequence[bool],
+    verdict: str,
+    before: Sequence[bool],
+    typed: Callable[[RunOptions], Plan],
+) -> TriedChange:
+    """Return a change with its verdict; one that beats the null group is typed."""
+    half = len(before) // 2
+    counts = Completed(sum(done[:half]), sum(done[half:]), half) if len(done) == len(before) else None
+    tried = partial(TriedChange, change.text, change.options.typed, counts=counts)
+    if not (done and done[0] and _beats(done, before)):
+        return tried(completed=bool(done and done[0]), verdict=verdict)
+    alone = run_plan(recoverable(typed(change.options))).score()
+    return tried(completed=bool(alone.completed), verdict=alone.reason, helps=bool(alone.completed))
