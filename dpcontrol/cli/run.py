@@ -153,10 +153,11 @@ def run_command(
     if hours is not None:
         from dpcontrol.scenes.night import (
             NightSettings,
-            announce_night,
             check_folder,
+            night_cost,
             night_folder,
             night_itinerary,
+            night_plan,
             run_night,
         )
 
@@ -164,9 +165,9 @@ def run_command(
         scene = night_itinerary(scene, asked=settings.given())
         # Before the plan, which can take minutes.
         check_folder(night_folder(out), resume=resume, force=force)
-        announce_night(scene, night, night_folder(out), real_time=address is not None, yes=yes)
+        night_cost(scene, night, night_folder(out), real_time=address is not None, yes=yes)
         with progress_bar("night") as progress:
-            plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
+            plan = night_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
             fly = partial(run_night, plan, out, night, link=link, resume=resume, force=force, live=live)
             if link is None:
                 done = fly(progress=part_of(progress, 0.05, 1.0))
@@ -631,8 +632,15 @@ def _preflight_text(found: "Preflight") -> Iterator[str | TextTable]:
             "half as often at": "{.name}", "set": lambda b: f"{shown_number(b.set)} {b.unit}", "border": "{.sentence}",
             "95 %": lambda b: b.interval, "margin": lambda b: "" if b.margin is None else f"{b.margin:.1f} ×",
         })  # fmt: skip
-    if found.changes:
-        yield table("", found.changes, {
-            "what would help": "{.text}", "gain": lambda c: f"{100 * c.gain:+.1f} ± {200 * c.error:.1f} points",
-            "rescued": "{0.rescued} of {0.failing}", "lost": "{0.lost} of {0.completing}",
-        })  # fmt: skip
+    if helping := [one for one in found.changes if one.gain > 2 * one.error]:
+        yield table(
+            "",
+            helping,
+            {
+                "what would help": "{.text}",
+                "option": lambda c: RunOptions(**c.options).typed,
+                "gain": lambda c: f"{100 * c.gain:+.1f} ± {200 * c.error:.1f} points",
+                "rescued": "{0.rescued} of {0.failing}",
+                "lost": "{0.lost} of {0.completing}",
+            },
+        )

@@ -109,10 +109,10 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
     """Yield the changes of each kind, the smallest first, that are possible for this scene's run."""
     loop = scene.loop
     limit, drive, counts = loop.travel or scene.limits.position, loop.drive, loop.sensors.counts
-    wide, wider = _short(1.5 * limit), _short(2 * limit)
+    wide, *wider = (_short(factor * limit) for factor in (1.5, 2.0, 4.0))
     yield (
         SceneChange(f"a travel of ±{wide:g} m", RunOptions(travel=wide), f"more travel: ±{wide:g} m"),
-        SceneChange(f"a travel of ±{wider:g} m", RunOptions(travel=wider)),
+        *(SceneChange(f"a travel of ±{more:g} m", RunOptions(travel=more)) for more in wider),
     )
     for one in _TROUBLES:
         value = setting_of(loop, one.setting)

@@ -35,7 +35,7 @@ CAUSES = {
     "wrong law": ("controller", 0.0, 0.0),
 }
 """The setting behind each cause, and between which values it is drawn, evenly by their logarithm."""
-LAWS = ("feedforward", "tvlqr", "ogy", "lqr")
+LAWS = ("feedforward", "tvlqr")
 SEEDS = 32
 
 
