@@ -56,7 +56,7 @@ def in_processes(
         context = multiprocessing.get_context("spawn")
         pool = ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent)
         try:
-            with _ignoring_interrupts():
+            with ignoring_interrupts():
                 running = {pool.submit(function, pieces[k]): k for k in left}
             while running:
                 finished, _ = wait(running, return_when=FIRST_COMPLETED)
@@ -94,7 +94,7 @@ def _exit_after(sentinel: int) -> None:
 
 
 @contextmanager
-def _ignoring_interrupts() -> Iterator[None]:
+def ignoring_interrupts() -> Iterator[None]:
     """Delay Ctrl-C until the block ends; processes started in it ignore it, as it is for the one that started them."""
     noted: list[int] = []
     # Windows has no masks; the handler alone delays it there.

@@ -22,7 +22,7 @@ import numpy as np
 from dpcontrol.control.calming import CalmingSettings, calming_controller
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterSettings
 from dpcontrol.control.handover import NearestKeeper
-from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, schedule_of
+from dpcontrol.control.interface import MANY, Controller, GainSchedule, Mode, SampledModel, schedule_of
 from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.margins import Margins, law_margins
 from dpcontrol.control.tick import KnownMechanics, Outcome, TickProgram, whole_periods
@@ -427,11 +427,17 @@ def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings
 
 
 def loop_recovery(
-    reference: Reference, parameters: ArmChainParameters, settings: LoopSettings, controller: Controller
+    reference: Reference,
+    parameters: ArmChainParameters,
+    settings: LoopSettings,
+    controller: Controller,
+    *,
+    later: bool = False,
 ) -> RecoveryPlan | None:
     """Return how runs of these settings recover from a fall, which any number of them may share; None if they end.
 
-    controller: of `loop_controller`. The ways from rest to the stops are the reference's own (notes, `starts`).
+    controller: of `loop_controller`. The ways from rest to the stops are the reference's own (notes, `starts`). later:
+    it may have none, for they are added to the recovery's while it runs.
 
     Raises:
         InputError: the reference has none, or the controller keeps a clock of its own.
@@ -440,52 +446,70 @@ def loop_recovery(
     s = settings.supervisor
     if s.on_fall == "stop":
         return None
-    lead = whole_periods(settings.drive.delay)[1]
-    main = schedule_of(controller, lead)
+    main = schedule_of(controller, whole_periods(settings.drive.delay)[1])
     if main is None:
         raise InputError(
             f'supervisor: on_fall = "{s.on_fall}": {controller.kind} keeps a clock of its own, and cannot be taken up '
             'anywhere; use kind = "adaptive", "tvlqr" or "lqr" without keep'
         )
-    starts: Sequence[StartNote] = plan_notes(reference).get("starts", ())
-    if not starts:
+    notes = plan_notes(reference)
+    starts: Sequence[StartNote] = notes.get("starts", ())
+    if not starts and not later:
         raise InputError(
             f'supervisor: on_fall = "{s.on_fall}": the reference was planned without ways from rest to its stops; plan '
             "the itinerary again with that setting"
         )
-    # Runs that do not recover do without what finds references.
-    from dpcontrol.references.find import tail
-
     model = sampled_model(parameters, settings.rate, settings.known_lag)
     limits = settings.limits(reference)
-    law = TvlqrSettings() if isinstance(settings.controller, HoldSettings) else settings.controller
-    ways = []
-    for k, note in enumerate(starts):
-        lead_in, place = start_reference(reference, k), round(note["at"] * settings.rate)
-        turns = 2 * np.pi * np.array(note["turns"], dtype=float)
-        gains, ticks = main, 0
-        if lead_in is not None:
-            ticks = round(lead_in.duration * settings.rate)
-            onward = tail(reference, note["at"], seconds=_ONWARD, turns=turns)
-            flown = make_controller(
-                joined([lead_in, onward])[0], parameters, model, settings=law, estimator=settings.estimator
-            )
-            before = schedule_of(flown, lead)
-            assert before is not None
-            gains = before
-        whole = started(gains, main, lead_in=ticks, place=place, turns=turns)
-        ways.append(StartController(note["stop"], note["at"], ticks, turns, whole))
+    ways = [
+        start_controller(note, start_reference(reference, k), reference, parameters, settings, main)
+        for k, note in enumerate(starts)
+    ]
     reaction = (settings.drive.delay + 1) / settings.rate + settings.known_lag
     calming = calming_controller(model, limits, CalmingSettings(), reaction=reaction, seconds=RETURN_SECONDS)
-    notes = plan_notes(reference)
     last = notes["stops"][-1]["orbit"]
     return RecoveryPlan(
-        calming, tuple(ways), tuple(stop["saddle"] for stop in notes["stops"]),
+        calming, ways, tuple(stop["saddle"] for stop in notes["stops"]),
         tuple(symbol["text"] for symbol in notes["symbols"]), limits,
         reference.extra[f"orbit_{last}"][:, : model.arms], notes["orbits"][last]["period"], main,
         _reach(reference, parameters, settings),
         s.on_fall == "restart", s.attempts,
     )  # fmt: skip
+
+
+def start_controller(
+    note: StartNote,
+    lead_in: Reference | None,
+    reference: Reference,
+    parameters: ArmChainParameters,
+    settings: LoopSettings,
+    main: GainSchedule,
+) -> StartController:
+    """Return a way from rest to a stop and on along the reference; lead_in: its transfer, None from a stop at rest.
+
+    main: gains of the whole reference.
+
+    Raises:
+        GoalMissed: no controller can be made for it.
+    """
+    # Runs that do not recover do without what finds references.
+    from dpcontrol.references.find import tail
+
+    turns = 2 * np.pi * np.array(note["turns"], dtype=float)
+    gains, ticks = main, 0
+    if lead_in is not None:
+        ticks = round(lead_in.duration * settings.rate)
+        onward = tail(reference, note["at"], seconds=_ONWARD, turns=turns)
+        model = sampled_model(parameters, settings.rate, settings.known_lag)
+        law = TvlqrSettings() if isinstance(settings.controller, HoldSettings) else settings.controller
+        flown = make_controller(
+            joined([lead_in, onward])[0], parameters, model, settings=law, estimator=settings.estimator
+        )
+        before = schedule_of(flown, whole_periods(settings.drive.delay)[1])
+        assert before is not None
+        gains = before
+    whole = started(gains, main, lead_in=ticks, place=round(note["at"] * settings.rate), turns=turns)
+    return StartController(note["stop"], note["at"], ticks, turns, whole)
 
 
 def _reach(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> Reach:

@@ -21,7 +21,7 @@ After a fall the symbol that failed is done again from the stop before it; what 
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -62,7 +62,7 @@ _LOOKS, _DRIFTS = 0.1, 0.005
 """s and m/s: how often it is looked whether a cart that was stopped stands, and what counts as drifting."""
 _MEETS = 0.05
 """Between the states (rad, rad/s, m, m/s) at which a reference ends and begins for laps without a rest."""
-_LAST = 1.5
+LAST_SECONDS = 1.5
 """s at the end of a reference in which such a state is looked for: the last orbit need not end where the first begins.
 """
 
@@ -169,10 +169,13 @@ class RecoveryPlan:
     names: of the stops; symbols: their texts, fewer by one. limits: the cart's. path (M, n) rad: of the last stop's
     orbit, on any turns; period s: its own. gains: of the whole itinerary; reach: of its reference. restarts: whether
     the itinerary begins anew after a fall. attempts: of one symbol, 0 for no limit.
+
+    Further starts may be appended during a run. ready: called when the arms hang at rest; False while there is no start
+    yet, so that they go on resting.
     """
 
     calming: CalmingController
-    starts: tuple[StartController, ...]
+    starts: list[StartController]
     names: tuple[str, ...]
     symbols: tuple[str, ...]
     limits: Limits
@@ -182,6 +185,7 @@ class RecoveryPlan:
     reach: Reach
     restarts: bool = False
     attempts: int = 10
+    ready: Callable[[], bool] = lambda: True
 
 
 @dataclass(frozen=True)
@@ -227,7 +231,7 @@ class FallRecovery:
         self._bounds = {name: ticker.number(name) for name in calming_bounds(self._plan.limits)}
         ticker.prepare_to_hold()
         if self._laps:
-            self._meets = meeting_tick(ticker.references, round(_LAST / ticker.program.period))
+            self._meets = meeting_tick(ticker.references, round(LAST_SECONDS / ticker.program.period))
         return self._resumed()
 
     def _progress(self) -> str:
@@ -313,6 +317,10 @@ class FallRecovery:
                 self._fresh = True
             if over:
                 ticker.lose()
+                self._calm(k, ticker)
+            return ()
+        if not self._plan.ready():
+            if over:
                 self._calm(k, ticker)
             return ()
         rested = Choice("info", REST, f"after {(k - self._began) * period:.2f} s")

@@ -9,28 +9,47 @@ blows and noise that the uninterrupted night would have had from there on. Arms 
 On a bench in real time, over UDP, the log is written beside the loop, in a thread: a disk may take seconds.
 """
 
+import math
+import multiprocessing
+import os
 import shutil
 import sys
+import threading
+import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
+from io import BytesIO
 from math import ceil
+from multiprocessing.connection import Connection
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from dpcontrol.control.estimator_settings import extra_names
+from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
+from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
 from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.logs import LogWriter, partials_of, recover
 from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
 from dpcontrol.loop.bench import StreamReader
-from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, loop_controller, loop_recovery
+from dpcontrol.loop.loop import (
+    ControlLoop,
+    LoopSettings,
+    control_loop,
+    loop_controller,
+    loop_recovery,
+    start_controller,
+)
+from dpcontrol.loop.recovery import LAST_SECONDS, RecoveryPlan, meeting_tick
 from dpcontrol.loop.result import LogSink, LoopSink, SinkBeside
 from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.references.reference import Reference, StartNote, load_reference, plan_notes, start_reference
 from dpcontrol.review.night import Night, read_night
-from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.scenes.plan import Plan, expected_seconds
+from dpcontrol.scenes.itinerary import Itinerary, stored_itinerary
+from dpcontrol.scenes.plan import Plan, expected_seconds, make_plan, recoverable, with_kept_starts
 from dpcontrol.scenes.run import RigLink, bench_recipe, drawn_metadata, log_writer, outcome, run_metadata, watched
 
 _BYTES_A_TICK = 430
@@ -91,16 +110,25 @@ def night_itinerary(itinerary: Itinerary, *, asked: Mapping[str, object]) -> Iti
     return replace(itinerary, loop=replace(itinerary.loop, supervisor=supervisor, keep=keep))
 
 
-def announce_night(
-    itinerary: Itinerary, night: NightSettings, folder: Path, *, real_time: bool = False, yes: bool = False
-) -> None:
-    """Say what a long run will take, and refuse what is beyond the limits unless `yes`; real_time: on a rig.
+def night_cost(
+    itinerary: Itinerary,
+    night: NightSettings,
+    folder: Path,
+    *,
+    pace: float = _SPEED,
+    waits: float = 0.0,
+    real_time: bool = False,
+    yes: bool = False,
+) -> str:
+    """Return the cost of a long run in a sentence, and refuse one beyond the limits unless `yes`.
+
+    pace: simulated ticks in a second; waits s: for ways from rest; real_time: on a rig.
 
     Raises:
-        InputError: it is beyond them; says what it takes and what is allowed.
+        InputError: it is beyond the limits, or the disk is too full.
     """
     rate = itinerary.loop.rate
-    disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / _SPEED)
+    disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / pace) + waits
     stops = len(itinerary.walk) + len(itinerary.parts)
     memory = _MEMORY + expected_seconds(itinerary) * rate * (_MEMORY_A_TICK + _MEMORY_A_STOP * stops)
     cost = Cost(f"{night.hours:g} h of {itinerary.name}", seconds, memory, f"--hours {night.hours:g}")
@@ -118,7 +146,105 @@ def announce_night(
             f"{text}; an hour and {_gigabytes(MOST_DISK)} are begun unasked: thin the logs with --keep-every, ask for "
             "less, or give --yes (yes=True in Python)"
         )
-    remark(text)
+    return text
+
+
+def night_plan(itinerary: Itinerary, *, yes: bool = False, progress: Progress = no_progress) -> Plan:
+    """Return the plan of a long run's itinerary, with ways from rest to its stops only if they are in the cache.
+
+    Raises:
+        InputError, GoalMissed: as `make_plan`.
+    """
+    stops = replace(itinerary.loop, supervisor=replace(itinerary.loop.supervisor, on_fall="stop"))
+    plan = make_plan(replace(itinerary, loop=stops), yes=yes, progress=progress)
+    return with_kept_starts(replace(plan, itinerary=itinerary))
+
+
+@contextmanager
+def _starts_beside(plan: Plan, recovery: RecoveryPlan, *, waits: bool) -> Iterator[RecoveryPlan]:
+    """Plan ways from rest to the stops in a process beside the run, and append each to the recovery's as it is found.
+
+    Each transfer is kept in the cache, so nothing is lost if the run ends before. waits: a run that needs a way waits
+    for the first one, as simulated time can; otherwise its arms go on resting.
+    """
+    starts, first, problems = recovery.starts, threading.Event(), list[GoalMissed]()
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe(duplex=False)
+    scene = plan.itinerary
+    arguments = (there, scene.path, scene.loop, plan.archive, recovery.gains, 0 if waits else _GENTLE)
+    process = context.Process(target=_plan_starts, args=arguments, daemon=True)
+
+    def collect() -> None:
+        with suppress(EOFError, OSError):
+            while True:
+                one = here.recv()
+                if isinstance(one, str):
+                    remark(one)
+                elif isinstance(one, GoalMissed):
+                    problems.append(one)
+                else:
+                    starts.append(one)
+                    first.set()
+        first.set()
+
+    def ready() -> bool:
+        if waits:
+            first.wait()
+        if first.is_set() and not starts:
+            raise (
+                problems[0]
+                if problems
+                else GoalMissed(
+                    "the process that plans ways from rest ended without one; run the night again with more memory"
+                )
+            )
+        return bool(starts)
+
+    with ignoring_interrupts():
+        process.start()
+    there.close()
+    threading.Thread(target=collect, daemon=True).start()
+    try:
+        yield replace(recovery, ready=ready)
+    finally:
+        process.terminate()
+        process.join()
+
+
+_GENTLE = 10
+"""By how much less urgent planning is than a loop in real time (nice)."""
+
+
+def _plan_starts(
+    pipe: Connection, path: Path, loop: LoopSettings, archive: bytes, main: GainSchedule, nice: int
+) -> None:
+    """Send ways from rest as they are found; remarks as texts, and the error if the first stop cannot be reached.
+
+    path: the itinerary's, for messages; archive: of its plan.
+    """
+    end_with_parent()
+    if hasattr(os, "nice"):
+        os.nice(nice)
+    reference = load_reference(BytesIO(archive))
+    # The plan has the texts of itinerary and model; the objects made of them cannot be sent to another process.
+    itinerary = replace(stored_itinerary(path, reference), loop=loop)
+    arms = itinerary.model.arms
+
+    sent: list[int] = []
+
+    def found(note: StartNote, lead_in: Reference | None) -> None:
+        pipe.send(start_controller(note, lead_in, reference, arms, loop, main))
+        sent.append(note["stop"])
+
+    warnings.showwarning = lambda message, *_, **__: pipe.send(str(message))
+    try:
+        known = recoverable(Plan(itinerary, reference, Path(), cached=True), found=found).reference
+    except GoalMissed as missed:
+        pipe.send(missed)
+        return
+    for k, note in enumerate([] if sent else plan_notes(known)["starts"]):
+        # Meanwhile another process has put them into the cache.
+        found(note, start_reference(known, k))
 
 
 def _gigabytes(size: float) -> str:
@@ -163,7 +289,7 @@ def run_night(
     place = _place(folder, {**run_metadata(scene), **made_by}, night, settings.rate, resume=resume, force=force)
     since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
     controller = loop_controller(plan.reference, arms, settings)
-    recovery = loop_recovery(plan.reference, arms, settings, controller)
+    recovery = loop_recovery(plan.reference, arms, settings, controller, later=True)
     if recovery is None:
         raise InputError(
             f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, by ways from rest where '
@@ -187,9 +313,13 @@ def run_night(
             recovery=recovery, keep=False, until=until - since, progress=progress,
         )  # fmt: skip
 
-    with rolling:
+    beside = nullcontext(recovery) if recovery.starts else _starts_beside(plan, recovery, waits=link is None)
+    with rolling, beside as recovery:
         try:
             if link is None:
+                pace = _pace(plan, controller, recovery)
+                waits = 0.0 if recovery.starts else _waits(settings, recovery, pace)
+                remark(night_cost(scene, night, folder, pace=pace, waits=waits, yes=True))
                 draw = settings.draw(arms, ticks=controller.ticks + 1, uncertainty=scene.uncertainty)
                 draw = draw.endless(since=since)
                 bench = _since(settings, place.begin).bench
@@ -199,6 +329,7 @@ def run_night(
                     rig = SimulatedRig(draw, bench, limits=limits, start=start, queued=simulated.queued)
                     rolling.result(**outcome(simulated.run(rig)))
             else:
+                remark(night_cost(scene, night, folder, real_time=True, yes=True))
                 ticks = until - since + round(_BRAKING * settings.rate)
                 recipe = replace(bench_recipe(plan, controller), recovering=ticks)
                 with _switching_soon(), SinkBeside(LogSink(rolling)) as log, watched(plan, log, live=live) as sink:
@@ -214,6 +345,37 @@ def run_night(
     return read_night(folder)
 
 
+def _pace(plan: Plan, controller: Controller, recovery: RecoveryPlan) -> float:
+    """Return how many ticks a second are simulated and logged here, by a trial of some of them."""
+    scene, settings = plan.itinerary, plan.itinerary.loop
+    limits, until = settings.limits(plan.reference), round(_TRIAL * settings.rate)
+    draw = settings.draw(scene.model.arms, ticks=controller.ticks + 1, uncertainty=scene.uncertainty).endless()
+    with TemporaryDirectory() as folder, log_writer(plan, Path(folder) / "trial.mcap") as writer:
+        loop = control_loop(
+            scene.model.arms, settings, controller, limits=limits, sink=LogSink(writer), recovery=recovery, keep=False,
+            until=until,
+        )  # fmt: skip
+        rig = SimulatedRig(draw, settings.bench, limits=limits, start=controller.first_state, queued=loop.queued)
+        return until / loop.run(rig).elapsed
+
+
+_TRIAL = 1.5
+"""s, simulated."""
+
+
+def _waits(settings: LoopSettings, recovery: RecoveryPlan, pace: float) -> float:
+    """Return for how long a simulated night will wait for its first way from rest, s.
+
+    It is needed where laps begin from rest, or after a blow.
+    """
+    references, blows = recovery.gains.references, settings.disturbances.knocks_per_minute
+    laps = meeting_tick(references, round(LAST_SECONDS * settings.rate)) is None
+    needed = min(len(references) if laps else math.inf, 60 * settings.rate / blows if blows else math.inf)
+    return max(0.0, (_START_TICKS - needed) / pace) if math.isfinite(needed) else 0.0
+
+
+_START_TICKS = 170_000
+"""Ticks that are simulated while one way from rest is planned."""
 _BRAKING = 2.0
 """s for which a bench must go on beyond a night's end, at which the cart is braked."""
 

@@ -241,8 +241,25 @@ def make_plan(
     return plan
 
 
-def recoverable(plan: Plan, *, fresh: bool = False, progress: Progress = no_progress) -> Plan:
+def with_kept_starts(plan: Plan) -> Plan:
+    """Return a plan with ways from rest to its stops if its runs need them and the cache has all of them."""
+    scene = plan.itinerary
+    if scene.loop.supervisor.on_fall == "stop" or "starts" in plan.notes or not plan.converged:
+        return plan
+    file = _starts_file(scene)
+    content = kept(file)
+    return plan if content is None else Plan(scene, load_reference(BytesIO(content)), file, plan.cached)
+
+
+def _starts_file(scene: Itinerary) -> Path:
+    content = [plan_key(scene), scene.loop.travel, code_hash("dpcontrol.scenes.starts")]
+    return cache_file("plans", f"{scene.name}-starts", content_hash(json.dumps(content)))
+
+
+def recoverable(plan: Plan, *, fresh: bool = False, progress: Progress = no_progress, **listening: Any) -> Plan:
     """Return a plan with ways from rest to its stops, where its runs go on after a fall; from the cache unless `fresh`.
+
+    listening: `found` of `planned_starts`, which is called with each start that is not in the cache.
 
     Raises:
         GoalMissed: the first stop cannot be reached from rest.
@@ -250,19 +267,19 @@ def recoverable(plan: Plan, *, fresh: bool = False, progress: Progress = no_prog
     scene = plan.itinerary
     if scene.loop.supervisor.on_fall == "stop" or "starts" in plan.notes or not plan.converged:
         return plan
-    content = [plan_key(scene), scene.loop.travel, code_hash("dpcontrol.scenes.starts")]
-    file = cache_file("plans", f"{scene.name}-starts", content_hash(json.dumps(content)))
-    if not fresh and (found := kept(file)) is not None:
-        return Plan(scene, load_reference(BytesIO(found)), file, plan.cached)
+    if not fresh and "starts" in (known := with_kept_starts(plan)).notes:
+        return known
     # By name, as above: a plan without starts does not depend on what makes them.
-    starts, arrays = import_module("dpcontrol.scenes.starts").planned_starts(scene, plan.reference, progress=progress)
+    starts, arrays = import_module("dpcontrol.scenes.starts").planned_starts(
+        scene, plan.reference, progress=progress, **listening
+    )
     reference = replace(
         plan.reference,
         notes={**plan.reference.notes, "starts": starts},
         extra={**plan.reference.extra, **arrays},
     )
-    plan = Plan(scene, reference, file, cached=False)
-    keep(file, plan.archive)
+    plan = Plan(scene, reference, _starts_file(scene), cached=False)
+    keep(plan.file, plan.archive)
     return plan
 
 

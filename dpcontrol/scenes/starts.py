@@ -4,7 +4,7 @@ For each stop a transfer from rest to the plan's own reference: to a state at wh
 early in the stay, so that the feedback has settled when it ends. A stop at rest needs none.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,12 +27,21 @@ _STILL = 1e-6
 """rad, rad/s, m and m/s: from rest."""
 
 
+def no_listener(note: StartNote, lead_in: Reference | None) -> None:
+    """Ignore a start."""
+
+
 def planned_starts(
-    itinerary: Itinerary, reference: Reference, *, progress: Progress = no_progress
+    itinerary: Itinerary,
+    reference: Reference,
+    *,
+    found: Callable[[StartNote, Reference | None], None] = no_listener,
+    progress: Progress = no_progress,
 ) -> tuple[list[StartNote], dict[str, Array]]:
     """Return the notes of the starts to an itinerary's stops that there are, in their order, and their arrays.
 
-    A stop that cannot be reached from rest is left out, with a remark: the one before it is used.
+    A stop that cannot be reached from rest is left out, with a remark: the one before it is used. found: called with
+    each start as soon as it is planned, and its transfer; None for a stop at rest.
 
     Raises:
         GoalMissed: the first stop cannot be reached.
@@ -54,17 +63,19 @@ def planned_starts(
         if np.abs(first - np.pad(2 * np.pi * turns, (0, n + 2))).max() <= _STILL:
             at = float(times[places[0]])
             starts.append(StartNote(stop=stop, at=at, turns=[int(turn) for turn in turns], status="at rest"))
+            found(starts[-1], None)
             continue
         try:
-            found, place, short = _transfer(itinerary, states, places, here)
+            lead_in, place, short = _transfer(itinerary, states, places, here)
         except GoalMissed as error:
             text = f"from rest to stop {stop + 1} ({notes['stops'][stop]['saddle']}): {error}"
             if not starts:
                 raise GoalMissed(f"{itinerary.path}: on_fall: {text}") from error
             remark(f"{itinerary.path}: on_fall: {text}; after a fall the stop before it is gone to")
             continue
-        arrays |= start_arrays(len(starts), found)
-        starts.append(StartNote(stop=stop, at=float(times[place]), turns=short, status=found.status))
+        arrays |= start_arrays(len(starts), lead_in)
+        starts.append(StartNote(stop=stop, at=float(times[place]), turns=short, status=lead_in.status))
+        found(starts[-1], lead_in)
     return starts, arrays
 
 

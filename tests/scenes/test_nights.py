@@ -1,22 +1,32 @@
 """Long runs: what they will take, where they begin and go on, and a short one from end to end."""
 
 import json
+import multiprocessing
+import re
 import shutil
+import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 from dpcontrol.logs import read_log
-from dpcontrol.loop.bench import SensorSettings
+from dpcontrol.loop.bench import DisturbanceSettings, Push, SensorSettings
+from dpcontrol.loop.loop import loop_controller, loop_recovery, run_loop
+from dpcontrol.loop.recovery import FRESH_SECONDS, REST_ANGLE, REST_RATE, REST_SECONDS, StartController
+from dpcontrol.loop.result import Ending
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.night import (
     NightSettings,
+    _plan_starts,
     _since,
-    announce_night,
+    night_cost,
     night_folder,
     night_itinerary,
+    night_plan,
     run_night,
 )
 from dpcontrol.scenes.plan import make_plan
@@ -47,26 +57,35 @@ def test_what_keeps_stops_by_its_own_clock_is_left_out_of_a_night_and_that_is_sa
 def test_the_memory_of_a_night_is_that_of_its_itinerary(tmp_path: Path) -> None:
     # Measured after ten minutes: 375 MB, 490 MB and 690 MB.
     for name, megabytes in (("outer-turn", "370"), ("linger", "460"), ("round-trip", "680")):
-        with pytest.warns(Remark, match=f"about {megabytes} MB of memory|and {megabytes} MB of memory"):
-            announce_night(load_itinerary(name), NightSettings(hours=0.5), tmp_path / "night")
+        cost = night_cost(load_itinerary(name), NightSettings(hours=0.5), tmp_path / "night")
+        assert f" and {megabytes} MB of memory" in cost
 
 
-def test_what_a_night_takes_is_said_and_too_much_is_refused(tmp_path: Path) -> None:
+def test_the_cost_of_a_night_is_stated_and_too_much_is_refused(tmp_path: Path) -> None:
     folder = night_folder(tmp_path / "logs" / "turn-0.mcap")
     assert folder == tmp_path / "logs" / "turn-0"
-    night = NightSettings(hours=1.0)
-    with pytest.warns(Remark, match=r"--hours 1: 1 h of outer-turn will take about .* disk in .*: 6 files of 10 min"):
-        announce_night(TURN, night, folder)
+    cost = night_cost(TURN, NightSettings(hours=1.0), folder)
+    assert re.search(r"--hours 1: 1 h of outer-turn will take about .* disk in .*: 6 files of 10 min", cost)
     with pytest.raises(InputError, match=r"20 GB are begun unasked: thin the logs with --keep-every"):
-        announce_night(TURN, NightSettings(hours=18.0), folder)
+        night_cost(TURN, NightSettings(hours=18.0), folder)
     thinned = NightSettings(hours=11.0, keep_every=20)
     assert thinned.disk(1000.0) < NightSettings(hours=18.0).disk(1000.0) / 10
-    with pytest.warns(Remark, match="of which one in 20 is kept"):
-        announce_night(TURN, thinned, folder)
+    assert "of which one in 20 is kept" in night_cost(TURN, thinned, folder)
     with pytest.raises(InputError, match="are free there"):
-        announce_night(TURN, NightSettings(hours=9_999.0), folder, yes=True)
+        night_cost(TURN, NightSettings(hours=9_999.0), folder, yes=True)
     with pytest.raises(InputError, match=r"hours = 0"):
         NightSettings(hours=0.0)
+
+
+def test_the_time_of_a_night_follows_from_its_pace_and_from_waiting(tmp_path: Path) -> None:
+    def minutes(pace: float, waits: float = 0.0) -> str:
+        cost = night_cost(TURN, NightSettings(hours=1.0), tmp_path, pace=pace, waits=waits)
+        return str(re.findall(r"about ([\d.]+) minutes", cost)[0])
+
+    # 3,600,000 ticks.
+    assert minutes(10_000.0) == "6"
+    assert minutes(10_000.0, 60.0) == "7"
+    assert minutes(20_000.0) == "3"
 
 
 def test_what_sticks_comes_back_also_in_a_night_that_is_resumed() -> None:
@@ -75,6 +94,71 @@ def test_what_sticks_comes_back_also_in_a_night_that_is_resumed() -> None:
     assert _since(loop, 40.0).sensors == SensorSettings(stuck_at=60.0, stuck_for=10.0)
     assert _since(loop, 104.0).sensors == SensorSettings(stuck_at=0.0, stuck_for=6.0)
     assert _since(loop, 200.0).sensors == SensorSettings(stuck_for=10.0)
+
+
+@pytest.mark.slow
+def test_ways_from_rest_that_are_planned_beside_a_night_are_those_of_its_plan() -> None:
+    plan = make_plan(night_itinerary(TURN.with_run(BENCH, seed=5), asked={}))
+    arms, loop = plan.itinerary.model.arms, plan.itinerary.loop
+    controller = loop_controller(plan.reference, arms, loop)
+    known = loop_recovery(plan.reference, arms, loop, controller)
+    assert known is not None
+    here, there = multiprocessing.Pipe(duplex=False)
+    sent = []
+    # What is sent is larger than a pipe holds.
+    reader = threading.Thread(target=lambda: sent.extend(here.recv() for _ in known.starts))
+    reader.start()
+    bare = {name: note for name, note in plan.reference.notes.items() if name != "starts"}
+    archive = replace(plan, reference=replace(plan.reference, notes=bare)).archive
+    _plan_starts(there, plan.itinerary.path, loop, archive, known.gains, 0)
+    reader.join()
+    assert [start.stop for start in sent] == [start.stop for start in known.starts] == [0, 1]
+    for mine, theirs in zip(sent, known.starts, strict=True):
+        np.testing.assert_array_equal(mine.gains.rows, theirs.gains.rows)
+        assert (mine.at, mine.lead_in) == (theirs.at, theirs.lead_in)
+    assert "starts" not in make_plan(TURN).notes
+    assert "starts" in night_plan(plan.itinerary).notes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("patient", [True, False])
+def test_arms_rest_until_there_is_a_way_to_start_again(patient: bool) -> None:
+    """In real time the run goes on with resting arms; without any way it ends with the reason."""
+    blow = (Push(1.0, 1, 0.1),)
+    scene = night_itinerary(TURN.with_run(BENCH, seed=5), asked={})
+    scene = replace(scene, loop=replace(scene.loop, disturbances=DisturbanceSettings(explicit=blow)))
+    plan = make_plan(scene)
+    arms, loop = scene.model.arms, scene.loop
+    controller = loop_controller(plan.reference, arms, loop)
+    known = loop_recovery(plan.reference, arms, loop, controller)
+    assert known is not None
+    starts, asked = list[StartController](), []
+
+    def ready() -> bool:
+        asked.append(len(starts))
+        if len(asked) < 2000:
+            return False
+        if not patient:
+            raise GoalMissed("from rest to stop 1: no transfer")
+        starts.extend(known.starts)
+        return True
+
+    later = replace(known, starts=starts, ready=ready)
+    fly = partial(run_loop, plan.reference, arms, settings=loop, controller=controller, recovery=later, until=16_000)
+    if not patient:
+        with pytest.raises(GoalMissed, match="from rest to stop 1"):
+            fly()
+        return
+    ended = fly()
+    assert ended.ending is Ending.FINISHED
+    assert ended.falls == 1
+    # They rest for two seconds more than a start needs, while it is asked for once a tick.
+    assert asked == [0] * 2000
+    assert ended.ticks.truth is not None
+    angles, rates = ended.ticks.truth[:, :2], ended.ticks.truth[:, 2:4]
+    rests = (np.abs(np.sin(angles)).max(axis=1) < REST_ANGLE) & (np.abs(rates).max(axis=1) < REST_RATE)
+    changes = np.flatnonzero(np.diff(rests, prepend=False, append=False))
+    assert np.diff(changes)[::2].max() > 1e3 * (2.0 + REST_SECONDS + FRESH_SECONDS)
 
 
 @pytest.mark.slow
