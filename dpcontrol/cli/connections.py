@@ -1,5 +1,6 @@
 """The verbs of orbits and connections: orbit, connect, bifurcations, atlas."""
 
+import os
 from collections.abc import Iterable, Iterator
 from decimal import Decimal
 from pathlib import Path
@@ -477,7 +478,7 @@ def atlas_command(
     settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough))
     with progress_bar("atlas") as progress:
         found = make_atlas(load_model(model), energy, settings=settings, fresh=fresh, yes=yes, progress=progress)
-    atlas, file = found.atlas, found.file if found.file.is_file() else None
+    atlas, file = found.atlas, found.file if os.path.isfile(found.file) else None
     if out is not None:
         save_atlas(out, atlas)
         file = out

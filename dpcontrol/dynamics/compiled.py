@@ -27,14 +27,32 @@ import numpy as np
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.cache import cache_file, code_hash, compiler_folder, keep, kept
+from dpcontrol.foundation.errors import remark
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.parts import Later, installed
 
 if TYPE_CHECKING:
     import heyoka as hy
 else:
-    hy = Later("heyoka")
+    hy = Later("heyoka", lambda heyoka: _settle(heyoka))
+
+
+def _settle(heyoka: Any) -> None:
+    """Keep heyoka's machine code in this program's cache, and its log messages off stdout."""
+    # heyoka logs to stdout, where an answer in JSON would be spoilt.
+    heyoka.set_logger_level_critical()
+    state, folder = heyoka.llvm_state, compiler_folder()
+    if folder is not None:
+        state.set_diskcache_path(folder)
+        try:
+            state.get_diskcache_size()
+        except RuntimeError as error:
+            folder = None
+            remark(
+                f"heyoka's cache is not used, since it cannot be read: {error}; empty it by `dpcontrol cache --clear`"
+            )
+    state.set_diskcache_enabled(folder is not None)
 
 
 @cache

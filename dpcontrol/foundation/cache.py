@@ -2,9 +2,12 @@
 
 Folder: $DPCONTROL_CACHE, else $XDG_CACHE_HOME/dpcontrol, else ~/.cache/dpcontrol; in it one folder for each kind.
 
-Each file ends in a seal, the SHA-256 digest of its name and content, so that one that was damaged, edited or renamed is
-as good as absent. The seal stands last, where readers of .npz files pass over it. A cache that cannot be written is
-gone without.
+Each file ends in a seal, the SHA-256 digest of its name and content. A file whose seal does not match (damaged, edited,
+renamed) counts as absent. The seal stands last, where readers of .npz files pass over it. If the cache is not readable
+or not writable, results are recomputed every time, and one remark gives the reason.
+
+heyoka keeps the machine code of its integrators in a database. It lies in the same folder under `COMPILER`, and is
+listed and deleted with the rest.
 """
 
 import hashlib
@@ -16,6 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import dpcontrol
@@ -29,6 +33,10 @@ KINDS = {
     "machine-code": ".bin",
 }  # fmt: skip
 """What is kept, each kind in files of one suffix."""
+COMPILER = "heyoka"
+"""Folder of heyoka's own database."""
+_COMPILER_FILES = re.compile(r"^cache\.db(-wal|-shm|-journal)?$")
+"""Names that heyoka and SQLite give to its files."""
 _OURS = re.compile(rf"-[0-9a-f]{{16}}({'|'.join(map(re.escape, sorted(set(KINDS.values()))))})(\..+)?$")
 """How names of the cache's files end; those half written go on."""
 _SEAL = b"\nsha256:"
@@ -42,11 +50,10 @@ _WORD = re.compile(rb"\w+")
 
 def cache_root() -> Path:
     """Return the cache's folder; it need not exist."""
-    chosen = os.environ.get(VARIABLE)
-    if chosen:
-        return Path(chosen)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "dpcontrol"
+    chosen, base = os.environ.get(VARIABLE), os.environ.get("XDG_CACHE_HOME")
+    folder = chosen or str(Path(base or "~/.cache") / "dpcontrol")
+    # A shell does not expand "~" within quotes. Without a home folder the name stays as it is.
+    return Path(os.path.expanduser(folder))
 
 
 def cache_file(kind: str, name: str, key: str) -> Path:
@@ -66,15 +73,31 @@ def kept(file: Path) -> bytes | None:
 
 
 def keep(file: Path, content: bytes) -> None:
-    """Keep content where `cache_file` says; where that cannot be, remark on it and go on."""
+    """Keep content under a name of `cache_file`. If the cache is not writable, make one remark and go on."""
     try:
         write_whole(file, content + _seal(file, content))
     except InputError as error:
-        reason = getattr(error.__cause__, "strerror", None) or str(error)
-        remark(
-            f"nothing can be kept in the cache {cache_root()} ({reason}), so what is slow is computed anew each time; "
-            f"set {VARIABLE} to a folder that can be written, or free some space"
-        )
+        unusable(getattr(error.__cause__, "strerror", None) or str(error))
+
+
+def compiler_folder() -> Path | None:
+    """Return the folder of heyoka's database, ready to be written. If it is not writable, remark on it; return None."""
+    folder = cache_root() / COMPILER
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        unusable(error.strerror or str(error))
+        return None
+
+
+def unusable(reason: str) -> None:
+    """Remark that results cannot be kept, and why."""
+    remark(
+        f"the cache {cache_root()} cannot be used ({reason}), so slow results are computed every time; "
+        f"set {VARIABLE} to a writable folder, or free some space"
+    )
 
 
 def _seal(file: Path, content: bytes) -> bytes:
@@ -125,8 +148,9 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
     root = cache_root()
     kinds: dict[str, tuple[int, int]] = {}
     try:
-        for kind in KINDS:
-            sizes = [size for file in _files(root / kind) if (size := _size(file, clear=clear)) is not None]
+        for kind, names in {**dict.fromkeys(KINDS, _OURS), COMPILER: _COMPILER_FILES}.items():
+            files = _files(root / kind, names)
+            sizes = [size for file in files if (size := _size(file, clear=clear)) is not None]
             kinds[kind] = (len(sizes), sum(sizes))
     except OSError as error:
         what = f"cannot {'empty' if clear else 'look into'} the cache: {error.filename}: {error.strerror}"
@@ -144,9 +168,9 @@ def _size(file: Path, *, clear: bool) -> int | None:
     return None
 
 
-def _files(folder: Path) -> Iterator[Path]:
+def _files(folder: Path, names: re.Pattern[str]) -> Iterator[Path]:
     with suppress(FileNotFoundError, NotADirectoryError):
-        yield from (file for file in sorted(folder.iterdir()) if _OURS.search(file.name) and file.is_file())
+        yield from (file for file in sorted(folder.iterdir()) if names.search(file.name) and file.is_file())
 
 
 @cache

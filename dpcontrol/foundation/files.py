@@ -37,9 +37,13 @@ def checked_target(path: Path) -> None:
     """Reject a target that is a folder, a device or the like: a rename would take its place.
 
     Raises:
-        InputError: `path` is a folder, a device or the like.
+        InputError: `path` is a folder, a device or the like, or its folder may not be searched.
     """
-    if path.exists() and not path.is_file():
+    try:
+        wrong = path.exists() and not path.is_file()
+    except OSError as error:
+        raise unwritable(path, error) from error
+    if wrong:
         what = "a folder" if path.is_dir() else "not a regular file"
         raise InputError(f"cannot write {path}: it is {what}; choose another file name")
 

@@ -7,6 +7,7 @@ A system for which a package is not made, and an installation without an extra, 
 
 import importlib
 import platform
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any
@@ -44,17 +45,21 @@ def installed(name: str) -> bool:
 
 
 class Later:
-    """A package that is imported when something of it is first asked for.
+    """A package that is imported on first use; prepare: called with the package before anything else uses it.
 
     Raises:
-        PartMissing: then, where it cannot be imported.
+        PartMissing: on use, if the package cannot be imported.
     """
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, name: str, prepare: Callable[[Any], None] | None = None) -> None:
+        self._name, self._prepare = name, prepare
 
     def __getattr__(self, name: str) -> Any:
-        value = getattr(part(self._name), name)
+        package = part(self._name)
+        if self._prepare is not None:
+            prepare, self._prepare = self._prepare, None
+            prepare(package)
+        value = getattr(package, name)
         # Found without this function from now on.
         setattr(self, name, value)
         return value

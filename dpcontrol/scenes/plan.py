@@ -5,6 +5,7 @@ so that a log that carries the reference can be scored and reviewed alone.
 """
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -115,7 +116,7 @@ class Plan(ByReference):
             **{key: self.notes[key] for key in ("walk", "wraps", "shadowing")},
             "transfers": self.notes.get("taken", []),
             "reference": {"intervals": len(self.reference.mesh) - 1, **picked(self.reference, *figures)},
-            "file": self.file if self.converged and self.file.is_file() else None,
+            "file": self.file if self.converged and os.path.isfile(self.file) else None,
             **picked(self, "cached", "status"),
         }
 

@@ -3,6 +3,8 @@
 import errno
 import os
 import re
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from dpcontrol.foundation.cache import KINDS, cache_contents, cache_file, keep, 
 from dpcontrol.foundation.errors import Remark
 
 KEY = "0123456789abcdef"
+COMPILER = "heyoka"
 
 
 @pytest.fixture
@@ -93,7 +96,7 @@ def test_the_verb_shows_the_cache_and_empties_it(root: Path) -> None:
     assert shown["folder"] == str(root)
     assert shown["variable"] == "DPCONTROL_CACHE"
     assert shown["kinds"]["plans"]["entries"] == shown["entries"] == 1
-    assert set(shown["kinds"]) == set(KINDS)
+    assert set(shown["kinds"]) == {*KINDS, COMPILER}
     assert f"emptied {root}: 1 entry" in dpcontrol("cache", "--clear").stdout
     assert dpcontrol("cache", "--json").document["entries"] == 0
 
@@ -116,6 +119,77 @@ def test_a_cache_that_cannot_be_emptied_is_a_sentence(root: Path, monkeypatch: p
     assert ended.code == 2
     assert "cannot empty the cache" in ended.message
     assert "DPCONTROL_CACHE" in ended.message
+
+
+def forbidden(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Let the system refuse every look into a folder, as it refuses users who may not search it."""
+    plain = os.stat
+
+    def refused(path: object, **options: object) -> os.stat_result:
+        if isinstance(path, str | os.PathLike) and folder in Path(path).parents:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return plain(path, **options)
+
+    monkeypatch.setattr(os, "stat", refused)
+
+
+def test_a_cache_that_may_not_be_searched_counts_as_none_and_is_named_once(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root.mkdir()
+    forbidden(monkeypatch, root)
+    with warnings.catch_warnings(record=True) as made:
+        warnings.simplefilter("default", Remark)
+        for kind in KINDS:
+            assert kept(cache_file(kind, "turn", KEY)) is None
+            keep(cache_file(kind, "turn", KEY), b"content")
+    (remark,) = made
+    assert "Permission denied" in str(remark.message)
+
+
+def test_an_overlong_folder_of_the_cache_counts_as_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / ("c" * 300)))
+    file = cache_file("plans", "turn", KEY)
+    with pytest.warns(Remark, match=os.strerror(errno.ENAMETOOLONG)):
+        keep(file, b"content")
+    assert kept(file) is None
+
+
+def test_a_tilde_in_the_variable_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("DPCONTROL_CACHE", "~/kept")
+    assert cache_file("plans", "turn", KEY).parent == tmp_path / "kept" / "plans"
+
+
+COMPILES = "from dpcontrol.dynamics.compiled import hy; x = hy.make_vars('x'); hy.cfunc([x * x], [x]); print('{}')"
+
+
+def compiled(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Compile a formula in a process of its own, whose home is empty."""
+    env = {**os.environ, "DPCONTROL_CACHE": str(folder), "XDG_CACHE_HOME": "", "HOME": str(folder.parent / "home")}
+    return subprocess.run([sys.executable, "-c", COMPILES], env=env, capture_output=True, text=True, check=True)
+
+
+def test_machine_code_of_heyoka_is_kept_listed_and_emptied_with_the_cache(root: Path) -> None:
+    compiled(root)
+    assert not (root.parent / "home").exists()
+    size = (root / COMPILER / "cache.db").stat().st_size
+    assert cache_contents().kinds[COMPILER] == (1, size)
+    cache_contents(clear=True)
+    assert not any((root / COMPILER).iterdir())
+
+
+@pytest.mark.parametrize("damage", ["database", "folder"])
+def test_a_cache_of_heyoka_that_fails_spoils_no_answer(root: Path, damage: str) -> None:
+    root.mkdir()
+    if damage == "folder":
+        (root / COMPILER).write_text("in the way")
+    else:
+        (root / COMPILER).mkdir()
+        (root / COMPILER / "cache.db").write_text("no database " * 100)
+    done = compiled(root)
+    assert done.stdout == "{}\n"
+    assert done.stderr.count("Remark: ") == 1
 
 
 def test_every_kind_is_written_by_what_makes_it() -> None:
