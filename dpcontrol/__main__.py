@@ -15,6 +15,8 @@ def main() -> None:
     # Matrices are small here: threads of a BLAS cost more than they bring, up to four times the seconds on two cores,
     # and let the last digits depend on how many there are.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    # Notebooks set a backend that other programs may not have. Pictures are files here, and need none.
+    os.environ["MPLBACKEND"] = "agg"
     # The command line's own imports take a while; nothing is begun before they are done.
     signal.signal(signal.SIGINT, _ended_at_once)
     from dpcontrol.foundation.interrupts import end_by_force_where_deaf, interrupt_taken

@@ -5,8 +5,10 @@ time, phase planes, symbols and events. The helpers for figures, frames, axes in
 other page and figure too.
 """
 
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from textwrap import shorten, wrap
 from typing import Any
@@ -47,17 +49,58 @@ _BINS = 1500
 DOTTED, DASHED = (0, (2, 2)), (0, (5, 3))
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook displays as the value of a cell, and that `show` displays elsewhere.
+
+    pyplot does not manage it: a figure that pyplot manages appears a second time at the end of a notebook's cell.
+    """
+
+    def _repr_png_(self) -> bytes:
+        _literal_texts(self)
+        picture = BytesIO()
+        self.savefig(picture, format="png")
+        return picture.getvalue()
+
+    def show(self, warn: bool = True) -> None:
+        """Display the figure once: below the cell of a notebook, elsewhere in a window that blocks until it is closed.
+
+        warn: has no effect; pyplot itself warns if its backend has no windows.
+        """
+        shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+        if hasattr(shell, "kernel"):
+            sys.modules["IPython"].display.display(self)
+            return
+        from matplotlib import pyplot
+
+        _literal_texts(self)
+        # A window is made for a figure of pyplot's, and then shows this one.
+        canvas = pyplot.figure(figsize=self.get_size_inches()).canvas
+        canvas.figure = self
+        self.set_canvas(canvas)
+        pyplot.show()
+
+
 def new_figure(width: float, height: float, title: str = "") -> Figure:
     """Return an empty white figure of a size in inches with a title."""
-    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
+    figure = ShownFigure(figsize=(width, height), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)
     if title:
         figure.suptitle(title, x=0.015, y=0.985, ha="left", va="top", fontsize=13, weight="bold", color=style.INK)
     return figure
 
 
+def _literal_texts(figure: Figure) -> None:
+    """Have texts drawn as they are: a dollar sign begins no formula, and control characters are written out."""
+    for text in figure.findobj(Text):
+        # The ticks of a logarithmic axis are formulas of matplotlib's own.
+        if isinstance(text, Text) and "$" in text.get_text() and "\\mathdefault" not in text.get_text():
+            text.set_parse_math(False)
+        if isinstance(text, Text):
+            text.set_text(printable(text.get_text()))
+
+
 def save_figure(figure: Figure, path: Path | str) -> None:
-    """Write a figure as PNG or PDF, by the name's suffix. A dollar sign in a user's text is no formula.
+    """Write a figure as PNG or PDF, by the name's suffix.
 
     Raises:
         InputError: the file cannot be written.
@@ -66,12 +109,7 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("png", "pdf"):
         raise InputError(f"{path}: a picture is a .png or .pdf file; choose a name that ends so")
-    for text in figure.findobj(Text):
-        # The ticks of a logarithmic axis are formulas of matplotlib's own.
-        if isinstance(text, Text) and "$" in text.get_text() and "\\mathdefault" not in text.get_text():
-            text.set_parse_math(False)
-        if isinstance(text, Text):
-            text.set_text(printable(text.get_text()))
+    _literal_texts(figure)
     with whole_file(path, suffix=f".{kind}") as temporary:
         try:
             figure.savefig(temporary, format=kind)
