@@ -4,7 +4,9 @@ What stands still (title, track, limits, the story over time) is drawn once by m
 drawn over it for each frame by Pillow: the reference's ghost, the tip's path, cart, arms, and a cursor in the story.
 """
 
+import errno
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -300,8 +302,17 @@ def _write_mp4(film: Film, file: Path, progress: Progress) -> None:
     try:
         for frame in _shown(film, progress):
             writer.send(frame.crop((0, 0, width, height)).tobytes())
+    except OSError:
+        # ffmpeg has ended, which its frames show below; the error repeats all of its output.
+        pass
     finally:
         writer.close()
+    # The exit code of ffmpeg is not passed on.
+    count = 0
+    with suppress(RuntimeError, OSError):
+        count, _ = imageio_ffmpeg.count_frames_and_secs(str(file))
+    if count < len(film.times):
+        raise OSError(errno.EIO, f"ffmpeg wrote {count} of {len(film.times)} frames, as on a full disk")
 
 
 _WRITERS = {".gif": _write_gif, ".webp": _write_webp, ".mp4": _write_mp4}

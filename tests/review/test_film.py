@@ -137,3 +137,26 @@ def test_ten_seconds_stay_within_three_megabytes(tmp_path) -> None:
     """Slow: 250 frames in each of two formats, of arms that turn all the time, the most that can change."""
     for suffix in (".gif", ".webp"):
         assert write_film(swinging(10.0), tmp_path / f"ten{suffix}").stat().st_size <= 3e6
+
+
+CUT = """#!{python}
+import subprocess, sys
+done = subprocess.run(["{ffmpeg}", *sys.argv[1:]])
+if sys.argv[-1].endswith(".mp4"):
+    with open(sys.argv[-1], "r+b") as file:
+        file.truncate(file.seek(0, 2) // 2)
+sys.exit({code})
+"""
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_a_film_that_ffmpeg_cannot_finish_is_an_error_and_leaves_nothing(tmp_path, monkeypatch, code) -> None:
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    ffmpeg = tmp_path / "bin" / "ffmpeg"
+    ffmpeg.parent.mkdir()
+    ffmpeg.write_text(CUT.format(python=sys.executable, ffmpeg=imageio_ffmpeg.get_ffmpeg_exe(), code=code))
+    ffmpeg.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(ffmpeg))
+    with pytest.raises(InputError, match=r"film\.mp4: ffmpeg wrote 0 of 5 frames"):
+        write_film(swinging(0.16), tmp_path / "film.mp4")
+    assert [file.name for file in tmp_path.iterdir()] == ["bin"]
