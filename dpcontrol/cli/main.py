@@ -5,11 +5,13 @@ import errno
 import importlib
 import os
 import shlex
+import shutil
 import sys
 import tempfile
 import traceback
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from io import StringIO, TextIOWrapper
 from typing import Any
 
@@ -18,7 +20,7 @@ import click
 import dpcontrol
 from dpcontrol.cli.verbs import DEBUG, Call, print_json, say
 from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Remark
-from dpcontrol.foundation.interrupts import interrupts
+from dpcontrol.foundation.interrupts import interrupts, terminated
 
 GROUPS = {
     "Start": {
@@ -136,7 +138,7 @@ def cli() -> None:
     unless --force is given. What is only drawn or computed from files, as pictures and plans, is replaced.
 
     Exit status: 0 done, 1 goal missed (with the reason), 2 bad input, 70 an error of dpcontrol itself (with the file
-    that its report needs), 130 interrupted, 137 interrupted where only force could end a computation.
+    that its report needs), 130 interrupted, 143 ended by SIGTERM, 137 ended by force if a computation does not stop.
     """
 
 
@@ -170,9 +172,10 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _interrupted(error: BaseException) -> int:
-    say("dpcontrol: interrupted; what was finished is kept")
+    how, code = ("ended by SIGTERM", 143) if terminated() else ("interrupted", 130)
+    say(f"dpcontrol: {how}; what was finished is kept")
     _echo_notes(error)
-    return 130
+    return code
 
 
 def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
@@ -182,7 +185,7 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
     elif isinstance(error, InputError | PartMissing):
         sentence, code = str(error), 2
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        sentence, code = "no space left where the output goes; nothing more was written", 1
+        sentence, code = _full(error), 1
     elif isinstance(error, MemoryError):
         sentence, code = "there is not enough memory for this; ask for less at once", 1
     elif isinstance(error, OSError) and error.filename is not None:
@@ -197,6 +200,15 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
     say(f"dpcontrol: {sentence.replace(chr(10), chr(92) + 'n')}")
     _echo_notes(error)
     return code
+
+
+def _full(error: OSError) -> str:
+    """Return the sentence about a full disk: that of the output, or that of temporary files."""
+    folder = tempfile.gettempdir()
+    with suppress(OSError):
+        if str(error.filename or "").startswith(folder) or shutil.disk_usage(folder).free == 0:
+            return f"no space left in the folder of temporary files, {folder}; free some, or set TMPDIR to another"
+    return "no space left where the output goes; nothing more was written"
 
 
 def _unforeseen(error: Exception, arguments: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from dpcontrol.cli.verbs import (
     Answer,
     TextTable,
     argument,
+    claim,
     drawn_to,
     file_option,
     force_option,
@@ -78,7 +79,7 @@ def import_command(
         else:
             recording = import_recording(file, mapping, repairs=repairs, progress=progress)
         progress("writing", 0.7)
-        log = write_recording(recording, out or Path("logs") / f"{recording.name}.mcap", force=force)
+        log = write_recording(recording, claim(out or Path("logs") / f"{recording.name}.mcap"), force=force)
     against = "" if own is None else contradiction(recording, own.arms, model=own.name)
     remarks = [*constant_angles(recording), *filter(None, [against])]
     for sentence in remarks:
@@ -130,7 +131,7 @@ def identify_command(
 
     start = load_model(model)
     recordings = [load_recording(path) for path in logs]
-    target, names = out or Path("models") / f"{logs[0].stem}.toml", [path.name for path in logs]
+    target, names = claim(out or Path("models") / f"{logs[0].stem}.toml"), [path.name for path in logs]
     check_model_replaced(target, logs=names, starting_model=start.name, force=force)
     with progress_bar("identify") as progress:
         found = api.identify(recordings, model=start, zeros=zeros, progress=progress)
@@ -228,7 +229,7 @@ def replay_command(
     from dpcontrol.recordings.recording import load_recording
     from dpcontrol.scenes.model import load_model
 
-    target = out or Path("logs") / f"{log.stem}-replay.mcap"
+    target = claim(out or Path("logs") / f"{log.stem}-replay.mcap")
     checked_other_file(target, log, what="the log to replay")
     settings = ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
     filters = filter_settings(estimator, model_error=model_error)

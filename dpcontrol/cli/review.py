@@ -14,6 +14,7 @@ from dpcontrol.cli.verbs import (
     Answer,
     TextTable,
     argument,
+    claim,
     file_option,
     force_option,
     option,
@@ -238,7 +239,7 @@ def report_command(
     from dpcontrol.foundation.files import checked_source
 
     # A folder may be named by "." alone.
-    picture = picture or file.parent / f"{file.stem or file.resolve().name}-report.png"
+    picture = claim(picture or file.parent / f"{file.stem or file.resolve().name}-report.png")
     of_night, of_campaign = file.is_dir(), file.suffix.lower() == ".parquet"
     if not of_night:
         checked_source(file)

@@ -24,6 +24,7 @@ from dpcontrol.cli.verbs import (
     Several,
     TextTable,
     argument,
+    claim,
     file_option,
     force_option,
     option,
@@ -136,7 +137,7 @@ def run_command(
         raise click.UsageError("--controller-program controls the example bench of a run: give --rig udp as well")
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"--controller-program {program}: there is no such program that may be run; compile it first")
-    from dpcontrol.review.picture import check_viewer
+    from dpcontrol.review.picture import LIVE_REMEDY, check_viewer
     from dpcontrol.scenes.evidence import run_remarks
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
@@ -146,10 +147,10 @@ def run_command(
     if live:
         if program is not None:
             raise click.UsageError("--live shows what the loop does, and a program does it here: give one of them")
-        check_viewer()
+        check_viewer(LIVE_REMEDY)
     link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
-    out = out or default_log(scene)
+    out = claim(out or default_log(scene))
     if hours is not None:
         from dpcontrol.scenes.night import (
             NightSettings,
@@ -219,7 +220,7 @@ def _repeat(source: Path, out: Path | None, force: bool) -> Answer:
     from dpcontrol.scenes.run import repeat_run, repeated_log
 
     with progress_bar("run") as progress:
-        done = repeat_run(source, out or repeated_log(source), force=force, progress=progress)
+        done = repeat_run(source, claim(out or repeated_log(source)), force=force, progress=progress)
     same, verdict = done.comparison, done.score
     repeated = {"of": source, "identical_messages": same.messages, "difference": same.difference}
     lines = [*score_text(verdict), f"  repeats {source}: {same.messages:,} messages are identical"]
@@ -526,7 +527,7 @@ def campaign_command(
         cases = standard_cases(scene, fixed=fixed, controllers=controllers)
     else:
         cases = cases_of(scene, fixed=fixed, over=varied)
-    file = out or Path("logs") / f"{scene.name}{'-transitions' if transitions else ''}.parquet"
+    file = claim(out or Path("logs") / f"{scene.name}{'-transitions' if transitions else ''}.parquet")
     # What writes the table, before the plan, which can take minutes.
     part("pyarrow")
     with progress_bar("campaign") as progress:
@@ -604,7 +605,7 @@ def preflight_command(
     scene = load_itinerary(itinerary)
     settings = PreflightSettings(runs=runs, first_seed=seed_from, workers=workers)
     scene.with_run(fixed)
-    page = picture or Path("logs") / f"{scene.name}-preflight.pdf"
+    page = claim(picture or Path("logs") / f"{scene.name}-preflight.pdf")
     checked_target(page)
     with progress_bar("preflight") as progress:
         plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)

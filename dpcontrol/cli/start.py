@@ -15,6 +15,7 @@ from dpcontrol.cli.verbs import (
     Markdown,
     TextTable,
     argument,
+    claim,
     force_option,
     option,
     table,
@@ -55,7 +56,7 @@ def demo_command(
 
         plan = api.plan(itinerary, yes=yes, progress=part_of(progress, 0.05, 0.5))
         scene = plan.itinerary
-        log = folder / f"{scene.name}-{seed}.mcap"
+        log = claim(folder / f"{scene.name}-{seed}.mcap")
         run = api.run(plan, seed=seed, log=log, force=force, progress=part_of(progress, 0.5, 0.75))
         verdict, view = run.score(), run_view(run.log)
         recording = log.with_suffix(".rrd") if installed("rerun") else None

@@ -8,9 +8,10 @@ def score_command(*, logs: tuple[Path, ...] = argument(), seed: int = option(def
 import inspect
 import json
 import math
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from types import UnionType
@@ -26,11 +27,28 @@ OUTPUT, WORK = "Output", "Work"
 
 @dataclass
 class Call:
-    """One call of the program: whether it asked for JSON, for tracebacks, and whether its answer was shown."""
+    """One call of the program: whether it asked for JSON or tracebacks, whether its answer was shown, its files."""
 
     as_json: bool = False
     debug: bool = False
     shown: bool = False
+    files: set[Path] = field(default_factory=set)
+
+
+def claim(file: Path) -> Path:
+    """Keep other commands from writing a file until this one ends; return the file.
+
+    Raises:
+        InputError: another command is writing it.
+    """
+    from dpcontrol.foundation.files import claimed
+
+    context = click.get_current_context()
+    files, place = context.ensure_object(Call).files, Path(os.path.realpath(file))
+    if place not in files:
+        files.add(place)
+        context.with_resource(claimed(file))
+    return file
 
 
 def note_debug(context: click.Context, param: click.Parameter, value: bool) -> None:
@@ -220,7 +238,10 @@ def verb(
             click.get_current_context().ensure_object(Call).as_json = as_json
             for param in params:
                 if isinstance(param, Option):
-                    param.check(given.get(str(param.name)))
+                    value = given.get(str(param.name))
+                    param.check(value)
+                    if param.group == OUTPUT and isinstance(value, Path) and param.type is not FOLDER:
+                        claim(value)
             for name, group in groups.items():
                 given[name] = group.make(**{str(one.name): given.pop(str(one.name)) for one in group.options})
             answer = function(**given)

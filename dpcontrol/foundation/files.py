@@ -33,19 +33,63 @@ import numpy as np
 from dpcontrol.foundation.errors import InputError
 
 
-def checked_target(path: Path) -> None:
-    """Reject a target that is a folder, a device or the like: a rename would take its place.
+def checked_target(path: Path) -> Path:
+    """Return the place to write: `path`, or the file that it links to. A rename would otherwise replace the link.
 
     Raises:
-        InputError: `path` is a folder, a device or the like, or its folder may not be searched.
+        InputError: `path` is a folder, a device or the like, leads to itself, or its folder may not be searched.
     """
     try:
-        wrong = path.exists() and not path.is_file()
+        place = Path(os.path.realpath(path)) if path.is_symlink() else path
+        if place.is_symlink():
+            raise InputError(f"cannot write {path}: it is a link that leads to itself; choose another file name")
+        wrong = place.exists() and not place.is_file()
     except OSError as error:
         raise unwritable(path, error) from error
     if wrong:
-        what = "a folder" if path.is_dir() else "not a regular file"
+        what = "a folder" if place.is_dir() else "not a regular file"
         raise InputError(f"cannot write {path}: it is {what}; choose another file name")
+    return place
+
+
+@contextmanager
+def claimed(path: Path) -> Iterator[None]:
+    """Keep other commands of this user from writing `path` while the block runs.
+
+    A claim is a lock on a file in the temporary folder. If the folder is not writable, or the system has no locks,
+    nothing is claimed.
+
+    Raises:
+        InputError: another command is writing it.
+    """
+    try:
+        import fcntl
+
+        owner = os.getuid()
+        place = os.path.join(tempfile.gettempdir(), f"dpcontrol-{owner}-{content_hash(os.path.realpath(path))}.lock")
+        handle = os.open(place, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except (ImportError, OSError):
+        yield
+        return
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # Its last owner may have removed the file between opening and locking.
+        lost = not os.path.exists(place) or os.stat(place).st_ino != os.fstat(handle).st_ino
+    except BlockingIOError:
+        lost = True
+    except OSError:
+        lost = False
+    try:
+        if lost:
+            raise InputError(
+                f"cannot write {path}: another dpcontrol command is writing it; wait for it, or choose another name"
+            )
+        try:
+            yield
+        finally:
+            os.unlink(place)
+    finally:
+        os.close(handle)
 
 
 def checked_source(path: Path | str) -> Path:
@@ -119,8 +163,7 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     Raises:
         InputError: the folder cannot be made or written to, or `path` is a folder or a device.
     """
-    path = Path(path)
-    checked_target(path)
+    path = checked_target(Path(path))
     # A name of any length leaves room for what is added to it.
     prefix, suffix = f".{path.name[:40]}.", suffix or ".partial"
     try:
@@ -188,7 +231,7 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
     Raises:
         InputError: the folder is there and holds something else, or cannot be written.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path)) if Path(path).is_symlink() else Path(path)
     if path.exists() and not path.is_dir():
         raise InputError(f"cannot write {path}: it is a file; choose another folder")
     try:

@@ -1,4 +1,4 @@
-"""Ctrl-C: a KeyboardInterrupt, and another one where the first was swallowed.
+"""Ctrl-C and SIGTERM: a KeyboardInterrupt, and another one where the first was swallowed.
 
 Other code may take an interrupt for its own, make another error of it, or return as if it had merely failed, and the
 program goes on. So a timer looks again, until what runs the command line has caught the interrupt: where nothing on the
@@ -22,7 +22,7 @@ from typing import Any
 
 _AGAIN = 0.2  # s; clean-up that is under way is not disturbed, however long it takes
 _raised: list[int] = []
-"""Signals for which KeyboardInterrupt was raised and not yet answered; there is one SIGINT to a process."""
+"""Signals for which KeyboardInterrupt was raised and not yet answered: SIGINT, SIGTERM, and the timer's."""
 _PATIENCE = 0.7  # s; in which the interpreter takes an interrupt, else the program is ended by force
 _TAKEN = b"\0"
 _BY_FORCE = b"dpcontrol: interrupted, by force, in a computation that could not stop; what was finished is kept\n"
@@ -60,13 +60,14 @@ def end_by_force_where_deaf() -> None:
 
 def _watch(heard: int, program: int) -> None:
     """Kill a program that was sent an interrupt and did not take it in time, until it has ended."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     # Whoever reads the program's output waits for nothing else.
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
     while last := os.read(heard, 4096):
-        while last[-1] in (signal.SIGINT, signal.SIGALRM):
+        while last[-1] in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
             if not select.select([heard], [], [], _PATIENCE)[0]:
                 os.write(2, _BY_FORCE)
                 os.kill(program, signal.SIGKILL)
@@ -84,7 +85,7 @@ def interrupt_taken() -> None:
 
 @contextmanager
 def interrupts() -> Iterator[None]:
-    """Make Ctrl-C raise KeyboardInterrupt, in the block until it is left by it, and whatever else the block ends with.
+    """Have Ctrl-C and SIGTERM raise KeyboardInterrupt in the block until it ends, whatever else the block ends with.
 
     Only the main thread may set handlers; called from another, Python's own stay.
     """
@@ -111,12 +112,14 @@ def interrupts() -> Iterator[None]:
         return
     _raised.clear()
     signal.signal(signal.SIGINT, interrupted)
+    on_terminate = signal.signal(signal.SIGTERM, interrupted)
     before = signal.signal(signal.SIGALRM, looked_again) if insists else None
     try:
         # Imports report an interrupt as an error of their own, and a search as one that did not converge.
         with _meant_by_all_errors(0):
             yield
     finally:
+        signal.signal(signal.SIGTERM, on_terminate)
         if insists:
             # Whatever still comes sets no alarm: nobody would hear it, and it would end the program.
             insists = False
@@ -147,6 +150,11 @@ def heeding_interrupts() -> Iterator[None]:
             yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def terminated() -> bool:
+    """Return whether the interrupt that ended the block of `interrupts` was a SIGTERM."""
+    return signal.SIGTERM in _raised
 
 
 def forget_interrupts() -> None:

@@ -140,6 +140,9 @@ class Table:
         simple = [name for name in readers if name not in given]
         values.update({name: getattr(self, readers[name])(name) for name in simple if name in self})
         self.finish(also=[*simple, *also])
+        for one in fields(kind):
+            if one.name not in values and one.default is MISSING and one.default_factory is MISSING:
+                raise InputError(f"{self.where()} the key {one.name!r} is missing")
         return self.checked(kind, **values)
 
     def checked(self, kind: type[T], /, **values: Any) -> T:
@@ -185,10 +188,17 @@ class Table:
 def suggest(value: str, choices: Iterable[str]) -> str:
     """Return what is allowed instead of `value`, the nearest spelling first."""
     choices = [str(choice) for choice in choices]
-    close = difflib.get_close_matches(value, choices, n=1)
+    close = nearest(value, choices)
     if close:
-        return f"did you mean {close[0]!r}? Allowed: {', '.join(choices)}"
+        return f"did you mean {close!r}? Allowed: {', '.join(choices)}"
     return f"allowed: {', '.join(choices)}"
+
+
+def nearest(value: str, choices: Iterable[str]) -> str:
+    """Return the choice that is spelt most like `value`, in capitals or not; "" if none is much like it."""
+    spelt = {choice.casefold(): choice for choice in choices}
+    close = difflib.get_close_matches(value.casefold(), spelt, n=1)
+    return spelt[close[0]] if close else ""
 
 
 def read_toml(path: Path) -> tuple[Table, str]:

@@ -459,9 +459,9 @@ class LogWriter:
 
     def __enter__(self) -> "LogWriter":
         try:
+            self.path = checked_target(self.path)
             self._made = not self.path.parent.exists()
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            checked_target(self.path)
             self.partial, self._stream = open_partial(self.path)
             self._file = McapFile(self._stream, library=f"dpcontrol {dpcontrol.__version__}", level=self._compression)
             self._file.add_metadata(layout.RUN_RECORD, self._metadata)

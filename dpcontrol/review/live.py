@@ -61,12 +61,12 @@ class LiveView:
     """
 
     def __init__(self, start: RunLog, *, viewer: str = "") -> None:
-        from dpcontrol.review.picture import check_viewer
+        from dpcontrol.review.picture import LIVE_REMEDY, check_viewer
 
         if sys.platform == "win32":
             raise InputError("a live view needs pipes as Linux and macOS have them; review the log after the run")
         if not viewer:
-            check_viewer()
+            check_viewer(LIVE_REMEDY)
         self._start, self._viewer = start, viewer
         self._every, self._left = max(1, round(start.rate_hz / RATE)), 0
         self._pipe = -1

@@ -65,8 +65,12 @@ sys.exit(code != 0)
 """A program that waits for the viewer's end and removes the folder that was made for it."""
 
 
-def check_viewer() -> Path:
-    """Return the viewer's executable.
+REVIEW_REMEDY = "write a file with --picture FILE.png or --save FILE.rrd"
+LIVE_REMEDY = "leave out --live, and draw the log with `dpcontrol review LOG --picture FILE.png`"
+
+
+def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
+    """Return the viewer's executable; remedy: what a user without a display can do instead.
 
     Raises:
         InputError: there is none, or no display to open it on.
@@ -78,8 +82,7 @@ def check_viewer() -> Path:
         raise InputError("the installed rerun-sdk holds no viewer; install rerun-sdk from PyPI again")
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError(
-            "there is no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); write a file with "
-            "--picture FILE.png or --save FILE.rrd"
+            f"there is no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); {remedy}"
         )
     return program
 
@@ -111,7 +114,7 @@ def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
     )  # fmt: skip
     with contextlib.suppress(subprocess.TimeoutExpired):
         if watch.wait(_STARTED):
-            raise InputError("the viewer ended at once; write a file with --picture FILE.png or --save FILE.rrd")
+            raise InputError(f"the viewer ended at once; {REVIEW_REMEDY}")
     # It is left to itself: nobody here waits for its end.
     watch.returncode = 0
 
@@ -150,7 +153,8 @@ def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seco
         recording, picture = Path(folder) / "run.rrd", Path(folder) / "run.png"
         write(recording)
         # The viewer's window library wants a private folder even when there is no window.
-        environment = {"XDG_RUNTIME_DIR": folder, **os.environ, **_QUIET}
+        # Temporary folders that it leaves behind go with this one.
+        environment = {"XDG_RUNTIME_DIR": folder, **os.environ, **_QUIET, "TMPDIR": folder}
         program = [sys.executable, "-m", "dpcontrol.review.picture", str(viewer_program())]
         reason = _run([*program, str(recording), str(picture), repr(moment)], environment, seconds=seconds)
         if reason is not None:

@@ -45,6 +45,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import checked_source
 
 MAGIC, VERSION = b"dpcb", 2
 LARGEST = 4096
@@ -348,8 +349,8 @@ def shared_key(file: Path | None = None) -> bytes:
 
 
 def _beginning(file: Path) -> bytes:
-    # Not the whole file, which may be a device without an end.
-    with file.open("rb") as stream:
+    # Not the whole file, which may be large.
+    with checked_source(file).open("rb") as stream:
         return stream.read(_LONGEST_KEY)
 
 

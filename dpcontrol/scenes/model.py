@@ -6,7 +6,6 @@ them in `dpcontrol/data`; a checkout has them beside the package.
 Identified arms as a model file: where each number comes from, and how well it is known.
 """
 
-import difflib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -31,7 +30,7 @@ from dpcontrol.dynamics.chain import (
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import checked_source, in_the_way, write_whole
-from dpcontrol.foundation.settings import Table, parse_toml, read_toml
+from dpcontrol.foundation.settings import Table, nearest, parse_toml, read_toml
 
 if TYPE_CHECKING:
     from dpcontrol.identification.identify import Identification
@@ -71,8 +70,8 @@ def find(kind: str, name: str) -> Path:
                 return file
     if is_path:
         raise InputError(f"there is no file {name}; give a TOML file or one of: {', '.join(names)}")
-    close = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {close[0]!r}? " if close else ""
+    close = nearest(name, names)
+    hint = f"did you mean {close!r}? " if close else ""
     singular = {"models": "model", "itineraries": "itinerary"}[kind]
     raise InputError(f"there is no {singular} named {name!r}; {hint}known: {', '.join(names)}; a path works too")
 

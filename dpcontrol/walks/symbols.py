@@ -135,6 +135,9 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     target = parts.get("target") or source
     for saddle in (source, target):
         if _NUMBERED.sub(r"\1", saddle) not in saddles:
+            same = {one.casefold(): one for one in saddles}.get(saddle.casefold())
+            if same is not None:
+                raise InputError(f"{text!r}: the case of letters matters; write {text.replace(saddle, same)!r}")
             raise InputError(f"{text!r} names {saddle!r}, which has no tubes; choose from {', '.join(saddles)}")
     sense = {"+": 1, "-": -1, None: None}[parts.get("sense")]
     if not named and source == target and sense is None:

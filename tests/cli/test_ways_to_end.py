@@ -1,0 +1,145 @@
+"""Ways in which a command may end or fail that have nothing to do with its work, each with a true sentence."""
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from command_line import PROGRAM, dpcontrol
+
+from dpcontrol.cli import main as program
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.review import picture
+from dpcontrol.rig.packets import shared_key
+from dpcontrol.walks.symbols import parse_symbol
+
+SCENE = """
+title = "Hold both arms hanging"
+start = "hold"
+hold = "down-down"
+[run]
+"""
+
+ENDED = """
+import os, signal, sys, time
+from dpcontrol.__main__ import main
+from dpcontrol.cli import main as program
+def works(*_, **__):
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(60)
+program.cli.main = works
+main()
+"""
+
+
+def test_sigterm_ends_a_command_with_a_sentence() -> None:
+    done = subprocess.run([sys.executable, "-c", ENDED], capture_output=True, text=True, check=False, timeout=50)
+    assert done.returncode == 128 + signal.SIGTERM
+    assert done.stderr == "dpcontrol: ended by SIGTERM; what was finished is kept\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("streams", ["2>&-", "<&- 2>&-"])
+def test_a_command_without_stderr_does_its_work(tmp_path: Path, streams: str) -> None:
+    command = f'exec "$@" {streams}'
+    arguments = ["import", "--simulated", "lab", "--swings", "1", "--seconds", "1", "--out", "swing.mcap", "--json"]
+    done = subprocess.run(
+        ["sh", "-c", command, "sh", PROGRAM, *arguments], cwd=tmp_path, stdout=subprocess.PIPE, check=False
+    )
+    assert done.returncode == 0
+    assert b'"swing.mcap"' in done.stdout
+    assert [file.name for file in tmp_path.iterdir()] == ["swing.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("blow", "said"),
+    [("arm = 1\nimpulse = 0.01", "[blows 1] the key 'time' is missing"), ("tiem = 1.0", "did you mean 'time'?")],
+)
+def test_a_blow_without_a_time_is_a_sentence(tmp_path: Path, blow: str, said: str) -> None:
+    file = tmp_path / "struck.toml"
+    file.write_text(f"{SCENE}[[run.blows]]\n{blow}\n")
+    ended = dpcontrol("plan", file)
+    assert ended.code == 2
+    assert said in ended.message
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"), [("Down-Up +", "down-up +"), ("DOWN-UP > up-down", "down-up > up-down"), ("l1 -", "L1 -")]
+)
+def test_symbols_in_other_letters_are_named_as_they_should_be_written(text: str, meant: str) -> None:
+    with pytest.raises(InputError, match=f"the case of letters matters; write '{meant}'".replace("+", r"\+")):
+        parse_symbol(text, ["down-up", "up-down", "L1"])
+
+
+def test_names_in_capitals_are_recognised() -> None:
+    assert "did you mean 'lab'?" in dpcontrol("model", "LAB").message
+    assert "did you mean 'turn-from-rest'?" in dpcontrol("plan", "TURN-FROM-REST").message
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names are POSIX's")
+def test_a_key_file_that_is_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "key")
+    reader = "import pathlib; from dpcontrol.rig.packets import shared_key; shared_key(pathlib.Path('key'))"
+    program = [sys.executable, "-c", reader]
+    done = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=30)
+    assert "it is a pipe; give a regular file" in done.stderr
+    (tmp_path / "file").write_text("k" * 64)
+    assert shared_key(tmp_path / "file") == b"k" * 64
+
+
+@pytest.mark.parametrize(
+    ("filename", "free", "said"),
+    [
+        (
+            "{tmp}/dpcontrol-x/run.rrd",
+            1,
+            "no space left in the folder of temporary files, {tmp}; free some, or set TMPDIR",
+        ),
+        (None, 0, "no space left in the folder of temporary files, {tmp}"),
+        ("logs/run.mcap", 1, "no space left where the output goes"),
+    ],
+)
+def test_a_full_folder_of_temporary_files_is_named(
+    monkeypatch: pytest.MonkeyPatch, filename: str | None, free: int, said: str
+) -> None:
+    folder = tempfile.gettempdir()
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), filename and filename.format(tmp=folder))
+
+    monkeypatch.setattr(program.cli, "main", full)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    ended = dpcontrol("model", "lab")
+    assert ended.code == 1
+    assert said.format(tmp=folder) in ended.message
+
+
+def test_a_live_view_without_a_display_recommends_options_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rerun")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    ended = dpcontrol("run", "outer-turn", "--live")
+    assert ended.code == 2
+    advised = ended.message.partition("is set); ")[2]
+    assert advised == "leave out --live, and draw the log with `dpcontrol review LOG --picture FILE.png`"
+
+
+def test_a_picture_leaves_no_folders_of_the_viewer_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The viewer makes folders where TMPDIR says and does not remove them."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def viewer(arguments: list[str], environment: dict[str, str], *, seconds: float) -> str:
+        tempfile.mkdtemp(dir=environment.get("TMPDIR", tempfile.gettempdir()))
+        return "the viewer failed"
+
+    monkeypatch.setattr(picture, "missing_renderer", lambda: None)
+    monkeypatch.setattr(picture, "_run", viewer)
+    assert picture.picture_of(Path.touch, tmp_path / "a.png", moment=0.0) == "the viewer failed"
+    assert not list(tmp_path.iterdir())
