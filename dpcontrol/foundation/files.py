@@ -267,6 +267,37 @@ def content_hash(*parts: str | bytes) -> str:
     return digest.hexdigest()[:16]
 
 
+SEAL = {b"dpcontrol.sealed": b"yes", b"dpcontrol.sha256": b"0" * 64}
+"""Metadata of a table to be sealed: the second value is replaced by the digest of the file with zeros in its place.
+
+The first is there so that damage to the second does not make a table pass as one of earlier versions, without a seal."""
+_SEAL = re.compile(rb"dpcontrol\.sha256..([0-9a-f]{64})", re.DOTALL)
+"""As Parquet's metadata have it: two bytes between key and value."""
+
+
+def _digest(data: bytes, place: int) -> bytes:
+    return hashlib.sha256(data[:place] + b"0" * 64 + data[place + 64 :]).hexdigest().encode()
+
+
+def sealed_table(data: bytes) -> bytes:
+    """Return the bytes of a table whose metadata hold `SEAL`, with its digest."""
+    place = next(_SEAL.finditer(data)).start(1)
+    return data[:place] + _digest(data, place) + data[place + 64 :]
+
+
+def check_seal(data: bytes) -> None:
+    """Reject a sealed table of which a single bit has changed; one without a seal passes.
+
+    Raises:
+        ValueError: the digest is another, or missing.
+    """
+    found = _SEAL.search(data)
+    if found is None and b"dpcontrol.sealed" not in data:
+        return
+    if found is None or _digest(data, found.start(1)) != found[1]:
+        raise ValueError("its checksum differs; remove its metadata if it was changed on purpose")
+
+
 UNREADABLE = (
     OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, MemoryError, RuntimeError,
     AssertionError, SyntaxError, SystemError, TokenError, zipfile.BadZipFile, zlib.error, struct.error,

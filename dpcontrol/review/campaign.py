@@ -28,7 +28,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullForm
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import checked_size, checked_source, picked
+from dpcontrol.foundation.files import check_seal, checked_size, checked_source, picked
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.statistics import Share, wilson
 from dpcontrol.review import style
@@ -192,6 +192,7 @@ def _columns(path: Path) -> dict[str, list[Any]]:
     if not checked_source(path).is_file():
         raise InputError(f"there is no campaign {path}")
     try:
+        check_seal(path.read_bytes())
         file = part("pyarrow.parquet").ParquetFile(path)
         checked_size(8.0 * file.metadata.num_rows * file.metadata.num_columns)
         return file.read().to_pydict()

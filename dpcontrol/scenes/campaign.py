@@ -53,7 +53,7 @@ from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import Controller
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import content_hash, in_the_way, whole_file
+from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.processes import in_processes, on_cluster, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
@@ -267,16 +267,19 @@ def _write(path: Path, table: "pa.Table") -> None:
     """
     import pyarrow.parquet as pq
 
+    sealed = table.replace_schema_metadata({**(table.schema.metadata or {}), **SEAL})
     with whole_file(path, suffix=".parquet") as temporary:
-        pq.write_table(table, temporary, compression="zstd")
+        pq.write_table(sealed, temporary, compression="zstd")
+        temporary.write_bytes(sealed_table(temporary.read_bytes()))
 
 
 def _read(path: Path) -> "pa.Table | None":
     """Return a campaign's table; None where there is none, or the file is damaged or something else."""
     pa = part("pyarrow")
     try:
+        check_seal(path.read_bytes())
         table = part("pyarrow.parquet").read_table(path)
-    except (pa.ArrowException, OSError):
+    except (pa.ArrowException, OSError, ValueError):
         return None
     return table if set(COLUMNS) <= set(table.column_names) else None
 
