@@ -54,6 +54,7 @@ from dpcontrol.dynamics.system import System, described_system
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
+from dpcontrol.foundation.units import Usual
 
 LARGEST = 1e6
 """No mass, length, inertia or friction of a bench is larger in SI units; beyond it products overflow."""
@@ -482,7 +483,35 @@ def oddities(arms: ArmChainParameters) -> tuple[str, ...]:
     Raises:
         InputError: a parameter is beyond any bench.
     """
-    return tuple(sentence for arm in range(arms.count) for sentence in (*_body(arms, arm), *_friction(arms, arm)))
+    found = list(_GRAVITY.oddities("acceleration", [arms.gravity]))
+    for arm in range(arms.count):
+        slips = list(_slips(arms, arm))
+        body = list(_body(arms, arm))
+        # A number in another unit makes the others look odd too.
+        found += [*(slips or body), *_friction(arms, arm)]
+    return tuple(found)
+
+
+_GRAVITY = Usual(1.0, 30.0, "m/s²")
+_BODY = {
+    "mass": Usual(5e-4, 20.0, "kg"),
+    "centre_of_mass": Usual(1e-4, 4.0, "m"),
+    "length": Usual(5e-3, 4.0, "m"),
+    "inertia": Usual(1e-9, 20.0, "kg m²"),
+}
+_HEAVY = 40.0
+"""kg/m: a round bar of steel 8 cm thick."""
+
+
+def _slips(arms: ArmChainParameters, arm: int) -> Iterator[str]:
+    """Yield sentences on parameters that look as if they were given in another unit."""
+    of = f" of arm {arm + 1}"
+    for name, usual in _BODY.items():
+        for sentence in usual.oddities(name, [getattr(arms, name)[arm]]):
+            yield sentence.replace(f" {usual.unit} is ", f" {usual.unit}{of} is ", 1)
+    mass, length = arms.mass[arm], arms.length[arm]
+    if _HEAVY * length < mass <= _BODY["mass"].most:
+        yield f"mass = {mass:g} kg{of} is much for a length of {length:g} m; is it given in g ({1e-3 * mass:.3g} kg)?"
 
 
 def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:

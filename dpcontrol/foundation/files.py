@@ -169,11 +169,9 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path.parent, prefix, suffix)
-        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
+        handle, temporary = _temporary(path.parent, prefix, suffix)
     except OSError as error:
         raise unwritable(path, error) from error
-    _locked(handle)
-    temporary = Path(name)
     try:
         yield temporary
         umask = os.umask(0)
@@ -185,6 +183,18 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     finally:
         os.close(handle)
         temporary.unlink(missing_ok=True)
+
+
+def _temporary(folder: Path, prefix: str, suffix: str) -> tuple[int, Path]:
+    """Return a new temporary file, open and locked."""
+    for last in (False, False, False, True):
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=folder)
+        # Another writer may have swept it away before it was locked.
+        if (_locked(handle) and os.path.exists(name)) or last:
+            break
+        os.close(handle)
+        Path(name).unlink(missing_ok=True)
+    return handle, Path(name)
 
 
 _RANDOM = r"[a-z0-9_]{8}"
@@ -270,7 +280,7 @@ def content_hash(*parts: str | bytes) -> str:
 SEAL = {b"dpcontrol.sealed": b"yes", b"dpcontrol.sha256": b"0" * 64}
 """Metadata of a table to be sealed: the second value is replaced by the digest of the file with zeros in its place.
 
-The first is there so that damage to the second does not make a table pass as one of earlier versions, without a seal."""
+The first reveals damage to the second: a table of an earlier version has neither."""
 _SEAL = re.compile(rb"dpcontrol\.sha256..([0-9a-f]{64})", re.DOTALL)
 """As Parquet's metadata have it: two bytes between key and value."""
 

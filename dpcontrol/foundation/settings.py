@@ -140,7 +140,7 @@ class Table:
         simple = [name for name in readers if name not in given]
         values.update({name: getattr(self, readers[name])(name) for name in simple if name in self})
         self.finish(also=[*simple, *also])
-        for one in fields(kind):
+        for one in fields(kind):  # type: ignore[arg-type]
             if one.name not in values and one.default is MISSING and one.default_factory is MISSING:
                 raise InputError(f"{self.where()} the key {one.name!r} is missing")
         return self.checked(kind, **values)

@@ -310,7 +310,7 @@ def _write_mp4(film: Film, file: Path, progress: Progress) -> None:
     # The exit code of ffmpeg is not passed on.
     count = 0
     with suppress(RuntimeError, OSError):
-        count, _ = imageio_ffmpeg.count_frames_and_secs(str(file))
+        count = imageio_ffmpeg.count_frames_and_secs(str(file))[0] or 0
     if count < len(film.times):
         raise OSError(errno.EIO, f"ffmpeg wrote {count} of {len(film.times)} frames, as on a full disk")
 

@@ -28,7 +28,7 @@ from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tracking import AdaptiveSettings, FeedforwardSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
 from dpcontrol.loop.controllers import ESTIMATORS, KEEPERS, ControllerSettings
@@ -39,6 +39,7 @@ from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.scenes.model import Model, find, load_model, model_from, quoted
+from dpcontrol.scenes.plausible import rig_oddities
 from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.walks.symbols import expanded, parse_walk
 
@@ -351,7 +352,20 @@ class Itinerary:
         loop = overridden(loop, options)
         scene = replace(self, loop=loop if seed is None else replace(loop, seed=seed))
         _ = scene.uncertainty
+        scene.remark_on_rig()
         return scene
+
+    def remark_on_rig(self) -> None:
+        """Remark on numbers of the rig that look as if they were given in another unit.
+
+        Raises:
+            InputError: a number that no rig has.
+        """
+        try:
+            for sentence in rig_oddities(self.limits, self.loop, arms=self.model.arms.count, zeros=self.zeros):
+                remark(f"{self.path}: {sentence}")
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from error
 
 
 def load_itinerary(name: str) -> Itinerary:
@@ -366,7 +380,9 @@ def load_itinerary(name: str) -> Itinerary:
         return stored_itinerary(Path(name), load_reference(Path(name)))
     path = find("itineraries", name)
     table, text = read_toml(path)
-    return _itinerary(table, text, path, None)
+    scene = _itinerary(table, text, path, None)
+    scene.remark_on_rig()
+    return scene
 
 
 def stored_itinerary(file: Path, reference: Reference) -> Itinerary:

@@ -31,6 +31,7 @@ from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_sy
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import checked_source, in_the_way, write_whole
 from dpcontrol.foundation.settings import Table, nearest, parse_toml, read_toml
+from dpcontrol.foundation.units import Usual
 
 if TYPE_CHECKING:
     from dpcontrol.identification.identify import Identification
@@ -77,6 +78,7 @@ def find(kind: str, name: str) -> Path:
 
 
 SYSTEMS = ("arm-chain", "three-body")
+_ZEROS = Usual(0.0, 2 * np.pi, "rad")
 
 
 @dataclass(frozen=True)
@@ -222,6 +224,10 @@ def _model(table: Table, text: str, path: Path) -> Model:
         key = str(error).split()[0]
         home = {"acceleration": gravity}.get(key, friction if key in ("viscous", "smoothing", *Friction) else arms)
         raise InputError(f"{home.where()} {error}") from error
+    try:
+        remarks += tuple(_ZEROS.oddities("zeros", zeros))
+    except InputError as error:
+        raise InputError(f"{encoders.where()} {error}") from error
     if zeros and len(zeros) != parameters.count:
         raise InputError(f"{encoders.where('zeros')} has {len(zeros)} values; give one for each arm")
     if uncertainty is not None:

@@ -1,0 +1,56 @@
+"""Numbers that look as if they were given in another unit: remarked on if unusual, refused if impossible."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from dpcontrol.foundation.errors import InputError
+
+OTHER_UNITS: dict[str, dict[str, float]] = {
+    "m": {"cm": 1e-2, "mm": 1e-3, "µm": 1e-6},
+    "m/s": {"cm/s": 1e-2, "mm/s": 1e-3},
+    "m/s²": {"cm/s²": 1e-2, "mm/s²": 1e-3},
+    "m/s³": {"mm/s³": 1e-3},
+    "kg": {"g": 1e-3},
+    "kg m²": {"kg cm²": 1e-4, "g cm²": 1e-7, "g mm²": 1e-9},
+    "rad": {"degrees": 0.017453292519943295},
+    "rad/s": {"degrees/s": 0.017453292519943295},
+    "rad/h": {"degrees/h": 0.017453292519943295},
+    "s": {"ms": 1e-3, "µs": 1e-6},
+    "Hz": {"kHz": 1e3},
+    "N m s": {"mN m s": 1e-3},
+}
+"""Units in which a number of the first unit may have been given by mistake, and their sizes."""
+_IMPOSSIBLE = 1000.0
+"""Times the largest usual value: beyond this a number is refused."""
+
+
+class Usual(NamedTuple):
+    """The least and the largest value that a key has on ordinary benches, and its unit. Zero is always usual."""
+
+    least: float
+    most: float
+    unit: str
+
+    def oddities(self, key: str, values: Sequence[float]) -> Iterator[str]:
+        """Yield a sentence on each value out of the usual range, with the unit in which it would be usual.
+
+        Raises:
+            InputError: a value is impossible.
+        """
+        for value in values:
+            size = abs(value)
+            if not size or self.least <= size <= self.most:
+                continue
+            far = f"more than the usual {self.most:g}" if size > self.most else f"less than the usual {self.least:g}"
+            unit = f" {self.unit}" if self.unit else ""
+            text = f"{key} = {value:g}{unit} is {far}{unit}"
+            impossible = size > _IMPOSSIBLE * self.most
+            others = {name: size * factor for name, factor in OTHER_UNITS.get(self.unit, {}).items()}
+            fitting = [f"{name} ({v:.3g}{unit})" for name, v in others.items() if self.least <= v <= self.most]
+            if fitting:
+                text += f"; is it given in {' or in '.join(fitting)}?"
+            elif not impossible:
+                text += "; is that meant?"
+            if impossible:
+                raise InputError(text if fitting else f"{text}; no bench has it: give it in {self.unit or 'its unit'}")
+            yield text

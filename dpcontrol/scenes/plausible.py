@@ -1,0 +1,81 @@
+"""What ordinary benches have: remarks on numbers of a rig that look as if they were given in another unit."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.units import Usual
+from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.references.problem import Limits
+
+_ZEROS = Usual(0.0, 2 * math.pi, "rad")
+_LIMITS = {
+    "position": Usual(0.02, 5.0, "m"),
+    "velocity": Usual(0.05, 20.0, "m/s"),
+    "acceleration": Usual(0.5, 300.0, "m/s²"),
+    "jerk": Usual(5.0, 1e6, "m/s³"),
+}
+_LOOP = {
+    "rate": Usual(20.0, 20_000.0, "Hz"),
+    "initial_error": Usual(0.0, 1.0, "rad"),
+    "travel": Usual(0.02, 5.0, "m"),
+    "drive_lag": Usual(0.0, 0.2, "s"),
+}
+_SENSORS = {
+    "counts": Usual(32.0, 2e7, ""),
+    "cart_resolution": Usual(1e-9, 5e-3, "m"),
+    "zero_error": Usual(0.0, 0.6, "rad"),
+    "noise": Usual(0.0, 0.1, "rad"),
+    "cart_noise": Usual(0.0, 0.02, "m"),
+    "jitter": Usual(0.0, 0.1, "s"),
+    "rate_noise": Usual(0.0, 20.0, "rad/s"),
+    "zero_drift": Usual(0.0, 20.0, "rad/h"),
+}
+_DRIVE = {
+    **{name: _LIMITS[name] for name in ("velocity", "acceleration", "jerk")},
+    "delay": Usual(0.0, 100.0, "periods"),
+    "lag": Usual(0.0, 0.2, "s"),
+    "cart_mass": Usual(0.02, 200.0, "kg"),
+    "cart_viscous": Usual(0.0, 1e4, "N s/m"),
+    "command_noise": Usual(0.0, 50.0, "m/s²"),
+    "response": Usual(0.2, 3.0, ""),
+    "track": Usual(0.02, 5.0, "m"),
+    "switch_margin": Usual(0.0, 0.5, "m"),
+}
+_DISTURBANCES = {
+    "push_impulse": Usual(0.0, 2.0, "N m s"),
+    "knock_impulse": Usual(0.0, 2.0, "N m s"),
+    "knock_velocity": Usual(0.0, 5.0, "m/s"),
+    "knocks_per_minute": Usual(0.0, 600.0, "1/min"),
+    "tilt": Usual(0.0, 0.4, "rad"),
+}
+_BLOW = {
+    "impulse": Usual(0.0, 2.0, "N m s"),
+    "rate": Usual(0.0, 100.0, "rad/s"),
+    "knock": Usual(0.0, 5.0, "m/s"),
+}
+
+
+def rig_oddities(limits: Limits, loop: LoopSettings, *, arms: int, zeros: Sequence[float] = ()) -> tuple[str, ...]:
+    """Return a sentence on each number of a rig that is unusual, with its table and key.
+
+    Raises:
+        InputError: a number that no rig has.
+    """
+    sensor = loop.sensors.stuck_sensor
+    if sensor > arms:
+        raise InputError(
+            f"[run] stuck_sensor = {sensor}: must be 0 to {arms}: 0 is the encoder of the inner arm, {arms} the cart's"
+        )
+    parts = [("[limits]", limits, _LIMITS), ("[run]", loop, _LOOP), ("[run]", loop.sensors, _SENSORS)]
+    parts += [("[run]", loop.drive, _DRIVE), ("[run]", loop.disturbances, _DISTURBANCES)]
+    parts += [("[[run.blows]]", blow, _BLOW) for blow in loop.disturbances.explicit]
+    return (*_unusual(parts), *_ZEROS.oddities("[run] zeros", zeros))
+
+
+def _unusual(parts: Sequence[tuple[str, object, dict[str, Usual]]]) -> Iterator[str]:
+    for table, settings, usual in parts:
+        for name, bounds in usual.items():
+            value = float(getattr(settings, name))
+            if math.isfinite(value):
+                yield from bounds.oddities(f"{table} {name}", [value])
