@@ -131,10 +131,25 @@ def test_what_is_built_installs_in_a_folder_of_its_own_and_runs_there(kind: str,
     ]  # fmt: skip
 
 
+def test_the_wheel_names_its_authors_the_paper_and_the_versions_of_python_that_it_supports(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (metadata,) = [n for n in archive.namelist() if n.endswith(".dist-info/METADATA")]
+        fields = archive.read(metadata).decode().split("\n\n")[0].splitlines()
+    assert "Author: The dpcontrol developers" in fields
+    assert any(field.startswith("Project-URL: Paper, https://") for field in fields)
+    assert "Requires-Dist: pillow>=10.3" in fields
+    supported = {field.rpartition(" :: ")[2] for field in fields if field.startswith("Classifier: Programming")}
+    guide = (ROOT / "dpcontrol" / "guide" / "start.md").read_text(encoding="utf-8")
+    assert {version for version in supported if "." in version} == set(
+        re.findall(r"^\| (3\.\d+) \|", guide, re.MULTILINE)
+    )
+
+
 def test_one_version_stands_in_the_package_the_changes_and_the_citation() -> None:
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
-    assert re.findall(r"^## \[(.+?)\]", changes, re.MULTILINE)[0] == dpcontrol.__version__
+    released = [name for name in re.findall(r"^## \[(.+?)\]", changes, re.MULTILINE) if name != "Unreleased"]
+    assert released[0] == dpcontrol.__version__
     assert cited is not None
     assert cited[1] == dpcontrol.__version__
 

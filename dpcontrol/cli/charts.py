@@ -14,7 +14,18 @@ if TYPE_CHECKING:
     from dpcontrol.bench.run import DrawnChart
 
 
-@verb("figures", example="dpcontrol figures tubes heteroclinics --out pictures")
+FIGURES = (
+    "energy-landscape", "families", "tubes", "homoclinics-low", "homoclinics-high", "heteroclinics", "branches",
+    "graph", "double-homoclinics", "triple-homoclinics", "colour-wheels", "three-body",
+)  # fmt: skip
+"""Names of `review.figures.FIGURES`, whose import takes a second."""
+_FIGURES_HELP = f"""Draw the paper's computational figures from atlases: each a PNG with a caption and what differs.
+
+Names: {", ".join(FIGURES)}. All are drawn where none is named. Atlases are kept by content.
+"""
+
+
+@verb("figures", help=_FIGURES_HELP, example="dpcontrol figures tubes heteroclinics --out pictures")
 def figures_command(
     *,
     names: tuple[str, ...] = argument(metavar="[NAME]...", required=False),
@@ -22,12 +33,7 @@ def figures_command(
         type=FOLDER, default=Path("figures"), group=OUTPUT, help="Folder for the pictures and captions.json."
     ),
 ) -> Answer:
-    """Draw the paper's computational figures from atlases: each a PNG with a caption and what differs from the paper.
-
-    Names: energy-landscape, families, tubes, homoclinics-low, homoclinics-high, heteroclinics, branches, graph,
-    double-homoclinics, triple-homoclinics, colour-wheels, three-body. All are drawn where none is named. Atlases are
-    kept by content.
-    """
+    """Draw the figures, print their captions."""
     with progress_bar("figures") as progress:
         progress("loading", 0.0)
         from dpcontrol.foundation.files import picked

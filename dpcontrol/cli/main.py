@@ -12,10 +12,11 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from io import StringIO, TextIOWrapper
+from io import TextIOWrapper
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 import dpcontrol
 from dpcontrol.cli.verbs import DEBUG, Call, print_json, say
@@ -96,7 +97,14 @@ class _Verbs(click.Group):
 
             print_json({name: number or None for name, number in versions().items()})
             ctx.exit()
+        if args[:1] == ["help"]:
+            # `help VERB` is `VERB --help`.
+            args = [*args[1:2], "--help"]
         return super().parse_args(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        found = super().shell_complete(ctx, incomplete)
+        return [*found, CompletionItem("help")] if "help".startswith(incomplete or "-") else found
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
@@ -157,11 +165,8 @@ def main(arguments: list[str] | None = None) -> None:
             cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
         code = 0
     except click.ClickException as error:
-        shown = StringIO()
-        error.show(shown)
-        message = error.format_message()
-        say(shown.getvalue().replace(message, message.replace("\n", "\\n")).rstrip("\n"))
-        code = error.exit_code
+        call.as_json |= "--json" in given
+        code = _failed(error, given, call)
     except click.exceptions.Exit as done:
         code = done.exit_code
     except (KeyboardInterrupt, click.Abort) as error:
@@ -184,6 +189,10 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
         sentence, code = str(error), 1
     elif isinstance(error, InputError | PartMissing):
         sentence, code = str(error), 2
+    elif isinstance(error, click.ClickException):
+        context = getattr(error, "ctx", None)
+        more = f"; see `{context.command_path} --help`" if context is not None else ""
+        sentence, code = f"{error.format_message().rstrip('.')}{more}", error.exit_code
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         sentence, code = _full(error), 1
     elif isinstance(error, MemoryError):

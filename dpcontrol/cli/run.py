@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.core import ParameterSource
 
+from dpcontrol.cli.completion import COMPLETERS, choosing
 from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
     FILE,
@@ -54,9 +55,12 @@ KINDS: dict[str, type] = {
 def run_settings() -> Any:
     """Declare `--mismatch`, `--lag` and the like, by part of the bench, as one parameter, a RunOptions."""
     flags = {f.name: f"--{f.name.replace('_', '-')}" for f in fields(RunOptions)}
-    return Several(
-        [Option([flags[f.name], f.name], type=KINDS[f.name], **f.metadata) for f in fields(RunOptions)], RunOptions
-    )
+    return Several([_run_option(f.name, flags[f.name], **f.metadata) for f in fields(RunOptions)], RunOptions)
+
+
+def _run_option(name: str, flag: str, *, choices: tuple[str, ...], **others: Any) -> Option:
+    complete = choosing(choices) if choices else COMPLETERS.get(("", name))
+    return Option([flag, name], type=KINDS[name], absent="the itinerary's", shell_complete=complete, **others)
 
 
 BENCH = "Bench"

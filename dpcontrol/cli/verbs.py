@@ -9,6 +9,7 @@ import inspect
 import json
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 import click
 
+from dpcontrol.cli.completion import COMPLETERS
 from dpcontrol.foundation.errors import GoalMissed, InputError, printable
 
 OUTPUT, WORK = "Output", "Work"
@@ -101,11 +103,27 @@ _LARGEST = 2**63 - 1
 
 
 class Option(click.Option):
-    """An option that help lists under a group; suffixes: of which a file to write must have one, where given."""
+    """An option that help lists under a group, with its default.
 
-    def __init__(self, *arguments: Any, group: str = "", suffixes: tuple[str, ...] = (), **others: Any) -> None:
+    suffixes: endings of which the name of a file to write must have one, if given. absent: the default in words. Help
+    texts may give it in brackets instead.
+    """
+
+    def __init__(
+        self,
+        *arguments: Any,
+        group: str = "",
+        suffixes: tuple[str, ...] = (),
+        absent: str = "none",
+        **others: Any,
+    ) -> None:
         super().__init__(*arguments, **others)
         self.group, self.suffixes = group, suffixes
+        if self.is_flag or self.required or self.show_default or not self.help:
+            return
+        self.help = re.sub(r" \[(?!default: )([^\]]+)\](?=\.?$)", r" [default: \1]", self.help)
+        if "[default: " not in self.help:
+            self.help += f" [default: {absent}]"
 
     def check(self, value: Any) -> None:
         """Reject a file name that promises another format than will be written, and whole numbers beyond any use.
@@ -185,9 +203,10 @@ def force_option() -> Any:
     return option("--force", group=OUTPUT, help=text)
 
 
-def _parameter(name: str, annotation: Any, declared: _Declared) -> click.Parameter:
-    """Return click's parameter for one of a function."""
+def _parameter(verb: str, name: str, annotation: Any, declared: _Declared) -> click.Parameter:
+    """Return click's parameter for one of a verb's function."""
     kind, names, settings = declared.kind, declared.names, dict(declared.settings)
+    settings.setdefault("shell_complete", COMPLETERS.get((verb, name)) or COMPLETERS.get(("", name)))
     choices = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
     (held,) = (one for one in choices if one is not type(None))
     parts: tuple[Any, ...] = get_args(held) if get_origin(held) is tuple else ()
@@ -227,7 +246,7 @@ def verb(
         params: list[click.Parameter] = []
         for one in parameters:
             grouped = one.name in groups
-            params += one.default.options if grouped else [_parameter(one.name, one.annotation, one.default)]
+            params += one.default.options if grouped else [_parameter(name, one.name, one.annotation, one.default)]
         params.append(
             Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="Print one JSON document on stdout.")
         )

@@ -37,6 +37,7 @@ from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source
 from dpcontrol.foundation.parts import part as package
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Table, read_toml, suggest
+from dpcontrol.foundation.shipped import MAPPINGS
 from dpcontrol.recordings.checks import (
     ANGLE,
     CART,
@@ -48,8 +49,6 @@ from dpcontrol.recordings.checks import (
     sound_segments,
 )
 from dpcontrol.recordings.recording import Recording
-
-SHIPPED = Path(__file__).parent / "mappings"
 
 ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "counts": 0.0}
 RATE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180, "turns/s": 2 * np.pi, "rpm": np.pi / 30, "counts/s": 0.0}
@@ -124,8 +123,8 @@ def load_mapping(name: str) -> Mapping:
     """
     path = Path(name)
     if path.suffix != ".toml":
-        path = SHIPPED / f"{name}.toml"
-        known = sorted(file.stem for file in SHIPPED.glob("*.toml"))
+        path = MAPPINGS / f"{name}.toml"
+        known = sorted(file.stem for file in MAPPINGS.glob("*.toml"))
         if name not in known:
             raise InputError(
                 f"there is no mapping named {name!r}; {suggest(name, known)}; the path of a TOML file works"

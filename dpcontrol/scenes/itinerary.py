@@ -30,6 +30,7 @@ from dpcontrol.control.tracking import AdaptiveSettings, FeedforwardSettings, Tv
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
+from dpcontrol.foundation.shipped import find
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
 from dpcontrol.loop.controllers import ESTIMATORS, KEEPERS, ControllerSettings
 from dpcontrol.loop.loop import LoopSettings
@@ -38,7 +39,7 @@ from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import Reference, load_reference
-from dpcontrol.scenes.model import Model, find, load_model, model_from, quoted
+from dpcontrol.scenes.model import Model, load_model, model_from, quoted
 from dpcontrol.scenes.plausible import rig_oddities
 from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.walks.symbols import expanded, parse_walk

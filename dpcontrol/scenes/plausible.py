@@ -12,7 +12,7 @@ _ZEROS = Usual(0.0, 2 * math.pi, "rad")
 _LIMITS = {
     "position": Usual(0.02, 5.0, "m"),
     "velocity": Usual(0.05, 20.0, "m/s"),
-    "acceleration": Usual(0.5, 300.0, "m/s²"),
+    "acceleration": Usual(0.05, 300.0, "m/s²"),
     "jerk": Usual(5.0, 1e6, "m/s³"),
 }
 _LOOP = {
@@ -22,7 +22,7 @@ _LOOP = {
     "drive_lag": Usual(0.0, 0.2, "s"),
 }
 _SENSORS = {
-    "counts": Usual(32.0, 2e7, ""),
+    "counts": Usual(8.0, 2e7, ""),
     "cart_resolution": Usual(1e-9, 5e-3, "m"),
     "zero_error": Usual(0.0, 0.6, "rad"),
     "noise": Usual(0.0, 0.1, "rad"),
@@ -33,12 +33,11 @@ _SENSORS = {
 }
 _DRIVE = {
     **{name: _LIMITS[name] for name in ("velocity", "acceleration", "jerk")},
-    "delay": Usual(0.0, 100.0, "periods"),
     "lag": Usual(0.0, 0.2, "s"),
     "cart_mass": Usual(0.02, 200.0, "kg"),
     "cart_viscous": Usual(0.0, 1e4, "N s/m"),
-    "command_noise": Usual(0.0, 50.0, "m/s²"),
-    "response": Usual(0.2, 3.0, ""),
+    "command_noise": Usual(0.0, 100.0, "m/s²"),
+    "response": Usual(0.05, 3.0, ""),
     "track": Usual(0.02, 5.0, "m"),
     "switch_margin": Usual(0.0, 0.5, "m"),
 }

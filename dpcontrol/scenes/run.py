@@ -43,6 +43,7 @@ from dpcontrol.foundation.files import (
 )
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import with_values
+from dpcontrol.foundation.shipped import folders
 from dpcontrol.logs import (
     Comparison,
     Event,
@@ -81,7 +82,7 @@ from dpcontrol.review.score import (
     score,
 )
 from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from, setting_of
-from dpcontrol.scenes.model import folders, model_from
+from dpcontrol.scenes.model import model_from
 from dpcontrol.scenes.plan import Plan, plan_key, recoverable
 from dpcontrol.scenes.run_options import RunOptions
 

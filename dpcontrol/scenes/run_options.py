@@ -16,8 +16,12 @@ ESTIMATOR, CONTROLLER, SUPERVISOR = "Estimator", "Controller", "Supervisor"
 """Parts of the bench, as options are listed under them."""
 
 
-def _option(group: str, text: str) -> Any:
-    return field(default=None, metadata={"group": group, "help": text})
+def _option(group: str, text: str, choices: tuple[str, ...] = ()) -> Any:
+    return field(default=None, metadata={"group": group, "help": text, "choices": choices})
+
+
+LAWS = ("tvlqr", "adaptive", "ogy", "ogy-classic", "lqr", "feedforward")
+FILTERS = ("ekf", "ukf", "ekf-filterpy")
 
 
 @dataclass(frozen=True)
@@ -75,20 +79,24 @@ class RunOptions:
     travel: float | None = _option(
         DRIVE, "The cart's greatest distance from the centre, m [the plan's own, as with 0]."
     )
-    estimator: str | None = _option(ESTIMATOR, "Kind of estimator: ekf, ukf, ekf-filterpy.")
+    estimator: str | None = _option(ESTIMATOR, f"Kind of estimator: {', '.join(FILTERS)}.", FILTERS)
     rate_noise: float | None = _option(ESTIMATOR, "Standard deviation of noise added to estimated rates, rad/s.")
-    controller: str | None = _option(
-        CONTROLLER, "Kind of controller: tvlqr, adaptive, ogy, ogy-classic, lqr, feedforward."
-    )
+    controller: str | None = _option(CONTROLLER, f"Kind of controller: {', '.join(LAWS)}.", LAWS)
     keep: str | None = _option(
-        CONTROLLER, "What keeps the stops of a walk planned with keep: none, ogy, ogy-classic, tvlqr."
+        CONTROLLER,
+        "What keeps the stops of a walk planned with keep: none, ogy, ogy-classic, tvlqr.",
+        ("none", "ogy", "ogy-classic", "tvlqr"),
     )
     rate: float | None = _option(CONTROLLER, "Rate of the loop, Hz.")
     hold: str | None = _option(
-        SUPERVISOR, "Where tracking is lost, hold the nearest orbit or equilibrium: nearest; or none."
+        SUPERVISOR,
+        "Where tracking is lost, hold the nearest orbit or equilibrium: nearest; or none.",
+        ("none", "nearest"),
     )
     on_fall: str | None = _option(
-        SUPERVISOR, "After a fall: stop; resume, from rest at the symbol that failed; or restart the itinerary."
+        SUPERVISOR,
+        "After a fall: stop; resume, from rest at the symbol that failed; or restart the itinerary.",
+        ("stop", "resume", "restart"),
     )
     attempts: int | None = _option(SUPERVISOR, "Attempts of one symbol until the run ends; 0: no limit.")
 

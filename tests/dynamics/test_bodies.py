@@ -9,7 +9,8 @@ from shadowing_stand_in import LAB
 
 from dpcontrol.dynamics.chain import oddities
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.scenes.model import find, known, load_model
+from dpcontrol.foundation.shipped import find, known
+from dpcontrol.scenes.model import load_model
 
 
 @pytest.mark.parametrize("name", known("models"))

@@ -56,8 +56,7 @@ def complaints(trial: Trial, ended: Ended) -> list[str]:
     elif ended.code == 2:
         if ended.left:
             found.append(f"bad input left {', '.join(ended.left)}")
-        usage = bool(said) and said[0].startswith("Usage: ") and "\nError: " in ended.stderr
-        if not usage and (len(said) != 1 or not said[0].startswith("dpcontrol: ")):
+        if len(said) != 1 or not said[0].startswith("dpcontrol: "):
             found.append(f"not one sentence: {ended.stderr!r}")
     elif ended.code == 1 and not (said and any(line.startswith("dpcontrol: ") for line in said)):
         found.append(f"no reason for exit code 1: {ended.stderr!r}")

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shipped import find
 from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
-from dpcontrol.scenes.model import find, load_model
+from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run import run_plan
 from dpcontrol.scenes.run_options import RunOptions

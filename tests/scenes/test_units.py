@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.foundation.shipped import find, known
 from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.model import find, known, load_model
+from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.run_options import RunOptions
 
 MODEL = find("models", "lab").read_text()

@@ -1,0 +1,128 @@
+"""Shells complete names and values, help gives defaults, and every refusal has one form."""
+
+import json
+from pathlib import Path
+
+import click
+import pytest
+from click.shell_completion import BashComplete, FishComplete, ShellComplete, ZshComplete
+from command_line import dpcontrol
+
+from dpcontrol.cli.main import VERBS, cli
+from dpcontrol.cli.start import GUIDE
+from dpcontrol.loop.controllers import ESTIMATORS
+from dpcontrol.rig.bench import FAULTS
+from dpcontrol.scenes.itinerary import CONTROLLERS
+
+ROOT = Path(__file__).parents[2]
+VARIABLE = "_DPCONTROL_COMPLETE"
+PREFIX = {BashComplete: "plain,{}", ZshComplete: "plain\n{}\n_", FishComplete: "plain,{}"}
+
+
+def offered(line: str) -> list[str]:
+    """Return the values that are offered for the last word of a line; "" for files of the shell's own."""
+    *words, last = line.split(" ")
+    found = ShellComplete(cli, {}, "dpcontrol", VARIABLE).get_completions(words[1:], last)
+    return [item.value if item.type == "plain" else "" for item in found]
+
+
+@pytest.mark.parametrize(
+    ("line", "wanted"),
+    [
+        ("dpcontrol plan ", {file.stem for file in (ROOT / "itineraries").glob("*.toml")}),
+        ("dpcontrol run outer", {"outer-turn"}),
+        ("dpcontrol model ", {file.stem for file in (ROOT / "models").glob("*.toml")}),
+        ("dpcontrol run outer-turn --plant lab-", {"lab-identified"}),
+        ("dpcontrol guide ", {file.stem for file in GUIDE.glob("*.md")} - {"README"}),
+        ("dpcontrol run outer-turn --controller ", set(CONTROLLERS)),
+        ("dpcontrol campaign outer-turn --estimator ", set(ESTIMATORS)),
+        ("dpcontrol run outer-turn --on-fall re", {"resume", "restart"}),
+        ("dpcontrol commission outer-turn --fault ", set(FAULTS)),
+        ("dpcontrol orbit lab --saddle up", {"up-down", "up-up"}),
+        ("dpcontrol connect three-body --from ", {"L1", "L2", "L3"}),
+        ("dpcontrol orbit triple --saddle down-up", {"down-up-down", "down-up-up"}),
+        ("dpcontrol import x.csv --mapping multi-arm-raw-s", {"multi-arm-raw-single"}),
+        ("dpcontrol campaign outer-turn --over mism", {"mismatch="}),
+        ("dpcontrol figures col", {"colour-wheels"}),
+        ("dpcontrol bench propa", {"propagation"}),
+        ("dpcontrol he", {"help"}),
+        ("dpcontrol plan ./my", {""}),
+        ("dpcontrol score ", {""}),
+        ("dpcontrol run --from ", {""}),
+    ],
+)
+def test_values_are_completed(line: str, wanted: set[str]) -> None:
+    assert set(offered(line)) == wanted
+
+
+@pytest.mark.parametrize("shell", list(PREFIX))
+def test_bash_zsh_and_fish_are_answered_in_their_own_form(
+    shell: type[ShellComplete], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COMP_WORDS", "dpcontrol run two-en")
+    monkeypatch.setenv("COMP_CWORD", "two-en" if shell is FishComplete else "2")
+    assert shell(cli, {}, "dpcontrol", VARIABLE).complete() == PREFIX[shell].format("two-energies")
+
+
+@pytest.mark.slow
+def test_all_figures_are_offered() -> None:
+    from dpcontrol.review.figures import FIGURES
+
+    assert offered("dpcontrol figures ") == list(FIGURES)
+
+
+def options() -> list[tuple[str, click.Option]]:
+    """Return every option with its verb."""
+    group = click.Context(cli)
+    found = []
+    for verb in VERBS:
+        command = cli.get_command(group, verb)
+        assert command is not None
+        found += [(verb, one) for one in command.params if isinstance(one, click.Option)]
+    return found
+
+
+def test_help_gives_the_default_of_every_option_that_takes_a_value() -> None:
+    silent = []
+    for verb, one in options():
+        record = one.get_help_record(click.Context(click.Command(verb)))
+        if record is not None and not one.is_flag and not one.required and "[default: " not in record[1]:
+            silent.append(f"{verb} {one.opts[0]}")
+    assert not silent
+
+
+def test_settings_of_a_run_name_the_itinerary_as_their_default() -> None:
+    (text,) = (one.help for verb, one in options() if (verb, one.name) == ("run", "mismatch"))
+    assert text is not None
+    assert text.endswith("[default: the itinerary's]")
+
+
+@pytest.mark.parametrize("verb", ["orbit", "cache"])
+def test_help_of_a_verb_is_its_own_help(verb: str) -> None:
+    assert dpcontrol("help", verb).stdout == dpcontrol(verb, "--help").stdout
+    assert f"Usage: dpcontrol {verb}" in dpcontrol("help", verb).stdout
+
+
+def test_help_alone_is_that_of_the_program() -> None:
+    assert dpcontrol("help").stdout == dpcontrol("--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("orbit", "Missing argument 'MODEL'; see `dpcontrol orbit --help`"),
+        ("orbit lab --nosuch 3", "No such option '--nosuch'; see `dpcontrol orbit --help`"),
+        ("run --seed x outer-turn", "'x' is not a valid integer; see `dpcontrol run --help`"),
+        ("orbt", "there is no verb 'orbt'; did you mean 'orbit'?; see `dpcontrol --help`"),
+        ("model nosuch", "there is no model named 'nosuch'"),
+    ],
+)
+def test_a_refusal_is_one_line_of_one_form_and_with_json_a_document(line: str, said: str) -> None:
+    ended = dpcontrol(*line.split())
+    assert (ended.code, ended.stdout) == (2, "")
+    assert ended.stderr.startswith("dpcontrol: ")
+    assert ended.stderr.count("\n") == 1
+    assert said in ended.stderr
+    document = json.loads(dpcontrol(*line.split(), "--json").stdout)
+    assert document["error"] is True
+    assert said in document["status"]
