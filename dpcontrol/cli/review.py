@@ -320,9 +320,10 @@ def info_command(*, log: Path = argument()) -> Answer:
 
 
 def _info_text(summary: "LogSummary") -> Iterator[str | TextTable]:
+    checked = "integrity not checked" if summary.rewritten else "checksums agree"
     yield (
-        f"{summary.log}: {summary.duration:.3f} s at {summary.rate_hz:g} Hz, {summary.size / 1e6:.2f} MB, checksums "
-        f"agree; layout {summary.format}, by {summary.program}; joints {', '.join(summary.joints)}"
+        f"{summary.log}: {summary.duration:.3f} s at {summary.rate_hz:g} Hz, {summary.size / 1e6:.2f} MB, {checked}; "
+        f"layout {summary.format}, by {summary.program}; joints {', '.join(summary.joints)}"
     )
     if summary.recovered:
         yield f"  recovered; lost: {summary.recovered}"

@@ -13,7 +13,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from io import BytesIO
 from itertools import pairwise
@@ -31,11 +31,12 @@ from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import checked_size, checked_source, in_the_way
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import CHUNK_HEAD, MAGIC, ZSTD, partials_of, unsealed
 from dpcontrol.logs.layout import TickLayout
+from dpcontrol.logs.rewritten import Rewritten, by_topic, found_in, mixed
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -74,7 +75,7 @@ class VerifiedFile:
         metadata: text by name, by the record's name.
         attachments: content by name.
         schemas, channels: by number; those found within chunks are added while `batches` runs.
-        chunks: the chunks' records, still packed.
+        chunks: the chunks' records, still packed. loose: messages outside of chunks.
     """
 
     path: Path
@@ -85,6 +86,7 @@ class VerifiedFile:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[memoryview] = field(default_factory=list)
+    loose: list[memoryview] = field(default_factory=list)
 
     def note(self, opcode: int, body: memoryview | bytes) -> None:
         """Take up a record; those that nobody asks for are passed over."""
@@ -101,6 +103,8 @@ class VerifiedFile:
                 self.channels[channel.id] = channel
             case None if opcode == Opcode.CHUNK:
                 self.chunks.append(memoryview(body))
+            case None if opcode == Opcode.MESSAGE:
+                self.loose.append(memoryview(body))
 
     @contextmanager
     def decoding(self) -> Iterator[None]:
@@ -127,6 +131,24 @@ class VerifiedFile:
         if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
             raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
         return described_layout(self.path, described)
+
+    def messages(self) -> Iterator[tuple[int, int, bytes]]:
+        """Yield channel, time in ns and body of every message; schemas and channels are noted on the way.
+
+        Raises:
+            Exception: one of `MALFORMED`.
+        """
+        decompressor = zstandard.ZstdDecompressor()
+        for chunk in self.chunks:
+            batch = Batch(data := unpacked(chunk, decompressor))
+            self._declare(batch)
+            places = sorted(place for offsets in batch.others.values() for place in offsets)
+            for place in places:
+                size = int.from_bytes(data[place + 1 : place + layout.LENGTH_FROM], "little")
+                start = place + layout.LENGTH_FROM
+                yield _message(data[start : start + size])
+        for body in self.loose:
+            yield _message(bytes(body))
 
     def batches(self) -> "Iterator[Batch]":
         """Yield the messages in order, those of several chunks at a time.
@@ -168,6 +190,11 @@ class VerifiedFile:
         check_channels(self.path, self.tick, schemas=self.schemas, channels=self.channels, writer=self._writer)
 
     @property
+    def ours(self) -> bool:
+        """Whether this program wrote the file, as far as its header tells."""
+        return self.library.startswith("dpcontrol ")
+
+    @property
     def _writer(self) -> str:
         return f" (written by {self.library})" if self.library else ""
 
@@ -185,6 +212,15 @@ class VerifiedFile:
             return f" and the topic {layout.MEASURED} ({kind} in cdr); it has {there or 'no topics'}"
         found = _other_messages(channel, self.schemas, kind, definition)
         return f", and {layout.MEASURED} holds {found}, not {kind} in cdr" if found else ""
+
+
+_MESSAGE = struct.Struct("<HIQQ")
+"""Of a message's body: channel, sequence, time of logging and of publishing; the data follow."""
+
+
+def _message(body: bytes) -> tuple[int, int, bytes]:
+    channel, _, time, _ = _MESSAGE.unpack_from(body)
+    return channel, time, body[_MESSAGE.size :]
 
 
 def _other_messages(channel: Channel, schemas: Mapping[int, Schema], name: str, definition: bytes) -> str:
@@ -240,7 +276,9 @@ def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> byt
         # The package itself would unpack all that there is, whatever the chunk says.
         content = LZ4FrameDecompressor().decompress(other.data, max_length=size + 1)
         packed = len(chunk) - CHUNK_HEAD.size
-    if len(content) != size or packed != len(chunk) - CHUNK_HEAD.size or zlib.crc32(content) != checksum:
+    # Other programs may leave out the checksum, which is zero then.
+    other = checksum and zlib.crc32(content) != checksum
+    if len(content) != size or packed != len(chunk) - CHUNK_HEAD.size or other:
         raise ValueError("its checksum or its size differs")
     return content
 
@@ -336,6 +374,15 @@ def open_verified(path: Path) -> VerifiedFile:
     Raises:
         InputError: there is no such file, or it is empty, no MCAP file, cut off, damaged or not a log of this program.
     """
+    file = _open(path)
+    with file.decoding():
+        # Read once, so that later uses cannot fail.
+        _ = file.tick
+    return file
+
+
+def _open(path: Path) -> VerifiedFile:
+    """Read `path` and compare its checksums, whatever it holds; errors as in `open_verified`."""
     data = recorded_bytes(path)
     if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
         raise InputError(f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`")
@@ -351,9 +398,6 @@ def open_verified(path: Path) -> VerifiedFile:
         checked_size(sum(CHUNK_HEAD.unpack_from(chunk)[2] for chunk in file.chunks), most=LARGEST_LOG)
     except MALFORMED as error:
         damaged(path, f"a record does not read: {error}", cause=error)
-    with file.decoding():
-        # Read once, so that later uses cannot fail.
-        _ = file.tick
     return file
 
 
@@ -607,14 +651,45 @@ class RunLog:
 
 
 def read_log(path: Path | str) -> RunLog:
-    """Return the run logged in `path`.
+    """Return the run logged in `path`. If another program has written the log again, it is read by its topics.
 
     Raises:
         InputError: the file is missing, empty, cut off, damaged, not an MCAP file or not a log of a run.
     """
-    file = open_verified(Path(path))
+    file = _open(Path(path))
+    found = None if file.ours else _rewritten(file)
+    try:
+        if found is None:
+            with file.decoding():
+                return _decode(file)
+    except InputError:
+        found = _rewritten(file) if file.ours else None
+        if found is None:
+            raise
     with file.decoding():
-        return _decode(file)
+        events = [_event_of(time, body) for time, body in found.events]
+        extras = _extras(found.tick.extras, found.extras)
+        whole = {name: _frozen(values) for name, values in found.rows.items()}
+        return _run_log(file, found.tick, found.described, rows=whole, events=events, extras=extras)
+
+
+def _rewritten(file: VerifiedFile) -> Rewritten | None:
+    """Return a log that another program has written again, with a remark; None if the file holds no such log."""
+    try:
+        topics = by_topic(file.messages(), file.channels, file.schemas)
+        found = found_in(topics, file.values(layout.LAYOUT_RECORD))
+    except MALFORMED:
+        # The caller knows a better reason.
+        return None
+    if found is not None and (name := mixed(topics)):
+        raise InputError(f"{file.path}: {name} has different messages at one time, as of two runs; give one run's log")
+    if found is not None:
+        left_out = ", ".join(topic for topic in found.tick.schemas if topic not in found.topics)
+        remark(
+            f"{file.path} was written again by {file.library or 'another program'} and is read by its topics; its "
+            f"integrity cannot be checked{f', and it lacks {left_out}' if left_out else ''}"
+        )
+    return found
 
 
 _INCIDENTAL = ("version", "commit", "plan", "plant_parameters", "drawn")
@@ -683,7 +758,8 @@ def _decode(file: VerifiedFile) -> RunLog:
         raise InputError(f"{file.path} holds no ticks: the run ended before its first; {_AGAIN}")
     # Taken out of the mapping as they are joined: a long log is held once, not twice.
     whole = {name: _frozen(np.concatenate(rows.pop(name))) for name in list(rows)}
-    return _run_log(file, rows=whole, events=events, extras=_extras(tick.extras, extras))
+    described = file.metadata[layout.LAYOUT_RECORD]
+    return _run_log(file, tick, described, rows=whole, events=events, extras=_extras(tick.extras, extras))
 
 
 def _extras(names: tuple[str, ...], rows: list[Array]) -> Extras | None:
@@ -697,12 +773,23 @@ def _extras(names: tuple[str, ...], rows: list[Array]) -> Extras | None:
 def _event(data: bytes, offset: int) -> Event:
     head = np.frombuffer(data, layout.RECORD_HEADER, count=1, offset=offset)[0]
     end = offset + layout.LENGTH_FROM + int(head["length"])
-    level, name, text = layout.read_log_message(data[offset + layout.RECORD_HEADER.itemsize : end])
-    return Event(int(head["log_time"]) / 1e9, _LEVEL_NAMES.get(level, "info"), name, text)
+    return _event_of(int(head["log_time"]), data[offset + layout.RECORD_HEADER.itemsize : end])
 
 
-def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event], extras: Extras | None) -> RunLog:
-    tick, described = file.tick, file.metadata[layout.LAYOUT_RECORD]
+def _event_of(time: int, body: bytes) -> Event:
+    level, name, text = layout.read_log_message(body)
+    return Event(time / 1e9, _LEVEL_NAMES.get(level, "info"), name, text)
+
+
+def _run_log(
+    file: VerifiedFile,
+    tick: TickLayout,
+    described: Mapping[str, str],
+    *,
+    rows: dict[str, Array],
+    events: list[Event],
+    extras: Extras | None,
+) -> RunLog:
     limits = tuple(float(text) for text in described["limits"].split())
     columns = _frozen(np.ascontiguousarray(rows.pop("control").T)) if "control" in rows else ()
     metadata = {**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)}
@@ -755,7 +842,8 @@ class TopicSummary:
 class LogSummary:
     """A log that is whole: duration s from first to last message, size in bytes, attachments' sizes in bytes.
 
-    format: version of the layout. metadata: what the writer's caller passed. recovered: what `dpcontrol recover` could
+    format: version of the layout. rewritten: whether another program has written it again, so that its integrity cannot
+    be checked. metadata: what the writer's caller passed. recovered: what `dpcontrol recover` could
     not save, or None. partials: files beside it that other runs of this log have left or are writing.
     """
 
@@ -772,6 +860,7 @@ class LogSummary:
     metadata: dict[str, str]
     recovered: str | None
     partials: tuple[str, ...]
+    rewritten: bool = False
 
 
 def summarise(path: Path | str) -> LogSummary:
@@ -780,14 +869,30 @@ def summarise(path: Path | str) -> LogSummary:
     Raises:
         InputError: the file is missing, cut off, damaged or not a log of this program.
     """
-    file = open_verified(Path(path))
-    with file.decoding():
-        return _summary(file)
+    file = _open(Path(path))
+    found = None if file.ours else _rewritten(file)
+    try:
+        if found is None:
+            with file.decoding():
+                return _summary(file, file.tick, file.metadata[layout.LAYOUT_RECORD], _spans(file))
+    except InputError:
+        found = _rewritten(file) if file.ours else None
+        if found is None:
+            raise
+    spans = {
+        found.tick.channels[name]: (len(topic.times), min(topic.times), max(topic.times))
+        for name, topic in found.topics.items()
+        if name in found.tick.channels
+    }
+    return replace(_summary(file, found.tick, found.described, spans), rewritten=True)
 
 
-def _summary(file: VerifiedFile) -> LogSummary:
-    tick, described = file.tick, file.metadata[layout.LAYOUT_RECORD]
-    spans: dict[int, tuple[int, int, int]] = {}
+Spans = dict[int, tuple[int, int, int]]
+"""By channel: how many messages there are, the first time and the last, ns."""
+
+
+def _spans(file: VerifiedFile) -> Spans:
+    tick, spans = file.tick, Spans()
     for batch in file.batches():
         ticks = gathered(batch.data, batch.ticks, layout.RECORD_HEADER)
         found = {tick.channels[topic]: ticks for topic in tick.messages}
@@ -797,6 +902,10 @@ def _summary(file: VerifiedFile) -> LogSummary:
                 low, high = int(heads["log_time"].min()), int(heads["log_time"].max())
                 count, first, last = spans.get(channel, (0, low, high))
                 spans[channel] = (count + len(heads), min(first, low), max(last, high))
+    return spans
+
+
+def _summary(file: VerifiedFile, tick: TickLayout, described: Mapping[str, str], spans: Spans) -> LogSummary:
     ends = [(first, last) for _, first, last in spans.values()]
     return LogSummary(
         log=str(file.path),

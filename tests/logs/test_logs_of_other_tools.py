@@ -1,14 +1,18 @@
-"""Logs that other tools wrote, or wrote again: one sentence on what is missing, by every verb that reads logs."""
+"""Logs that other tools wrote again are read by their topics; of those that hold no run, one sentence says why."""
 
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from command_line import dpcontrol
 from log_samples import sample, write_sample
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
-from dpcontrol.logs import layout
+from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.logs import RunLog, layout, read_log
 
 VERBS = (
     ("score",), ("info",), ("report",), ("review", "--save", "shown.rrd"), ("replay", "--model", "lab"), ("recover",)
@@ -16,13 +20,31 @@ VERBS = (
 Channels = list[tuple[str, str, str, str, bytes, bytes]]
 """Of each: topic, encoding, schema's name, encoding and text, and a message."""
 JOINTS = "sensor_msgs/msg/JointState"
+TICKED = ("/joint_states", "/estimate/joint_states", "/reference/joint_states", "/truth/joint_states", "/control")
+SIX_DIGITS = 1e-5
+"""Of an arm's length that only the robot's description tells."""
 
 
-def rewritten(source: Path, out: Path, *, without: str = "", backwards: bool = False, encoding: str = "cdr") -> Path:
-    """Write a log again by Python's mcap package, with all of its checksums."""
+def rewritten(
+    source: Path,
+    out: Path,
+    *,
+    without: str = "",
+    backwards: bool = False,
+    encoding: str = "cdr",
+    thinned: int = 1,
+    bare: bool = False,
+    library: str = "another program",
+    **how: Any,
+) -> Path:
+    """Write a log again by Python's mcap package, with all of its checksums unless `how` says otherwise.
+
+    thinned: of the state topics keep each n-th message; bare: leave out metadata and attachments, as converters do.
+    """
+    seen: Counter[str] = Counter()
     with source.open("rb") as stream, out.open("wb") as target:
-        reader, writer = make_reader(stream), Writer(target, enable_data_crcs=True)
-        writer.start(profile="ros2", library="another program")
+        reader, writer = make_reader(stream), Writer(target, **{"enable_data_crcs": True, **how})
+        writer.start(profile="ros2", library=library)
         summary = reader.get_summary()
         kept = [channel for channel in summary.channels.values() if channel.topic != without]
         schemas = {k: writer.register_schema(s.name, s.encoding, s.data) for k, s in summary.schemas.items()}
@@ -30,11 +52,14 @@ def rewritten(source: Path, out: Path, *, without: str = "", backwards: bool = F
             c.id: writer.register_channel(c.topic, encoding, schemas[c.schema_id], c.metadata)
             for c in (reversed(kept) if backwards else kept)
         }
-        for record in reader.iter_metadata():
+        for record in () if bare else reader.iter_metadata():
             writer.add_metadata(record.name, record.metadata)
-        for record in reader.iter_attachments():
+        for record in () if bare else reader.iter_attachments():
             writer.add_attachment(0, 0, record.name, record.media_type, record.data)
         for _, channel, m in reader.iter_messages(log_time_order=False):
+            seen[channel.topic] += 1
+            if channel.topic in TICKED and (seen[channel.topic] - 1) % thinned:
+                continue
             if channel.id in numbers:
                 writer.add_message(numbers[channel.id], m.log_time, m.data, m.publish_time, m.sequence)
         writer.finish()
@@ -69,20 +94,118 @@ def refused(log: Path, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch)
     assert sorted(folder.iterdir()) == before
 
 
+def same_run(log: RunLog, first: RunLog, *, each: int = 1) -> None:
+    """Check that a log holds each n-th tick of the first, to the last bit."""
+    assert np.array_equal(log.time, first.time[::each])
+    assert np.array_equal(log.measured, first.measured[::each])
+    for part in log.states:
+        assert np.array_equal(log.states[part], first.states[part][::each])
+    for name in log.controls:
+        assert np.array_equal(log.controls[name], first.controls[name][::each], equal_nan=True)
+
+
 @pytest.mark.parametrize(
-    "topic", ["/joint_states", "/truth/joint_states", "/control", "/rosout", "/tf", "/robot_description"]
+    "how",
+    [
+        {"backwards": True},
+        {"enable_data_crcs": False},
+        {"enable_data_crcs": False, "enable_crcs": False, "library": "dpcontrol 0.2.0"},
+        {"backwards": True, "use_chunking": False},
+        {"backwards": True, "compression": CompressionType.LZ4},
+        {"backwards": True, "compression": CompressionType.NONE, "chunk_size": 2000},
+    ],
 )
-def test_a_log_from_which_a_topic_was_taken_says_which(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, topic: str
+def test_a_log_that_was_written_again_otherwise_holds_the_same_run(tmp_path: Path, how: dict[str, Any]) -> None:
+    first = read_log(write_sample(tmp_path / "run.mcap", sample()))
+    with pytest.warns(Remark, match=r"was written again by .* its integrity cannot be checked$"):
+        log = read_log(rewritten(tmp_path / "run.mcap", tmp_path / "other.mcap", **how))
+    same_run(log, first)
+    assert log.parts == first.parts
+    assert (log.events, log.attachments, log.limits) == (first.events, first.attachments, first.limits)
+    assert (log.arm_lengths, log.metadata) == (first.arm_lengths, first.metadata)
+    assert log.extras is not None
+    assert first.extras is not None
+    assert np.array_equal(log.extras.values, first.extras.values)
+
+
+def test_a_thinned_log_is_read_at_the_rate_that_is_left(tmp_path: Path) -> None:
+    first = read_log(write_sample(tmp_path / "run.mcap", sample()))
+    with pytest.warns(Remark, match="integrity cannot be checked"):
+        log = read_log(rewritten(tmp_path / "run.mcap", tmp_path / "thin.mcap", thinned=5))
+    same_run(log, first, each=5)
+    assert log.rate_hz == pytest.approx(first.rate_hz / 5)
+
+
+@pytest.mark.parametrize(
+    ("topic", "part"),
+    [
+        ("/tf", ""),
+        ("/rosout", ""),
+        ("/robot_description", ""),
+        ("/control", "control"),
+        ("/truth/joint_states", "truth"),
+    ],
+)
+def test_a_log_without_a_topic_is_read_and_the_topic_is_named(tmp_path: Path, topic: str, part: str) -> None:
+    first = read_log(write_sample(tmp_path / "run.mcap", sample()))
+    log_file = rewritten(tmp_path / "run.mcap", tmp_path / "other.mcap", without=topic)
+    with pytest.warns(Remark) as made:
+        log = read_log(log_file)
+    same_run(log, first)
+    assert log.parts == first.parts - {part}
+    if not part:
+        assert f"and it lacks {topic}" in str(made[0].message)
+
+
+@pytest.mark.parametrize(("arms", "has_cart"), [(2, True), (3, False)])
+def test_a_converted_log_without_metadata_is_read_by_schema_and_description(
+    tmp_path: Path, arms: int, has_cart: bool
 ) -> None:
-    log = rewritten(write_sample(tmp_path / "run.mcap", sample()), tmp_path / "other.mcap", without=topic)
-    refused(log, f"lacks {topic}, which its own description names", tmp_path, monkeypatch)
+    """As rosbag2 converts: topics and messages stay, metadata and attachments do not."""
+    first = read_log(write_sample(tmp_path / "run.mcap", sample(arms=arms, has_cart=has_cart)))
+    with pytest.warns(Remark, match="integrity cannot be checked"):
+        log = read_log(rewritten(tmp_path / "run.mcap", tmp_path / "bag.mcap", bare=True, backwards=True))
+    same_run(log, first)
+    assert log.parts == first.parts
+    assert log.arm_lengths == pytest.approx(first.arm_lengths, rel=SIX_DIGITS)
+    assert log.rate_hz == pytest.approx(first.rate_hz)
+    assert not log.attachments
 
 
-def test_a_log_whose_channels_were_renumbered_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_runs_in_one_file_are_told_apart_and_refused(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        write_sample(tmp_path / f"{seed}.mcap", sample(seed=seed))
+    with (tmp_path / "merged.mcap").open("wb") as target:
+        writer = Writer(target)
+        writer.start(profile="ros2")
+        for seed in (1, 2):
+            with (tmp_path / f"{seed}.mcap").open("rb") as stream:
+                numbers: dict[int, int] = {}
+                for schema, channel, m in make_reader(stream).iter_messages():
+                    if channel.id not in numbers:
+                        number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                        numbers[channel.id] = writer.register_channel(channel.topic, "cdr", number)
+                    writer.add_message(numbers[channel.id], m.log_time, m.data, m.publish_time)
+        writer.finish()
+    with pytest.raises(InputError, match="/joint_states has different messages at one time, as of two runs"):
+        read_log(tmp_path / "merged.mcap")
+
+
+def test_the_verbs_read_a_log_that_was_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     log = rewritten(write_sample(tmp_path / "run.mcap", sample()), tmp_path / "other.mcap", backwards=True)
-    said = "numbered the channels anew (/joint_states is channel 10 instead of 1); give the log as `dpcontrol run`"
-    refused(log, said, tmp_path, monkeypatch)
+    ended = dpcontrol("info", log)
+    assert ended.code == 0
+    assert "integrity not checked" in ended.stdout
+    assert ended.stderr.count("cannot be checked") == 1
+    first, second = (dpcontrol("info", path, "--json").document for path in (tmp_path / "run.mcap", log))
+    assert {**second, "log": first["log"], "size": first["size"], "rewritten": False} == first
+
+
+def test_a_log_without_measurements_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = write_sample(tmp_path / "run.mcap", sample())
+    log = rewritten(run, tmp_path / "other.mcap", without="/joint_states")
+    refused(log, "lacks /joint_states, which its own description names", tmp_path, monkeypatch)
 
 
 def test_a_log_that_was_rewritten_in_another_encoding_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

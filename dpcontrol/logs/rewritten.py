@@ -1,0 +1,193 @@
+"""Logs that other programs have written again, read topic by topic and by the names of their messages.
+
+Filters, mergers and converters number channels differently, leave out topics, messages, metadata or attachments, or
+pack messages otherwise. The messages themselves stay as they were: CDR with ROS 2's definitions. A tick is a moment at
+which each state topic of the log has a message. What else was in the original cannot be known, so that neither its
+integrity nor its completeness can be checked.
+
+Sources: OMG DDS-RTPS 2.3, section 10 (CDR); sensor_msgs/JointState, std_msgs/String of ROS 2's `common_interfaces`.
+"""
+
+import re
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from mcap.records import Channel, Schema
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.logs import layout
+from dpcontrol.logs.layout import TickLayout
+
+_LENGTH = re.compile(r'xyz="0 [-\d.e]+ (-[\d.e-]+)"')
+"""In a link of the robot's description: how far below its joint something is drawn, last its far end."""
+_LINK = re.compile(r'<link name="arm_(\d+)_link">(.*?)</link>', re.DOTALL)
+
+
+@dataclass
+class Topic:
+    """The messages of a topic: times in ns, and bodies in CDR, in the order of the file."""
+
+    schema: str
+    definition: bytes
+    times: list[int] = field(default_factory=list)
+    bodies: list[bytes] = field(default_factory=list)
+
+
+def by_topic(
+    messages: Iterable[tuple[int, int, bytes]], channels: Mapping[int, Channel], schemas: Mapping[int, Schema]
+) -> dict[str, Topic]:
+    """Return the topics of messages (channel, time in ns, body) that are in CDR; channels may grow meanwhile."""
+    found: dict[str, Topic] = {}
+    for number, time, body in messages:
+        channel = channels.get(number)
+        schema = None if channel is None else schemas.get(channel.schema_id)
+        if channel is None or schema is None or channel.message_encoding != "cdr":
+            continue
+        topic = found.setdefault(channel.topic, Topic(schema.name, schema.data))
+        topic.times.append(time)
+        topic.bodies.append(body)
+    return found
+
+
+def mixed(topics: Mapping[str, Topic]) -> str:
+    """Return the name of a topic that has different messages at one time, as of two runs; "" if there is none."""
+    for name in (one for one in _TICKED if one in topics):
+        times, bodies = topics[name].times, topics[name].bodies
+        if len(set(zip(times, bodies, strict=True))) > len(set(times)):
+            return name
+    return ""
+
+
+_TICKED = (layout.MEASURED, *layout.STATE_TOPICS.values(), layout.CONTROL)
+"""Topics with one message in each tick."""
+
+
+class _Cursor:
+    """Reads values of a CDR message one after the other."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.place = data, len(layout.ENCAPSULATION)
+        self._order = "<" if data[1:2] == b"\x01" else ">"
+
+    def take(self, form: str, size: int, count: int = 1) -> tuple[Any, ...]:
+        """Return numbers of one size, from where they are aligned to it."""
+        self.place += -(self.place - len(layout.ENCAPSULATION)) % size
+        values = struct.unpack_from(f"{self._order}{count}{form}", self.data, self.place)
+        self.place += size * count
+        return values
+
+    def text(self) -> str:
+        (size,) = self.take("I", 4)
+        start, self.place = self.place, self.place + size
+        return self.data[start : self.place].rstrip(b"\0").decode()
+
+    def doubles(self) -> tuple[float, ...]:
+        (count,) = self.take("I", 4)
+        if count * 8 > len(self.data):
+            raise ValueError("a sequence runs over the message's end")
+        return self.take("d", 8, count) if count else ()
+
+
+def _joints(body: bytes) -> tuple[tuple[str, ...], tuple[float, ...], tuple[float, ...]]:
+    """Return names, positions and velocities of sensor_msgs/JointState."""
+    cursor = _Cursor(body)
+    cursor.take("I", 4, 2)
+    cursor.text()
+    (count,) = cursor.take("I", 4)
+    if count * 4 > len(body):
+        raise ValueError("a sequence runs over the message's end")
+    names = tuple(cursor.text() for _ in range(count))
+    return names, cursor.doubles(), cursor.doubles()
+
+
+@dataclass(frozen=True)
+class Rewritten:
+    """A log found topic by topic: its ticks' layout, a description as the layout's record gives it, and its rows."""
+
+    tick: TickLayout
+    described: dict[str, str]
+    rows: dict[str, Array]
+    events: list[tuple[int, bytes]]
+    extras: list[Array]
+    topics: dict[str, Topic]
+
+
+def found_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> Rewritten | None:
+    """Return the log that topics hold; None if these are not joints of a pendulum.
+
+    described: what the layout's record says, empty if the file has none. Then the arms' lengths are those that the
+    robot's description draws.
+
+    Raises:
+        ValueError, struct.error: a message is not what its schema says.
+    """
+    measured = topics.get(layout.MEASURED)
+    if measured is None or measured.schema != layout.JOINT_STATE[0]:
+        return None
+    names = _joints(measured.bodies[0])[0]
+    has_cart = names[-1:] == ("cart",)
+    arms = len(names) - has_cart
+    lengths = [float(text) for text in described.get("arm_lengths", "").split()] or _drawn_lengths(topics)
+    if not arms or names != layout.joint_names(arms, has_cart=has_cart) or len(lengths) != arms:
+        return None
+    parts: dict[str, dict[int, Any]] = {}
+    decoded = {time: _joints(body) for time, body in zip(measured.times, measured.bodies, strict=True)}
+    parts["measured"] = {time: values[1] for time, values in decoded.items()}
+    if all(len(values[2]) == len(names) for values in decoded.values()):
+        parts["rates"] = {time: values[2] for time, values in decoded.items()}
+    for part, name in layout.STATE_TOPICS.items():
+        topic = topics.get(name)
+        if topic is not None and topic.schema == layout.JOINT_STATE[0]:
+            parts[part] = _states(topic, arms)
+    fields = layout.control_fields(arms, has_cart=has_cart)
+    control = topics.get(layout.CONTROL)
+    if control is not None and re.findall(r"float64 (\w+)", control.definition.decode()) == list(fields):
+        parts["control"] = _rows(control, len(fields))
+    times = np.array(sorted(reduce(set.intersection, (set(rows) for rows in parts.values()))))
+    if len(times) < 2:
+        return None
+    rows = {name: np.array([values[int(time)] for time in times], float) for name, values in parts.items()}
+    names_of_extras = tuple(described.get(layout.EXTRAS_KEY, "").split())
+    extras = topics.get(layout.EXTRAS) if names_of_extras else None
+    found = [] if extras is None else [_with_times(_rows(extras, 2 * len(names_of_extras)))]
+    events = topics.get(layout.EVENTS)
+    logged = [] if events is None or events.schema != layout.LOG[0] else zip(events.times, events.bodies, strict=True)
+    own = {
+        "format": layout.FORMAT, "program": "another program", "limits": "", **described,
+        "arm_lengths": " ".join(map(repr, lengths)), "rate_hz": repr(1e9 / float(np.median(np.diff(times)))),
+    }  # fmt: skip
+    tick = TickLayout(arms, has_cart, frozenset(rows) - {"measured"}, names_of_extras if found else ())
+    return Rewritten(tick, own, {"time": times / 1e9, **rows}, list(logged), found, dict(topics))
+
+
+def _states(topic: Topic, arms: int) -> dict[int, list[float]]:
+    """Return the states of a topic by time, in state order."""
+    found = {}
+    for time, body in zip(topic.times, topic.bodies, strict=True):
+        _, at, rates = _joints(body)
+        if len(at) != len(rates):
+            raise ValueError("a state lacks rates")
+        found[time] = [*at[:arms], *rates[:arms], *at[arms:], *rates[arms:]]
+    return found
+
+
+def _rows(topic: Topic, width: int) -> dict[int, tuple[float, ...]]:
+    return {time: _Cursor(body).take("d", 8, width) for time, body in zip(topic.times, topic.bodies, strict=True)}
+
+
+def _with_times(rows: Mapping[int, tuple[float, ...]]) -> Array:
+    return np.array([(time / 1e9, *values) for time, values in sorted(rows.items())])
+
+
+def _drawn_lengths(topics: Mapping[str, Topic]) -> list[float]:
+    """Return the arms' lengths as the robot's description draws them, to six digits; none without a description."""
+    robot = topics.get(layout.ROBOT)
+    if robot is None or robot.schema != layout.STRING[0]:
+        return []
+    links = dict(_LINK.findall(_Cursor(robot.bodies[0]).text()))
+    ends = [_LENGTH.findall(links[number]) for number in sorted(links, key=int)]
+    return [-float(found[-1]) for found in ends if found]
