@@ -559,7 +559,7 @@ def open_atlas(file: Place) -> "Atlas":
 def open_recording(
     file: Place, *, mapping: str | None = None, repairs: Sequence[str] = (), progress: Reporting = None
 ) -> "Recording":
-    """Open a recording of the bench: a log, or MATLAB, CSV or Parquet by a mapping of its columns.
+    """Open a recording of the bench: a log, or MATLAB, CSV, Parquet, MCAP or a ROS bag by a mapping of its columns.
 
     repairs: what may be mended, of nan, time, gaps, wrap, spikes and sampling.
 
@@ -573,7 +573,7 @@ def open_recording(
     from dpcontrol.recordings.recording import load_recording
 
     path = Path(file)
-    if path.suffix.lower() == ".mcap":
+    if path.suffix.lower() == ".mcap" and mapping is None:
         return load_recording(path)
     with _reporting(progress, "import") as report:
         return import_recording(path, mapping, repairs=list(repairs), progress=report)

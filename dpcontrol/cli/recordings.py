@@ -35,7 +35,8 @@ def import_command(
     *,
     file: Path | None = argument(),
     mapping: str | None = option(
-        help="Meaning of the columns: a name or a TOML file [.mat: by its contents; else table]."
+        help="Meaning of the columns: a name or a TOML file [.mat: by its contents; bags, .mcap: joint-states; "
+        "else table]."
     ),
     model: str | None = option(help="Model of the arms, to remark on what of the recording contradicts it."),
     repair: str = option(default="", help="What may be mended, with commas: nan,time,gaps,wrap,spikes,sampling."),
@@ -49,7 +50,7 @@ def import_command(
     force: bool = force_option(),
     yes: bool = YES,
 ) -> Answer:
-    """Import a recording of the bench, MATLAB, CSV or Parquet, as a log.
+    """Import a recording of the bench, MATLAB, CSV, Parquet, MCAP or a ROS bag, as a log.
 
     Gaps, repeated times, missing numbers, wrapped angles and columns that contradict each other are rejected with
     their row, and mended only where --repair says so; the log notes what was. Segments count from 0, rows from 1.

@@ -20,6 +20,7 @@ _NEEDED = {
     "conda-forge heyoka.py`, or take a plan that was saved where heyoka is by `dpcontrol plan NAME --out FILE.npz`",
     "matio": "MATLAB 7.3 files and MATLAB objects need mat-io; install it by `pip install 'dpcontrol[matlab]'`, or "
     "save the recording in MATLAB as version 7",
+    "rosbags": "ROS bags and MCAP files need rosbags; install it by `pip install 'dpcontrol[bags]'`, or save CSV",
     "pyarrow": "Parquet tables, as campaigns write them, need pyarrow; install it by `pip install 'dpcontrol[tables]'`",
     "rerun": "the viewer and its recordings need rerun-sdk; install it by `pip install 'dpcontrol[viewer]'`, or have "
     "matplotlib draw with --picture FILE.png",

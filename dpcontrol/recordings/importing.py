@@ -38,6 +38,7 @@ from dpcontrol.foundation.parts import part as package
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Table, read_toml, suggest
 from dpcontrol.foundation.shipped import MAPPINGS
+from dpcontrol.recordings.bags import is_bag, read_bag
 from dpcontrol.recordings.checks import (
     ANGLE,
     CART,
@@ -251,9 +252,9 @@ def import_recording(
     """Return what a file of the bench recorded.
 
     Args:
-        path: a MATLAB (.mat), CSV (.csv, .tsv, .txt) or Parquet (.parquet) file.
+        path: a MATLAB (.mat), CSV (.csv, .tsv, .txt), Parquet (.parquet) or MCAP (.mcap) file, or a ROS bag.
         mapping: name or path of a mapping; by default the one of the MultiArm-Pendulum data set's kinds whose columns
-            a MATLAB file holds, and `table` for others.
+            a MATLAB file holds, `joint-states` for MCAP files and bags, and `table` for others.
         repairs: names of repairs that may be made.
         progress: called with how far it is.
 
@@ -263,16 +264,24 @@ def import_recording(
     path = Path(path)
     allowed = checked_repairs(tuple(repairs))
     kind = path.suffix.lower()
-    if kind not in MATLAB + TABLES:
-        known = ", ".join(MATLAB + TABLES)
-        raise InputError(f"{path}: a recording is a file of kind {known}; this ends in {kind or 'nothing'}")
-    checked_source(path)
+    bag = is_bag(path)
+    if not bag and kind not in MATLAB + TABLES:
+        known = ", ".join((*MATLAB, *TABLES, ".mcap", ".bag"))
+        raise InputError(
+            f"{path}: a recording is a file of kind {known} or a folder of ROS 2; this ends in {kind or 'nothing'}"
+        )
+    if not (bag and path.is_dir()):
+        checked_source(path)
     given = load_mapping(mapping) if mapping else None
     progress("reading", 0.0)
     if kind in MATLAB:
         variables = read_matlab(path)
         chosen = given or _fitting(variables, path)
         stretches, period = _matlab(path, chosen, variables)
+    elif bag:
+        chosen = given or load_mapping("joint-states")
+        _check_columns(path, chosen, "a bag")
+        stretches, period = [_of_columns(path, chosen, read_bag(path, chosen.named), chosen.period)], chosen.period
     else:
         chosen = given or _with_rates_that_are_there(load_mapping("table"), path)
         stretches, period = _table(path, chosen), chosen.period
@@ -300,11 +309,16 @@ def _with_rates_that_are_there(mapping: Mapping, path: Path) -> Mapping:
     return mapping if any(name in there for name in mapping.rate_columns) else replace(mapping, rate_columns=())
 
 
-def _table(path: Path, mapping: Mapping) -> list[Samples]:
+def _check_columns(path: Path, mapping: Mapping, what: str) -> None:
+    """Reject a mapping of MATLAB files: `what` has columns only."""
     if mapping.state_cells:
         raise InputError(f"{path}: the mapping {mapping.name!r} is for MATLAB cells; give one with columns: --mapping")
     if mapping.period_variable:
-        raise InputError(f"{path}: a table holds no variable {mapping.period_variable!r}; give [sampling] period")
+        raise InputError(f"{path}: {what} holds no variable {mapping.period_variable!r}; give [sampling] period")
+
+
+def _table(path: Path, mapping: Mapping) -> list[Samples]:
+    _check_columns(path, mapping, "a table")
     return [_of_columns(path, mapping, read_table(path, mapping.named), mapping.period)]
 
 

@@ -1,0 +1,126 @@
+"""ROS bags of both versions and MCAP files are imported by a mapping of topics, joints and fields."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import LogWriter
+from dpcontrol.recordings.importing import import_recording
+
+SAMPLES, PERIOD, START = 300, 0.002, 1_700_000_000
+"""A clock of days, as benches have."""
+TIME = PERIOD * np.arange(SAMPLES)
+ANGLES = np.column_stack([0.5 * np.cos(6.0 * TIME), 0.3 * np.sin(9.0 * TIME)])
+MAPPING = """
+arm_lengths = [0.2, 0.3]
+[time]
+column = "{time}"
+[angles]
+columns = ["/bench/joints/elbow/position", "/bench/joints/shoulder/position"]
+zero = "upright"
+relative = true
+[cart]
+position = "/bench/rail.data[1]"
+unit = "mm"
+"""
+
+
+def bag(folder: Path, kind: str) -> Path:
+    """Write joints in another order than the arms', and a cart in mm on a topic of its own, half a period later."""
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "bag1" else Stores.ROS2_HUMBLE)
+    types = store.types
+    path = folder / ("swing.bag" if kind == "bag1" else "swing")
+    with Writer1(path) if kind == "bag1" else Writer2(path, version=8) as writer:
+        joints = writer.add_connection("/bench/joints", "sensor_msgs/msg/JointState", typestore=store)
+        rail = writer.add_connection("/bench/rail", "std_msgs/msg/Float64MultiArray", typestore=store)
+        layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+        for k in range(-1, SAMPLES):
+            moment = START * 10**9 + round(1e9 * PERIOD * k)
+            stamp = types["builtin_interfaces/msg/Time"](sec=moment // 10**9, nanosec=moment % 10**9)
+            first = {"seq": 0} if kind == "bag1" else {}
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="bench", **first)
+            relative = np.array([0.0, ANGLES[k, 0] + np.pi, ANGLES[k, 1] - ANGLES[k, 0] + np.pi])
+            state = types["sensor_msgs/msg/JointState"](
+                header=header, name=["wheel", "elbow", "shoulder"], position=relative, velocity=np.zeros(0),
+                effort=np.zeros(0),
+            )  # fmt: skip
+            late = types["std_msgs/msg/Float64MultiArray"](layout=layout, data=np.array([7.0, 100.0 * (k + 0.5)]))
+            messages = [(rail, moment + round(5e8 * PERIOD), late)] + ([(joints, moment, state)] if k >= 0 else [])
+            for connection, at, message in messages:
+                pack = store.serialize_ros1 if kind == "bag1" else store.serialize_cdr
+                writer.write(connection, at, pack(message, connection.msgtype))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["bag1", "bag2"])
+@pytest.mark.parametrize("time", ["log_time", "/bench/joints.header.stamp"])
+def test_a_bag_is_imported_by_a_mapping(tmp_path: Path, kind: str, time: str) -> None:
+    (tmp_path / "bench.toml").write_text(MAPPING.format(time=time))
+    found = import_recording(bag(tmp_path, kind), str(tmp_path / "bench.toml"))
+    # The bag counts each angle from upright, the outer one from the inner arm.
+    expected = np.cumsum(np.column_stack([ANGLES[:, 0], ANGLES[:, 1] - ANGLES[:, 0]]), axis=1)
+    assert np.allclose(found.angles, expected, atol=1e-12)
+    assert found.dt == pytest.approx(PERIOD)
+    assert found.rates is None
+    assert found.cart is not None
+    # Millimetres on a straight line, interpolated between messages half a period off.
+    assert np.allclose(found.cart, 0.1 * np.arange(SAMPLES), atol=1e-9)
+
+
+def log(path: Path) -> Path:
+    """Write the angles as a log of this program."""
+    rates = np.gradient(ANGLES, PERIOD, axis=0)
+    measured, velocity = (np.column_stack([part, np.zeros(SAMPLES)]) for part in (ANGLES, rates))
+    with LogWriter(path, arm_lengths=(0.2, 0.3), rate_hz=1 / PERIOD, has_cart=True) as writer:
+        writer.ticks(TIME, measured=measured, rates=velocity)
+    return path
+
+
+def test_an_mcap_file_of_joint_states_needs_no_mapping_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ended = dpcontrol("import", log(tmp_path / "run.mcap"), "--out", "again.mcap", "--json")
+    assert ended.code == 0, ended.stderr
+    assert ended.document["samples"] == SAMPLES
+    found = import_recording(tmp_path / "run.mcap")
+    assert np.allclose(found.angles, ANGLES, atol=1e-12)
+    assert found.rates is not None
+
+
+def test_an_mcap_file_is_imported_by_a_mapping(tmp_path: Path) -> None:
+    (tmp_path / "arm.toml").write_text(
+        'arm_lengths = [0.1]\n[time]\ncolumn = "log_time"\n[angles]\ncolumns = ["/joint_states/arm_2/position"]\n'
+    )
+    found = import_recording(log(tmp_path / "run.mcap"), str(tmp_path / "arm.toml"))
+    assert np.allclose(found.angles[:, 0], ANGLES[:, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        ("/bench/jonts/elbow/position", "no topic holds the column '/bench/jonts/elbow/position'; did you mean"),
+        ("/bench/joints/knee/position", "/bench/joints/knee/position holds no numbers in any message"),
+        ("/bench/rail.data[9]", "/bench/rail.data[9] holds no numbers in any message"),
+    ],
+)
+def test_a_column_that_is_not_in_the_bag_is_named(tmp_path: Path, column: str, said: str) -> None:
+    text = MAPPING.format(time="log_time").replace("/bench/joints/elbow/position", column)
+    (tmp_path / "bench.toml").write_text(text)
+    with pytest.raises(InputError) as refused:
+        import_recording(bag(tmp_path, "bag2"), str(tmp_path / "bench.toml"))
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["x.bag", "x.mcap"])
+def test_what_is_no_bag_is_a_sentence(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"no bag at all" * 50)
+    ended = dpcontrol("import", tmp_path / name)
+    assert ended.code == 2
+    assert "is not a readable bag" in ended.message
