@@ -1,7 +1,7 @@
 """Runs whose verdicts two decoders give, and wrong runs made of right ones."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -164,3 +164,43 @@ def mutants(case: Case, plan: Plan, random: np.random.Generator) -> Iterator[Cas
             turns[first:] -= np.array(stops[k + 1]["angles"]) - np.array(stops[k]["angles"])
             if np.abs(np.array(stops[k + 2]["angles"]) - np.array(stops[k + 1]["angles"])).max() > 1:
                 yield with_rows(f"symbol {k + 1} left out", skipped, turns)
+
+
+@dataclass
+class Comparison:
+    """Runs judged by both decoders: how many, how many completed, wrong ones made of them, and false verdicts."""
+
+    runs: int = 0
+    completed: int = 0
+    wrong: int = 0
+    false: list[str] = field(default_factory=list)
+
+    def add(self, plan: Any, options: RunOptions, seeds: list[int], random: np.random.Generator) -> None:
+        """Fly these seeds of a plan, and wrong runs made of the first that is completed."""
+        reference, made = plan.reference, False
+        for case in runs(plan.itinerary, reference, options, seeds):
+            assert case.flown.limits is not None
+            read = judged_plan(reference, case.flown.rate_hz, case.flown.limits)
+            self.runs += 1
+            if text := disagreement(case, reference, read):
+                self.false.append(f"{plan.itinerary.name}, {text}")
+            if verdict_on(case.flown, reference).problem:
+                continue
+            self.completed += 1
+            if made or case.flown.flights:
+                continue
+            made = True
+            for mutant in mutants(case, read, random):
+                self.wrong += 1
+                if not verdict_on(mutant.flown, reference).problem:
+                    self.false.append(f"{plan.itinerary.name}, {mutant.text}: completed by the score")
+                if not faults(read, mutant.flown.states, None):
+                    self.false.append(f"{plan.itinerary.name}, {mutant.text}: completed by the other decoder")
+
+
+def for_plan(options: RunOptions, plan: Any) -> RunOptions:
+    """Return options that fit a plan: one whose stops are kept has a law of its own."""
+    values = options.given()
+    if "program" in plan.reference.notes:
+        values.pop("controller", None)
+    return RunOptions(**values)

@@ -1,0 +1,62 @@
+"""Are verdicts true? Five thousand runs of drawn itineraries on drawn benches, judged by a second decoder as well.
+
+As a program, this file compares the itineraries of a range of seeds and prints a line for each:
+
+    python tests/benchmarks/test_five_thousand_verdicts.py 0 40
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from generated_itineraries import write_itinerary
+from verdict_runs import Comparison, drawn_options, for_plan
+
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.review.decoding import shortfall
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import make_plan
+
+pytestmark = pytest.mark.benchmark
+
+RUNS = 5000
+SEEDS, BENCHES = 128, 2
+KEPT = 2
+"""Runs of walks whose stops are kept: they go tick by tick."""
+
+
+def compare(seed: int, found: Comparison) -> str:
+    """Add the runs of an itinerary; return how its plan was found."""
+    random = np.random.default_rng([seed, 5])
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            plan = make_plan(load_itinerary(str(write_itinerary(Path(folder), seed))))
+        except (GoalMissed, InputError) as error:
+            return str(error)
+        if plan.converged:
+            assert shortfall(plan.reference) == ""
+            count = KEPT if "program" in plan.reference.notes else SEEDS
+            for _ in range(BENCHES):
+                found.add(plan, for_plan(drawn_options(random), plan), list(range(count)), random)
+        return plan.status
+
+
+def test_of_five_thousand_drawn_runs_no_verdict_is_false() -> None:
+    found, seed = Comparison(), 0
+    while found.runs < RUNS:
+        compare(seed, found)
+        seed += 1
+    sys.stdout.write(f"\n{found.runs} runs, {found.completed} completed, {found.wrong} wrong ones made of them\n")
+    assert found.wrong > 0
+    assert not found.false
+
+
+if __name__ == "__main__":
+    for chosen in range(int(sys.argv[1]), int(sys.argv[2])):
+        one = Comparison()
+        how = compare(chosen, one)
+        sys.stdout.write(f"{chosen}: {one.runs} runs, {one.completed} completed, {one.wrong} wrong; {how}\n")
+        sys.stdout.write("".join(f"    false: {text}\n" for text in one.false))
+        sys.stdout.flush()
