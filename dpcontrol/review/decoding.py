@@ -148,6 +148,9 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
     # A kept orbit has the plant's own period, so that any phase of it may be the right one.
     window = shortest_period(notes) * (0.5 if "program" in notes or "stay" in notes else 0.25)
     reach = int(np.ceil(window / _GRID))
+    # A run may go on after the plan's end: around the last orbit, period by period.
+    last = _period(notes, -1)
+    clock = clock - np.ceil((clock - plan.duration).clip(min=0.0) / last) * last
     places = np.rint(clock / _GRID).astype(np.intp)
 
     def gaps(rows: NDArray[np.intp], offset: int) -> Array:

@@ -137,3 +137,12 @@ def test_a_turn_back_at_the_same_angles_is_told_from_the_one_before_by_its_direc
     found = decode_run(TIMES, motion(TIMES, FIRST, SECOND, (1.0, -1.0)), there_and_back)
     assert (found.matched, found.wraps) == (3, (WRAPS,))
     assert found.crossings == pytest.approx((FIRST, SECOND), abs=1e-3)
+
+
+def test_a_run_may_wobble_on_after_the_plans_end() -> None:
+    times = np.arange(0.0, END + 2.3 * PERIOD, 1e-3)
+    found = decode_run(times, motion(times, FIRST, SECOND), plan())
+    assert (found.matched, found.lost) == (3, None)
+    angles = motion(times, FIRST, SECOND)
+    angles[times > END + PERIOD, 0] += 4.0
+    assert times[decode_run(times, angles, plan()).lost] == pytest.approx(END + PERIOD, abs=2e-3)
