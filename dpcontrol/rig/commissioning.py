@@ -407,6 +407,7 @@ def _judged(
         _lateness(drive, settings, session.period, changes),
         *_encoders(wiring, swing, signs, drive.gain),
         _counts(session, wiring, drive.gain, settings, changes),
+        _play(angles[since:], session.period, wiring, settings, changes),
         _model(swing, wiring, modes(arms)),
     ]
 
@@ -1081,6 +1082,82 @@ def _counts(
     return Finding(
         "counts", Grade.WRONG, f"{sentence}, but [run] says {f'{said:,}' if said else 'no rounding'}",
         f"set counts = {coarsest} in [run], as --write does", figures, mended=True,
+    )  # fmt: skip
+
+
+_SPAN, _SHORTEST = 0.1, 0.06
+"""s before and after a reversal that show the play, and the least of either."""
+_DEGREE = 4
+_LIKE = 20
+"""Residuals that follow one another and are alike."""
+
+
+def fit_play(angles: Array, period: float) -> tuple[float, float]:
+    """Return the play between a joint and its encoder, rad, and its standard error, from readings (K,) of that joint.
+
+    An encoder stops where its joint reverses, and follows once the joint has crossed the play. On either side of the
+    gap a reversal's readings lie on one smooth curve, apart from the play; friction bends that curve at the reversal.
+    """
+    noise = float(np.median(np.abs(np.diff(angles)))) / 0.954
+    least, mark = max(0.5 * _rounding(angles), 5 * noise, 1e-9), angles[0]
+    ticks, sides = [], []
+    for k, angle in enumerate(angles.tolist()):
+        if abs(angle - mark) > least:
+            ticks.append(k)
+            sides.append(math.copysign(1.0, angle - mark))
+            mark = angle
+    turns = np.flatnonzero(np.diff(sides)) + 1
+    plays, weights = [], []
+    for before, turn, after in zip([0, *turns], turns, [*turns[1:], len(sides)], strict=False):
+        first, last, begin, end = ticks[before], ticks[turn - 1], ticks[turn], ticks[after - 1]
+        if min(last - first, end - begin) * period < _SHORTEST:
+            continue
+        span = round(_SPAN / period)
+        rows = np.concatenate(
+            [np.arange(max(first, last - span), last + 1), np.arange(begin, min(end, begin + span) + 1)]
+        )
+        place, since = np.linspace(-1, 1, rows[-1] - rows[0] + 1)[rows - rows[0]], (rows - last) * period
+        side = np.where(rows <= last, -sides[turn], sides[turn])
+        design = np.column_stack([side / -2, np.where(since > 0, since**2, 0.0), np.vander(place, _DEGREE + 1)])
+        left = angles[rows] - design @ _solved(design, angles[rows])
+        variance = _LIKE * float(left @ left) / len(rows) * np.linalg.pinv(design.T @ design)[0, 0]
+        plays.append(_solved(design, angles[rows])[0])
+        weights.append(1 / max(variance, 1e-16))
+    if len(plays) < _REVERSALS:
+        return math.nan, math.nan
+    mean = float(np.average(plays, weights=weights))
+    scatter = float(np.average((np.array(plays) - mean) ** 2, weights=weights))
+    return mean, math.sqrt(scatter / len(plays) + 1 / sum(weights))
+
+
+_REVERSALS = 4
+_LEAST_PLAY = 0.001
+"""rad: less play does no harm, and friction can look like it."""
+
+
+def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings, changes: dict[str, Any]) -> Finding:
+    """Compare the play of the encoders with what [run] says."""
+    joints = np.diff(angles, axis=1, prepend=0.0).T
+    known = np.array(settings.mechanics.of_each("play", len(joints)))
+    found = [fit_play(joint, period) for joint in joints]
+    plays, errors = (np.array(values) for values in zip(*found, strict=True))
+    figures = {"play": plays.tolist(), "play_errors": errors.tolist()}
+    right = wiring.form is Form.SUMMED and np.all(np.abs(np.abs(wiring.factors) - 1) < _FACTOR)
+    if not right or not np.isfinite(plays).all():
+        why = "the play of the encoders cannot be determined: the joints do not swing to and fro as the model's do"
+        return Finding("play", Grade.UNSURE, why, "fix what the other steps report and start again", figures)
+    least = np.array([max(_LEAST_PLAY, _rounding(joint)) for joint in joints])
+    shown = " and ".join(_with_error(1e3 * play, 1e3 * error) for play, error in found)
+    seen = np.where(plays > np.maximum(least, 3 * errors), np.round(plays, 5), 0.0)
+    if np.all(np.abs(plays - known) <= np.maximum(3 * errors, np.maximum(least, 0.2 * known))):
+        sentence = f"the encoders have a play of {shown} mrad, as [run] says"
+        none = f"the encoders show no play beyond {1e3 * least.max():.2g} mrad"
+        return Finding("play", Grade.OK, sentence if known.any() else none, "", figures)
+    changes["play"] = seen.tolist()
+    said = " and ".join(f"{1e3 * play:g}" for play in known)
+    return Finding(
+        "play", Grade.WRONG, f"the encoders have a play of {shown} mrad, but [run] says {said} mrad",
+        f"set play = {changes['play']} in [run], as --write does, or fix the encoders' couplings", figures, mended=True,
     )  # fmt: skip
 
 

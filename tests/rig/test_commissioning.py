@@ -9,6 +9,7 @@ import pytest
 from shadowing_stand_in import LAB
 
 from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Reading, Rig
 from dpcontrol.references.problem import Limits
@@ -96,7 +97,7 @@ def test_a_rig_that_is_right_is_found_right_and_measured() -> None:
     found = commissioned(rig)
     assert not found.wrong
     steps = [f.step for f in found.findings]
-    assert steps == ["still", "drive", "delay", "encoders", "counts", "model", "switches", "deadlines"]
+    assert steps == ["still", "drive", "delay", "encoders", "counts", "play", "model", "switches", "deadlines"]
     assert [f.step for f in found.findings if f.verdict is Grade.UNSURE] == ["switches"]
     assert found.changes == {"delay": pytest.approx(1.0, abs=0.01), "lag": 0.0, "drive_lag": 0.0}
     assert rig.stops == 1
@@ -272,6 +273,21 @@ def test_noise_on_the_command_is_held_within_the_reach_and_told_in_the_errors() 
 
 
 @pytest.mark.slow  # Several seconds: many benches, to see the rare ones.
+@pytest.mark.parametrize(("play", "seed"), [((0.0043, 0.0127), 5), ((0.0218, 0.0), 6), ((0.0, 0.0061), 7)])
+def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: int) -> None:
+    rig = bench(mechanics={"play": play}, drive={"lag": 0.006, "command_noise": 0.1}, seed=seed)
+    found = commissioned(rig)
+    finding = next(f for f in found.findings if f.step == "play")
+    assert finding.verdict is Grade.WRONG
+    assert finding.mended
+    assert found.changes["play"] == pytest.approx(play, rel=0.15, abs=1e-3)
+    assert [value == 0 for value in found.changes["play"]] == [value == 0 for value in play]
+    # Told of it, the rig is as [run] says.
+    said = LoopSettings(seed=0, rate=RATE, mechanics=MechanicsSettings(play=tuple(found.changes["play"])))
+    rig = bench(mechanics={"play": play}, seed=seed + 10)
+    assert next(f for f in commissioned(rig, said=said).findings if f.step == "play").verdict is Grade.OK
+
+
 def test_direction_and_gain_of_a_shift_are_right_whatever_the_delay_and_noise() -> None:
     random, refused = np.random.default_rng(1), 0
     for seed in range(100):

@@ -1,0 +1,112 @@
+"""Settings of a rig's mechanics: bounds, messages, files, what the loop knows of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shadowing_stand_in import LAB
+
+from dpcontrol.control.tick import KnownMechanics
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import parse_toml
+from dpcontrol.loop.bench import BenchSettings, MechanicsSettings, draw_bench
+from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.references.problem import Limits
+from dpcontrol.scenes.itinerary import read_run_settings
+
+LIMITS = Limits(position=0.4, velocity=3.0, acceleration=30.0)
+
+
+def read(text: str) -> MechanicsSettings:
+    table = parse_toml(f"[run]\n{text}\n", "scene.toml")
+    none = {name: table.table(name) for name in ("controller", "estimator", "supervisor")}
+    return read_run_settings(table.table("run"), **none).mechanics
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("belt = 0.5", r"scene.toml: \[run\] belt = 0.5: must be 1 to 1000 Hz, or 0 for a rigid belt"),
+        ("play = [0.01, 2.0]", r"scene.toml: \[run\] play = 2.0: must be 0 to 1 rad"),
+        ("play = 'much'", r"scene.toml: \[run\] play = 'much': must be a number"),
+        ("stiction = -1e-3", r"scene.toml: \[run\] stiction = -0.001: must be 0 to 1000 N m"),
+        ("belt_scale = 'track'", r"scene.toml: \[run\] belt_scale = 'track': allowed: motor, cart"),
+        ("kinetic = 1.2", r"scene.toml: \[run\] kinetic = 1.2: must be 0 to 1"),
+        ("plays = 0.1", r"'plays' is unknown: did you mean 'play'"),
+    ],
+)
+def test_an_impossible_value_is_named_with_what_is_allowed(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(text)
+
+
+def test_play_and_stiction_are_one_number_for_all_arms_or_one_for_each() -> None:
+    assert read("play = 0.01").of_each("play", 3) == (0.01, 0.01, 0.01)
+    assert read("stiction = [2e-3, 1e-3]").of_each("stiction", 2) == (2e-3, 1e-3)
+    with pytest.raises(InputError, match=r"mechanics: play = \(0.1, 0.2\): must be one number, or 3, one for each arm"):
+        read("play = [0.1, 0.2]").of_each("play", 3)
+
+
+def test_the_loop_knows_of_play_and_belt_unless_it_is_told_something_else() -> None:
+    settings = LoopSettings(seed=0, mechanics=MechanicsSettings(play=0.01, belt=20.0, belt_damping=0.1))
+    known = settings.known_mechanics(2)
+    assert known == KnownMechanics((0.01, 0.01), 20.0, 0.1)
+    assert settings.known_lag == pytest.approx(2 * 0.9 / (40 * np.pi))
+    unaware = replace(settings, mechanics=replace(settings.mechanics, known_play=0.0, known_belt=0.0))
+    assert unaware.known_mechanics(2) == KnownMechanics((0.0, 0.0), 0.0, 0.1)
+    assert unaware.known_lag == 0.0
+    # A loop at 50 Hz cannot shape for 20 Hz.
+    assert replace(settings, rate=50.0).known_mechanics(2).belt == 0.0
+
+
+def test_the_notch_passes_slow_commands_and_takes_out_those_at_the_belts_frequency() -> None:
+    period, known = 1e-3, KnownMechanics((), 20.0, 0.0)
+    b0, b1, b2, a1, a2 = known.notch(period)
+    for frequency, gain in ((0.0, 1.0), (20.0, 0.0)):
+        z = np.exp(2j * np.pi * frequency * period)
+        assert abs((b0 + b1 / z + b2 / z**2) / (1 + a1 / z + a2 / z**2)) == pytest.approx(gain, abs=1e-9)
+
+
+def test_first_rates_and_the_carts_place_are_those_of_the_start() -> None:
+    settings = BenchSettings(mechanics=MechanicsSettings(initial_rate=0.5, initial_cart=-0.07))
+    draws = [draw_bench(LAB, settings, seed=seed, ticks=10, period=1e-3) for seed in range(200)]
+    rates = np.array([SimulatedRig(d, settings, limits=LIMITS, start=np.zeros(6)).truth.copy() for d in draws])
+    assert np.all(rates[:, 4] == -0.07)
+    assert np.abs(rates[:, 2:4]).max() <= 0.5
+    assert np.std(rates[:, 2:4], axis=0) == pytest.approx(np.full(2, 0.5 / np.sqrt(3)), rel=0.15)
+
+
+def test_mechanics_leave_all_other_draws_of_a_seed_as_they_were() -> None:
+    given = {"seed": 3, "ticks": 50, "period": 1e-3, "mismatch": 0.05, "initial_error": 0.1}
+    plain = draw_bench(LAB, BenchSettings(), **given)
+    rough = draw_bench(LAB, BenchSettings(mechanics=MechanicsSettings(play=0.01, initial_rate=1.0, belt=30.0)), **given)
+    assert rough.plant.arms == plain.plant.arms
+    assert np.array_equal(rough.initial_error, plain.initial_error)
+
+
+@pytest.mark.parametrize("scale", ["motor", "cart"])
+def test_the_scale_reads_the_motor_or_the_cart_and_the_truth_is_the_cart(scale: str) -> None:
+    settings = BenchSettings(mechanics=MechanicsSettings(belt=10.0, belt_scale=scale))
+    draw = draw_bench(LAB, settings, seed=1, ticks=200, period=1e-3)
+    rig = SimulatedRig(draw, settings, limits=LIMITS, start=np.zeros(6))
+    apart = 0.0
+    for k in range(150):
+        reading = rig.read()
+        rig.command(5.0 if k < 50 else -5.0)
+        place = {"motor": rig.state[6], "cart": rig.truth[4]}[scale]
+        assert reading.positions[2] == pytest.approx(place, abs=1e-6)
+        apart = max(apart, abs(rig.state[6] - rig.truth[4]))
+    assert apart > 1e-3
+
+
+def test_an_encoder_with_play_is_behind_its_joint_by_half_of_it_on_either_side() -> None:
+    settings = BenchSettings(mechanics=MechanicsSettings(play=0.02))
+    draw = draw_bench(LAB, settings, seed=1, ticks=1500, period=1e-3)
+    rig = SimulatedRig(draw, settings, limits=LIMITS, start=np.array([0.3, 0.3, 0, 0, 0, 0]))
+    apart = []
+    for _ in range(1400):
+        reading = rig.read()
+        rig.command(0.0)
+        apart.append(rig.truth[0] - reading.positions[0])
+    assert np.ptp(apart) == pytest.approx(0.02, abs=4e-4)
