@@ -273,13 +273,14 @@ class BenchSettings:
     disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
     mechanics: MechanicsSettings = field(default_factory=MechanicsSettings)
 
-    def plant(self, arms: ArmChainParameters, offsets: Array) -> PlantParameters:
-        """Return these arms on this drive and track; offsets: see `MechanicsSettings.components`.
+    def plant(self, arms: ArmChainParameters, offsets: Array | None = None) -> PlantParameters:
+        """Return these arms on this drive and track; offsets: see `MechanicsSettings.components`, zero by default.
 
         Raises:
             InputError: the drive or the tilt is impossible.
         """
-        drive, components = self.drive, self.mechanics.components(arms.count, offsets)
+        drive, offsets = self.drive, np.zeros(arms.count) if offsets is None else offsets
+        components = self.mechanics.components(arms.count, offsets)
         return PlantParameters(
             arms, lag=drive.lag, cart_mass=drive.cart_mass, cart_viscous=drive.cart_viscous,
             tilt=self.disturbances.tilt, components=components,

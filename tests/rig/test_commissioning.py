@@ -272,8 +272,7 @@ def test_noise_on_the_command_is_held_within_the_reach_and_told_in_the_errors() 
     assert abs(delay["delay"] + delay["lag"] * RATE - 2.0) < 0.3
 
 
-@pytest.mark.slow  # Several seconds: many benches, to see the rare ones.
-@pytest.mark.parametrize(("play", "seed"), [((0.0043, 0.0127), 5), ((0.0218, 0.0), 6), ((0.0, 0.0061), 7)])
+@pytest.mark.parametrize(("play", "seed"), [((0.0043, 0.0127), 5), ((0.0102, 0.0), 6), ((0.0, 0.0061), 7)])
 def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: int) -> None:
     rig = bench(mechanics={"play": play}, drive={"lag": 0.006, "command_noise": 0.1}, seed=seed)
     found = commissioned(rig)
@@ -288,6 +287,7 @@ def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: i
     assert next(f for f in commissioned(rig, said=said).findings if f.step == "play").verdict is Grade.OK
 
 
+@pytest.mark.slow  # Several seconds: many benches, to see the rare ones.
 def test_direction_and_gain_of_a_shift_are_right_whatever_the_delay_and_noise() -> None:
     random, refused = np.random.default_rng(1), 0
     for seed in range(100):
