@@ -1142,7 +1142,8 @@ def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings, 
     found = [fit_play(joint, period) for joint in joints]
     plays, errors = (np.array(values) for values in zip(*found, strict=True))
     figures = {"play": plays.tolist(), "play_errors": errors.tolist()}
-    right = wiring.form is Form.SUMMED and np.all(np.abs(np.abs(wiring.factors) - 1) < _FACTOR)
+    # Play can make joint encoders look like absolute ones.
+    right = wiring.form in (Form.SUMMED, Form.ABSOLUTE) and np.all(np.abs(np.abs(wiring.factors) - 1) < _FACTOR)
     if not right or not np.isfinite(plays).all():
         why = "the play of the encoders cannot be determined: the joints do not swing to and fro as the model's do"
         return Finding("play", Grade.UNSURE, why, "fix what the other steps report and start again", figures)

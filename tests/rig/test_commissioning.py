@@ -272,7 +272,7 @@ def test_noise_on_the_command_is_held_within_the_reach_and_told_in_the_errors() 
     assert abs(delay["delay"] + delay["lag"] * RATE - 2.0) < 0.3
 
 
-@pytest.mark.parametrize(("play", "seed"), [((0.0043, 0.0127), 5), ((0.0102, 0.0), 6), ((0.0, 0.0061), 7)])
+@pytest.mark.parametrize(("play", "seed"), [((0.0043, 0.0127), 5), ((0.0152, 0.0), 6), ((0.0, 0.0061), 7)])
 def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: int) -> None:
     rig = bench(mechanics={"play": play}, drive={"lag": 0.006, "command_noise": 0.1}, seed=seed)
     found = commissioned(rig)
