@@ -60,6 +60,8 @@ _NEAR, _WORTH = 0.8, 1.0
 """rad: places from which an arm is farther are not looked at; and s: so far back a place counts as twice as far."""
 _LOOKS, _DRIFTS = 0.1, 0.005
 """s and m/s: how often it is looked whether a cart that was stopped stands, and what counts as drifting."""
+_FAST = 0.9
+"""Share of the greatest speed at which a cart that runs off is stopped: arms that push it take it further."""
 _MEETS = 0.05
 """Between the states (rad, rad/s, m, m/s) at which a reference ends and begins for laps without a rest."""
 LAST_SECONDS = 1.5
@@ -291,6 +293,8 @@ class FallRecovery:
 
     def follow_up(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
         """Look at tick k, which has just been done; return what is told, where something else begins with the next."""
+        if self.motion is not Motion.RETURN and (why := self._runs_off(k, report, ticker)):
+            return self.fell(k, Outcome.TRACKING_LOST, why, ticker, period) or ()
         if self.motion is Motion.ITINERARY:
             if report.item(ticker.at["error"], 0) < FOLLOWED:
                 self._followed = k
@@ -325,6 +329,18 @@ class FallRecovery:
             return ()
         rested = Choice("info", REST, f"after {(k - self._began) * period:.2f} s")
         return [rested, *self._start(k, report, ticker)]
+
+    def _runs_off(self, k: int, report: Array, ticker: Ticker) -> str:
+        """Return the sentence of a fall if the cart runs after its arms and comes near its greatest speed, or ""."""
+        fastest, place = self._plan.limits.velocity, 2 * self._arms + 1
+        speed = abs(report.item(place, 0))
+        if speed < _FAST * fastest:
+            return ""
+        wanted = abs(float(ticker.references[k - ticker.began, place]))
+        if speed < wanted + (1 - _FAST) * fastest:
+            return ""
+        when = f"tracking lost at t = {k * ticker.program.period:.3f} s"
+        return f"{when}: the cart runs after the arms at {speed:.3g} m/s, where the reference has {wanted:.3g} m/s"
 
     def _caught(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
         """Go on from an earlier place where the way back is long and that to it much shorter; return what is told."""

@@ -9,15 +9,13 @@ It is a remedy if it meets three conditions:
     neighbours   On the neighbouring seeds it rescues at least as many runs as it loses.
     the run      The failed run itself is completed if the option is added to its command line.
 
-Changes of one kind are tried from the smallest; the first remedy of a kind ends it. If no single change is a remedy,
-the three best are tried in pairs.
+Changes of one kind are tried from the smallest; the first remedy of a kind ends it.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.processes import in_processes, processors
@@ -37,15 +35,20 @@ _HARMLESS = 1e-4
 """Share by which the mismatch of one variant differs from that of the one before."""
 _LEVEL = 0.02
 """Largest two-sided p of a remedy."""
-_PAIRED = 3
 
 
-class Completed(NamedTuple):
+@dataclass(frozen=True)
+class Completed:
     """How many runs were completed: variants of the failed run, and neighbouring seeds; each of `of`."""
 
     same_seed: int
     neighbours: int
     of: int
+
+    @property
+    def total(self) -> int:
+        """Of both groups."""
+        return self.same_seed + self.neighbours
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,11 @@ class TriedChange:
     helps: bool = False
     counts: Completed | None = None
 
+    @property
+    def total(self) -> int:
+        """How many runs were completed in all."""
+        return self.counts.total if self.counts else 0
+
 
 @dataclass(frozen=True)
 class Why:
@@ -77,8 +85,7 @@ class Why:
     @property
     def remedies(self) -> tuple[TriedChange, ...]:
         """The changes that help, the surest first."""
-        found = [trial for trial in self.trials if trial.helps and trial.counts is not None]
-        return tuple(sorted(found, key=lambda trial: -sum((trial.counts or (0, 0, 0))[:2])))
+        return tuple(sorted((one for one in self.trials if one.helps), key=lambda one: -one.total))
 
     @property
     def saves(self) -> tuple[str, ...]:
@@ -100,14 +107,14 @@ class Why:
 
     def lines(self) -> list[str]:
         """Return the evidence for each remedy."""
-        if self.unchanged is None:
-            return []
         null = self.unchanged
+        if null is None:
+            return []
         head = f"unchanged: {null.same_seed} of {null.of} harmless variants, {null.neighbours} of {null.of} other seeds"
+        counts = [(one, one.counts) for one in self.remedies if one.counts is not None]
         return [head] + [
-            f"{one.option}: {one.counts.same_seed} and {one.counts.neighbours} of {null.of} ({one.change})"
-            for one in self.remedies
-            if one.counts is not None
+            f"{one.option}: {found.same_seed} and {found.neighbours} of {null.of} ({one.change})"
+            for one, found in counts
         ]
 
     def __repr__(self) -> str:
@@ -115,20 +122,11 @@ class Why:
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of `dpcontrol score --why`."""
-        trials = [
-            {**asdict(one), "counts": None if one.counts is None else one.counts._asdict()} for one in self.trials
-        ]
-        null = None if self.unchanged is None else self.unchanged._asdict()
-        found = {"trials": trials, "unchanged": null, "saves": list(self.saves), "sentence": self.sentence}
-        return {**asdict(self), **found}
+        return {**asdict(self), "saves": list(self.saves), "sentence": self.sentence}
 
 
-@dataclass(frozen=True)
-class _Groups:
-    """Changes of one kind with their jobs, of which the first entry is the failed run; before: the null group's."""
-
-    tried: tuple[tuple[SceneChange, Job], ...]
-    before: tuple[bool, ...] = ()
+_Group = tuple[Sequence[tuple[SceneChange, Job]], Sequence[bool]]
+"""Changes of one kind with their jobs, whose first run is the failed one. Which runs the null group completes."""
 
 
 def why(
@@ -169,37 +167,22 @@ def why(
                 continue
         return tuple(made)
 
-    unchanged = _Groups(((SceneChange("", RunOptions()), _job(plan, size)),))
     progress("harmless changes", 0.0)
-    before, _ = _tried(unchanged)[0]
-    null = Completed(sum(before[:size]), sum(before[size:]), size)
-    trials: list[TriedChange] = []
+    before, _ = _tried(([(SceneChange("", RunOptions()), _job(plan, size))], ()))[0]
+    null, trials = Completed(sum(before[:size]), sum(before[size:]), size), list[TriedChange]()
 
-    def run(pieces: Sequence[_Groups]) -> None:
-        remedy = "Finished jobs are kept: run the same command again"
-        ended = in_processes(_tried, pieces, workers, remedy=remedy)
-        for k, (piece, found) in enumerate(ended, 1):
-            progress(f"changes: {k} of {len(pieces)} kinds", k / (len(pieces) + 1))
-            for (change, _), (done, verdict) in zip(piece.tried, found, strict=False):
-                trials.append(_judged(change, done, verdict, before, typed))
-
-    run([_Groups(made, before) for group in groups if (made := jobs(group))])
-    promising = [one for one in trials if one.counts is not None and sum(one.counts[:2]) > sum(null[:2])]
-    if not any(one.helps for one in trials) and len(promising) > 1:
-        known = {change.text: change for group in groups for change in group}
-        best = sorted(promising, key=lambda one: -sum((one.counts or null)[:2]))[:_PAIRED]
-        pairs = [_together(known[a.change], known[b.change]) for a, b in combinations(best, 2)]
-        run([_Groups(made, before) for pair in pairs if (made := jobs([pair]))])
+    pieces: list[_Group] = [(made, before) for group in groups if (made := jobs(group))]
+    ended = in_processes(_tried, pieces, workers, remedy="Finished jobs are kept: run the same command again")
+    for k, ((jobs_of, _), found) in enumerate(ended, 1):
+        progress(f"changes: {k} of {len(pieces)} kinds", k / (len(pieces) + 1))
+        for (change, _), (done, verdict) in zip(jobs_of, found, strict=False):
+            trials.append(_judged(change, done, verdict, before, typed))
     progress("why", 1.0)
     return Why(failed.log, failed.seed, failed.reason, tuple(trials), null)
 
 
 _OVERHEAD = 2.0
 """s that a lockstep job takes in addition to its ticks."""
-
-
-def _together(one: SceneChange, other: SceneChange) -> SceneChange:
-    return SceneChange(f"{one.text} and {other.text}", one.options.over(other.options.given()))
 
 
 def _job(plan: Plan, size: int) -> Job:
@@ -213,16 +196,17 @@ def _job(plan: Plan, size: int) -> Job:
     )  # fmt: skip
 
 
-def _tried(groups: _Groups) -> list[tuple[tuple[bool, ...], str]]:
+def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
     """Return for each job which runs were completed and the first run's verdict, up to the first that beats the null.
 
     If runs go one after the other, the rest of a job is run only if its first run is completed.
     """
     found: list[tuple[tuple[bool, ...], str]] = []
-    for _, job in groups.tried:
-        first = replace(job, seeds=job.seeds[:1], mismatches=job.mismatches[:1])
+    (tried, before), first = group, slice(1)
+    for _, job in tried:
+        alone = replace(job, seeds=job.seeds[first], mismatches=job.mismatches[first])
         try:
-            ended = outcomes(first if groups.before and not can_batch(job.case.loop) else job, len(job.seeds))
+            ended = outcomes(alone if before and not can_batch(job.case.loop) else job, len(job.seeds))
             if ended[0].completed and len(ended) == 1:
                 ended = outcomes(job, len(job.seeds))
         except (GoalMissed, InputError) as missed:
@@ -230,7 +214,7 @@ def _tried(groups: _Groups) -> list[tuple[tuple[bool, ...], str]]:
             continue
         done = tuple(row.completed for row in ended)
         found.append((done, ended[0].reason))
-        if done[0] and _beats(done, groups.before):
+        if done[0] and _beats(done, before):
             break
     return found
 

@@ -111,6 +111,16 @@ def test_a_blow_that_sends_the_cart_to_its_limit_is_returned_from(ready) -> None
     assert np.abs(result.ticks.truth[:, 4]).max() < 0.8
 
 
+def test_a_cart_that_runs_after_fallen_arms_is_stopped_below_its_greatest_speed(ready) -> None:
+    """Arms that push a cart of half a kilogram carry it past the speed that it was sent to."""
+    result, told = ready(Push(1.7, 0, 0.05), drive={"cart_mass": 0.5})
+    assert any("the cart runs after the arms at 2.7" in text for _, name, text in told.events if name == "return")
+    assert result.falls >= 1
+    speeds = np.abs(result.ticks.truth[:, 5])
+    flown = np.concatenate([np.arange(flight.first, flight.end) for flight in result.flights])
+    assert speeds[flown].max() < 3.0
+
+
 def test_a_cart_that_meets_its_hard_stop_ends_the_run_all_the_same(ready) -> None:
     # The bench itself has failed: someone has to look at it. A drive without a lag does not brake what a knock throws.
     result, _ = ready(Push(1.5, knock=20.0), drive={"lag": 0.0})
