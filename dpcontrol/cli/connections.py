@@ -106,7 +106,7 @@ def orbit_command(
     if energies is None:
         assert energy is not None
         orbit = _lyapunov(loaded, saddle, energy, family)
-        return Answer(orbit.document(), _orbit_text(orbit))
+        return Answer(orbit.document(), _orbit_text(loaded, orbit))
     if energy is not None:
         raise InputError("give either --energy for one orbit or --energies LO HI for its family")
     return _family(loaded, saddle, energies, family, picture)
@@ -117,14 +117,17 @@ def _lyapunov(model: "Model", saddle: str, energy: float, family: int) -> "Lyapu
 
     orbit = lyapunov_orbit(model.system, saddle, energy=energy, family=family)
     if not orbit.converged:
-        raise GoalMissed(f"the Lyapunov orbit about {saddle} at {energy:g} J: {orbit.status}")
+        raise GoalMissed(f"the Lyapunov orbit about {saddle} at {energy:g}{model.unit('J')}: {orbit.status}")
     return orbit
 
 
-def _orbit_text(orbit: "LyapunovOrbit") -> Iterator[str]:
-    yield f"Lyapunov orbit about {orbit.saddle} at {orbit.energy:g} J: {orbit.status}"
-    yield f"  period       {orbit.period:.15g} s"
-    yield f"  state        {spaced(orbit.state, '.15g')}   (rad, rad/s)"
+_BRACKETS = " ({})"
+
+
+def _orbit_text(model: "Model", orbit: "LyapunovOrbit") -> Iterator[str]:
+    yield f"Lyapunov orbit about {orbit.saddle} at {orbit.energy:g}{model.unit('J')}: {orbit.status}"
+    yield f"  period       {orbit.period:.15g}{model.unit('s')}"
+    yield f"  state        {spaced(orbit.state, '.15g')}{model.unit('rad, rad/s', '   ({})')}"
     yield f"  multipliers  {multiplier_texts(orbit.floquet_multipliers)}"
     yield f"  closure      {orbit.residual:.1e} (largest component of x(T) - x(0))"
 
@@ -141,21 +144,21 @@ def _family(model: "Model", saddle: str, energies: Range, family: int, picture: 
         save_figure(draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}"), picture)
     document = {**found.document(), "energies": energies, "picture": picture}
     missed = "" if found.converged else f"the family about {saddle}: {found.status}"
-    return Answer(document, [*_family_text(found, saddle), *drawn_to(picture)], missed)
+    return Answer(document, [*_family_text(model, found, saddle), *drawn_to(picture)], missed)
 
 
-def _family_text(found: "LyapunovFamily", saddle: str) -> Iterator[str | TextTable]:
+def _family_text(model: "Model", found: "LyapunovFamily", saddle: str) -> Iterator[str | TextTable]:
     chosen = found.members[:: max(1, len(found.members) // 20)]
     yield table(f"Lyapunov orbits about {saddle}, {len(chosen)} of {len(found.members)}", chosen, {
-        "energy (J)": "{.energy:.9g}",
-        "period (s)": "{.period:.9g}",
+        f"energy{model.unit('J', _BRACKETS)}": "{.energy:.9g}",
+        f"period{model.unit('s', _BRACKETS)}": "{.period:.9g}",
         "multipliers but the pair at one": lambda m: multiplier_texts(
             (v for v in m.floquet_multipliers if abs(abs(v) - 1) > 1e-3), 6
         ),
-        "state (rad, rad/s)": lambda m: spaced(m.state, ".6f"),
+        f"state{model.unit('rad, rad/s', _BRACKETS)}": lambda m: spaced(m.state, ".6f"),
     })  # fmt: skip
     for side, end in zip(("from", "to"), found.ends, strict=True):
-        yield f"{side:5s}{end.energy:.9g} J: {end.reason}"
+        yield f"{side:5s}{end.energy:.9g}{model.unit('J')}: {end.reason}"
 
 
 def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | None, picture: Path | None) -> Answer:
@@ -339,19 +342,21 @@ def connect_command(
     missed = ""
     if name is None and not search.complete:
         missed = f"the search between {source} and {target} is not complete: {search.status}"
-    return Answer(
-        document, _connect_text(f"{source} → {target} at {energy} J on {document['section']}", found, search), missed
-    )
+    title = f"{source} → {target} at {energy}{loaded.unit('J')} on {document['section']}"
+    return Answer(document, _connect_text(loaded, title, found, search), missed)
 
 
 def _symmetric(one: Any) -> str:
     return "yes" if one.symmetric else "pair"
 
 
-def _connect_text(title: str, found: "tuple[Connection, ...]", search: "ConnectionSearch") -> Iterator[str | TextTable]:
+def _connect_text(
+    model: "Model", title: str, found: "tuple[Connection, ...]", search: "ConnectionSearch"
+) -> Iterator[str | TextTable]:
+    out, into = (f"time {way}{model.unit('s', _BRACKETS)}" for way in ("out", "in"))
     yield table(title, found, {
         "name": "{.name}", "sense": "{.sense:+d}", "symmetric": _symmetric, "angle (°)": "{.transversality_angle:.3f}",
-        "residual": "{.residual:.0e}", "time out (s)": "{.time_out:.4f}", "time in (s)": "{.time_in:.4f}",
+        "residual": "{.residual:.0e}", out: "{.time_out:.4f}", into: "{.time_in:.4f}",
     })  # fmt: skip
     yield search.status
     for tube, end in search.open_ends[:SHOWN]:
@@ -406,7 +411,7 @@ def _extended(model: "Model", connection: "Connection", energy: Decimal) -> Answ
         "status": refined.status,
     }
     lines = [
-        f"{connection.name} at {energy} J in 113-bit arithmetic: {refined.status}",
+        f"{connection.name} at {energy}{model.unit('J')} in 113-bit arithmetic: {refined.status}",
         *extended_text(refined.digits, "  "),
         f"  residual {residual} (largest gap between segments, in their units)",
     ]

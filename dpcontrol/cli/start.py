@@ -152,8 +152,8 @@ def _text(loaded: "Model", points: "dict[str, Equilibrium]") -> Iterator[str | T
     parameters = [(name, f"{value:.12g}", unit) for name, (value, unit) in loaded.parameters.named().items()]
     yield TextTable(f"{loaded.name}: {loaded.title}", ("parameter", "value", "unit"), parameters)
     yield table("equilibria", points.items(), {
-        "name": "{0[0]}", "energy (J)": "{0[1].energy:+.10f}", "kind": "{0[1].kind}",
-        "eigenvalues (1/s)": lambda row: ", ".join(_eigenvalue(v) for v in row[1].eigenvalues),
+        "name": "{0[0]}", f"energy{loaded.unit('J', ' ({})')}": "{0[1].energy:+.10f}", "kind": "{0[1].kind}",
+        f"eigenvalues{loaded.unit('1/s', ' ({})')}": lambda row: ", ".join(_eigenvalue(v) for v in row[1].eigenvalues),
     })  # fmt: skip
     for part, source in loaded.sources.items():
         yield f"[{part}] {source}"

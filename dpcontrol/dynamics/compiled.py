@@ -46,7 +46,8 @@ def _settle(heyoka: Any) -> None:
     if folder is not None:
         state.set_diskcache_path(folder)
         try:
-            state.get_diskcache_size()
+            if folder.exists():
+                state.get_diskcache_size()
         except RuntimeError as error:
             folder = None
             remark(

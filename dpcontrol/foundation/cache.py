@@ -81,11 +81,13 @@ def keep(file: Path, content: bytes) -> None:
 
 
 def compiler_folder() -> Path | None:
-    """Return the folder of heyoka's database, ready to be written. If it is not writable, remark on it; return None."""
+    """Return the folder of heyoka's database, which need not exist. If it is not writable, remark and return None."""
     folder = cache_root() / COMPILER
+    there = folder
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=folder):
+        while not there.exists():
+            there = there.parent
+        with TemporaryFile(dir=there):
             return folder
     except OSError as error:
         unusable(error.strerror or str(error))

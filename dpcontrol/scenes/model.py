@@ -67,6 +67,10 @@ class Model:
             own = pendulum_system(self.name, self.parameters)
         return ModelSystem(**{f.name: getattr(own, f.name) for f in fields(own)}, model=self)
 
+    def unit(self, name: str, form: str = " {}") -> str:
+        """Return a unit of SI as texts have it after a number; "" for three bodies, whose units are their own."""
+        return "" if isinstance(self.parameters, ThreeBodyParameters) else form.format(name)
+
     @property
     def exact_parameters(self) -> Sequence[Fraction | Decimal]:
         """The equations' parameters as the decimals that the file gives, for extended precision."""

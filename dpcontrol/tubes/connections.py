@@ -500,7 +500,8 @@ def find_connections(
     resolved = all(cut.resolved for cut in (unstable, backward))
     hidden = [end for cut in (unstable, backward) for end in cut.open_ends if end.hides]
     tangent = sum(uncertainty(c.transversality_angle, settings.same) > _TANGENT for c in found)
-    complete = even and resolved and not (failed or left or hidden or tangent)
+    later = any(end.later for cut in (unstable, backward) for end in cut.open_ends)
+    complete = even and resolved and not (failed or left or hidden or tangent or later)
     count = f"{'' if complete else 'at least '}{len(found)} connections"
     status = f"{count}; unstable tube {unstable.status}; stable tube {backward.status}"
     if not even:
@@ -519,6 +520,8 @@ def find_connections(
     if hidden:
         remedy = "try another energy" if settings.thorough else "search thoroughly"
         status += f"; the cuts are open (see open_cuts) where connections may lie: allow more time, or {remedy}"
+    elif later:
+        status += "; longer flights exist beyond --longest, and connections may lie among them: give a longer time"
     elif unstable.open_ends or backward.open_ends:
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)

@@ -145,6 +145,34 @@ class Sampler:
             rates=system.numeric.rate(states) @ np.asarray(self.section.normal),
         )
 
+    def arrives_later(self, phases: Array) -> bool:
+        """Return whether some of the phases arrive if they are given twice the time that was asked for, or is usual."""
+        if self.settings.longest is None:
+            return False
+        patience = 2 * max(self.longest, self.manifold.orbit.system.flight_periods)
+        patient = replace(self, settings=replace(self.settings, longest=patience))
+        return bool(patient.fly(_some(phases)).arrived.any())
+
+    def escapes(self, phases: Array) -> bool:
+        """Return whether all of the phases leave all that is finite in the time that they are given."""
+        propagator, duration = self.manifold.orbit.system.propagator, self.longest * self.manifold.orbit.period
+        seeds, _ = self.manifold.seeds(_some(phases), self.branch)
+        for seed in seeds:
+            try:
+                propagator.flow(seed, duration)
+                return False
+            except ArithmeticError:
+                continue
+        return True
+
+
+def _some(phases: Array) -> Array:
+    """Return up to `_TRIED` of the phases, evenly chosen."""
+    return phases[np.unique(np.linspace(0, len(phases) - 1, _TRIED).round().astype(int))]
+
+
+_TRIED = 8
+
 
 def refined(sampler: Sampler, start: float) -> tuple[CutSamples, str]:
     """Sample one period from phase `start`, halving until chords are short or phases indistinguishable.
@@ -173,14 +201,17 @@ def refined(sampler: Sampler, start: float) -> tuple[CutSamples, str]:
 class OpenEnd:
     """Phases between which a cut is open, and why.
 
-    hides: whether more of the same crossing may lie between them. Nothing does where trajectories graze the section,
-    nor where they do not arrive within a time that was asked for.
+    hides: whether more of the same crossing may lie between them. Nothing does where trajectories graze the section or
+    escape, nor where they do not arrive within a time that was asked for. later: whether some arrive after that time.
+    escapes: whether they leave all that is finite.
     """
 
     branch: int
     phase_interval: tuple[float, float]
     reason: str
     hides: bool
+    later: bool = False
+    escapes: bool = False
 
 
 @dataclass(frozen=True)
@@ -224,7 +255,11 @@ def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
             f"never arrives: {len(samples)} phases do not reach crossing {hit} of {sampler.section.name} within "
             f"{sampler.longest:g} periods"
         )
-        return OpenEnd(sampler.branch, interval, reason, hides=sampler.settings.longest is None)
+        if sampler.escapes(samples.phases):
+            reason = f"escapes: {len(samples)} phases leave for good and never reach {sampler.section.name}"
+            return OpenEnd(sampler.branch, interval, reason, hides=False, escapes=True)
+        later = sampler.arrives_later(samples.phases)
+        return OpenEnd(sampler.branch, interval, reason, hides=sampler.settings.longest is None, later=later)
     first, second = samples.rates
     slow = min(abs(first), abs(second))
     if slow > grazing:
@@ -305,7 +340,9 @@ def tube_cut(manifold: UnstableManifold, section: Section, *, hit: int = 1, sett
                 replace(g, branch=-g.branch, phase_interval=tuple((p + 0.5) % 1 for p in g.phase_interval))
                 for g in open_ends
             ]
-    if not pieces:
+    if not pieces and gaps and all(gap.escapes for gap in gaps):
+        status = f"escapes: none of its trajectories comes back to {section.name}"
+    elif not pieces:
         status = (
             f"no trajectory of the tube reaches crossing {hit} of {section.name} within "
             f"{longest_flight(manifold, settings):g} periods; allow more time or another energy"
