@@ -1,0 +1,153 @@
+"""What the filter believed in closed-loop runs, and what was true: many seeds in lockstep, sampled at chosen times.
+
+Truths of the extras follow from the drawn plants: shares are those of the base parameters over M12, friction included;
+the zero of an angle is the sum of its encoder's and those before it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.interface import MANY, Controller
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.loop.loop import LoopSettings, _Lockstep, make_ticker
+from dpcontrol.loop.result import BatchRun, Ending
+from dpcontrol.loop.simulated import BatchBench
+from dpcontrol.references.reference import Reference
+from dpcontrol.review.score import Flown, verdict_on
+
+Array = NDArray[np.float64]
+
+
+def true_extras(names: Sequence[str], plant: ArmChainParameters, model: ArmChainParameters, zeros: Array) -> Array:
+    """Return the constants (E,) that a perfect filter would find; not a number for what fades."""
+    n = model.count
+    joints = range(1, n + 1)
+    order = [f"M{i}{j}" for i in joints for j in range(i, n + 1)]
+    order += [f"{kind}{i}" for kind in ("G", "S", "friction_") for i in joints]
+    unit = order.index("M12" if n > 1 else "M11")
+    true, assumed = plant.base(), model.base()
+    share = dict(zip(order, (true / true[unit]) / (assumed / assumed[unit]) - 1, strict=False))
+    share |= {f"zero_{i}": zero for i, zero in zip(joints, np.cumsum(zeros), strict=True)}
+    return np.array([share.get(name, np.nan) for name in names])
+
+
+@dataclass(frozen=True, eq=False)
+class Beliefs:
+    """S runs sampled at T times: truth, estimate and sigma (T, N+E, S) of state and extras; NIS (T', S) of all ticks.
+
+    alive (T, S): which runs had not ended; names: of the state's entries and the extras; completed (S,).
+    """
+
+    times: Array
+    names: tuple[str, ...]
+    truth: Array
+    estimate: Array
+    sigma: Array
+    alive: NDArray[np.bool_]
+    nis: Array
+    completed: NDArray[np.bool_]
+    runs: list[BatchRun]
+
+    def of(self, *kinds: str) -> list[int]:
+        """Return the places of the quantities whose names begin so."""
+        return [i for i, name in enumerate(self.names) if name.startswith(kinds)]
+
+    def error(self, which: Sequence[int]) -> Array:
+        """Return estimate minus truth (T, len(which), S), not a number where a run has ended."""
+        out = (self.estimate - self.truth)[:, which]
+        return np.where(self.alive[:, None], out, np.nan)
+
+    def over_sigma(self, which: Sequence[int]) -> Array:
+        """Return the rms over the runs of error over sigma (T, len(which))."""
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(np.nanmean((self.error(which) / self.sigma[:, which]) ** 2, axis=2))
+
+
+class _Recorder:
+    """A ticker that also keeps what it reported at some ticks."""
+
+    def __init__(self, ticker, bench: BatchBench, ticks: Sequence[int]) -> None:
+        self._ticker, self._bench, self._ticks = ticker, bench, set(ticks)
+        self.kept: list[tuple[Array, Array, Array]] = []
+        self.nis: list[Array] = []
+
+    def __getattr__(self, name: str):
+        return getattr(self._ticker, name)
+
+    def __call__(self, k, reading, rate_error=None):
+        report = self._ticker(k, reading, rate_error)
+        sizes = self._ticker.program.equations.report.slices
+        self.nis.append(report[sizes["nis"]][0].copy())
+        if k in self._ticks:
+            estimate = np.concatenate([report[sizes["state"]], report[sizes["extra"]]])
+            self.kept.append((self._bench.truth.copy(), estimate, report[sizes["sigmas"]].copy()))
+        return report
+
+
+def beliefs(
+    reference: Reference,
+    model: ArmChainParameters,
+    *,
+    settings: LoopSettings,
+    controller: Controller,
+    seeds: Sequence[int],
+    times: Sequence[float],
+) -> Beliefs:
+    """Run the seeds in lockstep and return what was estimated and true at `times` s (negative: before the end)."""
+    period, count = 1 / settings.rate, controller.ticks + 1
+    ticks = sorted({min(max(round((t if t >= 0 else count * period + t) / period), 0), count - 1) for t in times})
+    limits = settings.limits(reference)
+    lanes = [*seeds, *[seeds[-1]] * (-len(seeds) % 8)]
+    draws = [settings.draw(model, ticks=count, seed=seed) for seed in lanes]
+    ticker = make_ticker(
+        model, settings, controller, limits=limits, delay=settings.drive.delay, runs=len(lanes)
+    )
+    start, queued = controller.first_state, list(ticker.queued)
+    bench = BatchBench(draws, settings.bench, limits=limits, start=start, queued=queued, lanes=MANY)
+    recorder = _Recorder(ticker, bench, ticks)
+    runs = _Lockstep(recorder, bench, draws).run()[: len(seeds)]
+    n = model.count
+    names = [f"angle_{i + 1}" for i in range(n)] + [f"rate_{i + 1}" for i in range(n)] + ["cart", "velocity"]
+    names += ticker.extra_names
+    extras = np.stack([true_extras(ticker.extra_names, d.plant.arms, model, d.zeros) for d in draws], axis=1)
+    s = len(seeds)
+    done = ticks[: len(recorder.kept)]
+    truth = np.stack([np.concatenate([state, extras])[:, :s] for state, _, _ in recorder.kept])
+    estimate = np.stack([one[:, :s] for _, one, _ in recorder.kept])
+    sigma = np.stack([one[:, :s] for _, _, one in recorder.kept])
+    ends = np.array([len(run.times) if run.ending is not Ending.FINISHED else count for run in runs])
+    alive = np.array(done)[:, None] < ends
+    return Beliefs(
+        np.array(done) * period, tuple(names), truth, estimate, sigma, alive, np.array(recorder.nis)[:, :s],
+        np.array([completed(run, reference, settings) for run in runs]), runs,
+    )  # fmt: skip
+
+
+def completed(run: BatchRun, reference: Reference, settings: LoopSettings) -> bool:
+    """Return whether a run did what its plan asks, as a campaign judges it."""
+    limits = settings.limits(reference)
+    flown = Flown(
+        time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied,
+        rate_hz=settings.rate, limits=(limits.position, limits.velocity, limits.acceleration),
+        ended="" if run.ending is Ending.FINISHED else run.reason,
+    )  # fmt: skip
+    return not verdict_on(flown, reference).problem
+
+
+def joined(parts: Sequence[Beliefs]) -> Beliefs:
+    """Return the runs of all parts together, of times that all reached."""
+    t = min(len(part.times) for part in parts)
+    first = parts[0]
+    together = {
+        name: np.concatenate([getattr(part, name)[:t] for part in parts], axis=-1)
+        for name in ("truth", "estimate", "sigma", "alive")
+    }
+    k = min(len(part.nis) for part in parts)
+    nis = np.concatenate([part.nis[:k] for part in parts], axis=1)
+    return replace(
+        first, times=first.times[:t], **together, nis=nis,
+        completed=np.concatenate([part.completed for part in parts]), runs=[r for part in parts for r in part.runs],
+    )  # fmt: skip
