@@ -10,7 +10,8 @@ z: the state and what it is augmented by; m: angles and cart position. W is diag
 where not, which leaves it out exactly. Joseph's form keeps P positive where P⁻ exceeds R by more than the arithmetic
 resolves. P is carried as its lower triangle, row by row, so it cannot lose its symmetry.
 
-Q stands for wrong parameters, whose effect is a share of the acceleration: an arm at rest has little.
+Q covers wrong parameters, whose effect is a share of the acceleration: an arm at rest has little. Where the filter
+estimates the parameters, the share follows from their variance, and vanishes as they become known.
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.2.6, 10.3.
 """
 
@@ -112,6 +113,11 @@ class FilterEquations:
         return extra_names(self.arms, self.augment)
 
     @property
+    def shares(self) -> list[int]:
+        """Where the errors of the inertial parameters are in z."""
+        return [self.equations.dimension + i for i, name in enumerate(self.extra_names) if name[0] in "MS"]
+
+    @property
     def dimension(self) -> int:
         """Length of state and extra together, N+E."""
         return self.equations.dimension + len(self.extra_names)
@@ -142,23 +148,29 @@ class FilterEquations:
 
     @cached_property
     def inputs(self) -> dict[str, int]:
-        """Lengths of what a prediction takes: z, command, parameters, and `FilterSettings.process`."""
+        """Lengths of a prediction's inputs: z, command, parameters, `FilterSettings.process`, and `doubt`."""
         parameters = int(self.equations.parameters.shape[0])
-        return {"z": self.dimension, "command": 1, "parameters": parameters, "process": 7 + 2 * len(self.extra_names)}
+        return {
+            "z": self.dimension, "command": 1, "parameters": parameters, "process": 9 + 2 * len(self.extra_names),
+            "doubt": 1,
+        }  # fmt: skip
+
+    def doubt(self, covariance: ca.SX) -> ca.SX:
+        """Return the mean variance of the parameters' logarithms; 0 if they are not estimated."""
+        return sum((covariance[i, i] for i in self.shares), ca.SX(0)) / max(len(self.shares), 1)
 
     def _parameters(self, parameters: ca.SX, extra: dict[str, ca.SX]) -> ca.SX:
-        """Return the parameters with the relative errors that `extra` holds."""
+        """Return the parameters with the errors that `extra` holds."""
         n = self.arms
         factors = ca.SX.ones(parameters.shape[0])
         inertias = [f"M{i + 1}{j + 1}" for i in range(n) for j in range(i, n)]
         for c, name in enumerate(inertias):
-            factors[c] += extra.get(name, 0)
+            factors[c] = ca.exp(extra.get(name, ca.SX(0)))
         first = len(inertias)
         laws = (parameters.shape[0] - first - 2 * n) // n
         for i in range(n):
-            coupling, friction = extra.get(f"S{i + 1}", 0), extra.get(f"friction_{i + 1}", 0)
-            factors[first + i] += coupling
-            factors[first + n + i] += coupling
+            coupling, friction = extra.get(f"S{i + 1}", ca.SX(0)), extra.get(f"friction_{i + 1}", 0)
+            factors[first + i] = factors[first + n + i] = ca.exp(coupling)
             for law in range(laws):
                 factors[first + (2 + law) * n + i] += friction
         return parameters * factors
@@ -179,9 +191,12 @@ class FilterEquations:
         return ca.Function("f", inputs, [slope, *(ca.jacobian(slope, by) for by in (x, e, command))], {"cse": True})
 
     def predicted(
-        self, z: ca.SX, command: ca.SX, parameters: ca.SX, process: ca.SX, origin: ca.SX | None = None
+        self, z: ca.SX, command: ca.SX, parameters: ca.SX, process: ca.SX, doubt: ca.SX, origin: ca.SX | None = None
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the next z, its Jacobian and Q, both for T z; origin (N+E,): what z is relative to, if anything."""
+        """Return the next z, its Jacobian and Q, both for T z.
+
+        doubt: see there. origin (N+E,): what z is relative to, if anything.
+        """
         size, n, step = self.equations.dimension, self.arms, self.period
         extras = len(self.extra_names)
         # The state and the extras stand apart here, for the Jacobians of the stages by both.
@@ -198,17 +213,19 @@ class FilterEquations:
             total, slopes = total + weight * k, slopes + weight * k_slope
             if further is not None:
                 moved, spread = x + further * k, start + further * k_slope
-        decay = process[7 : 7 + extras]
+        decay = process[9 : 9 + extras]
         following = ca.vertcat(x + step / 6 * total, decay * e)
         jacobian = ca.vertcat(start + step / 6 * slopes, ca.horzcat(ca.SX(extras, size), ca.diag(decay)))
         block = np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
         noise = ca.SX(self.dimension, self.dimension)
         for i in range(n):
-            density = process[0] + process[1] * (following[n + i] - x[n + i]) ** 2
+            # The Jacobian leaves out the squares of the parameters' errors: P does not cover them.
+            wrong = process[1] + process[7] * doubt**2
+            density = process[0] + wrong * (following[n + i] - x[n + i]) ** 2
             noise[i, i], noise[n + i, n + i] = density * block[0, 0], density * block[1, 1]
             noise[i, n + i] = noise[n + i, i] = density * block[0, 1]
         for i in range(extras):
-            noise[size + i, size + i] = process[7 + extras + i]
+            noise[size + i, size + i] = process[9 + extras + i]
         # What the cart does besides its command moves the arms as well.
         reach = ca.SX(self.dimension, 3)
         for position, rate in [*((i, n + i) for i in range(n)), (2 * n, 2 * n + 1)]:
@@ -253,7 +270,7 @@ class FilterEquations:
         (`FilterSettings.process`). Output: memory, standard deviations (N+E), innovation (n+1), NIS, number present,
         and a number that is finite if the estimate is.
         """
-        z, command, parameters, process = (ca.SX.sym(name, size) for name, size in self.inputs.items())
+        z, command, parameters, process, _ = (ca.SX.sym(name, size) for name, size in self.inputs.items())
         m, size = self.arms + 1, self.dimension
         triangle = ca.SX.sym("P", size * (size + 1) // 2)
         measured, present = ca.SX.sym("measured", m), ca.SX.sym("present", m)
@@ -261,7 +278,7 @@ class FilterEquations:
         covariance = unpack(triangle, size)
         before = z
         if predicts:
-            before, jacobian, q = self.predicted(z, command, parameters, process)
+            before, jacobian, q = self.predicted(z, command, parameters, process, self.doubt(covariance))
             # Both triangles from one: casadi need not work out the other.
             covariance = unpack(propagated(jacobian, covariance, q), size)
         after, covariance, y, nis = self.updated(before, covariance, measured, present, noise)
@@ -278,7 +295,7 @@ class FilterEquations:
         return ca.Function("filter", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
 
     def prediction(self, *, with_jacobian: bool) -> ca.Function:
-        """Return (z, command, parameters, process) -> next z, or next z, its Jacobian and Q, column by column."""
+        """Return (z, command, parameters, process, doubt) -> next z, or next z, its Jacobian and Q, by columns."""
         inputs = {name: ca.SX.sym(name, size) for name, size in self.inputs.items()}
         following, jacobian, q = self.predicted(*inputs.values())
         parts = [following, ca.vec(ca.densify(jacobian)), ca.vec(ca.densify(q))] if with_jacobian else [following]
@@ -328,7 +345,7 @@ class EkfProgram:
         self.model = model
         self.settings = settings
         self.equations, self.step, self.update, self.ahead = _compiled(model.equations, model.period, settings.augments)
-        """ahead: from z, command, parameters and process to the next z (N+E,), without a measurement."""
+        """ahead: from the inputs of a prediction to the next z (N+E,), without a measurement."""
         size, m = self.equations.dimension, model.arms + 1
         lengths = {"z": size, "covariance": size * (size + 1) // 2, "sigmas": size, "innovation": m}
         lengths |= {"nis": 1, "used": 1, "sound": 1}

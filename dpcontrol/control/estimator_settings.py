@@ -4,7 +4,10 @@
     disturbance  further accelerations of the arms, rad/s², that fade: first-order Gauss-Markov
     drive        further acceleration of the cart, m/s², that fades: what the drive gives beyond the command
     friction     relative errors of the joints' friction: constants
-    parameters   relative errors of the base parameters, over M12 (one arm: M11): constants
+    parameters   errors log(p/p₀) of the base parameters, over M12 (one arm: M11): constants
+
+The parameters stand as logarithms: what the data leave unknown is then nearly the same combination of them wherever the
+filter linearises, so it does not gather false knowledge on its way. Reports and logs give relative errors.
 
 With the cart's acceleration as input only ratios of the inertial parameters matter, so one of them stays fixed; G_i and
 S_i share a factor, for gravity is known. What is common to all zeros is seen through gravity alone: while the arms
@@ -19,10 +22,10 @@ Whether an estimator may be believed: NIS on every run, NEES where the truth is 
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache
+from typing import Self
 
 import numpy as np
 
@@ -40,7 +43,7 @@ class Augment(StrEnum):
     PARAMETERS = "parameters"
 
 
-_DRIFT = 1e-3
+_DRIFT = 1e-6
 """Of a constant per √s, as a share of its first standard deviation: keeps the filter's gain from vanishing."""
 
 
@@ -68,7 +71,9 @@ class FilterSettings(Settings, table="estimator"):
     """Noise that a filter assumes, and what it estimates besides the state.
 
     parameter_error: share by which accelerations may be wrong, and correlation_time s for which such an error
-    lasts: Q's density is 2 · time · (share · acceleration)². rate_noise rad/s/√s and cart_noise m/s/√s: floors.
+    lasts: Q's density is 2 · time · (share · acceleration)². nonlinearity: a further share is this times the variance
+    of the parameters, where they are estimated. rate_noise rad/s/√s and cart_noise m/s/√s: floors.
+    surprise: Q is multiplied by the mean NIS per position to this power where that is above 1; 0 for never.
     first_angle rad, first_rate rad/s, first_cart m: standard deviations at the start (the cart's velocity: m/s).
 
     augment: any of zeros, disturbance, drive, friction, parameters. Standard deviations: zero_error rad, disturbance
@@ -78,6 +83,8 @@ class FilterSettings(Settings, table="estimator"):
     kind: str = "ekf"
     parameter_error: float = setting(0.01, least=0, most=_MOST)
     correlation_time: float = setting(0.02, above=0, most=_MOST)
+    nonlinearity: float = setting(1.5, least=0, most=_MOST)
+    surprise: float = setting(0.0, least=0, most=4)
     rate_noise: float = setting(0.03, above=0, most=_MOST)
     cart_noise: float = setting(0.1, above=0, most=_MOST)
     first_angle: float = setting(0.03, above=0, most=_MOST)
@@ -121,8 +128,8 @@ class FilterSettings(Settings, table="estimator"):
         """Return what the equations of the filter take.
 
         Densities of the arms' noise, absolute and relative; the covariance that a period adds to the cart's position
-        and velocity (pp, pv, vv) and between them and the drive's error (pd, vd); decay (E,) and variance (E,) of the
-        extras a period.
+        and velocity (pp, pv, vv) and between them and the drive's error (pd, vd); the relative density for a variance
+        of 1 of the parameters; surprise; decay (E,) and variance (E,) of the extras a period.
         """
         names = extra_names(arms, self.augments)
         densities = [self.rate_noise**2, 2 * self.correlation_time * (self.parameter_error / period) ** 2]
@@ -137,7 +144,18 @@ class FilterSettings(Settings, table="estimator"):
             decay.append(kept)
             # A fading quantity keeps its variance: φ² σ² + q = σ².
             variance.append((sigma * _DRIFT) ** 2 * period if lasts is None else sigma**2 * (1 - kept**2))
-        return np.array([*densities, *path, *decay, *variance])
+        squares = 2 * self.correlation_time * (self.nonlinearity / period) ** 2
+        return np.array([*densities, *path, squares, self.surprise, *decay, *variance])
+
+    def with_command_noise(self, noise: float, *, period: float, keeps: float = 0.0) -> Self:
+        """Return the same for a drive whose commands carry white noise, m/s², new each period.
+
+        keeps: what the drive's known lag leaves of an acceleration after a period; the noise passes through it too.
+        """
+        if keeps:
+            lagging = noise * ((1 - keeps) / (1 + keeps)) ** 0.5
+            return replace(self, drive_error=float(np.hypot(self.drive_error, lagging)))
+        return replace(self, cart_noise=float(np.hypot(self.cart_noise, noise * period**0.5)))
 
     def _fading_drive(self, period: float) -> Array:
         """Return what the drive's error adds to the cart within a period, unknown at its beginning: pp, pv, vv, pd, vd.
@@ -159,22 +177,8 @@ class EkfSettings(FilterSettings):
 
 
 @dataclass(frozen=True)
-class AdaptiveEkfSettings(EkfSettings):
-    """The same filter with the defaults for an adaptive controller: it asks what is wrong with the model.
-
-    What the parameters explain need not be covered by noise; what they explain by their squares only must be.
-    """
-
-    parameter_error: float = 0.02
-    rate_noise: float = 0.01
-    augment: tuple[str, ...] = ("zeros", "drive", "friction", "parameters")
-    friction_error: float = 0.5
-    model_error: float = 0.03
-
-
-@dataclass(frozen=True)
 class FilterpyEkfSettings(FilterSettings):
-    """The extended Kalman filter with filterpy's arithmetic: the same numbers, slower; a check."""
+    """The extended Kalman filter with filterpy's arithmetic: from the same settings the same numbers, slower."""
 
     kind: str = "ekf-filterpy"
 
@@ -191,28 +195,53 @@ class UkfSettings(FilterSettings):
     weight: float = field(default=2.0)
 
 
+@dataclass(frozen=True)
+class AdaptiveFilterSettings(FilterSettings):
+    """The defaults for an adaptive controller, which needs the model's errors.
+
+    The filter estimates the errors, so process noise covers only what the estimate leaves out: their squares while they
+    are uncertain (nonlinearity), and whatever the readings contradict (surprise). model_error is the standard deviation
+    of log(p/p₀): 0.035, 0.07 and 0.14 where masses, lengths and inertias are drawn within ±5, ±10 and ±20 %.
+    """
+
+    parameter_error: float = setting(0.0, least=0, most=_MOST)
+    surprise: float = setting(2.0, least=0, most=4)
+    rate_noise: float = setting(2e-4, above=0, most=_MOST)
+    cart_noise: float = setting(3e-3, above=0, most=_MOST)
+    augment: tuple[str, ...] = setting(("zeros", "drive", "friction", "parameters"), choices=tuple(Augment))
+    drive_error: float = setting(0.1, above=0, most=_MOST)
+    friction_error: float = setting(0.5, above=0, most=_MOST)
+
+
+@dataclass(frozen=True)
+class AdaptiveEkfSettings(AdaptiveFilterSettings, EkfSettings):
+    """The compiled filter with these defaults."""
+
+
+@dataclass(frozen=True)
+class AdaptiveFilterpyEkfSettings(AdaptiveFilterSettings, FilterpyEkfSettings):
+    """filterpy's extended filter with these defaults."""
+
+    kind: str = "ekf-filterpy"
+
+
+@dataclass(frozen=True)
+class AdaptiveUkfSettings(AdaptiveFilterSettings, UkfSettings):
+    """The unscented filter with these defaults."""
+
+    kind: str = "ukf"
+
+
 EstimatorSettings = EkfSettings | FilterpyEkfSettings | UkfSettings
 
 
 @cache
 def chi_square_band(freedom: int, *, share: float = 0.95) -> tuple[float, float]:
     """Return the interval that holds `share` of a chi-square variable, the same share left out on both sides."""
-    return _chi_square_quantile((1 - share) / 2, freedom), _chi_square_quantile((1 + share) / 2, freedom)
+    # Imported here: runs that ask for no band do without.
+    from scipy.special import chdtri
 
-
-def _chi_square_quantile(share: float, freedom: int) -> float:
-    """Return the value below which `share` of a chi-square variable lies, by bisection of the sum of its tail.
-
-    scipy has it too, but importing that takes a third of all that scoring a log does.
-    """
-    low, high = -50.0, math.log(2.0 * freedom + 100.0)
-    while (middle := (low + high) / 2) not in (low, high):
-        half = math.exp(middle) / 2
-        terms = (k + freedom % 2 / 2 for k in range(freedom // 2))
-        beyond = sum(math.exp(s * math.log(half) - half - math.lgamma(s + 1)) for s in terms)
-        beyond += math.erfc(math.sqrt(half)) if freedom % 2 else 0.0
-        low, high = (middle, high) if beyond > 1 - share else (low, middle)
-    return math.exp(middle)
+    return float(chdtri(freedom, (1 + share) / 2)), float(chdtri(freedom, (1 - share) / 2))
 
 
 def share_inside(values: Array, freedom: int) -> float:

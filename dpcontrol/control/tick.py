@@ -504,9 +504,6 @@ class TickEquations:
         for i, share in enumerate(self.shares or ()):
             value = extra[i]
             if share:
-                # The symmetric share: bounded below by a parameter of nothing.
-                found = ca.if_else(value < -1, -1, value)
-                value = found / (1 + found / 2)
                 doubted = ca.if_else(ca.fabs(value) > trust, i + 1, doubted)
                 value = _within(value, trust)
                 found_wrong.append(value)
@@ -685,6 +682,11 @@ class TickEquations:
         for i in range(n + 1):
             repeats = ca.if_else(ca.eq(sensor, i + 1), watch["same"][i], repeats)
         mode = ca.if_else(stop, int(Mode.ABORTED), ca.if_else(saturated, int(Mode.SATURATED), c["mode"]))
+        # Reports and logs hold relative errors, the filter logarithms.
+        extras, sigmas = e["z"][:, :], e["sigmas"][:, :]
+        for i in self.filter.shares:
+            sigmas[i] *= ca.exp(extras[i])
+            extras[i] = ca.exp(extras[i]) - 1
 
         heading = _within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
         memory = {
@@ -698,10 +700,13 @@ class TickEquations:
         }  # fmt: skip
         if predicts:
             start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
-            following, jacobian, noise = self.filter.predicted(start, acting, c["parameters"], c["process"], origin)
             covariance = unpack(e["covariance"], self.filter.dimension)
+            doubt, known = self.filter.doubt(covariance), (c["parameters"], c["process"])
+            following, jacobian, noise = self.filter.predicted(start, acting, *known, doubt, origin)
             memory["z"] = following
-            memory["covariance"] = propagated(jacobian, covariance, noise)
+            # A blow, or a bench that the model does not describe: all process noise grows with what it cannot explain.
+            surprise = ca.fmax(1, nis) ** c["process"][8]
+            memory["covariance"] = propagated(jacobian, covariance, surprise * noise)
         else:
             memory |= {"z": m["z"], "covariance": m["covariance"]}
         if self.plays:
@@ -717,7 +722,7 @@ class TickEquations:
         memory["drive"] = moved_on
         report = {
             "state": e["z"][:size], "wish": wish, "feedforward": forward, "feedback": feedback, "acting": acting,
-            "saturated": saturated, "nis": e["nis"], "mode": mode, "sigmas": e["sigmas"], "extra": e["z"][size:],
+            "saturated": saturated, "nis": e["nis"], "mode": mode, "sigmas": sigmas, "extra": extras[size:],
             "command": shaped, "outcome": outcome, "stop": stop, "done": still > SETTLING, "newly_cut": newly_cut,
             "doubted": newly_doubted, "sensor": sensor, "repeats": repeats,
             "error": error, "mean_nis": nis,
@@ -785,7 +790,7 @@ class TickEquations:
     def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """State and extras, and the cart's acceleration, a period on."""
         acting, following = self._acting(command, z[self.filter.equations.dimension - 1], drive, c)
-        return self.filter.predicted(z, acting, c["parameters"], c["process"])[0], following
+        return self.filter.predicted(z, acting, c["parameters"], c["process"], ca.SX(0))[0], following
 
     def _seen(self, z: ca.SX, r: Mapping[str, ca.SX]) -> ca.SX:
         """The state that the law sees."""

@@ -24,9 +24,8 @@ error, and leant against in the same way:
     E'_k(i, j) = the coefficient of w_i w_j in f(x*_k + X_k w, u*_k - (F̂_k + K̂_k X_k) w, w) - x*_{k+1} - X_{k+1} w
 
 w: above all the relative errors of the model's parameters. N carries back from the reference's end what they will do
-along all that remains, so the feedback leans against a wrong mass before it is felt; without w it is TVLQR. The
-symmetric share 2 (p - p₀)/(p + p₀) stands for a parameter's relative error: it agrees with it to first
-order, and to second with the logarithm, in which the equations know no overall scale.
+along all that remains, so the feedback leans against a wrong mass before it is felt; without w it is TVLQR. A
+parameter's error is log(p/p₀), in which the equations know no overall scale.
 Source: Anderson & Moore, section 10.3; Åström & Wittenmark, Adaptive Control, section 1.4 (certainty equivalence).
 
 Where the drive's velocity loop lags by τ, as far as is known, the cart's acceleration a is one more state, with a gain
@@ -246,8 +245,8 @@ class TrackingSession:
 class AdaptiveSettings(ClosingWeights):
     """Weights like those of "tvlqr", lighter except at the end: what is known of the model needs no feedback.
 
-    trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by 0.3 make
-    base parameters off by 0.7 at most.
+    trust: the greatest error log(p/p₀) of a parameter that the law acts on; masses and lengths that are off by 0.3
+    make it 0.7 at most.
     """
 
     kind: str = "adaptive"
@@ -489,7 +488,7 @@ def _of_second_order(
 ) -> Array:  # fmt: skip
     """Return E' (K, N, P) of all pairs of m parameters, whose errors are the estimator's extras `which` (m,).
 
-    moved (K+1, N, m), pushed (K, m): the shift of states (K+1, N) and commands (K,) by one of each symmetric share.
+    moved (K+1, N, m), pushed (K, m): the shift of states (K+1, N) and commands (K,) by a unit of each error.
     """
     equations = FilterEquations(model.equations, model.period, estimator.augments)
     n, m, count = model.dimension, len(which), len(commands)
@@ -506,7 +505,7 @@ def _of_second_order(
         inputs[:n], inputs[program.slices["command"]] = path[:-1].T, commands + push
         if model.lag:
             inputs[program.slices["command"]] += lag * (away[:-1, n] - push)
-        inputs[n + which] = (shares / (1 - shares / 2))[:, None]
+        inputs[n + which] = shares[:, None]
         return program(inputs, out)[:n].T - path[1:]
 
     found, one, none = [], _SHARE * np.eye(m), left(np.zeros(m))

@@ -41,6 +41,7 @@ class FilterpyEstimator(KalmanFilter):
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
         super().__init__(model, settings, noise=noise)
         self.size = self.program.equations.dimension
+        self._shares = self.program.equations.shares
         self._linear = Compiled(self.program.equations.prediction(with_jacobian=True))
 
     def following(self, points: Array, command: float) -> Array:
@@ -53,9 +54,10 @@ class FilterpyEstimator(KalmanFilter):
         inputs[self.program.ahead.slices["process"]] = self.program.process[column]
         return self.program.ahead(inputs, np.empty(points.shape))
 
-    def linearised(self, z: Array, command: float) -> tuple[Array, Array, Array]:
+    def linearised(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array, Array]:
         """Return the next z (N+E,), its Jacobian and Q (N+E, N+E)."""
-        inputs = np.concatenate([z, [command], self.model.parameters, self.program.process])
+        doubt = covariance.diagonal()[self._shares].mean() if self._shares else 0.0
+        inputs = np.concatenate([z, [command], self.model.parameters, self.program.process, [doubt]])
         out, n = self._linear(inputs, np.empty(self._linear.size_out)), self.size
         return out[:n], out[n : n + n * n].reshape(n, n).T, out[n + n * n :].reshape(n, n).T
 
@@ -134,7 +136,7 @@ class FilterpyEkf(FilterpyEstimator):
 
     def _predicted(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array]:
         inner = self._filters[0]
-        inner.following, inner.F, inner.Q = self.linearised(z, command)
+        inner.following, inner.F, inner.Q = self.linearised(z, covariance, command)
         inner.P = covariance
         inner.predict()
         return inner.following, inner.P
@@ -186,7 +188,7 @@ class Ukf(FilterpyEstimator):
     def _predicted(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array]:
         inner, self._command = self._inner, command
         inner.x, inner.P = z, covariance
-        inner.Q = self.linearised(z, command)[2]
+        inner.Q = self.linearised(z, covariance, command)[2]
         inner.predict()
         return inner.x, inner.P
 

@@ -15,6 +15,9 @@ import numpy as np
 
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import (
+    AdaptiveEkfSettings,
+    AdaptiveFilterpyEkfSettings,
+    AdaptiveUkfSettings,
     EkfSettings,
     EstimatorSettings,
     FilterpyEkfSettings,
@@ -47,6 +50,10 @@ ESTIMATORS: dict[str, type[EstimatorSettings]] = {
     settings.kind: settings for settings in (EkfSettings, UkfSettings, FilterpyEkfSettings)
 }
 """The settings of each kind of estimator, by its name in an itinerary."""
+ADAPTIVE_ESTIMATORS: dict[str, type[EstimatorSettings]] = {
+    settings.kind: settings for settings in (AdaptiveEkfSettings, AdaptiveUkfSettings, AdaptiveFilterpyEkfSettings)
+}
+"""The same with the defaults for the adaptive law."""
 
 
 def make_estimator(settings: EstimatorSettings, model: SampledModel, *, noise: Array) -> Estimator:

@@ -543,9 +543,12 @@ def make_ticker(
         InputError: the delay is impossible, or the controller is not for these arms; or the library is not of these
             settings, or such a one cannot be.
     """
-    # The estimator believes in the sensors' resolution and noise.
+    # The estimator relies on the stated noise of sensors and drive.
     noise = settings.sensors.covariance(parameters.count)
     model = sampled_model(parameters, settings.rate, settings.known_lag)
+    filters = settings.estimator.with_command_noise(
+        settings.drive.command_noise, period=model.period, keeps=model.lag_keeps
+    )
     schedule = schedule_of(controller, whole_periods(delay)[1])
     compiled = isinstance(settings.estimator, EkfSettings)
     make: Any = TickProgram
@@ -555,11 +558,11 @@ def make_ticker(
         schedule = checked_exportable(controller, lead=whole_periods(delay)[1])
         make = partial(LibraryProgram, library)
     program = make(
-        model, settings.estimator, noise=noise, delay=delay, runs=runs,
+        model, filters, noise=noise, delay=delay, runs=runs,
         bounds=_bounds(settings, limits, can_hold=can_hold, trust=0.0 if schedule is None else schedule.trust),
         shares=None if schedule is None else schedule.shares, mechanics=settings.known_mechanics(parameters.count),
     )  # fmt: skip
-    estimator = None if compiled else make_estimator(settings.estimator, model, noise=noise)
+    estimator = None if compiled else make_estimator(filters, model, noise=noise)
     ticker = Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=settings.estimator.kind)
     if library is not None and schedule is not None:
         program.check(schedule, law=controller.kind)

@@ -18,12 +18,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.control.estimator_settings import (
-    AdaptiveEkfSettings,
-    Augment,
-    EkfSettings,
-    EstimatorSettings,
-)
+from dpcontrol.control.estimator_settings import Augment, EstimatorSettings
 from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tracking import AdaptiveSettings, FeedforwardSettings, TvlqrSettings
@@ -32,7 +27,7 @@ from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
 from dpcontrol.foundation.shipped import find
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
-from dpcontrol.loop.controllers import ESTIMATORS, KEEPERS, ControllerSettings
+from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, ESTIMATORS, KEEPERS, ControllerSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.lyapunov import equilibria
@@ -214,7 +209,7 @@ def read_run_settings(
         raise InputError(
             f'{controller.where("keep")} = {keep!r}: what flies between the stops is kind = "tvlqr", not "{law.kind}"'
         )
-    filters = {**ESTIMATORS, "ekf": AdaptiveEkfSettings} if isinstance(law, AdaptiveSettings) else ESTIMATORS
+    filters = ADAPTIVE_ESTIMATORS if isinstance(law, AdaptiveSettings) else ESTIMATORS
     return rest.settings(
         LoopSettings, also=known, seed=0, keep=keep, plant=plant, controller=law,
         estimator=_kind(estimator, filters, "ekf"), supervisor=supervisor.settings(SupervisorSettings), **parts,
@@ -249,14 +244,12 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
         elif value != getattr(loop, name).kind:
             own[name] = kinds[name][value]()
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
-    knows = Augment.PARAMETERS in filters.augments
-    chosen = "controller" in own or "estimator" in own
-    if chosen and isinstance(law, AdaptiveSettings) and not knows:
-        # What the controller is to count on must be asked for.
-        asked = {**_changed(filters), "augment": AdaptiveEkfSettings.augment}
-        own["estimator"] = (AdaptiveEkfSettings if isinstance(filters, EkfSettings) else type(filters))(**asked)
-    elif chosen and not isinstance(law, AdaptiveSettings) and isinstance(filters, AdaptiveEkfSettings):
-        own["estimator"] = EkfSettings(**_changed(filters))
+    adaptive, knows = isinstance(law, AdaptiveSettings), Augment.PARAMETERS in filters.augments
+    defaults = (ADAPTIVE_ESTIMATORS if adaptive else ESTIMATORS)[filters.kind]
+    if own.keys() & kinds and (type(filters) is not defaults or (adaptive and not knows)):
+        # The adaptive law needs the parameters' errors.
+        needed = {"augment": defaults.augment} if adaptive and not knows else {}
+        own["estimator"] = defaults(**{**_changed(filters), **needed})
     if not isinstance(law, TvlqrSettings):
         own.setdefault("keep", "none")
     own |= {part: replace(getattr(loop, part), **values) for part, values in changes.items()}
