@@ -151,13 +151,17 @@ class FilterEquations:
         """Lengths of a prediction's inputs: z, command, parameters, `FilterSettings.process`, and `doubt`."""
         parameters = int(self.equations.parameters.shape[0])
         return {
-            "z": self.dimension, "command": 1, "parameters": parameters, "process": 9 + 2 * len(self.extra_names),
-            "doubt": 1,
+            "z": self.dimension, "command": 1, "parameters": parameters, "process": 10 + 2 * len(self.extra_names),
+            "doubt": 2,
         }  # fmt: skip
 
-    def doubt(self, covariance: ca.SX) -> ca.SX:
-        """Return the mean variance of the parameters' logarithms; 0 if they are not estimated."""
-        return sum((covariance[i, i] for i in self.shares), ca.SX(0)) / max(len(self.shares), 1)
+    def doubt(self, covariance: ca.SX, change: ca.SX | float = 0.0) -> ca.SX:
+        """Return what Q depends on besides the state (2,).
+
+        The mean variance of the parameters' logarithms, 0 if they are not estimated; and the change, m/s², of the
+        command from one period to the next, 0 if it is not known.
+        """
+        return ca.vertcat(sum((covariance[i, i] for i in self.shares), ca.SX(0)) / max(len(self.shares), 1), change)
 
     def _parameters(self, parameters: ca.SX, extra: dict[str, ca.SX]) -> ca.SX:
         """Return the parameters with the errors that `extra` holds."""
@@ -213,19 +217,19 @@ class FilterEquations:
             total, slopes = total + weight * k, slopes + weight * k_slope
             if further is not None:
                 moved, spread = x + further * k, start + further * k_slope
-        decay = process[9 : 9 + extras]
+        decay = process[10 : 10 + extras]
         following = ca.vertcat(x + step / 6 * total, decay * e)
         jacobian = ca.vertcat(start + step / 6 * slopes, ca.horzcat(ca.SX(extras, size), ca.diag(decay)))
         block = np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
         noise = ca.SX(self.dimension, self.dimension)
         for i in range(n):
             # The Jacobian leaves out the squares of the parameters' errors: P does not cover them.
-            wrong = process[1] + process[7] * doubt**2
+            wrong = process[1] + process[7] * doubt[0] ** 2
             density = process[0] + wrong * (following[n + i] - x[n + i]) ** 2
             noise[i, i], noise[n + i, n + i] = density * block[0, 0], density * block[1, 1]
             noise[i, n + i] = noise[n + i, i] = density * block[0, 1]
         for i in range(extras):
-            noise[size + i, size + i] = process[9 + extras + i]
+            noise[size + i, size + i] = process[10 + extras + i]
         # What the cart does besides its command moves the arms as well.
         reach = ca.SX(self.dimension, 3)
         for position, rate in [*((i, n + i) for i in range(n)), (2 * n, 2 * n + 1)]:
@@ -234,7 +238,9 @@ class FilterEquations:
             reach[size + self.extra_names.index("drive"), 2] = 1
         pp, pv, vv, pd, vd = (process[k] for k in range(2, 7))
         besides = ca.vertcat(ca.horzcat(pp, pv, pd), ca.horzcat(pv, vv, vd), ca.horzcat(pd, vd, 0))
-        noise += reach @ besides @ reach.T
+        # A drive that lags more than the model knows is wrong by each change of its command at first.
+        late = process[9] * doubt[1] * ca.DM([step**2 / 2, step, 1])
+        noise += reach @ (besides + late @ late.T) @ reach.T
         if self.as_measured:
             t, back = _sparse(self.carried), _sparse(self.restored)
             jacobian, noise = t @ jacobian @ back, t @ noise @ t.T

@@ -78,12 +78,13 @@ class FilterSettings(Settings, table="estimator"):
 
     augment: any of zeros, disturbance, drive, friction, parameters. Standard deviations: zero_error rad, disturbance
     rad/s² with its disturbance_time s, drive_error m/s² with its drive_time s, friction_error and model_error, shares.
+    late_drive: the drive's error grows by this share of each change of the command, as where it lags more than stated.
     """
 
     kind: str = "ekf"
     parameter_error: float = setting(0.01, least=0, most=_MOST)
     correlation_time: float = setting(0.02, above=0, most=_MOST)
-    nonlinearity: float = setting(1.5, least=0, most=_MOST)
+    nonlinearity: float = setting(2.5, least=0, most=_MOST)
     surprise: float = setting(0.0, least=0, most=4)
     rate_noise: float = setting(0.03, above=0, most=_MOST)
     cart_noise: float = setting(0.1, above=0, most=_MOST)
@@ -96,6 +97,7 @@ class FilterSettings(Settings, table="estimator"):
     disturbance_time: float = setting(0.1, above=0, most=_MOST)
     drive_error: float = setting(3.0, above=0, most=_MOST)
     drive_time: float = setting(0.01, above=0, most=_MOST)
+    late_drive: float = setting(0.0, least=0, most=_MOST)
     friction_error: float = setting(0.3, above=0, most=_MOST)
     model_error: float = setting(0.1, above=0, most=_MOST)
 
@@ -129,7 +131,7 @@ class FilterSettings(Settings, table="estimator"):
 
         Densities of the arms' noise, absolute and relative; the covariance that a period adds to the cart's position
         and velocity (pp, pv, vv) and between them and the drive's error (pd, vd); the relative density for a variance
-        of 1 of the parameters; surprise; decay (E,) and variance (E,) of the extras a period.
+        of 1 of the parameters; surprise; late_drive; decay (E,) and variance (E,) of the extras a period.
         """
         names = extra_names(arms, self.augments)
         densities = [self.rate_noise**2, 2 * self.correlation_time * (self.parameter_error / period) ** 2]
@@ -145,7 +147,7 @@ class FilterSettings(Settings, table="estimator"):
             # A fading quantity keeps its variance: φ² σ² + q = σ².
             variance.append((sigma * _DRIFT) ** 2 * period if lasts is None else sigma**2 * (1 - kept**2))
         squares = 2 * self.correlation_time * (self.nonlinearity / period) ** 2
-        return np.array([*densities, *path, squares, self.surprise, *decay, *variance])
+        return np.array([*densities, *path, squares, self.surprise, self.late_drive, *decay, *variance])
 
     def with_command_noise(self, noise: float, *, period: float, keeps: float = 0.0) -> Self:
         """Return the same for a drive whose commands carry white noise, m/s², new each period.
@@ -210,7 +212,9 @@ class AdaptiveFilterSettings(FilterSettings):
     cart_noise: float = setting(3e-3, above=0, most=_MOST)
     augment: tuple[str, ...] = setting(("zeros", "drive", "friction", "parameters"), choices=tuple(Augment))
     drive_error: float = setting(0.1, above=0, most=_MOST)
+    late_drive: float = setting(1.0, least=0, most=_MOST)
     friction_error: float = setting(0.5, above=0, most=_MOST)
+    model_error: float = setting(0.07, above=0, most=_MOST)
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def simulated_consistency(
     start = np.concatenate([first, np.zeros(size - len(first))])[:, None]
     truth = start + sigmas[:, None] * random.standard_normal((size, runs))
     inputs, memory = program.inputs(noise, runs=runs), program.first(np.repeat(first[:, None], runs, axis=1))
-    known = np.empty((linear.size_in, runs))
+    known = np.zeros((linear.size_in, runs))
     known[linear.slices["parameters"]] = program.model.parameters[:, None]
     known[linear.slices["process"]] = program.process[:, None]
     out, moved = np.empty((program.step.size_out, runs)), np.empty((linear.size_out, runs))
@@ -70,6 +70,10 @@ def simulated_consistency(
     for k, command in enumerate(commands):
         if k:
             known[linear.slices["z"]], known[linear.slices["command"]] = truth, command
+            if equations.shares:
+                # The noise that covers the squares of the parameters' errors follows from the filter's own variances.
+                variances = unpacked(memory[size:].T)[:, equations.shares, equations.shares]
+                known[linear.slices["doubt"].start] = variances.mean(axis=1)
             linear(known, moved)
             truth = moved[:size].copy()
             if process_noise:

@@ -167,7 +167,8 @@ def test_looking_ahead_is_the_model_with_what_the_extras_do() -> None:
     memory[6:13] = extra = np.array([0.4, 0.3, -0.2, 0.05, -0.04, 0.03, 0.02])
     estimate = Estimate(memory[:6], memory[6:13], first.sigmas, first.innovation, 0.0, 3, memory)
     # Base parameters: M11, M12, M22, G1, G2, S1, S2, k1, k2.
-    factors = 1 + np.array([extra[3], 0, extra[4], extra[5], extra[6], extra[5], extra[6], extra[1], extra[2]])
+    errors = [extra[3], 0, extra[4], extra[5], extra[6], extra[5], extra[6]]
+    factors = np.array([*np.exp(errors), 1 + extra[1], 1 + extra[2]])
     changed = SampledModel(MODEL.equations, LAB.base() * factors, period=1e-3)
     fades = np.exp(-1e-3 / ekf.settings.drive_time)
     expected = changed.step(changed.step(STATE, 2.0 + 0.4), -1.0 + 0.4 * fades)
