@@ -102,9 +102,7 @@ def beliefs(
     limits = settings.limits(reference)
     lanes = [*seeds, *[seeds[-1]] * (-len(seeds) % 8)]
     draws = [settings.draw(model, ticks=count, seed=seed) for seed in lanes]
-    ticker = make_ticker(
-        model, settings, controller, limits=limits, delay=settings.drive.delay, runs=len(lanes)
-    )
+    ticker = make_ticker(model, settings, controller, limits=limits, delay=settings.drive.delay, runs=len(lanes))
     start, queued = controller.first_state, list(ticker.queued)
     bench = BatchBench(draws, settings.bench, limits=limits, start=start, queued=queued, lanes=MANY)
     recorder = _Recorder(ticker, bench, ticks)
