@@ -269,7 +269,8 @@ class TickEquations:
         m/s²: the cart's acceleration when the coming period begins. error rad and nis: the means; silent s;
         restarts so far; held: 1 after the reference was given up; moved s since the clock was;
         restart: 1 where the filter begins anew, until it has a reading to begin with; stopped: the outcome that ended
-        the run, or 0; still s: for how long the cart was sent nowhere since; acted m/s²: the command in the period before; cut: 1 where the last command was; doubts:
+        the run, or 0; still s: for how long the cart was sent nowhere since; acted m/s²: the acceleration
+        in the period before; cut: 1 where the last command was; doubts:
         1 once an extra was trusted no further; heading m/s: what the cart will come to; turns (n,) rad: whole ones
         between readings and estimate.
         Then sensor by sensor: last reading, smallest step, ticks with this reading, what it should have been when
@@ -285,8 +286,8 @@ class TickEquations:
         lag = {"drive": 1} if self.lags else {}
         return Layout(
             z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=1,
-            restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, doubts=1, last=m, step=m, same=m,
-            begin=m, away=m, pulled=m - 1, strained=m - 1, held_back=m - 1, travelled=1, heading=1, turns=m - 1,
+            restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, doubts=1, last=m, step=m,
+            same=m, begin=m, away=m, pulled=m - 1, strained=m - 1, held_back=m - 1, travelled=1, heading=1, turns=m - 1,
             **({"mark": m - 1} if self.plays else {}), **({"shaped": 2} if self.shapes else {}),
             **({"origin": m} if self.split else {}),
         )  # fmt: skip
@@ -695,8 +696,8 @@ class TickEquations:
             "restarts": m["restarts"] * (1 - min(period / RESTART_MEMORY, 1)) + again,
             "held": ca.if_else(falls, 1, m["held"]),
             "moved": ca.if_else(moved, 0, m["moved"] + period), "restart": ca.logic_or(again, blind),
-            "stopped": stopped, "still": still, "acted": acting, "cut": saturated, "doubts": ca.logic_or(m["doubts"], doubted > 0),
-            **watch,
+            "stopped": stopped, "still": still, "acted": acting, "cut": saturated,
+            "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch,
         }  # fmt: skip
         if predicts:
             start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
