@@ -152,7 +152,7 @@ def calming_controller(
     """
     equations, parameters, n = model.equations, model.parameters, model.arms
     hanging = np.zeros(model.dimension)
-    regulator = hold_controller(hanging, model, HoldSettings(), seconds=seconds)
+    regulator = hold_controller(hanging, model, HoldSettings(damping=0.0), seconds=seconds)
     change, pull, momentum = _momentum(equations)
     numbers = ca.Function("numbers", [equations.state, equations.parameters], [pull, equations.hamiltonian])
     most, lowest = (float(value) for value in numbers(hanging, parameters))

@@ -192,7 +192,9 @@ class FilterEquations:
         rate = self.equations.function()
         slope = rate(x, command + extra.get("drive", 0), self._parameters(parameters, extra)) + pushed
         inputs = [x, e, command, parameters]
-        return ca.Function("f", inputs, [slope, *(ca.jacobian(slope, by) for by in (x, e, command))], {"cse": True})
+        linear = self.equations.linearised
+        jacobians = (linear(slope, by, parameters) if by is x else ca.jacobian(slope, by) for by in (x, e, command))
+        return ca.Function("f", inputs, [slope, *jacobians], {"cse": True})
 
     def predicted(
         self, z: ca.SX, command: ca.SX, parameters: ca.SX, process: ca.SX, doubt: ca.SX, origin: ca.SX | None = None

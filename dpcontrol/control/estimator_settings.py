@@ -179,6 +179,18 @@ class EkfSettings(FilterSettings):
 
 
 @dataclass(frozen=True)
+class HoldEkfSettings(EkfSettings):
+    """The same filter with the defaults for a hold.
+
+    It estimates the accelerations that the model does not explain, above all those of dry friction; the feedback
+    compensates them.
+    """
+
+    augment: tuple[str, ...] = ("zeros", "disturbance", "drive")
+    disturbance: float = 2.0
+
+
+@dataclass(frozen=True)
 class FilterpyEkfSettings(FilterSettings):
     """The extended Kalman filter with filterpy's arithmetic: from the same settings the same numbers, slower."""
 

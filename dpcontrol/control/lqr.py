@@ -6,16 +6,24 @@ The diagonal of Q and r of a period of T s follow from weights per second.
 
     Q = T diag(w / s²),   r = T w_u:   weights w of errors measured in s, the scales of angles, rates and cart
 
+Where the estimator estimates further quantities w, such as accelerations of the arms that the model does not explain,
+the feedback adds -F w, the infinite-horizon limit of the gains of `dpcontrol.control.tracking`.
+
+    x_{k+1} = A x_k + B u_k + E w_k,   w_{k+1} = D w_k,   F = (r + BᵀPB)⁻¹ Bᵀ N,   N = (A - BK)ᵀ N D + P E
+
+In this way dry friction is compensated although the model of a hold has none: at rest it has no useful slope.
+
 Sources: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., section 9.3; Anderson & Moore, Optimal
 Control: Linear Quadratic Methods, chapter 6, on selecting weights.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dpcontrol.control.interface import Action, GainSchedule, Mode, SampledModel, pendulum_scale, whole_turns
+from dpcontrol.dynamics.chain import damping_scales
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, setting
@@ -57,16 +65,21 @@ AT_REST = 1e-6
 
 @dataclass(frozen=True)
 class HoldSettings(QuadraticWeights):
-    """Linear-quadratic regulator at an equilibrium."""
+    """Linear-quadratic regulator at an equilibrium.
+
+    damping: viscous friction that the gain assumes in each joint beyond the model's, over √(G M): the mean effect of
+    dry friction. A gain made without it lets the arms oscillate against dry friction with twice the amplitude.
+    """
 
     kind: str = "lqr"
+    damping: float = setting(0.07, least=0, most=10)
 
 
 @dataclass(frozen=True, eq=False)
 class HoldController:
     """Gain (N,) about the equilibrium `state` (N,), cart in the middle; for so many ticks.
 
-    drive_gain: on the cart's acceleration, for a drive that lags.
+    drive_gain: on the cart's acceleration, for a drive that lags. extra_gains (E,): on the estimator's extras `names`.
     """
 
     kind: str
@@ -75,6 +88,8 @@ class HoldController:
     ticks: int
     status: str
     drive_gain: float | None = None
+    extra_gains: Array | None = None
+    names: tuple[str, ...] = ()
 
     @property
     def first_state(self) -> Array:
@@ -89,8 +104,12 @@ class HoldController:
         """Return what the loop needs: the same row at every tick."""
         n, count = (len(self.state) - 2) // 2, self.ticks + 1
         drive = [] if self.drive_gain is None else [0.0, self.drive_gain]
-        row = np.concatenate([[0.0], self.gain, self.state, drive, self.state[:n]])
-        return GainSchedule(np.tile(row, (count, 1)), np.tile(self.state, (count, 1)), np.zeros(lead), Mode.HOLDING)
+        extras = [] if self.extra_gains is None else self.extra_gains
+        row = np.concatenate([[0.0], self.gain, self.state, drive, extras, self.state[:n]])
+        shares = None if self.extra_gains is None else (False,) * len(self.names)
+        return GainSchedule(
+            np.tile(row, (count, 1)), np.tile(self.state, (count, 1)), np.zeros(lead), Mode.HOLDING, shares, self.names
+        )
 
     def join(self, tick: int, state: Array) -> "HoldSession":
         """Return a session that holds the equilibrium on the turns nearest to `state` (N,)."""
@@ -111,13 +130,15 @@ class HoldSession:
     """A hold during one run, about `wanted` (N,): the equilibrium on the run's own turns."""
 
     def __init__(self, controller: HoldController, wanted: Array) -> None:
-        self._gain, self._wanted = controller.gain, wanted
+        self._gain, self._extra_gains, self._wanted = controller.gain, controller.extra_gains, wanted
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return what to do in the period from `tick` at `state` (N,)."""
         feedback = 0.0
         for product in (self._gain * (self._wanted - state)).tolist():
             feedback += product
+        if self._extra_gains is not None:
+            feedback -= float(self._extra_gains @ extra)
         return Action(0.0, feedback, self._wanted, Mode.HOLDING)
 
     def resynchronise(self, tick: int, state: Array) -> str:
@@ -125,8 +146,29 @@ class HoldSession:
         return ""
 
 
-def hold_controller(state: ArrayLike, model: SampledModel, settings: HoldSettings, *, seconds: float) -> HoldController:
+@dataclass(frozen=True, eq=False)
+class Extras:
+    """What an estimator estimates besides the state: names (E,), effects E (N, E) in a period, share D (E,) kept."""
+
+    names: tuple[str, ...]
+    effects: Array
+    kept: Array
+
+
+def _damped(model: SampledModel, damping: float) -> SampledModel:
+    """Return the model with more viscous friction."""
+    n, parameters = model.arms, model.parameters.copy()
+    first = n * (n + 1) // 2 + 2 * n
+    parameters[first : first + n] += damping * np.array(damping_scales(parameters, n))
+    return SampledModel(model.equations, parameters, period=model.period, lag=model.lag)
+
+
+def hold_controller(
+    state: ArrayLike, model: SampledModel, settings: HoldSettings, *, seconds: float, extras: Extras | None = None
+) -> HoldController:
     """Return the regulator for the equilibrium with the pendulum's `state` (2n,), the cart in the middle.
+
+    extras: what the estimator estimates besides the state; without them, no gains on it.
 
     Raises:
         InputError: it is no equilibrium of this model.
@@ -143,10 +185,11 @@ def hold_controller(state: ArrayLike, model: SampledModel, settings: HoldSetting
     from control import dlqr
 
     weights, effort = settings.weights(n, model.period)
-    a, b = (v[0] for v in model.lagging(*model.linearised(x[None, :], np.zeros(1))))
+    damped = _damped(model, settings.damping)
+    a, b = (v[0] for v in damped.lagging(*damped.linearised(x[None, :], np.zeros(1))))
     try:
         on_state = np.diag(np.append(weights, [0.0] * (len(b) - len(x))))
-        gain, _, values = dlqr(a, b[:, None], on_state, np.array([[effort]]))
+        gain, cost, values = dlqr(a, b[:, None], on_state, np.array([[effort]]))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise GoalMissed(f"the equilibrium cannot be held: {error}") from error
     slowest = float(np.abs(values).max())
@@ -155,4 +198,11 @@ def hold_controller(state: ArrayLike, model: SampledModel, settings: HoldSetting
     text = f"slowest motion dies out in {-model.period / np.log(slowest):.3g} s"
     gains = np.asarray(gain)[0]
     drive = float(gains[-1]) if model.lag else None
-    return HoldController(settings.kind, x, gains[: len(x)], max(round(seconds / model.period), 1), text, drive)
+    found = HoldController(settings.kind, x, gains[: len(x)], max(round(seconds / model.period), 1), text, drive)
+    if extras is None:
+        return found
+    pushes = cost @ np.pad(extras.effects, ((0, len(b) - len(x)), (0, 0)))
+    closed, unit = a - np.outer(b, gains), np.eye(len(b))
+    later = [np.linalg.solve(unit - d * closed.T, push) for d, push in zip(extras.kept, pushes.T, strict=True)]
+    on_extras = np.array(later) @ b / (effort + b @ cost @ b)
+    return replace(found, extra_gains=on_extras, names=extras.names)

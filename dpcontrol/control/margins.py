@@ -342,6 +342,8 @@ class _Course:
         program, equations = self.program, self.program.equations
         count = len(ticks)
         numbers = np.tile(program.numbers[:, None], (1, count))
+        where = equations.numbers.slices["parameters"]
+        numbers[where] = equations.filter.equations.linear(numbers[where, 0])[:, None]
         size, arms = equations.filter.equations.dimension, equations.filter.arms
         sees = equations.filter.observation[:, :size]
         tick, kept = _tick_jacobian(equations)

@@ -40,7 +40,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from fractions import Fraction
-from functools import cache
+from functools import cache, reduce
 from itertools import product
 from typing import Any
 
@@ -252,7 +252,24 @@ def arm_chain_equations(count: int, level: Level, *, friction: tuple[Friction, .
     conservative = level is Level.CONSERVATIVE
     dissipation: Energy = (lambda *_: ca.SX(0)) if conservative else chain.dissipation
     parts = mechanics(chain.lagrangian, dissipation, free=count, prescribed=1, parameters=chain.parameters)
-    return state_equations(parts, with_cart=level is Level.CART)
+    made = state_equations(parts, with_cart=level is Level.CART)
+    if Friction.COULOMB not in friction:
+        return made
+    p, first = made.parameters, count * (count + 1) // 2 + 3 * count
+    widths = [p[first + i] / (MOST_DAMPING * scale) for i, scale in enumerate(damping_scales(p, count))]
+    return replace(made, linear_parameters=ca.vertcat(p[:-1], reduce(ca.fmax, widths, p[-1])))
+
+
+MOST_DAMPING = 0.2
+"""Largest viscous damping that stands for dry friction in linearised equations, over √(G M) of each joint.
+Coulomb friction c acts on a rate of amplitude A as viscous friction 4 c/(π A). Its slope at zero, c over the smoothing,
+is that of smaller amplitudes than feedback can keep; at twice this limit Up-Up is no longer controllable."""
+
+
+def damping_scales(base: Any, count: int) -> list[Any]:
+    """Return √(G_i M_ii) of each joint in N m s/rad from base parameters, numbers or symbols."""
+    first = count * (count + 1) // 2
+    return [(base[first + i] * base[int(at)]) ** 0.5 for i, at in enumerate(np.cumsum([0, *range(count, 1, -1)]))]
 
 
 def equations_of(arms: ArmChainParameters, level: Level) -> Equations:

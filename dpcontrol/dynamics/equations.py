@@ -101,7 +101,11 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """One level's equations as casadi SX: state (N,), inputs (m,), parameters (p,), rate = f (N,)."""
+    """One level's equations as casadi SX: state (N,), inputs (m,), parameters (p,), rate = f (N,).
+
+    linear_parameters (p,), expressions of parameters: those at which a sampled step is linearised, for a law such as
+    dry friction whose slope at a point says nothing of a motion of finite size; by default the parameters.
+    """
 
     state: ca.SX
     inputs: ca.SX
@@ -110,6 +114,7 @@ class Equations:
     hamiltonian: ca.SX
     momentum: ca.SX
     mass_matrix: ca.SX
+    linear_parameters: ca.SX | None = None
 
     @property
     def dimension(self) -> int:
@@ -143,6 +148,21 @@ class Equations:
             for name, value in expressions.items()
         }
 
+    def linearised(self, expression: ca.SX, by: ca.SX, parameters: ca.SX) -> ca.SX:
+        """Return the Jacobian of an expression of symbols `parameters` (p,), at the linear ones of them."""
+        jacobian = ca.jacobian(expression, by)
+        if self.linear_parameters is None:
+            return jacobian
+        linear = ca.substitute(self.linear_parameters, self.parameters, parameters)
+        return ca.substitute(jacobian, parameters, linear)
+
+    def linear(self, parameters: Array) -> Array:
+        """Return the values (p,) at which parameters (p,) are linearised."""
+        if self.linear_parameters is None:
+            return parameters
+        function = ca.Function("linear", [self.parameters], [self.linear_parameters])
+        return np.array(function(parameters)).ravel()
+
     def discrete_step(self, step: float) -> ca.Function:
         """Return (state, inputs, parameters) -> (next state, ∂next/∂state, ∂next/∂inputs) over `step` seconds.
 
@@ -152,7 +172,7 @@ class Equations:
         f = self.function()
         x, u, p = self.state, self.inputs, self.parameters
         following = runge_kutta_4(lambda state, _: f(state, u, p), x, step)
-        outputs = [following, ca.jacobian(following, x), ca.jacobian(following, u)]
+        outputs = [following, self.linearised(following, x, p), self.linearised(following, u, p)]
         return ca.Function("step", [x, u, p], [ca.densify(o) for o in ca.cse(outputs)], {"cse": True})
 
 

@@ -22,11 +22,13 @@ from dpcontrol.control.estimator_settings import (
     EstimatorSettings,
     FilterpyEkfSettings,
     FilterSettings,
+    HoldEkfSettings,
     UkfSettings,
+    extra_names,
 )
 from dpcontrol.control.handover import Fly, Keep, Keeper, NearestKeeper, Program, Segment, program
 from dpcontrol.control.interface import Controller, Estimator, SampledModel
-from dpcontrol.control.lqr import HoldSettings, hold_controller
+from dpcontrol.control.lqr import Extras, HoldSettings, hold_controller
 from dpcontrol.control.ogy import ClassicOgySettings, OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import OrbitController, orbit_controller
 from dpcontrol.control.tracking import (
@@ -34,6 +36,7 @@ from dpcontrol.control.tracking import (
     FeedforwardSettings,
     TvlqrSettings,
     adaptive_controller,
+    extra_jacobians,
     tracking_controller,
 )
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
@@ -54,6 +57,13 @@ ADAPTIVE_ESTIMATORS: dict[str, type[EstimatorSettings]] = {
     settings.kind: settings for settings in (AdaptiveEkfSettings, AdaptiveUkfSettings, AdaptiveFilterpyEkfSettings)
 }
 """The same with the defaults for the adaptive law."""
+
+
+def estimators_of(law: "ControllerSettings") -> dict[str, type[EstimatorSettings]]:
+    """Return the settings of each kind of estimator, with the defaults that go with a law."""
+    if isinstance(law, AdaptiveSettings):
+        return ADAPTIVE_ESTIMATORS
+    return {**ESTIMATORS, "ekf": HoldEkfSettings} if isinstance(law, HoldSettings) else ESTIMATORS
 
 
 def make_estimator(settings: EstimatorSettings, model: SampledModel, *, noise: Array) -> Estimator:
@@ -247,7 +257,10 @@ def make_controller(
             raise InputError(
                 f'controller: kind = "{settings.kind}" holds an equilibrium; give the itinerary hold = "up-up"'
             )
-        return hold_controller(reference.state(0.0), model, settings, seconds=seconds)
+        start, names = reference.state(0.0), extra_names(model.arms, estimator.augments)
+        process = estimator.process(model.arms, model.period)
+        effects, kept = extra_jacobians(model, estimator.augments, start[None], np.zeros(1), process)
+        return hold_controller(start, model, settings, seconds=seconds, extras=Extras(names, effects[0], kept))
     if isinstance(settings, AdaptiveSettings):
         return adaptive_controller(reference, model, settings, estimator=estimator)
     if isinstance(settings, TvlqrSettings) and keep != "none":

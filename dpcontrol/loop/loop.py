@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from dpcontrol.control.calming import CalmingSettings, calming_controller
-from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterSettings
+from dpcontrol.control.estimator_settings import Augment, EkfSettings, EstimatorSettings, FilterSettings
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import MANY, Controller, GainSchedule, Mode, SampledModel, schedule_of
 from dpcontrol.control.lqr import HoldSettings
@@ -392,10 +392,22 @@ class LoopSettings(Settings, table="run"):
         return replace(reference.limits, position=self.travel) if self.travel else reference.limits
 
 
+_SMOOTHING = 0.05
+"""rad/s: least smoothing of dry friction in a loop's model. A step of one period does not resolve faster reversals."""
+
+
 def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:
     """Return the cart-level model of these arms between ticks at `rate` Hz, its drive lagging by `lag` s."""
     equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)
-    return SampledModel(equations, parameters.base(), period=1 / rate, lag=lag)
+    eased = replace(parameters, smoothing=max(parameters.smoothing, _SMOOTHING))
+    return SampledModel(equations, eased.base(), period=1 / rate, lag=lag)
+
+
+def _loop_model(parameters: ArmChainParameters, settings: LoopSettings) -> SampledModel:
+    """Return the model of controller and filter. A hold that estimates disturbances leaves dry friction to them."""
+    leaves = isinstance(settings.controller, HoldSettings) and Augment.DISTURBANCE in settings.estimator.augments
+    arms = replace(parameters, coulomb=()) if leaves else parameters
+    return sampled_model(arms, settings.rate, settings.known_lag)
 
 
 def loop_controller(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> Controller:
@@ -405,7 +417,7 @@ def loop_controller(reference: Reference, parameters: ArmChainParameters, settin
         InputError: the reference did not converge, or is not one of these arms.
         GoalMissed: no controller can be made for it.
     """
-    model = sampled_model(parameters, settings.rate, settings.known_lag)
+    model = _loop_model(parameters, settings)
     return make_controller(
         reference, parameters, model, settings=settings.controller, estimator=settings.estimator, keep=settings.keep
     )
@@ -422,7 +434,7 @@ def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings
         return None
     law = settings.controller
     flies = law if isinstance(law, TvlqrSettings) else TvlqrSettings()
-    model = sampled_model(parameters, settings.rate, settings.known_lag)
+    model = _loop_model(parameters, settings)
     return nearest_keeper(reference, parameters, model, flies=flies)
 
 
@@ -459,7 +471,7 @@ def loop_recovery(
             f'supervisor: on_fall = "{s.on_fall}": the reference was planned without ways from rest to its stops; plan '
             "the itinerary again with that setting"
         )
-    model = sampled_model(parameters, settings.rate, settings.known_lag)
+    model = _loop_model(parameters, settings)
     limits = settings.limits(reference)
     ways = [
         start_controller(note, start_reference(reference, k), reference, parameters, settings, main)
@@ -500,7 +512,7 @@ def start_controller(
     if lead_in is not None:
         ticks = round(lead_in.duration * settings.rate)
         onward = tail(reference, note["at"], seconds=_ONWARD, turns=turns)
-        model = sampled_model(parameters, settings.rate, settings.known_lag)
+        model = _loop_model(parameters, settings)
         law = TvlqrSettings() if isinstance(settings.controller, HoldSettings) else settings.controller
         flown = make_controller(
             joined([lead_in, onward])[0], parameters, model, settings=law, estimator=settings.estimator
@@ -545,7 +557,7 @@ def make_ticker(
     """
     # The estimator relies on the stated noise of sensors and drive.
     noise = settings.sensors.covariance(parameters.count)
-    model = sampled_model(parameters, settings.rate, settings.known_lag)
+    model = _loop_model(parameters, settings)
     filters = settings.estimator.with_command_noise(
         settings.drive.command_noise, period=model.period, keeps=model.lag_keeps
     )

@@ -27,7 +27,7 @@ from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
 from dpcontrol.foundation.shipped import find
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
-from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, ESTIMATORS, KEEPERS, ControllerSettings
+from dpcontrol.loop.controllers import ESTIMATORS, KEEPERS, ControllerSettings, estimators_of
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.lyapunov import equilibria
@@ -209,7 +209,7 @@ def read_run_settings(
         raise InputError(
             f'{controller.where("keep")} = {keep!r}: what flies between the stops is kind = "tvlqr", not "{law.kind}"'
         )
-    filters = ADAPTIVE_ESTIMATORS if isinstance(law, AdaptiveSettings) else ESTIMATORS
+    filters = estimators_of(law)
     return rest.settings(
         LoopSettings, also=known, seed=0, keep=keep, plant=plant, controller=law,
         estimator=_kind(estimator, filters, "ekf"), supervisor=supervisor.settings(SupervisorSettings), **parts,
@@ -245,7 +245,7 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
             own[name] = kinds[name][value]()
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
     adaptive, knows = isinstance(law, AdaptiveSettings), Augment.PARAMETERS in filters.augments
-    defaults = (ADAPTIVE_ESTIMATORS if adaptive else ESTIMATORS)[filters.kind]
+    defaults = estimators_of(law)[filters.kind]
     if own.keys() & kinds and (type(filters) is not defaults or (adaptive and not knows)):
         # The adaptive law needs the parameters' errors.
         needed = {"augment": defaults.augment} if adaptive and not knows else {}
