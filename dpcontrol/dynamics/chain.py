@@ -151,6 +151,19 @@ class ArmChainParameters(Settings):
         ]
         return np.concatenate([inertia, numbers((self.gravity,)) * coupling, coupling, friction])
 
+    @property
+    def coulomb_acceleration(self) -> float:
+        """Largest eigenvalue of M⁻¹ Rᵀ c R with the arms in line: relative rates fade at this over the smoothing."""
+        if not self.coulomb:
+            return 0.0
+        n, base = self.count, self.base()
+        mass = np.zeros((n, n))
+        mass[np.triu_indices(n)] = base[: n * (n + 1) // 2]
+        mass += np.triu(mass, 1).T
+        relative = np.eye(n) - np.eye(n, k=-1)
+        found = np.linalg.eigvals(np.linalg.solve(mass, relative.T @ np.diag(self.coulomb) @ relative))
+        return float(found.real.max())
+
     def frictionless(self) -> "ArmChainParameters":
         """Return the same arms without friction."""
         return replace(self, viscous=(0.0,) * self.count, coulomb=(), quadratic=())

@@ -392,14 +392,11 @@ class LoopSettings(Settings, table="run"):
         return replace(reference.limits, position=self.travel) if self.travel else reference.limits
 
 
-_SMOOTHING = 0.05
-"""rad/s: least smoothing of dry friction in a loop's model. A step of one period does not resolve faster reversals."""
-
-
 def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:
     """Return the cart-level model of these arms between ticks at `rate` Hz, its drive lagging by `lag` s."""
     equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)
-    eased = replace(parameters, smoothing=max(parameters.smoothing, _SMOOTHING))
+    # A step of one period does not resolve a faster reversal.
+    eased = replace(parameters, smoothing=max(parameters.smoothing, parameters.coulomb_acceleration / rate))
     return SampledModel(equations, eased.base(), period=1 / rate, lag=lag)
 
 

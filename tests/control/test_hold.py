@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bench_stand_in import PERIOD, fly, model_of, plant_of
@@ -7,9 +9,11 @@ from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.ekf import FilterEquations
-from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
+from dpcontrol.control.lqr import Extras, HoldController, HoldSettings, hold_controller
 from dpcontrol.control.tick import TickEquations
+from dpcontrol.control.tracking import riccati_gains
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.loop import sampled_model
 from dpcontrol.references.problem import Limits
 
 GAIN = 1e-6  # Relative, of two solvers of one Riccati equation.
@@ -19,7 +23,7 @@ NONE = np.zeros(0)
 
 
 def hold(name: str) -> HoldController:
-    return hold_controller([*EQUILIBRIA[name], 0.0, 0.0], model_of(), HoldSettings(), seconds=60.0)
+    return hold_controller([*EQUILIBRIA[name], 0.0, 0.0], model_of(), HoldSettings(damping=0.0), seconds=60.0)
 
 
 @pytest.mark.parametrize("name", EQUILIBRIA)
@@ -34,6 +38,40 @@ def test_the_gain_is_that_of_the_riccati_equation(name: str) -> None:
     # The Jacobian by differences is good to 1e-9.
     assert controller.gain == pytest.approx(expected, rel=1e3 * GAIN, abs=1e-3)
     assert np.abs(np.linalg.eigvals(a - np.outer(b, controller.gain))).max() < 1
+
+
+def test_assumed_damping_is_viscous_friction_that_grows_with_gravity_and_inertia() -> None:
+    base = LAB.base()
+    share, added = 0.1, 0.1 * np.sqrt([base[3] * base[0], base[4] * base[2]])
+    rough = replace(LAB, viscous=tuple(float(k) for k in np.array(LAB.viscous) + added))
+    settings, up = HoldSettings(damping=share), [np.pi, np.pi, 0.0, 0.0]
+    assumed = hold_controller(up, model_of(), settings, seconds=1.0).gain
+    expected = hold_controller(up, sampled_model(rough, 1 / PERIOD), replace(settings, damping=0.0), seconds=1.0).gain
+    assert assumed == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_is_estimated_is_compensated_at_the_cost_that_a_long_recursion_finds() -> None:
+    model, settings = model_of(), HoldSettings()
+    rough = sampled_model(replace(LAB, viscous=(0.004, 0.002)), 1 / PERIOD)
+    effects = np.zeros((6, 2))
+    effects[2:4] = PERIOD * np.eye(2)
+    extras = Extras(("disturbance_1", "disturbance_2"), effects, np.array([0.99, 0.995]))
+    up = np.array([np.pi, np.pi, 0.0, 0.0, 0.0, 0.0])
+    found = hold_controller(up, rough, replace(settings, damping=0.0), seconds=1.0, extras=extras)
+    a, b = rough.linearised(np.tile(up, (8000, 1)), np.zeros(8000))
+    weights, effort = settings.weights(2, PERIOD)
+    _, expected, _ = riccati_gains(
+        a,
+        b,
+        weights=weights,
+        effort=effort,
+        terminal=np.diag(weights),
+        extras=(np.tile(effects, (8000, 1, 1)), extras.kept),
+    )
+    assert found.extra_gains == pytest.approx(expected[0], rel=1e-6)
+    session, extra = found.begin(), np.array([0.5, -2.0])
+    assert session.command(0, up, extra).feedback == pytest.approx(-float(expected[0] @ extra), rel=1e-6)
+    assert hold_controller(up, model, settings, seconds=1.0).extra_gains is None
 
 
 @pytest.mark.parametrize("name", EQUILIBRIA)
