@@ -1,0 +1,287 @@
+"""Generated scenes: models, itineraries and rigs drawn from the ranges that laboratories build.
+
+Each scene is one model file, one itinerary file and, if the plant has friction that the model lacks, a plant file.
+Everything is drawn from the scene's seed. Model, itinerary and rig have separate random streams, so a new rig setting
+changes no model and no itinerary.
+
+    python tests/benchmarks/generated_scenes.py 0 10 scenes      # write seeds 0 to 9
+    dpcontrol run scenes/scene-0003.toml
+
+Ranges, and the reasons for them:
+
+    arms          80 % two, 14 % one, 6 % three. Table-top rigs: 0.1 to 0.5 m, 0.3 to 2 kg/m (printed plastic to a
+                  steel bar), so 0.03 to 1 kg. Centre of mass at 0.3 to 0.7 of the length (encoders and bearings shift
+                  it), inertia 0.7 to 1.3 of a uniform rod's.
+    viscous       each joint alone would let a swing decay over 5 s (bushings) to 200 s (small ball bearings).
+    Coulomb       none in 40 %. Otherwise up to 1.5 % of gravity's largest torque at the joint, smoothed over 0.005 to
+                  0.5 rad/s; one third of these frictions are absent from the model.
+    walks         one to six symbols, 0 to 4 wraps, energies 3 to 50 % of the way from the highest visited saddle to
+                  upright, both ends at rest or on an orbit.
+    others        holds of 1 to 3 s between rests, holds from the start, orbits kept, several parts at different
+                  energies. Three arms have no walks here: their connections exist at isolated energies only.
+    track         half the track is 1.2 to 2.5 times the arms' length, 0.3 to 1 m; a plan uses 70 to 90 % of it.
+                  Velocity 2 to 4 m/s and acceleration 20 to 40 m/s² are those of belt drives.
+    rig           200 Hz to 2 kHz, delay of 0 to 3 periods, lag of 0 to 20 ms (known to the controller in half of the
+                  scenes), 1,000 to 40,000 counts, 1 to 200 µm, jitter up to a period or 2 ms in a third, reading
+                  noise in a third, zeros off by up to 0.03 rad, command noise up to 0.5 m/s², plants off by ±5 %.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+GRAVITY = 9.81
+MISMATCH = 0.05
+MODEL, ITINERARY, RIG, MECHANICS = range(4)
+"""Random streams of a seed."""
+
+
+@dataclass(frozen=True)
+class Arms:
+    """The arms of a model: SI units, inner arm first."""
+
+    mass: tuple[float, ...]
+    centre_of_mass: tuple[float, ...]
+    length: tuple[float, ...]
+    inertia: tuple[float, ...]
+    viscous: tuple[float, ...]
+    coulomb: tuple[float, ...]
+    smoothing: float
+
+    @property
+    def torques(self) -> tuple[float, ...]:
+        """Gravity's largest torque on each arm, N m: with all outer arms carried at the arm's end."""
+        count = len(self.mass)
+        outer = [sum(self.mass[i + 1 :]) for i in range(count)]
+        return tuple(
+            GRAVITY * (self.mass[i] * self.centre_of_mass[i] + self.length[i] * outer[i]) for i in range(count)
+        )
+
+    def energy(self, place: str) -> float:
+        """Return the energy of an equilibrium such as "up-down", J, zero at the pivot's height."""
+        senses = [1 if part == "up" else -1 for part in place.split("-")]
+        return sum(sense * torque for sense, torque in zip(senses, self.torques, strict=True))
+
+    def text(self, title: str, *, coulomb: bool) -> str:
+        """Return the model file; coulomb: whether it has the Coulomb friction."""
+        source = 'source = "Drawn at random from the ranges that laboratories build"'
+        lines = [
+            f'title = "{title}"', 'system = "arm-chain"', "", "[arms]", source, f"mass = {_list(self.mass)}",
+            f"centre_of_mass = {_list(self.centre_of_mass)}", f"length = {_list(self.length)}",
+            f"inertia = {_list(self.inertia)}", "", "[gravity]", source, f"acceleration = {GRAVITY}", "",
+            "[friction]", source, f"viscous = {_list(self.viscous)}",
+        ]  # fmt: skip
+        if coulomb and any(self.coulomb):
+            lines += [f"coulomb = {_list(self.coulomb)}", f"smoothing = {self.smoothing:.4g}"]
+        return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One scene: the texts of its files, and the factors by which completion is tabulated.
+
+    plant: text of the plant's own model file; empty if the plant has the model's friction laws.
+    """
+
+    seed: int
+    model: str
+    plant: str
+    itinerary: str
+    factors: dict[str, float | str]
+
+    @property
+    def name(self) -> str:
+        """The file name without its suffix."""
+        return f"scene-{self.seed:04d}"
+
+    def write(self, folder: Path) -> Path:
+        """Write the files and return the path of the itinerary."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{self.name}-model.toml").write_text(self.model)
+        if self.plant:
+            (folder / f"{self.name}-plant.toml").write_text(self.plant)
+        path = folder / f"{self.name}.toml"
+        path.write_text(self.itinerary)
+        return path
+
+
+def sampled_scene(seed: int) -> Scene:
+    """Return the scene of a seed."""
+    rng = np.random.default_rng([seed, MODEL])
+    arms = _arms(rng)
+    known = bool(rng.random() < 2 / 3)
+    frictional = any(arms.coulomb)
+    name = f"scene-{seed:04d}"
+    rig, factors = _rig(np.random.default_rng([seed, RIG]))
+    lines, itinerary_factors = _itinerary(np.random.default_rng([seed, ITINERARY]), arms)
+    rig.append(f"travel = {itinerary_factors['half track']:.3f}")
+    if frictional and not known:
+        rig.append(f'plant = "{name}-plant.toml"')
+    text = "\n".join([f'title = "Generated scene {seed}"', f'model = "{name}-model.toml"', *lines, "", "[run]", *rig])
+    share = arms.coulomb[0] / arms.torques[0] if frictional else 0.0
+    return Scene(
+        seed,
+        arms.text(f"Arms of generated scene {seed}", coulomb=known),
+        arms.text(f"Plant of generated scene {seed}", coulomb=True) if frictional and not known else "",
+        text + "\n",
+        {
+            "arms": len(arms.mass), **itinerary_factors, "Coulomb share": share, "smoothing": arms.smoothing,
+            "Coulomb known": ("yes" if known else "no") if frictional else "-", **factors,
+        },
+    )  # fmt: skip
+
+
+def _list(values: Sequence[float]) -> str:
+    return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _arms(rng: np.random.Generator) -> Arms:
+    count = int(rng.choice([1, 2, 3], p=[0.14, 0.8, 0.06]))
+    length = [_log_uniform(rng, 0.1, 0.5) for _ in range(count)]
+    mass = [one * _log_uniform(rng, 0.3, 2.0) for one in length]
+    centre = [one * rng.uniform(0.3, 0.7) for one in length]
+    inertia = [m * one**2 / 12 * rng.uniform(0.7, 1.3) for m, one in zip(mass, length, strict=True)]
+    viscous = []
+    for i in range(count):
+        # The inertia about joint i with all further arms in line; a swing decays over 2 I / b.
+        reach, about = 0.0, 0.0
+        for j in range(i, count):
+            about += inertia[j] + mass[j] * (reach + centre[j]) ** 2
+            reach += length[j]
+        viscous.append(2 * about / _log_uniform(rng, 5.0, 200.0))
+    arms = Arms(tuple(mass), tuple(centre), tuple(length), tuple(inertia), tuple(viscous), (0.0,) * count, 0.0)
+    frictional, smoothing = rng.random() >= 0.4, _log_uniform(rng, 0.005, 0.5)
+    coulomb = tuple(rng.uniform(0, 0.015) * torque for torque in arms.torques)
+    if not frictional:
+        return arms
+    return Arms(arms.mass, arms.centre_of_mass, arms.length, arms.inertia, arms.viscous, coulomb, smoothing)
+
+
+_UNSTABLE = {
+    1: ("up",),
+    2: ("down-up", "up-down", "up-up"),
+    3: ("down-down-up", "down-up-down", "up-down-down", "down-up-up", "up-down-up", "up-up-down", "up-up-up"),
+}
+_SADDLES = ("down-up", "up-down")
+_KINDS = {
+    1: {"held": 0.4, "rest, hold, rest": 0.6},
+    2: {
+        "held": 0.12, "rest, hold, rest": 0.15, "holds": 0.08, "walk": 0.43, "parts": 0.12, "orbit": 0.05,
+        "kept walk": 0.05,
+    },
+    3: {"held": 0.5, "rest, hold, rest": 0.5},
+}  # fmt: skip
+
+
+def _itinerary(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[str, float | str]]:
+    """Return the lines of the itinerary, limits included, and its factors."""
+    count = len(arms.mass)
+    track = float(np.clip(sum(arms.length) * rng.uniform(1.2, 2.5), 0.3, 1.0))
+    limits = [
+        "[limits]", f"position = {track * rng.uniform(0.7, 0.9):.3f}", f"velocity = {rng.uniform(2, 4):.2f}",
+        f"acceleration = {rng.uniform(20, 40):.1f}",
+    ]  # fmt: skip
+    kinds = _KINDS[count]
+    kind = str(rng.choice(list(kinds), p=list(kinds.values())))
+    places = _UNSTABLE[count]
+    symbols = int(rng.choice([1, 2, 3, 4, 5, 6], p=[0.25, 0.2, 0.2, 0.15, 0.1, 0.1]))
+    ends = [str(end) for end in rng.choice(["rest", "orbit"], size=2)]
+    controller: list[str] = []
+    if kind == "held":
+        lines, symbols = ['start = "hold"', *_hold(rng, places, 5, 20)], 0
+    elif kind == "rest, hold, rest":
+        lines, symbols = ['start = "rest"', 'finish = "rest"', *_hold(rng, places, 1, 3)], 0
+    elif kind == "holds":
+        parts = [line for _ in range(int(rng.integers(2, 4))) for line in ("[[parts]]", *_hold(rng, places, 1, 3))]
+        lines, symbols = ['start = "rest"', 'finish = "rest"', *parts], 0
+    elif kind == "orbit":
+        saddle = str(rng.choice(_SADDLES))
+        energy = f"energy = {_energy(rng, arms, [saddle]):.6g}"
+        lines, symbols = [f'orbit = "{saddle}"', energy, f"seconds = {rng.uniform(5, 15):.1f}"], 0
+    elif kind == "parts":
+        symbols = max(symbols, 2)
+        walks = [_walk(rng, arms, symbols // 2), _walk(rng, arms, symbols - symbols // 2)]
+        hold = ["[[parts]]", *_hold(rng, places, 1, 3)]
+        parts = [["[[parts]]", *walk] for walk in walks]
+        parts.insert(int(rng.integers(0, 3)), hold)
+        lines = ['start = "rest"', 'finish = "rest"', *(line for part in parts for line in part)]
+    elif kind == "kept walk":
+        lines = _walk(rng, arms, symbols)
+        controller = ["[controller]", 'kind = "tvlqr"', 'keep = "tvlqr"']
+    else:
+        lines = [f'start = "{ends[0]}"', f'finish = "{ends[1]}"', *_walk(rng, arms, symbols)]
+        kind = "walk from rest" if "rest" in ends else "walk on orbits"
+    factors: dict[str, float | str] = {"itinerary": kind, "symbols": symbols, "half track": track}
+    return [*lines, "", *limits, *controller], factors
+
+
+def _hold(rng: np.random.Generator, places: Sequence[str], least: float, most: float) -> list[str]:
+    return [f'hold = "{rng.choice(places)}"', f"seconds = {rng.uniform(least, most):.1f}"]
+
+
+def _walk(rng: np.random.Generator, arms: Arms, count: int) -> list[str]:
+    here, symbols, visited = str(rng.choice(_SADDLES)), [], []
+    for _ in range(count):
+        visited.append(here)
+        step = rng.choice(["+", "-", ">"])
+        if step == ">":
+            there = next(saddle for saddle in _SADDLES if saddle != here)
+            symbols.append(f"{here} > {there}")
+            here = there
+        else:
+            symbols.append(f"{here} {step}")
+    wraps = [int(n) for n in rng.integers(0, 5, size=count - 1)]
+    quoted = ", ".join(f'"{symbol}"' for symbol in symbols)
+    leads = [f"{name} = {rng.integers(1, 4)}" for name in ("lead_in", "lead_out")]
+    return [f"energy = {_energy(rng, arms, [*visited, here]):.6g}", f"walk = [{quoted}]", f"wraps = {wraps}", *leads]
+
+
+def _energy(rng: np.random.Generator, arms: Arms, visited: Sequence[str]) -> float:
+    """Return an energy above all visited saddles, J."""
+    lowest = max(arms.energy(saddle) for saddle in visited)
+    return lowest + _log_uniform(rng, 0.03, 0.5) * (arms.energy("up-up") - lowest)
+
+
+def _rig(rng: np.random.Generator) -> tuple[list[str], dict[str, float | str]]:
+    """Return the lines of [run] and their factors; the track belongs to the itinerary, whose plan needs its length."""
+    rate = float(rng.choice([200, 250, 500, 1000, 2000], p=[0.1, 0.1, 0.25, 0.4, 0.15]))
+    delay = float(rng.choice([0.0, 1.0, 2.0, 3.0, round(rng.uniform(0, 3), 2)]))
+    lag = float(rng.choice([0.0, round(rng.uniform(0.001, 0.02), 4)], p=[0.3, 0.7]))
+    known = bool(rng.random() < 0.5)
+    counts = round(_log_uniform(rng, 1e3, 4e4))
+    resolution = _log_uniform(rng, 1e-6, 2e-4)
+    jitter = float(rng.choice([0.0, rng.uniform(0, min(1 / rate, 2e-3))], p=[2 / 3, 1 / 3]))
+    noise = float(rng.choice([0.0, _log_uniform(rng, 1e-4, 1e-3)], p=[2 / 3, 1 / 3]))
+    lines = [
+        f"rate = {rate:g}", f"delay = {delay:g}", f"lag = {lag:g}", f"drive_lag = {lag if known else 0.0:g}",
+        f"counts = {counts}", f"cart_resolution = {resolution:.3g}", f"jitter = {jitter:.3g}",
+        f"noise = {noise:.3g}", f"zero_error = {rng.uniform(0, 0.03):.4f}",
+        f"command_noise = {rng.uniform(0, 0.5):.3f}", f"initial_error = {rng.uniform(0, 0.05):.4f}",
+        f"mismatch = {MISMATCH}",
+    ]  # fmt: skip
+    factors: dict[str, float | str] = {
+        "rate": rate, "delay": delay, "lag": lag, "lag known": ("yes" if known else "no") if lag else "-",
+        "counts": counts, "cart resolution": resolution, "jitter": jitter * rate, "noise": noise,
+    }  # fmt: skip
+    return lines, factors
+
+
+def _main() -> None:
+    parser = argparse.ArgumentParser(description="Write generated scenes as model and itinerary files.")
+    parser.add_argument("first", type=int, help="First seed.")
+    parser.add_argument("count", type=int, help="Number of scenes.")
+    parser.add_argument("folder", type=Path, help="Folder to write to.")
+    given = parser.parse_args()
+    for seed in range(given.first, given.first + given.count):
+        sampled_scene(seed).write(given.folder)
+
+
+if __name__ == "__main__":
+    _main()

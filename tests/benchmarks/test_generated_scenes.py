@@ -1,0 +1,74 @@
+"""Generated scenes are planned, flown and completed.
+
+The benchmark prints the share completed by factor and lists each scene that was refused or failed. Environment:
+
+    DPCONTROL_SCENES_COUNT=120   number of scenes, from DPCONTROL_SCENES_FIRST=0 on
+    DPCONTROL_SCENES_RUNS=20     runs of each scene
+    DPCONTROL_SCENES=FOLDER      where files and plans are kept; plans that are there are not made again
+"""
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from generated_scenes import sampled_scene
+from scene_flights import Flown, failures, flown_scene, planned_scene, plans_folder, table_by_factor
+
+from dpcontrol.scenes.itinerary import load_itinerary
+
+PLANNED, COMPLETED = 0.8, 0.97
+"""Shares of the scenes that are planned, and of their runs that are completed, at least."""
+SLOW_SCENES, SLOW_RUNS, SLOW_LIMIT = 10, 2, 60.0
+LIMIT = 240.0
+"""Processor time for planning one scene, s."""
+FIRST_RUN = 1000
+"""Run seeds of scene k begin at 1000 k."""
+
+
+def _flown(folder: Path, seeds: range, *, runs: int, limit: float) -> list[Flown]:
+    flights = []
+    for seed in seeds:
+        scene = sampled_scene(seed)
+        planned = planned_scene(scene, folder, limit=limit)
+        flight = Flown(scene, planned)
+        if planned.outcome == "planned":
+            flight = flown_scene(scene, folder, seeds=runs, first_seed=FIRST_RUN * seed, planned=planned)
+        flights.append(flight)
+    return flights
+
+
+def _check(flights: list[Flown]) -> None:
+    sys.stdout.write(f"\n{table_by_factor(flights)}\n\n{failures(flights)}\n")
+    ready = sum(one.planned.outcome == "planned" for one in flights)
+    runs, done = sum(len(one.rows) for one in flights), sum(one.completed for one in flights)
+    assert not [one.error for one in flights if one.error]
+    assert ready >= PLANNED * len(flights), f"{ready} of {len(flights)} scenes were planned"
+    assert done >= COMPLETED * runs, f"{done} of {runs} runs were completed"
+
+
+def test_a_seed_gives_the_same_files_and_scenes_differ() -> None:
+    scenes = [sampled_scene(seed) for seed in range(20)]
+    assert scenes == [sampled_scene(seed) for seed in range(20)]
+    assert len({scene.model for scene in scenes}) == len({scene.itinerary.split("\n", 2)[2] for scene in scenes}) == 20
+
+
+def test_the_files_of_forty_scenes_are_accepted(tmp_path: Path) -> None:
+    for seed in range(40):
+        scene = sampled_scene(seed)
+        loaded = load_itinerary(str(scene.write(tmp_path)))
+        assert loaded.model.arms.count == scene.factors["arms"]
+        assert len(loaded.walk) == scene.factors["symbols"]
+
+
+@pytest.mark.slow
+def test_ten_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
+    _check(_flown(plans_folder(tmp_path), range(SLOW_SCENES), runs=SLOW_RUNS, limit=SLOW_LIMIT))
+
+
+@pytest.mark.benchmark
+def test_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
+    count = int(os.environ.get("DPCONTROL_SCENES_COUNT", "120"))
+    first = int(os.environ.get("DPCONTROL_SCENES_FIRST", "0"))
+    runs = int(os.environ.get("DPCONTROL_SCENES_RUNS", "20"))
+    _check(_flown(plans_folder(tmp_path), range(first, first + count), runs=runs, limit=LIMIT))
