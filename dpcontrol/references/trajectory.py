@@ -96,6 +96,8 @@ def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> 
 
 DENSE = 21
 """Places per interval where the error is looked at: four per piece between the nodes of five points."""
+_FAST = 3.0
+"""How many times the scale of a rate an arm's largest rate may be until the scale grows with it."""
 LATENESS = 0.3
 _LOOK = 0.005
 """Seconds by which a reference may be late on its guess, or early, and steps in which it is looked for."""
@@ -156,14 +158,17 @@ def largest_on_intervals(points: Array, values: Array, *, above: float) -> float
 def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[float, float]:
     """Return how far (scaled) the pendulum passes from the guess, and when, s.
 
-    At each time the nearest of the guess's states within LATENESS before and after counts: friction makes late.
+    At each time the nearest of the guess's states within LATENESS before and after counts, because friction delays the
+    motion. The scale of an arm's rate is at least a third of its largest rate in the guess: small arms are faster.
     """
     nz = problem.pendulum_dimension
     times = np.linspace(0.0, problem.duration, max(2, int(np.ceil(problem.duration / _LOOK)) + 1))
     at = trajectory.mesh[0] + times / (problem.duration / trajectory.duration)
+    guess = problem.guess_at(times)
     scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
-    found = trajectory.state(at)[:, :nz] / scale
-    guess = problem.guess_at(times) / scale
+    rates = slice(nz // 2, nz)
+    scale[rates] = np.maximum(scale[rates], np.abs(guess[:, rates]).max(0) / _FAST)
+    found, guess = trajectory.state(at)[:, :nz] / scale, guess / scale
     nearest = np.full(len(times), np.inf)
     most = min(round(LATENESS / _LOOK), len(times) - 1)
     for lag in range(-most, most + 1):
