@@ -201,9 +201,10 @@ def guess_misses_its_ends(problem: ReferenceProblem) -> str:
 def another_motion(away: float, when: float) -> str:
     """Say that what was found is not what was asked for."""
     return (
-        f"no reference near the guess: what was found passes {away:.2f} from it at t = {when:.2f} s (scaled by "
-        f"{ANGLE_SCALE:.3g} rad and {RATE_SCALE:g} rad/s; up to {FARTHEST:g} is the same motion), so it is another "
-        "motion than the itinerary's; check that the guess is an orbit of the same arms, or lower the friction"
+        f"no reference near the guess: the motion found passes {away:.2f} from it at t = {when:.2f} s (scaled by "
+        f"{ANGLE_SCALE:.3g} rad and {RATE_SCALE:g} rad/s, more for faster arms; up to {FARTHEST:g} is the same "
+        "motion), so it is another motion than the itinerary's; check that the guess is an orbit of the same arms, or "
+        "lower the friction"
     )
 
 
@@ -417,11 +418,13 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
 class TransferSettings:
     """How transfers are sought. durations: tried in turn, s; cart_weight: of the cart's position in the cost.
 
+    longer: further durations, s, which are tried only if the first ones give no motion.
     gentle: the share of every limit that a transfer may use and leave the feedback room. iterations: of the solver in
     one try; interval: s, of the mesh on which tries are made, by a method of its own where one is named.
     """
 
     durations: tuple[float, ...] = (2.0, 2.5, 1.5, 3.0)
+    longer: tuple[float, ...] = (4.0, 5.0)
     cart_weight: float = 100.0
     gentle: float = 0.7
     iterations: int = 100
@@ -473,7 +476,7 @@ def find_transfer(
     wanted = replace(settings, pendulum_weight=0.0, cart_weight=transfer.cart_weight, end_tolerance=0.0)
     tried = replace(wanted, iterations=transfer.iterations)
     method, trying = method_named(settings.method), method_named(transfer.method or settings.method)
-    tries = list(product(transfer.durations, ends))
+    tries, further = (list(product(some, ends)) for some in (transfer.durations, transfer.longer))
     solved: list[tuple[bool, float, ReferenceProblem, Trajectory]] = []
 
     def sought(duration: float, end: Array) -> tuple[ReferenceProblem, Trajectory]:
@@ -483,8 +486,10 @@ def find_transfer(
         return problem, first_trajectory(problem, trying, even_mesh(duration, transfer.interval))
 
     (problem, first), outcome = sought(*tries[0]), ""
-    for k, one in enumerate(tries):
-        progress("transfer", k / len(tries))
+    for k, one in enumerate([*tries, *further]):
+        if solved and k >= len(tries):
+            break
+        progress("transfer", k / (len(tries) + len(further)))
         problem, first = sought(*one)
         attempt = solve(problem, first, settings=tried, limits=limits)
         outcome = attempt.outcome
@@ -504,7 +509,7 @@ def find_transfer(
         if found.converged:
             progress("transfer", 1.0)
             return found
-    seconds = ", ".join(f"{duration:g}" for duration in transfer.durations)
+    seconds = ", ".join(f"{duration:g}" for duration in (*transfer.durations, *transfer.longer))
     why = wanting(problem, first, tried)
     bounds = ", ".join(f"{name} {bound:g} {LIMIT_UNITS[name]}" for name, bound in limits.named().items())
     raise GoalMissed(f"no transfer in {seconds} s within the cart's limits ({bounds}): {outcome}; {why}")

@@ -52,7 +52,7 @@ def test_a_transfer_that_no_duration_allows_says_what_stands_in_the_way():
     ):
         find_transfer(
             EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=tight, settings=SETTINGS,
-            transfer=TransferSettings(durations=(0.5,), iterations=200),
+            transfer=TransferSettings(durations=(0.5,), longer=(), iterations=200),
         )  # fmt: skip
 
 
@@ -70,6 +70,15 @@ def test_the_least_sensitive_motion_that_leaves_room_is_taken():
         transfer=TransferSettings(durations=(2.5, 2.0), gentle=1.0, interval=0.1), sensitivity=sensitivity,
     )  # fmt: skip
     assert set(asked) == {2.5, 2.0}
+    assert found.duration == 2.0
+
+
+def test_longer_durations_are_tried_if_the_first_ones_give_no_motion():
+    coarse = ReferenceSettings(method="radau-5", interval=0.1, tolerance=1e-3)
+    found = find_transfer(
+        EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=Limits(), settings=coarse,
+        transfer=TransferSettings(durations=(0.1,), longer=(2.0,), gentle=1.0, interval=0.1),
+    )  # fmt: skip
     assert found.duration == 2.0
 
 
