@@ -324,7 +324,7 @@ class ReferenceSummary:
         nothing = np.zeros(self.reference.states.shape[-1] - 2)
         problem = ReferenceProblem(
             equations=equations_of(self.arms, Level.CART),
-            parameters=self.arms.base(),
+            parameters=self.arms.planned().base(),
             guess=lambda times: np.broadcast_to(nothing, (len(times), len(nothing))),
             duration=self.reference.duration,
             limits=self.reference.limits,

@@ -271,10 +271,6 @@ def _changed(filters: EstimatorSettings) -> dict[str, Any]:
     return {name: value for name, value in vars(filters).items() if value != getattr(default, name)}
 
 
-_PLANNED_SMOOTHING = 0.05
-"""rad/s: least smoothing of dry friction in a plan. An arm that reverses at 50 rad/s² then takes 2 ms for it; friction
-that reverses faster needs intervals of a tenth of a millisecond there, and its impulse differs by less than the
-feedback notices."""
 ENDS = ("orbit", "rest", "hold")
 """Where an itinerary may start and finish."""
 
@@ -304,12 +300,6 @@ class Itinerary:
     keeps: bool = False
     zeros: tuple[float, ...] = ()
     stored: Path | None = None
-
-    @property
-    def planned_arms(self) -> ArmChainParameters:
-        """The model's arms, with dry friction that reverses no faster than collocation resolves."""
-        arms = self.model.arms
-        return replace(arms, smoothing=max(arms.smoothing, _PLANNED_SMOOTHING))
 
     @property
     def stay(self) -> HoldPart | OrbitPart | None:

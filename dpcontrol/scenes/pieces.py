@@ -154,8 +154,8 @@ def solve_pieces(
 def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndConditions) -> ReferenceProblem:
     """Return the problem of following a guess for `duration` s with the itinerary's arms, within its limits."""
     return ReferenceProblem(
-        equations=equations_of(itinerary.planned_arms, Level.CART),
-        parameters=itinerary.planned_arms.base(),
+        equations=equations_of(itinerary.model.arms.planned(), Level.CART),
+        parameters=itinerary.model.arms.planned().base(),
         guess=guess,
         duration=duration,
         limits=itinerary.limits,
@@ -186,7 +186,7 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> S
         return SolvedPiece(goal.text, goal, lift, found)
     problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions())
     if settings.level == "conservative":
-        free = itinerary.planned_arms.frictionless()
+        free = itinerary.model.arms.frictionless()
         conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
         return SolvedPiece(goal.text, goal, lift, shadowed(conservative, settings))
     return SolvedPiece(goal.text, goal, lift, find_reference(problem, settings, progress=progress))

@@ -208,7 +208,7 @@ def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, S
     orbits: dict[str, SustainedOrbit] = {}
     for lyapunov in (chain[0].source, *(connection.target for connection in chain)):
         if lyapunov.saddle not in orbits:
-            found = sustained_orbit(lyapunov, itinerary.planned_arms, limits=itinerary.limits, settings=sought)
+            found = sustained_orbit(lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, settings=sought)
             if not found.converged:
                 where = f"about {lyapunov.saddle} at {lyapunov.energy:g} J"
                 raise GoalMissed(f"the sustained orbit {where}, which is to be kept: {found.status}")
@@ -340,7 +340,7 @@ def _kept_orbit(
     lyapunov = lyapunov_orbit(system, part.orbit, energy=part.energy, family=part.family)
     if not lyapunov.converged:
         raise GoalMissed(f"the Lyapunov orbit {place}: {lyapunov.status}")
-    found = sustained_orbit(lyapunov, itinerary.planned_arms, limits=itinerary.limits, progress=progress)
+    found = sustained_orbit(lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, progress=progress)
     if not found.converged:
         raise GoalMissed(f"the sustained orbit {place}: {found.status}")
     one = found.reference

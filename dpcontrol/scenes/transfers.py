@@ -79,7 +79,7 @@ class Transfer:
     def of(cls, itinerary: Itinerary, text: str, start: Array, ends: Sequence[Array]) -> "Transfer":
         """Return the transfer with an itinerary's arms, limits and reference settings."""
         return cls(
-            text, itinerary.model.name, itinerary.planned_arms, itinerary.limits, itinerary.reference,
+            text, itinerary.model.name, itinerary.model.arms.planned(), itinerary.limits, itinerary.reference,
             tuple(start.tolist()), tuple(tuple(end.tolist()) for end in ends),
         )  # fmt: skip
 
