@@ -13,18 +13,24 @@ import resource
 import signal
 import subprocess
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from generated_scenes import Scene
+from independent_decoder import plan_of
+from independent_planner import missing_transfers
+from verdict_runs import disagreement, runs
 
 from dpcontrol.foundation.statistics import wilson
-from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
+from dpcontrol.references.reference import load_reference
+from dpcontrol.review.score import verdict_on
 from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import load_plan
 from dpcontrol.scenes.run_options import RunOptions
+
+ATTEMPTS = 8
+"""Initial guesses of the independent planner for each transfer of a refused scene."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +43,26 @@ class Planned:
 
 
 @dataclass(frozen=True)
+class Flight:
+    """One run: why it was not completed, or empty; disagreement: between the score and the independent decoder."""
+
+    problem: str
+    disagreement: str
+
+
+@dataclass(frozen=True)
 class Flown:
-    """A scene with its planning and the rows of its runs; error: why it could not be flown, or empty."""
+    """A scene with its planning and its runs; error: why it could not be flown, or empty."""
 
     scene: Scene
     planned: Planned
-    rows: tuple[dict, ...] = ()
+    runs: tuple[Flight, ...] = ()
     error: str = ""
 
     @property
     def completed(self) -> int:
         """The number of completed runs."""
-        return sum(bool(row["completed"]) for row in self.rows)
+        return sum(not run.problem for run in self.runs)
 
 
 def plan_key(scene: Scene) -> str:
@@ -88,17 +102,21 @@ def planned_scene(scene: Scene, folder: Path, *, limit: float, again: Sequence[s
     return planned
 
 
-def flown_scene(scene: Scene, folder: Path, *, seeds: int, first_seed: int, planned: Planned) -> Flown:
-    """Fly a planned scene with `seeds` seeds."""
-    scenery = load_itinerary(str(scene.write(folder / "files")))
-    plan = replace(load_plan(folder / f"{plan_key(scene)}.npz"), itinerary=scenery)
-    cases = cases_of(scenery, fixed=RunOptions(), over={})
-    settings = CampaignSettings(runs=seeds, first_seed=first_seed, workers=1, replayed=0)
+def flown_scene(scene: Scene, folder: Path, *, seeds: Sequence[int], planned: Planned) -> Flown:
+    """Fly a planned scene and judge each run twice: by its score and by the independent decoder."""
+    itinerary = load_itinerary(str(scene.write(folder / "files")))
+    reference = load_reference(folder / f"{plan_key(scene)}.npz")
+    loop = itinerary.loop
+    limits = loop.limits(reference)
+    plan = plan_of(reference, loop.rate, (limits.position, limits.velocity, limits.acceleration))
+    flights = []
     try:
-        campaign = run_campaign(plan, cases, settings=settings, yes=True)
+        for case in runs(itinerary, reference, RunOptions(), list(seeds)):
+            problem = verdict_on(case.flown, reference).problem
+            flights.append(Flight(problem, disagreement(case, reference, plan)))
     except Exception as error:  # noqa: BLE001
         return Flown(scene, planned, error=f"{type(error).__name__}: {error}")
-    return Flown(scene, planned, campaign.rows)
+    return Flown(scene, planned, tuple(flights))
 
 
 BINS: dict[str, Sequence[float]] = {
@@ -133,7 +151,7 @@ def table_by_factor(flights: Iterable[Flown]) -> str:
     order = {name: k for k, name in enumerate(["all", *flights[0].scene.factors])}
     lines = ["| factor | level | scenes | planned | runs completed | lower end |", "|---|---|---|---|---|---|"]
     for (factor, level), own in sorted(cells.items(), key=lambda item: (order[item[0][0]], _number(item[0][1]))):
-        runs = sum(len(one.rows) for one in own)
+        runs = sum(len(one.runs) for one in own)
         done = sum(one.completed for one in own)
         share = wilson(done, runs) if runs else None
         rate = f"{done} of {runs}, {100 * done / runs:.1f} %" if runs else "-"
@@ -151,22 +169,25 @@ def _number(level: str) -> tuple[float, str]:
         return -1.0, level
 
 
-def failures(flights: Iterable[Flown]) -> str:
-    """Return a line for each scene that was refused or did not complete all its runs, with its reasons."""
+def failures(flights: Iterable[Flown], folder: Path) -> str:
+    """Return lines for each scene that was refused or did not complete all its runs, with the reasons.
+
+    Each refusal is followed by the transfers that the independent planner does not find either.
+    """
     lines = []
     for one in flights:
         head = f"{one.scene.name} ({one.scene.factors['arms']} arms, {one.scene.factors['itinerary']})"
         if one.planned.outcome != "planned":
             lines.append(f"{head}: {one.planned.outcome} after {one.planned.seconds:.0f} s: {one.planned.reason}")
+            missing = missing_transfers(folder / "files" / f"{one.scene.name}.toml", attempts=ATTEMPTS)
+            lines.append(f"    the independent planner does not find: {', '.join(missing) or 'nothing amiss'}")
         elif one.error:
             lines.append(f"{head}: not flown: {one.error}")
-        elif one.completed < len(one.rows):
-            reasons: dict[str, int] = defaultdict(int)
-            for row in one.rows:
-                if not row["completed"]:
-                    reasons[f"{row['reason']} (symbol {row['symbols_completed'] + 1} of {row['symbols_total']})"] += 1
-            told = "; ".join(f"{n} times {r}" for r, n in sorted(reasons.items(), key=lambda item: -item[1])[:3])
-            lines.append(f"{head}: {one.completed} of {len(one.rows)} completed: {told}")
+        elif one.completed < len(one.runs):
+            reasons = Counter(run.problem for run in one.runs if run.problem)
+            listed = "; ".join(f"{n} times {reason}" for reason, n in reasons.most_common(3))
+            lines.append(f"{head}: {one.completed} of {len(one.runs)} completed: {listed}")
+        lines += [f"{head}: false verdict: {run.disagreement}" for run in one.runs if run.disagreement]
     return "\n".join(lines)
 
 

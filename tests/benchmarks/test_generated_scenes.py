@@ -33,16 +33,18 @@ def _flown(folder: Path, seeds: range, *, runs: int, limit: float) -> list[Flown
         planned = planned_scene(scene, folder, limit=limit)
         flight = Flown(scene, planned)
         if planned.outcome == "planned":
-            flight = flown_scene(scene, folder, seeds=runs, first_seed=FIRST_RUN * seed, planned=planned)
+            first = FIRST_RUN * seed
+            flight = flown_scene(scene, folder, seeds=range(first, first + runs), planned=planned)
         flights.append(flight)
     return flights
 
 
-def _check(flights: list[Flown]) -> None:
-    sys.stdout.write(f"\n{table_by_factor(flights)}\n\n{failures(flights)}\n")
+def _check(flights: list[Flown], folder: Path) -> None:
+    sys.stdout.write(f"\n{table_by_factor(flights)}\n\n{failures(flights, folder)}\n")
     ready = sum(one.planned.outcome == "planned" for one in flights)
-    runs, done = sum(len(one.rows) for one in flights), sum(one.completed for one in flights)
+    runs, done = sum(len(one.runs) for one in flights), sum(one.completed for one in flights)
     assert not [one.error for one in flights if one.error]
+    assert not [run.disagreement for one in flights for run in one.runs if run.disagreement]
     assert ready >= PLANNED * len(flights), f"{ready} of {len(flights)} scenes were planned"
     assert done >= COMPLETED * runs, f"{done} of {runs} runs were completed"
 
@@ -63,7 +65,8 @@ def test_the_files_of_forty_scenes_are_accepted(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_ten_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
-    _check(_flown(plans_folder(tmp_path), range(SLOW_SCENES), runs=SLOW_RUNS, limit=SLOW_LIMIT))
+    folder = plans_folder(tmp_path)
+    _check(_flown(folder, range(SLOW_SCENES), runs=SLOW_RUNS, limit=SLOW_LIMIT), folder)
 
 
 @pytest.mark.benchmark
@@ -71,4 +74,5 @@ def test_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
     count = int(os.environ.get("DPCONTROL_SCENES_COUNT", "120"))
     first = int(os.environ.get("DPCONTROL_SCENES_FIRST", "0"))
     runs = int(os.environ.get("DPCONTROL_SCENES_RUNS", "20"))
-    _check(_flown(plans_folder(tmp_path), range(first, first + count), runs=runs, limit=LIMIT))
+    folder = plans_folder(tmp_path)
+    _check(_flown(folder, range(first, first + count), runs=runs, limit=LIMIT), folder)
