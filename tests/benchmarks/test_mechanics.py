@@ -5,16 +5,10 @@ not know, noise on the command, 40,000 counts and 0.8 m of travel.
 """
 
 import sys
-from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
-import numpy as np
 import pytest
 
-from dpcontrol.control.tracking import AdaptiveSettings
-from dpcontrol.loop.loop import run_loop
 from dpcontrol.scenes.campaign import Case, Job, run_job
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan, make_plan
