@@ -152,16 +152,17 @@ class FilterEquations:
         parameters = int(self.equations.parameters.shape[0])
         return {
             "z": self.dimension, "command": 1, "parameters": parameters, "process": 10 + 2 * len(self.extra_names),
-            "doubt": 2,
+            "doubt": 3,
         }  # fmt: skip
 
-    def doubt(self, covariance: ca.SX, change: ca.SX | float = 0.0) -> ca.SX:
-        """Return what Q depends on besides the state (2,).
+    def doubt(self, covariance: ca.SX, change: ca.SX | float = 0.0, nis: ca.SX | float = 1.0) -> ca.SX:
+        """Return what Q depends on besides the state (3,).
 
-        The mean variance of the parameters' logarithms, 0 if they are not estimated; and the change, m/s², of the
-        command from one period to the next, 0 if it is not known.
+        The mean variance of the parameters' logarithms, 0 if they are not estimated; the change, m/s², of the
+        acceleration from one period to the next, 0 if it is not known; and the mean NIS per position.
         """
-        return ca.vertcat(sum((covariance[i, i] for i in self.shares), ca.SX(0)) / max(len(self.shares), 1), change)
+        variance = sum((covariance[i, i] for i in self.shares), ca.SX(0)) / max(len(self.shares), 1)
+        return ca.vertcat(variance, change, nis)
 
     def _parameters(self, parameters: ca.SX, extra: dict[str, ca.SX]) -> ca.SX:
         """Return the parameters with the errors that `extra` holds."""
@@ -242,7 +243,9 @@ class FilterEquations:
         besides = ca.vertcat(ca.horzcat(pp, pv, pd), ca.horzcat(pv, vv, vd), ca.horzcat(pd, vd, 0))
         # A drive that lags more than the model knows is wrong by each change of its command at first.
         late = process[9] * doubt[1] * ca.DM([step**2 / 2, step, 1])
-        noise += reach @ (besides + late @ late.T) @ reach.T
+        # After a blow, or on a bench that the model does not describe, noise grows with what it does not explain.
+        surprise = ca.fmax(1, doubt[2]) ** process[8]
+        noise = surprise * (noise + reach @ besides @ reach.T) + reach @ late @ late.T @ reach.T
         if self.as_measured:
             t, back = _sparse(self.carried), _sparse(self.restored)
             jacobian, noise = t @ jacobian @ back, t @ noise @ t.T

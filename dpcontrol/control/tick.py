@@ -702,12 +702,10 @@ class TickEquations:
         if predicts:
             start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
             covariance = unpack(e["covariance"], self.filter.dimension)
-            doubt, known = self.filter.doubt(covariance, acting - m["acted"]), (c["parameters"], c["process"])
+            doubt, known = self.filter.doubt(covariance, acting - m["acted"], nis), (c["parameters"], c["process"])
             following, jacobian, noise = self.filter.predicted(start, acting, *known, doubt, origin)
             memory["z"] = following
-            # A blow, or a bench that the model does not describe: all process noise grows with what it cannot explain.
-            surprise = ca.fmax(1, nis) ** c["process"][8]
-            memory["covariance"] = propagated(jacobian, covariance, surprise * noise)
+            memory["covariance"] = propagated(jacobian, covariance, noise)
         else:
             memory |= {"z": m["z"], "covariance": m["covariance"]}
         if self.plays:
@@ -791,7 +789,7 @@ class TickEquations:
     def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """State and extras, and the cart's acceleration, a period on."""
         acting, following = self._acting(command, z[self.filter.equations.dimension - 1], drive, c)
-        return self.filter.predicted(z, acting, c["parameters"], c["process"], ca.SX(2, 1))[0], following
+        return self.filter.predicted(z, acting, c["parameters"], c["process"], ca.SX(3, 1))[0], following
 
     def _seen(self, z: ca.SX, r: Mapping[str, ca.SX]) -> ca.SX:
         """The state that the law sees."""
