@@ -5,7 +5,7 @@ the zero of an angle is the sum of its encoder's and those before it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from dpcontrol.loop.loop import LoopSettings, _Lockstep, make_ticker
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.loop.simulated import BatchBench
 from dpcontrol.references.reference import Reference
-from dpcontrol.review.score import Flown, verdict_on
 
 Array = NDArray[np.float64]
 
@@ -38,7 +37,7 @@ def true_extras(names: Sequence[str], plant: ArmChainParameters, model: ArmChain
 class Beliefs:
     """S runs sampled at T times: truth, estimate and sigma (T, N+E, S) of state and extras; NIS (T', S) of all ticks.
 
-    alive (T, S): which runs had not ended; names: of the state's entries and the extras; completed (S,).
+    alive (T, S): which runs had not ended; names: of the state's entries and the extras.
     """
 
     times: Array
@@ -48,7 +47,6 @@ class Beliefs:
     sigma: Array
     alive: NDArray[np.bool_]
     nis: Array
-    completed: NDArray[np.bool_]
     runs: list[BatchRun]
 
     def of(self, *kinds: str) -> list[int]:
@@ -120,32 +118,5 @@ def beliefs(
     alive = np.array(done)[:, None] < ends
     return Beliefs(
         np.array(done) * period, tuple(names), truth, estimate, sigma, alive, np.array(recorder.nis)[:, :s],
-        np.array([completed(run, reference, settings) for run in runs]), runs,
-    )  # fmt: skip
-
-
-def completed(run: BatchRun, reference: Reference, settings: LoopSettings) -> bool:
-    """Return whether a run did what its plan asks, as a campaign judges it."""
-    limits = settings.limits(reference)
-    flown = Flown(
-        time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied,
-        rate_hz=settings.rate, limits=(limits.position, limits.velocity, limits.acceleration),
-        ended="" if run.ending is Ending.FINISHED else run.reason,
-    )  # fmt: skip
-    return not verdict_on(flown, reference).problem
-
-
-def joined(parts: Sequence[Beliefs]) -> Beliefs:
-    """Return the runs of all parts together, of times that all reached."""
-    t = min(len(part.times) for part in parts)
-    first = parts[0]
-    together = {
-        name: np.concatenate([getattr(part, name)[:t] for part in parts], axis=-1)
-        for name in ("truth", "estimate", "sigma", "alive")
-    }
-    k = min(len(part.nis) for part in parts)
-    nis = np.concatenate([part.nis[:k] for part in parts], axis=1)
-    return replace(
-        first, times=first.times[:t], **together, nis=nis,
-        completed=np.concatenate([part.completed for part in parts]), runs=[r for part in parts for r in part.runs],
+        runs,
     )  # fmt: skip

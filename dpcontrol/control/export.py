@@ -232,7 +232,7 @@ def _start(program: TickProgram, *, single: bool) -> Array:
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\d+\]\[(\d+)\] : 0")
 _WRITTEN = re.compile(r"if \(res\[0\]!=0\) res\[0\]\[(\d+)\]=")
 _NUMBER = re.compile(r"(?<![\w.])\d+\.\d*(?:e[+-]?\d+)?")
-_CALLS = re.compile(r"\b(fabs|sqrt|sin|cos|atan2)\(")
+_CALLS = re.compile(r"\b(fabs|sqrt|sin|cos|atan2|exp|pow)\(")
 
 
 def _body(function: ca.Function, *, single: bool) -> str:

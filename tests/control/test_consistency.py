@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from estimator_runs import COUNT, MODEL, NOISE, SWING, run
@@ -5,7 +7,7 @@ from scipy.stats import chi2
 from simulated_consistency import simulated_consistency
 
 from dpcontrol.control.ekf import CompiledEkf, EkfProgram
-from dpcontrol.control.estimator_settings import EkfSettings, chi_square_band, nees, share_inside
+from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, chi_square_band, nees, share_inside
 from dpcontrol.loop.bench import SensorSettings
 
 SHARE = 0.02  # About 95 %; the bar for a nominal plant with the noise that is modelled.
@@ -43,6 +45,22 @@ def test_nis_and_nees_of_a_nominal_plant_lie_in_their_bands(augment: tuple[str, 
     assert found.nees_inside_95 == pytest.approx(0.95, abs=SHARE)
     assert found.mean_nis == pytest.approx(3.0, rel=0.02)
     assert found.mean_nees == pytest.approx(program.equations.dimension, rel=0.05)
+
+
+def test_noise_covers_the_squares_of_the_parameters_errors() -> None:
+    # Parameters off by a seventh, as of arms off by ±20 %, and nothing else wrong: only the linearisation errs.
+    commands, size = 0.5 * np.sin(2.5e-3 * np.arange(700)), 6 + 4
+    found = {}
+    for nonlinearity in (0.0, AdaptiveEkfSettings().nonlinearity):
+        settings = replace(
+            AdaptiveEkfSettings(), augment=("parameters",), model_error=0.14, nonlinearity=nonlinearity
+        )  # fmt: skip
+        found[nonlinearity] = simulated_consistency(
+            EkfProgram(MODEL, settings), NOISE, first=np.array(SWING), commands=commands, runs=24, seed=8,
+            process_noise=False,
+        ).mean_nees  # fmt: skip
+    without, covered = found.values()
+    assert covered < 1.5 * size < without
 
 
 def test_wrong_noise_and_missing_process_noise_are_seen() -> None:
