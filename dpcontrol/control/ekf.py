@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import inf
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -87,6 +88,13 @@ def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         for j in range(i):
             back[i, j] = -sum((lower[i, k] * back[k, j] for k in range(j, i)), ca.SX(0))
     return back.T @ ca.diag(1 / d) @ back, back, d
+
+
+class Timing(NamedTuple):
+    """When a reading was taken: age s before its tick, as far as is known, and the variance of what is not, s²."""
+
+    age: ca.SX
+    variance: ca.SX
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,9 +260,12 @@ class FilterEquations:
         return following, jacobian, noise
 
     def updated(
-        self, z: ca.SX, covariance: ca.SX, measured: ca.SX, present: ca.SX, noise: ca.SX
-    ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return z, P of T z, innovation and NIS after a measurement."""
+        self, z: ca.SX, covariance: ca.SX, measured: ca.SX, present: ca.SX, noise: ca.SX, timing: Timing | None = None
+    ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Return z, P of T z, innovation and NIS after a measurement, and S⁻¹ times the innovation and the rates.
+
+        measured: at the tick; where `timing` has an age, moved on by the rates of z.
+        """
         n, m = self.arms, self.arms + 1
         h, w = _sparse(self.observation), ca.diag(present)
         y = measured - h @ z
@@ -263,6 +274,10 @@ class FilterEquations:
         r = unpack(noise, m)
         if self.as_measured:
             h = _sparse(self.observation @ self.restored)
+        moving = ca.vertcat(z[n : 2 * n], z[2 * n + 1]) * present
+        if timing is not None:
+            r += timing.variance * moving @ moving.T
+            h -= timing.age * _sparse(np.eye(self.dimension)[[*range(n, 2 * n), 2 * n + 1]])
         crossed = covariance @ h.T @ w
         # 1 - W first: one plus S minus one would leave nothing of a cart's variance of 1e-13 m².
         inverse, back, d = _inverse(w @ h @ crossed + w @ r @ w + (ca.SX.eye(m) - w))
@@ -272,7 +287,8 @@ class FilterEquations:
         after = half + (gain @ r - half @ h.T) @ gain.T
         white = back @ y
         step = gain @ y
-        return z + (_sparse(self.restored) @ step if self.as_measured else step), after, y, ca.sum1(white**2 / d)
+        z = z + (_sparse(self.restored) @ step if self.as_measured else step)
+        return z, after, y, ca.sum1(white**2 / d), inverse @ ca.horzcat(y, moving)
 
     def function(self, *, predicts: bool) -> ca.Function:
         """Return the step as a casadi function; without `predicts` the measurement alone.
@@ -292,7 +308,7 @@ class FilterEquations:
             before, jacobian, q = self.predicted(z, command, parameters, process, self.doubt(covariance))
             # Both triangles from one: casadi need not work out the other.
             covariance = unpack(propagated(jacobian, covariance, q), size)
-        after, covariance, y, nis = self.updated(before, covariance, measured, present, noise)
+        after, covariance, y, nis, _ = self.updated(before, covariance, measured, present, noise)
         sigmas = ca.vertcat(*(ca.sqrt(covariance[i, i]) for i in range(size)))
         # The last is not finite as soon as anything in the estimate is not: one comparison finds it.
         sound = ca.sum1(after) + ca.sum1(sigmas)

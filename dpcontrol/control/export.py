@@ -51,7 +51,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source, content_hash
 
 _TEMPLATES = Path(__file__).with_name("target")
-_VERSION = 1
+_VERSION = 2
 """Of the interface, as in the header."""
 MOST_NUMBERS = 5_000_000
 """In the tables: from there on compilers need minutes and gigabytes."""
@@ -179,7 +179,7 @@ def _error_between(law: Array) -> float:
     return float(np.max(np.abs(np.array(lines).T - law).max(0) / np.maximum(np.abs(law).max(0), 1e-300)))
 
 
-_ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "law", "acts", "now")
+_ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", "law", "acts", "now")
 """Of the C function, in its order."""
 
 
@@ -189,7 +189,7 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
     n, size = equations.filter.arms, equations.filter.equations.dimension
     memory, parts = equations.memory.symbols("memory")
     measured, present = ca.SX.sym("measured", n + 1), ca.SX.sym("present", n + 1)
-    switch, law = ca.SX.sym("limit_switch"), ca.SX.sym("law", tables.law.shape[1])
+    switch, age, law = ca.SX.sym("limit_switch"), ca.SX.sym("age"), ca.SX.sym("law", tables.law.shape[1])
     acts, now = ca.SX.sym("acts", size), ca.SX.sym("now", size)
     known = [ca.SX(value) for value in tables.constants.tolist()]
     for place, column in enumerate(np.flatnonzero(tables.varying).tolist()):
@@ -205,11 +205,11 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
     # What nothing but a fallback sets stays as it begins.
     parts["held"] = ca.SX(0)
     offset = ca.SX.sym("offset", n + 1)
-    seen = {"measured": measured, "present": present, "switch": switch, "rate_error": ca.SX.zeros(n), "offset": offset}
-    reading = equations.reading.joined(seen)
+    seen = {"measured": measured, "present": present, "switch": switch, "age": age, "offset": offset}
+    reading = equations.reading.joined({**seen, "rate_error": ca.SX.zeros(n)})
     numbers = ca.SX(ca.DM(program.numbers))
     (out,) = equations.function().call([equations.memory.joined(parts), reading, given, numbers], True, False)
-    inputs = [memory, measured, present, offset, switch, law, acts, now]
+    inputs = [memory, measured, present, offset, switch, age, law, acts, now]
     return ca.Function("tick", inputs, [ca.cse(out)], [*_ARGUMENTS], ["out"], {"cse": True})
 
 
@@ -431,7 +431,7 @@ def _types(program: TickProgram, real: str) -> tuple[np.dtype, np.dtype]:
     """Return what dpc_reading and dpc_report are to numpy."""
     n, size = program.model.arms, program.model.dimension
     extras = len(program.equations.filter.extra_names)
-    reading = [("positions", "f8", (n + 1,)), ("present", "u1", (n + 1,)), ("limit_switch", "i4")]
+    reading = [("positions", "f8", (n + 1,)), ("present", "u1", (n + 1,)), ("limit_switch", "i4"), ("age", "f8")]
     whole = {"outcome": "i4", "stopped_by": "i4", "stop": "i4", "done": "i4", "mode": "i4", "saturated": "i4",
              "newly_cut": "i4", "used": "i4", "sensor": "i4", "repeats": "l", "doubted": "i4"}  # fmt: skip
     lengths = {"state": size, "sigmas": size + extras, "extra": extras, "reference": size, "ahead": size}
@@ -549,7 +549,7 @@ class LibraryProgram(TickProgram):
         reading, told, report = self._reading, self._told, self.report
         reading["positions"] = self._measured[:, 0]
         reading["present"] = self._present[:, 0]
-        reading["limit_switch"] = self._switch[0]
+        reading["limit_switch"], reading["age"] = self._switch[0], self._age[0, 0]
         self._step(*self._arguments)
         for name, where in self._copied:
             report[where, 0] = told[name]

@@ -51,7 +51,8 @@ _STEP = 0.5
 """Windows begin so many wobbles apart."""
 _WATCHED = frozenset(
     ("covariance", "velocity", "error", "nis", "silent", "restarts", "held", "moved", "restart", "stopped", "still",
-     "cut", "doubts", "last", "step", "same", "begin", "away", "travelled", "origin")
+     "cut", "doubts", "last", "step", "same", "begin", "away", "origin", "timing", "timed",
+     "expected", "commanded", "commanded_speed", "scale_speed", "scale_drift", "scale_error")
 )  # fmt: skip
 """Parts of a tick's memory that no command depends on to first order: see above."""
 MOST_GAIN, MOST_DELAY, MOST_LAG = 64.0, 0.128, 0.512

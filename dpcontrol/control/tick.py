@@ -25,17 +25,34 @@ What is judged, tick by tick:
     tracking      mean over about a second of the largest angle's distance from the reference, by the encoders
     cart          |x| + v²/(2a) + |v| t_d: where it comes to rest if it brakes from now, after the delay t_d; where the
                   arms are lost by then it is they that end the run
-    sensors       which one is stuck: it repeats one reading while the arm must have moved, or the cart was sent on
+    sensors       which one is stuck: it repeats one reading while the arm or the cart must have moved
 
-For joint i, whose reading has been the same since tick s, and the cart, whose has since s':
+For joint i, whose reading has been the same since tick s:
 
-    max |ref_i(k) - ref_i(s)| ≥ max(0.02 rad, 4 counts),        |Σ w Δt| ≥ max(2 mm, 4 counts)
+    max |ref_i(k) - ref_i(s)| ≥ max(0.02 rad, 4 counts)
 
-w: the velocity that the cart was sent to. A count is the smallest step that was seen. An arm that turns back, or is
-held at rest, stays within a count as well, but so does its reference; one that is off it may pause alone. So the filter
-must have held the model back as well, by what its corrections since would come to: 0.05 rad and 8 counts; or the pause
-be longer by far than those of arms that turn back. Without this a filter follows a stuck encoder for
-a tenth of a second, and a stuck scale of the cart for ever, the cart being unobservable from the arms.
+A count is the smallest step that was seen. An arm that turns back, or is held at rest, stays within a count as well,
+but so does its reference; one that is off it may pause alone. So the filter must have held the model back as well, by
+what its corrections since would come to: 0.05 rad and 8 counts; or the pause be longer by far than those of arms that
+turn back. Without this a filter follows a stuck encoder for a tenth of a second, and a stuck scale of the cart for
+ever, the cart being unobservable from the arms.
+
+A healthy cart may also leave its scale's reading alone while it turns back within a count q, and noise on commands
+lets it drift away from all that was sent. So the cart is predicted from its last step only, for the T seconds since:
+
+    D = V T + A,    |D| ≥ max(0.8 mm, 10 q, q + 0.7 |A| + 2.5 E T, q + min(noise, 25 q)),    T ≥ 45 ms
+
+V: its velocity then, integrated from commands and corrected by each step of the scale. A: what the commands since have
+added, of which the drive may give less. E: the largest recent correction of V, which a lag, another response or noise
+make large. noise: of commands, 1.5 m/s² each, as it moves the cart in T. q: the resolution of the settings, or the
+smallest step that was seen if it is larger. After a quarter of a second of one reading, D and V fade.
+
+The clock of the readings. A reading of age τ shows positions that lack ω τ, ω their rates. A reported age is put right
+in the update: y = m - H(z - ω τ). What varies unknown is noise along ω for all positions at once:
+
+    R + σ² ω ωᵀ,    σ² by recursive maximum likelihood over half a second, 0 at first
+
+A rig without jitter keeps σ² ≈ 0. The mean of the ages is not found; it acts as a further delay of that length.
 """
 
 import math
@@ -53,6 +70,7 @@ from dpcontrol.control.ekf import (
     RESTART_RATE,
     RESTART_VELOCITY,
     FilterEquations,
+    Timing,
     checked_noise,
     pack,
     packed,
@@ -108,16 +126,36 @@ LOST_AFTER_FALLBACK = 1.5
 """rad: from which what was fallen back to is lost as well, where less than that loses the reference."""
 AT_REST = 1e-12
 """m/s: slower than any cart."""
+TIMING_MEMORY = 0.5
+"""Time constant, s, of what is found of the readings' age."""
+_OLDEST = 1.5
+"""Periods."""
+TIMING_PRIOR = 2500.0
+"""1/period²: information in the assumption that ages do not vary. A fiftieth of a period is not worth a correction."""
 SAME = 1e-9
 """rad and m: readings this near to each other are the same count."""
 _STILL = 0.015
 """Seconds of one reading of a joint at least."""
 _TURNING = 4.0
 """rad/s² and m/s²: what turns back as slowly stays within a count q for 2 √(2 q / this), 18 ms with 40,000 counts."""
-_CART_STILL = 0.05
-"""Seconds of one reading of the cart: it begins to move only once the first commands have come to act."""
-_JOINT_MOVED, _CART_MOVED = 0.02, 2e-3
+_CART_STILL = 0.045
+"""Seconds of one reading of the cart."""
+_JOINT_MOVED, _CART_MOVED = 0.02, 8e-4
 """rad and m."""
+_SCALE_COUNTS = 10.0
+"""Counts of the cart's scale. A cart that turns back within a count may be expected this far off it by a drive that
+gives half of what it should, or lags by 20 ms."""
+_SCALE_LAG = 0.02
+"""s, within which the steps of the scale correct the cart's expected velocity."""
+_SCALE_MEMORY = 0.15
+"""s, for which the size of these corrections counts."""
+_SCALE_WINDOW = 0.25
+"""s of one reading, from which the expected velocity fades: commands alone cannot predict it for longer."""
+_COMMAND_NOISE, _NOISE_COUNTS = 1.5, 25.0
+"""m/s²: five times the noise on each command of a usual drive. Counts: noise that moves the cart farther does not
+leave it within one."""
+_COMMANDED, _ERRORS = 0.7, 2.5
+"""Share of what commands do by which the drive may fall short, and multiple of the recent velocity errors."""
 _COUNTS = 4.0
 _JOINT_HELD, _COUNTS_HELD = 0.05, 8.0
 """rad, counts: by how much the model would have moved on a joint whose reading stands. One that turns back where its
@@ -147,6 +185,7 @@ UNROLLED = 8
 BOUNDS = (
     "share", "acceleration", "velocity", "travel", "reaction", "onset", "brake", "margin", "lost_tracking",
     "lost_estimate", "resynchronise", "restarts", "missing", "can_hold", "trust", "mode",
+    "scale",
 )  # fmt: skip
 """Numbers a run is judged by.
 
@@ -273,21 +312,25 @@ class TickEquations:
         in the period before; cut: 1 where the last command was; doubts:
         1 once an extra was trusted no further; heading m/s: what the cart will come to; turns (n,) rad: whole ones
         between readings and estimate.
-        Then sensor by sensor: last reading, smallest step, ticks with this reading, what it should have been when
-        they began, by how much that has moved since; of each joint pulled rad/s and held_back rad: what the filter
-        has changed of its rate since, and what it would have moved by without; strained rad/s: those changes without
-        their signs; travelled m: how far the cart was sent. With play: mark (n,) rad, angle of each encoder when its
-        joint last moved it. With a belt: shaped (2,) m/s², memory of what shapes commands.
-        Split: origin, which the positions in z are relative to;
-        whoever keeps the memory may move from one to the other.
+        Then sensor by sensor: last reading, smallest step, ticks with this reading. Of each joint: what it should have
+        been when they began, by how much that has moved since; pulled rad/s and held_back rad: what the filter has
+        changed of its rate since, and what it would have moved by without; strained rad/s: those changes without
+        their signs. Of the cart: expected m, its predicted travel since its reading changed; scale_speed m/s, its
+        velocity by scale and commands; scale_drift and scale_error m/s, the recent corrections of that and their
+        largest size; commanded m and commanded_speed m/s, the part of expected and scale_speed due to commands since.
+        timing s²: the variance of the readings' age; timed: the information in it, for time in periods. With play:
+        mark (n,) rad, angle of each encoder when its joint last moved it. With a belt: shaped (2,) m/s², memory of what
+        shapes commands. Split: origin, which the positions in z are relative to; whoever keeps the memory may move from
+        one to the other.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
         sent = {"sent": self.whole + 2} if self.unrolled else {}
         lag = {"drive": 1} if self.lags else {}
         return Layout(
             z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=1,
-            restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, doubts=1, last=m, step=m,
-            same=m, begin=m, away=m, pulled=m - 1, strained=m - 1, held_back=m - 1, travelled=1, heading=1, turns=m - 1,
+            restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, doubts=1, last=m, step=m, same=m,
+            begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, expected=1, commanded=1,
+            commanded_speed=1, scale_speed=1, scale_drift=1, scale_error=1, heading=1, turns=m - 1, timing=1, timed=1,
             **({"mark": m - 1} if self.plays else {}), **({"shaped": 2} if self.shapes else {}),
             **({"origin": m} if self.split else {}),
         )  # fmt: skip
@@ -297,11 +340,12 @@ class TickEquations:
         """What came from the rig.
 
         measured (n+1,): angles in rad, the cart in m; present (n+1,): 1 where measured; switch: 1 while a limit switch
-        is touched; rate_error (n,) rad/s: added to the rates that the law sees, in simulations of measured rates.
+        is touched; age s: time from the reading to its tick, 0 if it is not known; rate_error (n,) rad/s: added to the
+        rates that the law sees, in simulations of measured rates.
         Split: offset (n+1,), measured less the memory's origin.
         """
         m = self.filter.arms + 1
-        return Layout(measured=m, present=m, switch=1, rate_error=m - 1, **({"offset": m} if self.split else {}))
+        return Layout(measured=m, present=m, switch=1, age=1, rate_error=m - 1, **({"offset": m} if self.split else {}))
 
     @cached_property
     def row(self) -> Layout:
@@ -343,7 +387,7 @@ class TickEquations:
         size = self.filter.dimension
         return Layout(
             z=size, covariance=size * (size + 1) // 2, sigmas=size, nis=1, used=1, sound=1, turns=self.filter.arms,
-            **({"mark": self.filter.arms} if self.plays else {}),
+            timing=1, timed=1, **({"mark": self.filter.arms} if self.plays else {}),
         )  # fmt: skip
 
     @cached_property
@@ -400,12 +444,16 @@ class TickEquations:
                 entries.append(kept if fresh is None else kept + ca.if_else(again, fresh, 0))
         covariance = unpack(ca.vertcat(*entries), size)
         # NaN must not reach the products: zero times NaN is not zero.
-        measured = ca.vertcat(*(ca.if_else(r["present"][i], positions_read[i], 0) for i in range(n + 1)))
+        moving = ca.vertcat(z[n : 2 * n], z[2 * n + 1])
+        now = positions_read + r["age"] * moving
+        measured = ca.vertcat(*(ca.if_else(r["present"][i], now[i], 0) for i in range(n + 1)))
         noise, marks = c["noise"], {}
         if self.plays:
             shift, spread, marks = self._without_play(m, r, c, measured - ca.DM(self.filter.observation) @ z)
             measured, noise = measured + shift, noise + pack(spread)
-        after, covariance, innovation, nis = self.filter.updated(z, covariance, measured, r["present"], noise)
+        after, covariance, innovation, nis, weighed = self.filter.updated(
+            z, covariance, measured, r["present"], noise, Timing(r["age"], m["timing"])
+        )
         turns, slipped = self._slipped(m, r, measured - ca.DM(self.filter.observation) @ z, innovation)
         variances = ca.diag(covariance)
         if self.filter.as_measured:
@@ -419,9 +467,10 @@ class TickEquations:
         # Where it fails the prediction is kept, which the restart begins with.
         after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
         used = ca.sum1(r["present"])
+        timing, timed = self._timing(m, moving.T @ weighed, sound)
         out = {
             "z": after, "covariance": pack(covariance), "sigmas": sigmas, "nis": nis, "used": used, "sound": sound,
-            "turns": turns, **marks,
+            "turns": turns, "timing": timing, "timed": timed, **marks,
         }  # fmt: skip
         if self.split:
             out |= {"z": after + self._origin(m), "relative": after}
@@ -452,6 +501,22 @@ class TickEquations:
             marks.append(ca.if_else(ca.logic_or(moves, ca.logic_not(marked)), angle, m["mark"][i]))
         spread = sums @ ca.diag(ca.vertcat(*variances)) @ sums.T
         return ca.vertcat(sums @ ca.vertcat(*shifts), 0), ca.diagcat(spread, 0), {"mark": ca.vertcat(*marks)}
+
+    def _timing(self, m: Mapping[str, ca.SX], weighed: ca.SX, sound: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """The variance of the readings' age and the information in it, after an update.
+
+        weighed (1, 2): ωᵀS⁻¹y and ωᵀS⁻¹ω, whose ratio is the age that this innovation looks like. With a and b the
+        same for time in periods, the log likelihood has the slope (a² - b) / 2 by the variance, and b² / 2 is the
+        information.
+        Source: the score of a Gaussian whose covariance is linear in one parameter.
+        """
+        period, (aligned, weight) = self.filter.period, ca.horzsplit(weighed)
+        a, b = aligned * period, weight * period**2
+        timed = m["timed"] + min(period / TIMING_MEMORY, 1) * (TIMING_PRIOR**2 - m["timed"]) + b * b
+        # A reading is never older than a period. What looks older by far is a blow, a wrong model or a stuck encoder.
+        slope = ca.if_else(ca.fabs(a) <= _OLDEST * b, a * a - b, 0)
+        variance = _clip(m["timing"] + period**2 * slope / timed, ca.SX(0), ca.SX(period**2 / 3))
+        return ca.if_else(sound, variance, m["timing"]), ca.if_else(sound, timed, m["timed"])
 
     def _slipped(
         self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], apart: ca.SX, innovation: ca.SX
@@ -528,7 +593,6 @@ class TickEquations:
         """
         n, period = self.filter.arms, self.filter.period
         fresh = _all(*(r["present"][i] for i in range(n + 1)))
-        travelled = m["travelled"] + m["velocity"] * period
         after: dict[str, list[ca.SX]] = {
             name: [] for name in ("last", "step", "same", "begin", "away", "pulled", "strained", "held_back")
         }
@@ -537,27 +601,23 @@ class TickEquations:
             arm = i < n
             inner = r["measured"][i - 1] if arm and i else 0
             value = r["measured"][i] - inner
-            should = (wanted[i] - (wanted[i - 1] if i else 0)) if arm else travelled
-            step = ca.fabs(value - m["last"][i])
+            moved = value - m["last"][i]
+            step = ca.fabs(moved)
             same = step < self.same[0 if arm else 1]
             smallest = ca.if_else(same, m["step"][i], ca.fmin(m["step"][i], step))
-            begin = ca.if_else(same, m["begin"][i], should)
-            away = ca.if_else(same, ca.fmax(m["away"][i], ca.fabs(should - begin)), 0)
             count = ca.if_else(same, m["same"][i] + 1, 0)
-            values = {
-                # A reading within a count's rounding of the last one does not replace it.
-                "last": ca.if_else(same, m["last"][i], value), "step": smallest, "same": count, "begin": begin,
-                "away": away,
-            }  # fmt: skip
-            for name, now in values.items():
-                after[name].append(ca.if_else(fresh, now, m[name][i]))
-            q = ca.if_else(smallest <= _BIG, smallest, _UNSEEN / _COUNTS)
-            least = _JOINT_MOVED if arm else _CART_MOVED
-            still = _STILL if arm else _CART_STILL + c["reaction"]
-            longest = ca.fmax(2 * ca.sqrt(2 * q / _TURNING), still) / period
-            tests = [fresh, away >= least, away >= _COUNTS * q, count >= longest]
-            if arm:
-                tests.append(ca.logic_not(nis <= _DOUBT))
+            # A reading within a count's rounding of the last one does not replace it.
+            values = {"last": ca.if_else(same, m["last"][i], value), "step": smallest, "same": count}
+            if not arm:
+                frozen, scale = self._frozen_scale(m, c, moved, same)
+                after |= {name: [ca.if_else(fresh, now, m[name])] for name, now in scale.items()}
+                found.append(ca.logic_and(fresh, frozen))
+            else:
+                should = wanted[i] - (wanted[i - 1] if i else 0)
+                begin = ca.if_else(same, m["begin"][i], should)
+                away = ca.if_else(same, ca.fmax(m["away"][i], ca.fabs(should - begin)), 0)
+                q = ca.if_else(smallest <= _BIG, smallest, _UNSEEN / _COUNTS)
+                longest = ca.fmax(2 * ca.sqrt(2 * q / _TURNING), _STILL) / period
                 pulled, strained, held = m["pulled"][i], m["strained"][i], m["held_back"][i]
                 evident = count >= _LONG * longest
                 if taken is not None:
@@ -569,14 +629,57 @@ class TickEquations:
                     steady = ca.fabs(pulled) >= strained / 2
                     far = ca.fabs(held) >= ca.fmax(_JOINT_HELD, _COUNTS_HELD * q)
                     evident = _any(evident, ca.logic_and(steady, far))
-                tests.append(evident)
-                for name, now in {"pulled": pulled, "strained": strained, "held_back": held}.items():
-                    after[name].append(ca.if_else(fresh, now, m[name][i]))
-            found.append(_all(*tests))
+                values |= {"begin": begin, "away": away, "pulled": pulled, "strained": strained, "held_back": held}
+                found.append(
+                    _all(
+                        fresh, away >= _JOINT_MOVED, away >= _COUNTS * q, count >= longest,
+                        ca.logic_not(nis <= _DOUBT), evident,
+                    )
+                )  # fmt: skip
+            for name, now in values.items():
+                after[name].append(ca.if_else(fresh, now, m[name][i]))
         sensor = ca.SX(0)
         for i in reversed(range(n + 1)):
             sensor = ca.if_else(found[i], i + 1, sensor)
-        return sensor, {**{name: ca.vertcat(*values) for name, values in after.items()}, "travelled": travelled}
+        return sensor, {name: ca.vertcat(*values) for name, values in after.items()}
+
+    def _frozen_scale(
+        self, m: Mapping[str, ca.SX], c: Mapping[str, ca.SX], moved: ca.SX, same: ca.SX
+    ) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """True if the cart's scale has frozen, and what the watch expects of the cart after a reading.
+
+        moved m: the step of the reading; same: 1 if it is none.
+        """
+        period = self.filter.period
+        since = (m["same"][self.filter.arms] + 1) * period
+        # Commands alone predict the cart between two steps of the reading; each step corrects its velocity.
+        # The first reading of all is no step.
+        stepped = ca.logic_and(ca.logic_not(same), _finite(moved))
+        wrong = ca.if_else(stepped, (moved - m["expected"]) / (since + _SCALE_LAG), 0)
+        drift = m["scale_drift"] * (1 - min(period / _SCALE_LAG, 1)) + wrong
+        error = ca.fmax(ca.fabs(drift), m["scale_error"] * (1 - min(period / _SCALE_MEMORY, 1)))
+        known = ca.if_else(m["step"][self.filter.arms] <= _BIG, m["step"][self.filter.arms], 0)
+        q, span = ca.fmax(known, c["scale"]), ca.fmin(since, _SCALE_WINDOW)
+        noise = ca.sqrt(period * span) * (span / math.sqrt(3) + _SCALE_LAG / math.sqrt(2))
+        bounds = (
+            ca.SX(_CART_MOVED), _SCALE_COUNTS * q, q + ca.fmin(_COMMAND_NOISE * noise, _NOISE_COUNTS * q),
+            q + _COMMANDED * ca.fabs(m["commanded"]) + _ERRORS * error * since,
+        )  # fmt: skip
+        frozen = _all(same, since >= _CART_STILL - period / 2, ca.fabs(m["expected"]) >= _largest(bounds))
+        kept = {name: ca.if_else(same, m[name], 0) for name in ("expected", "commanded", "commanded_speed")}
+        return frozen, {**kept, "scale_speed": m["scale_speed"] + wrong, "scale_drift": drift, "scale_error": error}
+
+    def _expected_cart(self, watch: Mapping[str, ca.SX], acting: ca.SX) -> dict[str, ca.SX]:
+        """What the watch over the scale expects of the cart a period on, `acting` m/s² having acted."""
+        period, arms = self.filter.period, self.filter.arms
+        # A scale that has stood for long: the cart may have stood as well.
+        fades = ca.if_else(watch["same"][arms] * period > _SCALE_WINDOW, 1 - min(period / _SCALE_WINDOW, 1), 1)
+        return {
+            "expected": watch["expected"] * fades + (watch["scale_speed"] + acting * period / 2) * period,
+            "scale_speed": watch["scale_speed"] * fades + acting * period,
+            "commanded": watch["commanded"] * fades + (watch["commanded_speed"] + acting * period / 2) * period,
+            "commanded_speed": watch["commanded_speed"] * fades + acting * period,
+        }
 
     def _finish(
         self,
@@ -691,13 +794,14 @@ class TickEquations:
 
         heading = _within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
         memory = {
-            **queue, "velocity": velocity, "heading": heading, "turns": e["turns"],
+            **queue, "velocity": velocity, "heading": heading, "turns": e["turns"], "timing": e["timing"],
+            "timed": e["timed"],
             "error": ca.if_else(falls, 0, error), "nis": ca.if_else(again, 0, nis), "silent": silent,
             "restarts": m["restarts"] * (1 - min(period / RESTART_MEMORY, 1)) + again,
             "held": ca.if_else(falls, 1, m["held"]),
             "moved": ca.if_else(moved, 0, m["moved"] + period), "restart": ca.logic_or(again, blind),
             "stopped": stopped, "still": still, "acted": acting, "cut": saturated,
-            "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch,
+            "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch, **self._expected_cart(watch, acting),
         }  # fmt: skip
         if predicts:
             start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
@@ -894,7 +998,8 @@ class TickProgram:
         self._measured, self._present = self.reading[reading["measured"]], self.reading[reading["present"]]
         self._switch, self._rate_error = self.reading[reading["switch"]][0], self.reading[reading["rate_error"]]
         self._present[:] = 1.0
-        self._all, self._switched = True, 0
+        self._age = self.reading[reading["age"]]
+        self._all, self._switched, self._aged = True, 0, False
         self._out = np.empty((equations.memory.size + equations.report.size, self.lanes))
         queue = np.zeros((whole + 2, self.lanes))
         self._sent: Array = self.memory[equations.memory.slices["sent"]] if unrolls else queue
@@ -929,7 +1034,8 @@ class TickProgram:
         start = {
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
             "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
-            "velocity": speed[None], "heading": speed[None], "moved": np.inf, "last": np.inf, "step": np.inf,
+            "velocity": speed[None], "heading": speed[None], "scale_speed": speed[None],
+            "timed": TIMING_PRIOR**2, "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip
         if self.equations.plays:
             start["mark"] = np.inf
@@ -946,16 +1052,21 @@ class TickProgram:
             [values, np.repeat(values[..., -1:], self.lanes - count, axis=-1)], axis=-1
         )  # fmt: skip
 
-    def take(self, positions: Array, present: Present, switch: Any, rate_error: Array | None) -> None:
-        """Take a reading: positions (n+1, 1) or (n+1, lanes), present (n+1,), the limit switch; what `reading` says."""
+    def take(self, positions: Array, present: Present, switch: Any, rate_error: Array | None, age: Any = None) -> None:
+        """Take a reading: positions (n+1, 1) or (n+1, lanes), present (n+1,) or (n+1, lanes), the limit switch.
+
+        age s: of the reading, if it is known.
+        """
         self._measured[:] = positions
         if present is not None:
             # A position that is missing may be anything.
-            self._present[:] = present[:, None]
+            self._present[:] = present if present.ndim > 1 else present[:, None]
             self._all = False
         elif not self._all:
             self._present[:] = 1.0
             self._all = True
+        if age is not None or self._aged:
+            self._age[:], self._aged = 0.0 if age is None else age, age is not None
         if switch is not self._switched:
             self._switch[:] = self._switched = switch
         if rate_error is not None:

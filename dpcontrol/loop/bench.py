@@ -46,6 +46,10 @@ _FINEST_ANGLE, _FINEST_CART = 1e-5, 1e-7
 """rad and m: steps that an estimator assumes of sensors that are simulated without rounding or noise."""
 
 
+AGES = ("unknown", "reported")
+"""Whether a bench reports the ages of its readings."""
+
+
 @dataclass(frozen=True)
 class SensorSettings(Settings, table="sensors"):
     """The sensors and their faults; what is random is drawn beforehand, see `dpcontrol.loop.bench`.
@@ -55,8 +59,9 @@ class SensorSettings(Settings, table="sensors"):
     deviation on each relative angle, rad; cart_noise: on the cart, m. missed_counts: per s that each encoder loses
     while its joint moves. dropout: share of ticks at which no sensor is read. stuck_at s: from when the sensor
     `stuck_sensor` (0, 1 … the arms, then the cart) repeats its value, for stuck_for s. jitter s: a reading is up to so
-    old, uniform. rate_noise rad/s: standard deviation of what is added to estimated rates, as where rates are measured.
-    zero_drift rad/h: at which the zero of each arm's encoder drifts, either way.
+    old, uniform. ages: "reported" if each reading comes with its age, else "unknown". rate_noise rad/s: standard
+    deviation of what is added to estimated rates, as where rates are measured. zero_drift rad/h: at which the zero of
+    each arm's encoder drifts, either way.
     """
 
     counts: int = setting(40_000, least=1, zero="no rounding")
@@ -70,6 +75,7 @@ class SensorSettings(Settings, table="sensors"):
     stuck_sensor: int = setting(0, least=0)
     stuck_for: float = setting(math.inf, above=0, infinite="for good", unit="s")
     jitter: float = setting(0.0, least=0, most=1, unit="s")
+    ages: str = setting("unknown", choices=AGES)
     rate_noise: float = setting(0.0, least=0, most=1000, unit="rad/s")
     zero_drift: float = setting(0.0, least=0, most=1000, unit="rad/h")
 

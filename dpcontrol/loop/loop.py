@@ -588,7 +588,7 @@ def _bounds(settings: LoopSettings, limits: Limits, *, can_hold: bool, trust: fl
         "brake": 2 * s.braking * limits.acceleration,
         "margin": s.margin, "lost_tracking": s.lost_tracking, "lost_estimate": s.lost_estimate,
         "resynchronise": s.resynchronise, "restarts": s.restarts, "missing": s.missing, "can_hold": can_hold,
-        "trust": trust, "mode": Mode.TRACKING,
+        "trust": trust, "mode": Mode.TRACKING, "scale": settings.sensors.cart_resolution,
     }  # fmt: skip
 
 
@@ -713,7 +713,7 @@ _WOBBLE = 0.8
 def can_batch(settings: LoopSettings, controller: Controller | None = None) -> bool:
     """Tell whether runs can go in lockstep, by the settings alone where no controller is given."""
     sensors = settings.sensors
-    faults = sensors.missed_counts or sensors.dropout or sensors.jitter or np.isfinite(sensors.stuck_at)
+    faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
     hands_over = settings.keep != "none" or settings.supervisor.hold != "none" or settings.supervisor.resynchronise
     hands_over = hands_over or settings.supervisor.on_fall != "stop"
     compiled = isinstance(settings.estimator, EkfSettings)

@@ -32,7 +32,8 @@ class Reading(NamedTuple):
     time s since the first reading; positions (n+1,): absolute angles, summed from relative encoders, then the cart;
     present (n+1,): which of them are new, or None when all are (those that are not hold their last value); switch:
     -1 or +1 while the limit switch at the left or right end of the track is touched, else 0; late s: by how much the
-    deadline was missed. Of S runs side by side: positions (n+1, S), and switch (S,): whether one is touched.
+    deadline was missed; age s: how long before its tick the reading was taken, None if the rig does not report it. Of S
+    runs side by side: positions and present (n+1, S), age (S,), and switch (S,): whether one is touched.
     """
 
     time: float
@@ -40,6 +41,7 @@ class Reading(NamedTuple):
     present: NDArray[np.bool_] | None = None
     switch: Any = 0
     late: float = 0.0
+    age: Any = None
 
 
 class Rig(Protocol):

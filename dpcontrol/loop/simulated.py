@@ -189,13 +189,19 @@ class SimulatedPlant:
         v = self.values[self._motor + 1]
         return v + self._lag * self.values[self._cart + 2] if self._lag else v
 
-    def move(self, acceleration: Any, duration: float, *, time: float) -> None:
-        """Let `duration` s pass from `time` s with a held demand of `acceleration` m/s²."""
-        splits = 1 if duration <= self._longest else math.ceil(duration / self._longest)
+    def move(self, acceleration: Any, duration: Any, *, time: Any, span: float = 0.0) -> None:
+        """Let `duration` s pass from `time` s with a held demand of `acceleration` m/s².
+
+        span s: the longest of the runs' durations, where these differ.
+        """
+        span = span or duration
+        splits = 1 if span <= self._longest else math.ceil(span / self._longest)
         inputs, following, track, cart = self._inputs, self._following, self.track, self._cart
         step, many = self._machine, self._many
-        duration /= splits
-        if duration != self._lasts:
+        duration = duration / splits
+        if isinstance(duration, np.ndarray):
+            inputs[self._duration], self._lasts = duration, math.nan
+        elif duration != self._lasts:
             inputs[self._duration] = self._lasts = duration
         for k in range(splits):
             inputs[self._input] = acceleration
@@ -206,7 +212,9 @@ class SimulatedPlant:
                     # Too rare to be worth doing at once for many.
                     for run in np.flatnonzero(beyond).tolist():
                         alone = SimulatedPlant([self.plants[run]], self.state[:, run], track=track)
-                        alone._meet_stop(float(acceleration[run]), duration, time + k * duration)
+                        lasts = np.broadcast_to(duration, beyond.shape)[run].item()
+                        begin = np.broadcast_to(time, beyond.shape)[run].item()
+                        alone._meet_stop(float(acceleration[run]), lasts, begin + k * lasts)
                         self.faults.setdefault(run, alone.faults[0])
                         following[:, run] = alone.state
                 self.state[:] = following
@@ -313,7 +321,10 @@ class SimulatedBench:
         self._demands = demands[-(whole + 1) :]
         self._sent_before, self._past = whole + 1, 0
         self._command_noise, self._noise = by_tick("command_noise"), by_tick("noise", np.asarray)
-        self._missed, self._ages = draw.reader("missed", np.asarray), draw.reader("ages")
+        self._missed, self._ages = draw.reader("missed", np.asarray), by_tick("ages")
+        self._reports = settings.sensors.ages == "reported" and self._ages is not None
+        self._dropped, self._many = by_tick("dropped"), lanes is MANY
+        self._last: Any = np.zeros((n + 1, len(draws)) if self._many else n + 1)
         self._encoders = Encoders(
             n, settings.sensors, zeros=zeros, drift=joined("drift"), lanes=lanes, places=draw.plant.reads
         )
@@ -363,6 +374,11 @@ class SimulatedBench:
             noise=None if self._noise is None else self._noise[k],
         )
 
+    def _age(self, k: int) -> Any:
+        """Return the age of the reading of tick k, s, or None if the bench does not report it."""
+        # The first reading is of the start itself.
+        return self._ages[k] if self._reports and k else None
+
     def _demand(self, k: int, acceleration: Any) -> None:
         """Take the command of tick k, m/s²; a second one in the same period replaces the first."""
         demands, place = self._demands, self._sent_before + k - self._past
@@ -399,16 +415,23 @@ class SimulatedBench:
 
     def _part(self, k: int, demand: Any, begin: float, end: float, seen: float) -> None:
         """Let a part of period k pass, from `begin` to `end` seconds in it, `demand` acting."""
-        plant, start = self._plant, k * self.period
-        acting = self._acting(demand, end - begin)
-        if begin < seen < end:
-            plant.move(acting, seen - begin, time=start + begin)
+        plant, start, span = self._plant, k * self.period, end - begin
+        acting = self._acting(demand, span)
+        if self._many:
+            # Runs that are read before or after this part let nothing pass in one of the two moves.
+            middle = np.clip(seen, begin, end)
+            plant.move(acting, middle - begin, time=start + begin, span=span)
+            now = (begin <= seen) & (seen < end)
+            self._seen = np.where(now, plant.state, plant.state if self._seen is None else self._seen)
+            plant.move(acting, end - middle, time=start + middle, span=span)
+        elif begin < seen < end:
+            plant.move(acting, seen - begin, time=start + begin, span=span)
             self._seen = plant.values
-            plant.move(acting, end - seen, time=start + seen)
+            plant.move(acting, end - seen, time=start + seen, span=span)
         else:
             if seen == begin:
                 self._seen = plant.values
-            plant.move(acting, end - begin, time=start + begin)
+            plant.move(acting, span, time=start + begin)
 
     def _acting(self, demand: Any, duration: float) -> Any:
         drive, velocity, braking = self._drive, self._plant.loop_velocity, self._braking
@@ -432,9 +455,7 @@ class SimulatedRig(SimulatedBench):
         self, draw: BenchDraw, settings: BenchSettings, *, limits: Limits, start: Array, queued: Sequence[float] = ()
     ) -> None:
         super().__init__([draw], settings, limits=limits, start=start, queued=queued)
-        self._dropped = draw.reader("dropped")
-        self._positions = np.zeros(draw.plant.arms.count + 1)
-        self._nothing = np.zeros(len(self._positions), dtype=bool)
+        self._nothing = np.zeros(draw.plant.arms.count + 1, dtype=bool)
 
     @property
     def state(self) -> Array:
@@ -466,9 +487,9 @@ class SimulatedRig(SimulatedBench):
         # Also where they are dropped: encoders go on counting, and losing counts.
         measured = self._measured(k)
         if self._dropped is not None and self._dropped[k]:
-            return Reading(now, self._positions, self._nothing, switch)
-        self._positions = measured
-        return Reading(now, measured, None, switch)
+            return Reading(now, self._last, self._nothing, switch)
+        self._last = measured
+        return Reading(now, measured, None, switch, age=self._age(k))
 
     def command(self, acceleration: float) -> None:
         """Send the cart's wanted acceleration, m/s²; a second command in one period replaces the first.
@@ -504,11 +525,16 @@ class BatchBench(SimulatedBench):
 
     def read(self) -> Reading:
         """Let a period pass, unless it is the first call; return positions (n+1, S), and where switches are touched."""
-        self._tick += 1
-        if self._tick:
-            self._pass(self._tick - 1)
+        self._tick = k = self._tick + 1
+        if k:
+            self._pass(k - 1)
         switch = np.abs(self._plant.values[self._cart]) >= self._switch_at
-        return Reading(self._tick * self.period, self._measured(self._tick), None, switch)
+        measured, present = self._measured(k), None
+        if self._dropped is not None:
+            measured = np.where(self._dropped[k], self._last, measured)
+            present = np.broadcast_to(~self._dropped[k], measured.shape)
+        self._last = measured
+        return Reading(k * self.period, measured, present, switch, age=self._age(k))
 
     def command(self, accelerations: Array) -> None:
         """Send the carts' wanted accelerations (S,), m/s²."""

@@ -140,8 +140,10 @@ class Ticker:
         """
         program = self.program
         positions = reading.positions if self._many else reading.positions[:, None]
-        program.take(positions, reading.present, reading.switch if self._heeds_switch else 0, rate_error)
-        self._carts[k % len(self._carts)] = positions[-1] if reading.present is None or reading.present[-1] else np.nan
+        switch = reading.switch if self._heeds_switch else 0
+        program.take(positions, reading.present, switch, rate_error, reading.age)
+        cart = positions[-1] if reading.present is None else np.where(reading.present[-1], positions[-1], np.nan)
+        self._carts[k % len(self._carts)] = cart
         if self._whole:
             np.add(self._rows[k - self.began], self._lift, out=program.row)
             program.tick()

@@ -69,6 +69,8 @@ class RunOptions:
     stuck_sensor: int | None = _option(SENSORS, "Which one sticks: 0 the inner arm's, 1 the outer's, 2 the cart's.")
     stuck_for: float | None = _option(SENSORS, "For how long it sticks, s [for good].")
     jitter: float | None = _option(SENSORS, "Greatest age of a reading, s.")
+    ages: str | None = _option(SENSORS, "Whether the bench reports the ages of its readings: reported, unknown.")
+    cart_resolution: float | None = _option(SENSORS, "Resolution of the cart's scale, m; 0: no rounding.")
     delay: float | None = _option(DRIVE, "Delay from reading to acting, in periods; may be a fraction.")
     lag: float | None = _option(DRIVE, "Time constant of the drive's velocity loop, s; see --drive-lag.")
     drive_lag: float | None = _option(DRIVE, "The time constant that the controller knows of, s.")

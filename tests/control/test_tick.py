@@ -1,6 +1,7 @@
 """The tick's parts, each against what it must do: commands on their way, the filter, the law, and what is judged."""
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -169,6 +170,8 @@ def test_the_ticks_filter_is_the_filter(augment: tuple[str, ...]) -> None:
         present = np.array([True, k % 5 != 2, True])
         command = float(random.normal(0, 5))
         estimate = ekf.step(estimate, acted, measured, present) if k else ekf.update(estimate, measured, present)
+        # Readings of no motion of these arms would be taken for readings of unknown age.
+        tick.kept("timing")[:] = 0.0
         acted = tick(command, positions=measured, present=present)["acting"]
         assert tick.told("state") == pytest.approx(estimate.state, rel=1e-8, abs=1e-8)
         # The filter has the parameters' logarithms; a report gives relative errors.
@@ -241,7 +244,7 @@ def test_a_joint_that_repeats_itself_while_its_reference_moves_is_stuck() -> Non
         moving = np.array([0.01 * k, 0.01 * k])
         # A count is known once a step was seen.
         turned = [0.0, 1e-4, 0.01, 0.02, 0.03, 0.04][min(k, 5)]
-        seen = np.array([turned, moving[1], 0.0]) + random.normal(0, 0.05, 3) * [0, 1, 1e-3]
+        seen = np.array([turned, moving[1], 0.0]) + random.normal(0, 0.1, 3) * [0, 1, 1e-3]
         report = tick(0.0, positions=seen, wanted=moving)
         if report["outcome"]:
             break
@@ -260,6 +263,59 @@ def test_a_joint_that_pauses_as_its_model_lets_it_is_not_stuck_though_its_refere
         assert report["outcome"] != Outcome.STUCK
     assert report["mean_nis"] > 300
     assert tick.kept("same")[0] > 90
+
+
+def watched_scale(
+    velocity: Callable[[float], float], *, step: float, frozen_at: float = math.inf, seconds: float = 2.0
+) -> float:
+    """Return when a scale of resolution `step` m is called stuck on a cart of this velocity; infinite if never."""
+    tick, x = Ticked(scale=step, delay=0.0), 0.0
+    tick.begin(np.zeros(0), velocity=velocity(0.0))
+    seen = 0.0
+    for k in range(round(seconds / PERIOD)):
+        now = k * PERIOD
+        if now < frozen_at:
+            seen = step * round(x / step)
+        sent = (velocity(now + PERIOD) - velocity(now)) / PERIOD
+        if tick(sent, positions=np.array([0.0, 0.0, seen]))["outcome"] == Outcome.STUCK:
+            assert tick.told("sensor")[0] == 3
+            return now
+        x += (velocity(now) + velocity(now + PERIOD)) / 2 * PERIOD
+    return math.inf
+
+
+@pytest.mark.parametrize("step", [1e-6, 2e-5, 1e-4, 2e-4])
+def test_a_frozen_scale_is_found_within_50_ms_of_a_millimetre(step: float) -> None:
+    def swings(time: float) -> float:
+        return 0.4 * math.sin(4 * time)
+
+    assert watched_scale(swings, step=step) == math.inf
+    for frozen_at in (0.15, 0.4, 1.1):
+        gone = [t for t in np.arange(frozen_at, 2, PERIOD) if abs(_travelled(swings, frozen_at, t)) >= 1e-3]
+        assert watched_scale(swings, step=step, frozen_at=frozen_at) <= gone[0] + 0.05
+
+
+def _travelled(velocity: Callable[[float], float], begin: float, end: float) -> float:
+    times = np.linspace(begin, end, 200)
+    return float(np.trapezoid([velocity(t) for t in times], times))
+
+
+def test_a_cart_that_rests_or_creeps_within_a_count_has_no_frozen_scale() -> None:
+    assert watched_scale(lambda _: 0.0, step=2e-4, seconds=60.0) == math.inf
+    assert watched_scale(lambda time: 1e-3 * math.sin(10 * time), step=2e-4, seconds=20.0) == math.inf
+
+
+@pytest.mark.parametrize("share", [0.5, 1.5])
+def test_a_drive_that_gives_another_share_of_its_commands_has_no_frozen_scale(share: float) -> None:
+    tick = Ticked(scale=2e-4, delay=0.0)
+    for k in range(4000):
+        # A cart turns back at each end of its swing, where its reading stands longest.
+        angle = 2 * math.pi * 0.4 * k * PERIOD
+        x, sent = 0.05 * math.sin(angle), -0.05 * (2 * math.pi * 0.4) ** 2 * math.sin(angle) / share
+        if not k:
+            tick.begin(np.zeros(0), velocity=0.05 * 2 * math.pi * 0.4)
+        seen = np.array([0.0, 0.0, 2e-4 * round(x / 2e-4)])
+        assert tick(sent, positions=seen)["outcome"] != Outcome.STUCK
 
 
 def test_a_filter_that_has_slipped_a_turn_is_restarted_from_the_encoders() -> None:

@@ -51,6 +51,11 @@ KEPT_UP = {
     ),
     "one push": replace(BASE, disturbances=DisturbanceSettings(explicit=(Push(1.0, arm=1, rate=0.1),))),
     "tilt": replace(BASE, disturbances=DisturbanceSettings(tilt=0.01)),
+    "readings of unknown age": with_sensors(jitter=7e-4),
+    "readings of unknown age, and a delay of 1.4 periods": replace(
+        with_sensors(jitter=7e-4), drive=DriveSettings(delay=1.4, lag=0.005, cart_mass=4.0)
+    ),
+    "some readings missing": with_sensors(dropout=0.1),
     "noise on rates": with_sensors(rate_noise=0.1),
     "zeros": with_sensors(zero_error=0.003),
     "zeros that are estimated": replace(with_sensors(zero_error=0.02), estimator=EkfSettings(augment=("zeros",))),
@@ -171,8 +176,6 @@ def test_a_seed_runs_the_same_in_any_company(turn: tuple[StandIn, Reference]) ->
     "settings",
     [
         replace(BASE, estimator=UkfSettings()),
-        with_sensors(dropout=0.1),
-        with_sensors(jitter=1e-4),
         with_sensors(stuck_at=1.0),
         replace(BASE, sensors=SensorSettings(missed_counts=1.0)),
         replace(BASE, supervisor=SupervisorSettings(resynchronise=0.5)),

@@ -24,11 +24,11 @@ enum {
 
 @HELPERS@
 
-/* memory[DPC_MEMORY], measured, present and offset[DPC_POSITIONS], limit_switch; law: the table's row for the command; acts and
- * now: the reference's states when it acts and at this tick; out[AT_END]. */
+/* memory[DPC_MEMORY], measured, present and offset[DPC_POSITIONS], limit_switch, age; law: the table's row for the
+ * command; acts and now: the reference's states when it acts and at this tick; out[AT_END]. */
 static void dpc_tick(const dpc_real *memory, const dpc_real *measured, const dpc_real *present, const dpc_real *offset,
-                     const dpc_real *limit_switch, const dpc_real *law, const dpc_real *acts, const dpc_real *now,
-                     dpc_real *out)
+                     const dpc_real *limit_switch, const dpc_real *age, const dpc_real *law, const dpc_real *acts,
+                     const dpc_real *now, dpc_real *out)
 {
 @TICK@
     (void)offset;
@@ -53,7 +53,7 @@ void dpc_init(dpc_controller *controller)
 
 dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_report *report)
 {
-    dpc_real out[AT_END], measured[DPC_POSITIONS], present[DPC_POSITIONS], offset[DPC_POSITIONS], limit_switch;
+    dpc_real out[AT_END], measured[DPC_POSITIONS], present[DPC_POSITIONS], offset[DPC_POSITIONS], limit_switch, age;
     const long tick = controller->tick < DPC_TICKS ? controller->tick : DPC_TICKS - 1;
     const dpc_real *now = state_at(tick);
     int i;
@@ -68,7 +68,8 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
 #endif
     }
     limit_switch = reading->limit_switch ? 1 : 0;
-    dpc_tick(controller->memory, measured, present, offset, &limit_switch,
+    age = (dpc_real)reading->age;
+    dpc_tick(controller->memory, measured, present, offset, &limit_switch, &age,
              dpc_law[tick < DPC_LAW_ROWS ? tick : DPC_LAW_ROWS - 1], state_at(tick + DPC_LEAD), now, out);
     for (i = 0; i < DPC_MEMORY; i++)
         controller->memory[i] = out[i];

@@ -18,7 +18,7 @@ extern "C" {
 
 typedef @REAL@ dpc_real;
 
-#define DPC_VERSION 1               /* of this interface */
+#define DPC_VERSION 2               /* of this interface */
 #define DPC_IDENTITY "@IDENTITY@"   /* of all that the controller was made from */
 #define DPC_ITINERARY "@ITINERARY@"
 #define DPC_LAW "@LAW@"
@@ -73,6 +73,7 @@ typedef struct {
                                              where dpc_real is float, which would round a count after some turns. */
     unsigned char present[DPC_POSITIONS]; /* 1 where measured, 0 where not: that position may then be anything */
     int limit_switch;                     /* 1 while a limit switch is touched */
+    double age;                           /* s from the reading to this step, at most a period; 0 if not known */
 } dpc_reading;
 
 /* What a step tells. */

@@ -135,6 +135,7 @@ static void tick(unit *u)
         reading.present[i] = u->booleans[i] && isfinite(u->reals[i]);
     }
     reading.limit_switch = u->integers[0] != 0;
+    reading.age = 0;
     dpc_step(&u->controller, &reading, &report);
     show(u, &report);
 }

@@ -112,6 +112,7 @@ int main(int count, char **arguments)
             reading.present[k] = !isnan(values[k]);
         }
         reading.limit_switch = values[SWITCH] != 0;
+        reading.age = 0;
         dpc_step(&controller, &reading, &report);
         printf("%ld,%.17g,%.17g,%d,%d\n", tick, (double)report.command, (double)report.wish, report.outcome,
                dpc_status(&controller));

@@ -552,7 +552,7 @@ static int run(void)
         "the cart must brake now to stay on its track", "tracking is lost", "a sensor repeats itself",
         "a limit switch answered", "the arms have left the reference and the cart runs off after them"};
     static dpc_controller controller;
-    dpc_reading reading = {{0}, {0}, 0};
+    dpc_reading reading = {{0}, {0}, 0, 0};
     dpc_report report;
     int stopped_by = 0;
     long ended_at = 0;
