@@ -1,0 +1,70 @@
+"""Do runs complete with coarse encoders, at low and high rates, and with readings of varying age?
+
+Each table is printed. A small one of each runs with the slow tests, in `tests/loop/test_unsteady_clocks.py` and in
+`tests/loop/test_coarse_encoders.py`.
+"""
+
+import sys
+from collections.abc import Sequence
+from functools import cache
+
+import pytest
+from coarse_benches import completed, delays_of_stuck_scales
+
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.run_options import RunOptions
+
+pytestmark = pytest.mark.benchmark
+
+ITINERARIES = ("turn-from-rest", "up-up", "cross-from-rest")
+RUNS, SHARE = 50, 0.98
+JITTERED_RUNS = 200
+JITTER_SHARES = {0.5: 0.97, 1.0: 0.9}
+"""Share of completed runs by the jitter in periods."""
+
+
+@cache
+def planned(name: str) -> Plan:
+    return make_plan(load_itinerary(name))
+
+
+def row(title: str, options: RunOptions, seeds: Sequence[int]) -> list[float]:
+    """Print a row of the table and return the shares of completed runs, by itinerary."""
+    found = [completed(planned(name), options, seeds) for name in ITINERARIES]
+    assert not any("stuck" in reason for _, reasons in found for reason in reasons)
+    sys.stdout.write(f"{title}  {'  '.join(f'{len(seeds) - len(r):4d} of {len(seeds)}' for _, r in found)}\n")
+    sys.stdout.flush()
+    return [share for share, _ in found]
+
+
+@pytest.mark.parametrize("rate", [200.0, 1000.0, 2000.0])
+def test_ordinary_encoders_complete_98_runs_of_100_and_no_scale_is_called_stuck(rate: float) -> None:
+    sys.stdout.write(f"\n{'rate, scale, counts':28s}  {'  '.join(ITINERARIES)}\n")
+    for scale in (1e-6, 2e-5, 1e-4, 2e-4):
+        for counts in (1000, 4000, 40_000):
+            options = RunOptions(rate=rate, cart_resolution=scale, counts=counts)
+            title = f"{rate:6.0f} Hz {1e6 * scale:4.0f} µm {counts:6d}"
+            assert min(row(title, options, range(RUNS))) >= SHARE
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0])
+@pytest.mark.parametrize("counts", [4000, 40_000])
+def test_readings_that_vary_in_age_by_up_to_a_period_complete(rate: float, counts: int) -> None:
+    sys.stdout.write(f"\n{'rate, counts, jitter':28s}  {'  '.join(ITINERARIES)}\n")
+    for periods, share in JITTER_SHARES.items():
+        options = RunOptions(rate=rate, counts=counts, jitter=periods / rate)
+        title = f"{rate:6.0f} Hz {counts:6d} {periods:.1f} periods"
+        assert min(row(title, options, range(JITTERED_RUNS))) >= share
+
+
+@pytest.mark.parametrize(("scale", "share"), [(1e-6, 0.9), (2e-5, 0.9), (1e-4, 0.8), (2e-4, 0.75)])
+def test_a_stuck_scale_is_found_soon_after_the_cart_has_moved_a_millimetre(scale: float, share: float) -> None:
+    delays = [
+        delay for name in ITINERARIES
+        for delay in delays_of_stuck_scales(planned(name), RunOptions(cart_resolution=scale), range(20))
+    ]  # fmt: skip
+    soon = sum(delay <= 0.05 for delay in delays) / len(delays)
+    sys.stdout.write(f"\n{1e6 * scale:.0f} µm: {soon:.0%} of {len(delays)} within 50 ms of a millimetre\n")
+    assert soon >= share
+    assert max(delays) < float("inf")

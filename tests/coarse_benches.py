@@ -1,0 +1,50 @@
+"""Runs on benches with coarse encoders: which complete, and how soon a scale that sticks is found."""
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from ending_truth import Flight, flights
+
+from dpcontrol.scenes.plan import Plan
+from dpcontrol.scenes.run_options import RunOptions
+
+BENCH = RunOptions(
+    mismatch=0.05, initial_error=0.05, lag=0.005, command_noise=0.3, zero_error=0.02, travel=0.8, counts=40_000
+)
+MOVED = 1e-3
+"""m: from here on it counts how long a stuck scale stays unnoticed."""
+
+
+def flown(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> list[Flight]:
+    return flights(plan.itinerary.with_run(BENCH.over(options.given())), plan.reference, seeds)
+
+
+def completed(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> tuple[float, list[str]]:
+    """Return the share of the runs that complete, and why the others do not."""
+    problems = [flight.verdict.problem for flight in flown(plan, options, seeds) if flight.verdict.problem]
+    return 1 - len(problems) / len(seeds), problems
+
+
+def delays_of_stuck_scales(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> list[float]:
+    """Return how long after the cart has moved a millimetre a stuck scale is found, s; infinite if it is not.
+
+    It sticks at a random time of each run. One that is found sooner counts as found at once.
+    """
+    delays = []
+    for seed in seeds:
+        at = float(np.random.default_rng(seed).uniform(0, 0.8 * plan.reference.duration))
+        (flight,) = flown(plan, options.over({"stuck_at": at, "stuck_sensor": 2}), [seed])
+        rate, cart = flight.settings.rate, flight.run.truth[:, -2]
+        first = min(math.ceil(at * rate), len(cart) - 1)
+        moved = np.flatnonzero(np.abs(cart[first:] - cart[first]) >= MOVED)
+        if "scale is stuck" not in flight.run.reason:
+            delays.append(math.inf)
+        elif not len(moved):
+            delays.append(0.0)
+        else:
+            found = re.search(r"t = ([0-9.]+) s", flight.run.reason)
+            assert found
+            delays.append(max(float(found[1]) - (first + int(moved[0])) / rate, 0.0))
+    return delays

@@ -1,0 +1,36 @@
+"""A few benches with coarse encoders, and a scale that rests for long; the whole table is among the benchmarks."""
+
+import pytest
+from coarse_benches import completed, delays_of_stuck_scales, flown
+
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.run_options import RunOptions
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def turn_from_rest() -> Plan:
+    return make_plan(load_itinerary("turn-from-rest"))
+
+
+@pytest.mark.parametrize(
+    ("rate", "scale", "counts"), [(200.0, 2e-4, 1000), (200.0, 1e-4, 40_000), (1000.0, 2e-4, 4000)]
+)
+def test_runs_with_coarse_encoders_complete(turn_from_rest: Plan, rate: float, scale: float, counts: int) -> None:
+    options = RunOptions(rate=rate, cart_resolution=scale, counts=counts)
+    assert completed(turn_from_rest, options, range(32)) == (1.0, [])
+
+
+@pytest.mark.parametrize("scale", [1e-6, 2e-4])
+def test_a_stuck_scale_is_found(turn_from_rest: Plan, scale: float) -> None:
+    delays = delays_of_stuck_scales(turn_from_rest, RunOptions(cart_resolution=scale), range(6))
+    assert sorted(delays)[3] <= 0.05
+    assert max(delays) < 2.0
+
+
+def test_arms_held_for_a_minute_have_no_stuck_sensor() -> None:
+    plan = make_plan(load_itinerary("hold-up-up"))
+    options = RunOptions(cart_resolution=2e-4, counts=1000, rate=200.0)
+    assert not [flight.run.reason for flight in flown(plan, options, range(8)) if "stuck" in flight.run.reason]
