@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from dpcontrol.bench.run import DrawnChart
 
 
+ALL_CHARTS = (*CHARTS, *GROUPS)
 FIGURES = (
     "energy-landscape", "families", "tubes", "homoclinics-low", "homoclinics-high", "heteroclinics", "branches",
     "graph", "double-homoclinics", "triple-homoclinics", "colour-wheels", "three-body",

@@ -4,14 +4,17 @@ Click itself completes verbs, options and choices, and leaves files to the shell
 read when they are asked for.
 """
 
+import importlib
 import tomllib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from functools import partial
 from itertools import product
+from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
+
+from dpcontrol.foundation.errors import InputError
 
 Values = Callable[[click.Context], Iterable[str]]
 Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
@@ -27,40 +30,14 @@ def completing(values: Values, *, files: bool = False) -> Completer:
     return complete
 
 
-def _known(kind: str, _: click.Context) -> list[str]:
-    from dpcontrol.foundation.shipped import known
+def _found(module: str, name: str, *given: str) -> Values:
+    """Return the values that a module's object lists, or its function returns for what is given."""
 
-    return known(kind)
+    def values(_: click.Context) -> Any:
+        there = getattr(importlib.import_module(f"dpcontrol.{module}"), name)
+        return there(*given) if callable(there) else there
 
-
-def _mappings(_: click.Context) -> list[str]:
-    from dpcontrol.foundation.shipped import MAPPINGS
-
-    return sorted(file.stem for file in MAPPINGS.glob("*.toml"))
-
-
-def _topics(_: click.Context) -> list[str]:
-    from dpcontrol.cli.start import topics
-
-    return list(topics())
-
-
-def _faults(_: click.Context) -> list[str]:
-    from dpcontrol.rig.bench import FAULTS
-
-    return list(FAULTS)
-
-
-def _figures(_: click.Context) -> Iterable[str]:
-    from dpcontrol.cli.charts import FIGURES
-
-    return FIGURES
-
-
-def _charts(_: click.Context) -> list[str]:
-    from dpcontrol.bench.chart import CHARTS, GROUPS
-
-    return [*CHARTS, *GROUPS]
+    return values
 
 
 def _saddles(context: click.Context) -> list[str]:
@@ -70,20 +47,12 @@ def _saddles(context: click.Context) -> list[str]:
     arms = 2
     # Of an unfinished line click keeps the arguments apart.
     name = context.params.get("model") or next(iter(context.args), "lab")
-    with suppress(Exception):
+    with suppress(InputError, OSError, ValueError, LookupError, TypeError):
         model = tomllib.loads(find("models", str(name)).read_text(encoding="utf-8"))
         if model.get("system") == "three-body":
             return ["L1", "L2", "L3"]
         arms = len(model["arms"]["mass"])
     return ["-".join(names) for names in product(("down", "up"), repeat=arms)]
-
-
-def _settings(_: click.Context) -> list[str]:
-    from dataclasses import fields
-
-    from dpcontrol.scenes.run_options import RunOptions
-
-    return [f"{one.name}=" for one in fields(RunOptions)]
 
 
 def choosing(choices: Iterable[str]) -> Completer:
@@ -92,14 +61,17 @@ def choosing(choices: Iterable[str]) -> Completer:
 
 
 COMPLETERS: dict[tuple[str, str], Completer] = {
-    **{("", name): completing(partial(_known, "models"), files=True) for name in ("model", "plant", "simulated")},
-    ("", "itinerary"): completing(partial(_known, "itineraries"), files=True),
-    ("", "mapping"): completing(_mappings, files=True),
-    ("", "topic"): completing(_topics),
-    ("", "fault"): completing(_faults),
-    ("", "over"): completing(_settings),
-    ("figures", "names"): completing(_figures),
-    ("bench", "names"): completing(_charts),
+    **{
+        ("", name): completing(_found("foundation.shipped", "known", "models"), files=True)
+        for name in ("model", "plant", "simulated")
+    },
+    ("", "itinerary"): completing(_found("foundation.shipped", "known", "itineraries"), files=True),
+    ("", "mapping"): completing(_found("foundation.shipped", "mappings"), files=True),
+    ("", "topic"): completing(_found("cli.start", "topics")),
+    ("", "fault"): completing(_found("rig.bench", "FAULTS")),
+    ("", "over"): completing(_found("scenes.run_options", "settings_to_vary")),
+    ("figures", "names"): completing(_found("cli.charts", "FIGURES")),
+    ("bench", "names"): completing(_found("cli.charts", "ALL_CHARTS")),
     ("replay", "estimator"): choosing(("ekf", "ukf")),
     ("orbit", "saddle"): completing(_saddles),
     **{

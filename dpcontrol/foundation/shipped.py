@@ -16,6 +16,11 @@ MAPPINGS = Path(dpcontrol.__file__).parent / "recordings" / "mappings"
 """The folder of the mappings that recordings are imported by."""
 
 
+def mappings() -> list[str]:
+    """Return the names of the mappings that can be given without a path."""
+    return sorted(file.stem for file in MAPPINGS.glob("*.toml"))
+
+
 def folders(kind: str) -> tuple[Path, Path]:
     """Return where "models" or "itineraries" are: in the working folder, and shipped, in a wheel or a checkout."""
     package = Path(dpcontrol.__file__).parent

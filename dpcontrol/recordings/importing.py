@@ -37,7 +37,7 @@ from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source
 from dpcontrol.foundation.parts import part as package
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Table, read_toml, suggest
-from dpcontrol.foundation.shipped import MAPPINGS
+from dpcontrol.foundation.shipped import MAPPINGS, mappings
 from dpcontrol.recordings.bags import is_bag, read_bag
 from dpcontrol.recordings.checks import (
     ANGLE,
@@ -125,7 +125,7 @@ def load_mapping(name: str) -> Mapping:
     path = Path(name)
     if path.suffix != ".toml":
         path = MAPPINGS / f"{name}.toml"
-        known = sorted(file.stem for file in MAPPINGS.glob("*.toml"))
+        known = mappings()
         if name not in known:
             raise InputError(
                 f"there is no mapping named {name!r}; {suggest(name, known)}; the path of a TOML file works"

@@ -24,6 +24,11 @@ LAWS = ("tvlqr", "adaptive", "ogy", "ogy-classic", "lqr", "feedforward")
 FILTERS = ("ekf", "ukf", "ekf-filterpy")
 
 
+def settings_to_vary() -> list[str]:
+    """Return the beginnings of what `campaign --over` takes."""
+    return [f"{one.name}=" for one in fields(RunOptions)]
+
+
 @dataclass(frozen=True)
 class RunOptions:
     """Settings of a run that take the place of its scene's; None keeps. Each field's metadata has its help text."""
