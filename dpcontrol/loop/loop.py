@@ -184,6 +184,9 @@ class ControlLoop:
             if recovery is not None:
                 if self._fall is not None:
                     self._recover(k, *self._fall, rig)
+                elif not self._stopped and (why := recovery.runs_off(k, report, ticker)):
+                    ticker.brake(k)
+                    self._recover(k, Outcome.TRACKING_LOST, why, rig)
                 elif not self._stopped:
                     self._tell_all(done, recovery.follow_up(k, report, ticker, period))
                 if done == ticker.began + ticker.count:

@@ -247,6 +247,18 @@ class FallRecovery:
         self._begins = False
         return Choice("info", name, joined_text(self._at, what))
 
+    def runs_off(self, k: int, report: Array, ticker: Ticker) -> str:
+        """Return a fall's sentence if the cart runs after its arms near its greatest speed at tick k, or ""."""
+        fastest, place = self._plan.limits.velocity, 2 * self._arms + 1
+        speed = abs(report.item(place, 0))
+        if speed < _FAST * fastest or self.motion is Motion.RETURN:
+            return ""
+        wanted = abs(float(ticker.references[k - ticker.began, place]))
+        if speed < wanted + (1 - _FAST) * fastest:
+            return ""
+        when = f"tracking lost at t = {k * ticker.program.period:.3f} s"
+        return f"{when}: the cart runs after the arms at {speed:.3g} m/s, where the reference has {wanted:.3g} m/s"
+
     def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Sequence[Choice] | None:
         """Return what is told of a fall at tick k, from which a return begins; None where no attempt is left."""
         plan = self._plan
@@ -293,8 +305,6 @@ class FallRecovery:
 
     def follow_up(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
         """Look at tick k, which has just been done; return what is told, where something else begins with the next."""
-        if self.motion is not Motion.RETURN and (why := self._runs_off(k, report, ticker)):
-            return self.fell(k, Outcome.TRACKING_LOST, why, ticker, period) or ()
         if self.motion is Motion.ITINERARY:
             if report.item(ticker.at["error"], 0) < FOLLOWED:
                 self._followed = k
@@ -329,18 +339,6 @@ class FallRecovery:
             return ()
         rested = Choice("info", REST, f"after {(k - self._began) * period:.2f} s")
         return [rested, *self._start(k, report, ticker)]
-
-    def _runs_off(self, k: int, report: Array, ticker: Ticker) -> str:
-        """Return the sentence of a fall if the cart runs after its arms and comes near its greatest speed, or ""."""
-        fastest, place = self._plan.limits.velocity, 2 * self._arms + 1
-        speed = abs(report.item(place, 0))
-        if speed < _FAST * fastest:
-            return ""
-        wanted = abs(float(ticker.references[k - ticker.began, place]))
-        if speed < wanted + (1 - _FAST) * fastest:
-            return ""
-        when = f"tracking lost at t = {k * ticker.program.period:.3f} s"
-        return f"{when}: the cart runs after the arms at {speed:.3g} m/s, where the reference has {wanted:.3g} m/s"
 
     def _caught(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
         """Go on from an earlier place where the way back is long and that to it much shorter; return what is told."""

@@ -109,7 +109,7 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
     """Yield the changes of each kind, the smallest first, that are possible for this scene's run."""
     loop = scene.loop
     limit, drive, counts = loop.travel or scene.limits.position, loop.drive, loop.sensors.counts
-    wide, *wider = (_short(factor * limit) for factor in (1.5, 2.0, 4.0))
+    wide, *wider = map(_short, (1.5 * limit, 2 * limit, max(4 * limit, 2 * scene.limits.position)))
     yield (
         SceneChange(f"a travel of ±{wide:g} m", RunOptions(travel=wide), f"more travel: ±{wide:g} m"),
         *(SceneChange(f"a travel of ±{more:g} m", RunOptions(travel=more)) for more in wider),
