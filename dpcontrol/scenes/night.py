@@ -27,6 +27,7 @@ from tempfile import TemporaryDirectory
 
 from dpcontrol.control.estimator_settings import extra_names
 from dpcontrol.control.interface import Controller, GainSchedule
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
 from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
@@ -242,7 +243,7 @@ def _plan_starts(
     except GoalMissed as missed:
         pipe.send(missed)
         return
-    for k, note in enumerate([] if sent else plan_notes(known)["starts"]):
+    for k, note in enumerate([] if sent else plan_notes(known).get("starts", ())):
         # Meanwhile another process has put them into the cache.
         found(note, start_reference(known, k))
 
@@ -318,7 +319,7 @@ def run_night(
         try:
             if link is None:
                 pace = _pace(plan, controller, recovery)
-                waits = 0.0 if recovery.starts else _waits(settings, recovery, pace)
+                waits = 0.0 if recovery.starts else _waits(settings, recovery.gains.references, until - since) / pace
                 remark(night_cost(scene, night, folder, pace=pace, waits=waits, yes=True))
                 draw = settings.draw(arms, ticks=controller.ticks + 1, uncertainty=scene.uncertainty)
                 draw = draw.endless(since=since)
@@ -363,15 +364,17 @@ _TRIAL = 1.5
 """s, simulated."""
 
 
-def _waits(settings: LoopSettings, recovery: RecoveryPlan, pace: float) -> float:
-    """Return for how long a simulated night will wait for its first way from rest, s.
+def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
+    """Return the expected wait of a simulated night for its first way from rest, in ticks.
 
-    It is needed where laps begin from rest, or after a blow.
+    references (K, N): of a lap. ticks: of the night. The way is needed if laps begin from rest. It may be needed after a
+    blow: the forecast is then the geometric mean of a night with the wait and one without.
     """
-    references, blows = recovery.gains.references, settings.disturbances.knocks_per_minute
-    laps = meeting_tick(references, round(LAST_SECONDS * settings.rate)) is None
-    needed = min(len(references) if laps else math.inf, 60 * settings.rate / blows if blows else math.inf)
-    return max(0.0, (_START_TICKS - needed) / pace) if math.isfinite(needed) else 0.0
+    blows = settings.disturbances.knocks_per_minute
+    if len(references) < ticks and meeting_tick(references, round(LAST_SECONDS * settings.rate)) is None:
+        return max(0.0, _START_TICKS - len(references))
+    first = 60 * settings.rate / blows if blows else math.inf
+    return math.sqrt(ticks * (ticks + max(0.0, _START_TICKS - first))) - ticks if first < ticks else 0.0
 
 
 _START_TICKS = 170_000

@@ -20,9 +20,11 @@ from dpcontrol.loop.recovery import FRESH_SECONDS, REST_ANGLE, REST_RATE, REST_S
 from dpcontrol.loop.result import Ending
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.night import (
+    _START_TICKS,
     NightSettings,
     _plan_starts,
     _since,
+    _waits,
     night_cost,
     night_folder,
     night_itinerary,
@@ -86,6 +88,19 @@ def test_the_time_of_a_night_follows_from_its_pace_and_from_waiting(tmp_path: Pa
     assert minutes(10_000.0) == "6"
     assert minutes(10_000.0, 60.0) == "7"
     assert minutes(20_000.0) == "3"
+
+
+def test_a_night_is_expected_to_wait_only_if_it_needs_a_way_from_rest() -> None:
+    references, hour = np.zeros((5000, 6)), 3_600_000
+    calm, blown = TURN.loop, TURN.with_run(RunOptions(knocks_per_minute=6)).loop
+    # It ends where it begins, so laps need no way from rest.
+    assert _waits(calm, references, hour) == 0
+    assert _waits(blown, references, 9_999) == 0
+    # The first blow comes after 10,000 ticks on average.
+    expected = _waits(blown, references, 180_000)
+    assert (180_000 + expected) ** 2 == pytest.approx(180_000 * (180_000 + _START_TICKS - 10_000))
+    references[-1600:] = 1.0
+    assert _waits(calm, references, hour) == _START_TICKS - 5000
 
 
 def test_what_sticks_comes_back_also_in_a_night_that_is_resumed() -> None:
