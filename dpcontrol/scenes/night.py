@@ -367,8 +367,8 @@ _TRIAL = 1.5
 def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
     """Return the expected wait of a simulated night for its first way from rest, in ticks.
 
-    references (K, N): of a lap. ticks: of the night. The way is needed if laps begin from rest. It may be needed after a
-    blow: the forecast is then the geometric mean of a night with the wait and one without.
+    references (K, N): of a lap. ticks: of the night. The way is needed if laps begin from rest. It may be needed after
+    a blow: the forecast is then the geometric mean of a night with the wait and one without.
     """
     blows = settings.disturbances.knocks_per_minute
     if len(references) < ticks and meeting_tick(references, round(LAST_SECONDS * settings.rate)) is None:
