@@ -303,8 +303,8 @@ class NisMeans:
 
 
 _CAUTIOUS, _BOLD = 0.25, 1.25
-"""Shares of the expected mean. The default leaves room for worse benches than most, above all for their drives: 0.6 at
-1 kHz, 0.34 at 100 Hz. Below a quarter it is what is said of the sensors that is wrong."""
+"""Shares of the expected mean. The adaptive law's filter gives 0.9; those without parameters leave room for worse drives
+than most: 0.6 at 1 kHz, 0.34 at 100 Hz. Below a quarter the settings of the sensors are wrong."""
 _LESS = "set counts and noise under [sensors] as the encoders have them, or lower rate_noise and cart_noise"
 
 
