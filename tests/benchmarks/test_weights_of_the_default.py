@@ -30,7 +30,7 @@ from dpcontrol.scenes.run_options import RunOptions
 pytestmark = pytest.mark.benchmark
 
 FACTORS = (0.5, 1.0, 2.0, 4.0)
-FIRST = (0.03, 0.06)
+FIRST = (0.03, 0.07)
 """Standard deviations of the parameters' relative errors at the start."""
 FAR_OFF = ("turn-from-rest", "outer-turn", "cross")
 BENCH = RunOptions(
