@@ -62,6 +62,8 @@ def extra_names(arms: int, augment: tuple[Augment, ...]) -> tuple[str, ...]:
     return tuple(name for kind in Augment if kind in augment for name in names[kind])
 
 
+_LATE_PERIOD = 1e-3
+"""s: at longer periods late_drive counts in proportion less: in full, it loses most runs at 200 Hz."""
 _MOST = 1e6
 """Of all that a filter may assume, in its unit: more means nothing, and squares of it would overflow."""
 
@@ -78,7 +80,8 @@ class FilterSettings(Settings, table="estimator"):
 
     augment: any of zeros, disturbance, drive, friction, parameters. Standard deviations: zero_error rad, disturbance
     rad/s² with its disturbance_time s, drive_error m/s² with its drive_time s, friction_error and model_error, shares.
-    late_drive: the drive's error grows by this share of each change of the command, as where it lags more than stated.
+    late_drive: the drive's error grows by this share of each change of the command, as where it lags more than stated;
+    at periods above 1 ms by less in proportion.
     """
 
     kind: str = "ekf"
@@ -147,7 +150,9 @@ class FilterSettings(Settings, table="estimator"):
             # A fading quantity keeps its variance: φ² σ² + q = σ².
             variance.append((sigma * _DRIFT) ** 2 * period if lasts is None else sigma**2 * (1 - kept**2))
         squares = 2 * self.correlation_time * (self.nonlinearity / period) ** 2
-        return np.array([*densities, *path, squares, self.surprise, self.late_drive, *decay, *variance])
+        # A change is over within a longer period; its noise would feed itself through the law's own commands.
+        late = self.late_drive * min(1.0, _LATE_PERIOD / period)
+        return np.array([*densities, *path, squares, self.surprise, late, *decay, *variance])
 
     def with_command_noise(self, noise: float, *, period: float, keeps: float = 0.0) -> Self:
         """Return the same for a drive whose commands carry white noise, m/s², new each period.
@@ -303,8 +308,8 @@ class NisMeans:
 
 
 _CAUTIOUS, _BOLD = 0.25, 1.25
-"""Shares of the expected mean. The adaptive law's filter gives 0.9; those without parameters leave room for worse drives
-than most: 0.6 at 1 kHz, 0.34 at 100 Hz. Below a quarter the settings of the sensors are wrong."""
+"""Shares of the expected mean. The adaptive law's filter gives 0.9; those without parameters leave room for worse
+drives than most: 0.6 at 1 kHz, 0.34 at 100 Hz. Below a quarter the settings of the sensors are wrong."""
 _LESS = "set counts and noise under [sensors] as the encoders have them, or lower rate_noise and cart_noise"
 
 
