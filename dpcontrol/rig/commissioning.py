@@ -408,6 +408,7 @@ def _judged(
         *_encoders(wiring, swing, signs, drive.gain),
         _counts(session, wiring, drive.gain, settings, changes),
         _play(angles[since:], session.period, wiring, settings, changes),
+        _friction(angles[since:], session.period, arms, swing, settings),
         _model(swing, wiring, modes(arms)),
     ]
 
@@ -694,11 +695,15 @@ def _sandwich(jacobian: Array, residual: Array, weights: Array | None = None) ->
 
 
 class Modes(NamedTuple):
-    """Normal modes of hanging arms: frequencies (n,) rad/s, dampings (n,), shapes (n, n): W_0, one column a mode."""
+    """Normal modes of hanging arms: frequencies (n,) rad/s, dampings (n,), shapes (n, n): W_0, one column a mode.
+
+    vectors (n, n): the modes of unit mass, one column each.
+    """
 
     frequencies: Array
     dampings: Array
     shapes: Array
+    vectors: Array
 
 
 def modes(arms: ArmChainParameters) -> Modes:
@@ -713,7 +718,7 @@ def modes(arms: ArmChainParameters) -> Modes:
     squares, vectors = linalg.eigh(np.diag(weights), mass)
     frequencies = np.sqrt(squares)
     dampings = np.diag(vectors.T @ drag @ vectors) / (2 * frequencies)
-    return Modes(frequencies, dampings, vectors * (vectors.T @ coupling))
+    return Modes(frequencies, dampings, vectors * (vectors.T @ coupling), vectors)
 
 
 def _sums(n: int) -> Array:
@@ -1175,6 +1180,40 @@ def _rounding(values: Array) -> float:
     if step < 1e-6 or whole.mean() < 0.95:
         return 0.0
     return float(np.ptp(levels)) / round(float(np.ptp(levels)) / step)
+
+
+_FRICTION, _SMOOTHED, _TOO_DAMPED = 5e-4, 0.03, 0.3
+"""Least friction that is observed, as a share of gravity's torque; s over which rates are averaged; damping of arms
+that hardly swing."""
+
+
+def _friction(
+    angles: Array, period: float, arms: ArmChainParameters, swing: CommissioningSwing, settings: LoopSettings
+) -> Finding:
+    """Compare the dry friction of the joints with what [run] says: the torque that loses as much power as the swing.
+
+    A mode of unit mass loses 2 ζ ω q̇² beyond what viscous friction explains; a joint with a dry torque c loses c |ρ|.
+    """
+    model, span, own = modes(arms), max(1, round(_SMOOTHED / period)), settings.mechanics
+    rates = (angles[span:] - angles[:-span]) / (span * period)
+    squares = ((rates @ np.linalg.inv(model.vectors).T) ** 2).mean(axis=0)
+    power = float(2 * (swing.dampings - model.dampings) * swing.frequencies @ squares)
+    ways = np.abs(np.diff(rates, axis=1, prepend=0.0)).mean(axis=0)
+    known = np.array(own.of_each("stiction", arms.count)) * own.kinetic + (arms.coulomb or 0.0)
+    torque, said = power / max(float(ways.sum()), 1e-9), float(known @ ways) / max(float(ways.sum()), 1e-9)
+    least = _FRICTION * float(arms.base()[arms.count * (arms.count + 1) // 2 :][: arms.count].max())
+    figures = {"torque": torque, "least": least}
+    if swing.dampings.max() > _TOO_DAMPED:
+        why = f"the arms hardly swing: their dry friction, about {1e3 * torque:.1g} mN m or more, cannot be measured"
+        return Finding("friction", Grade.UNSURE, why, "loosen the joints and start again", figures)
+    if torque < max(least, 1.5 * said):
+        none = f"the joints show no dry friction beyond {1e3 * least:.1g} mN m"
+        sentence = f"the swing decays as by a dry friction of {1e3 * torque:.2g} mN m in each joint, as [run] says"
+        return Finding("friction", Grade.OK, none if torque < least else sentence, "", figures)
+    sentence = f"the swing decays as by a dry friction of {1e3 * torque:.2g} mN m in each joint"
+    breakaway = torque / max(own.kinetic, 0.1)
+    remedy = f"set stiction = {breakaway:.2g} in [run], or identify the model (`dpcontrol identify`)"
+    return Finding("friction", Grade.UNSURE, sentence, remedy, figures)
 
 
 _DETUNING, _FASTER, _LEAST_DAMPING = 0.05, 5.0, 0.01

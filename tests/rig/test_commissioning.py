@@ -97,7 +97,18 @@ def test_a_rig_that_is_right_is_found_right_and_measured() -> None:
     found = commissioned(rig)
     assert not found.wrong
     steps = [f.step for f in found.findings]
-    assert steps == ["still", "drive", "delay", "encoders", "counts", "play", "model", "switches", "deadlines"]
+    assert steps == [
+        "still",
+        "drive",
+        "delay",
+        "encoders",
+        "counts",
+        "play",
+        "friction",
+        "model",
+        "switches",
+        "deadlines",
+    ]
     assert [f.step for f in found.findings if f.verdict is Grade.UNSURE] == ["switches"]
     assert found.changes == {"delay": pytest.approx(1.0, abs=0.01), "lag": 0.0, "drive_lag": 0.0}
     assert rig.stops == 1
@@ -285,6 +296,21 @@ def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: i
     said = LoopSettings(seed=0, rate=RATE, mechanics=MechanicsSettings(play=tuple(found.changes["play"])))
     rig = bench(mechanics={"play": play}, seed=seed + 10)
     assert next(f for f in commissioned(rig, said=said).findings if f.step == "play").verdict is Grade.OK
+
+
+@pytest.mark.parametrize(("torque", "play", "seed"), [(0.0007, 0.0, 3), (0.0013, 0.006, 4), (0.0004, 0.003, 5)])
+def test_dry_friction_is_measured_to_a_half(torque: float, play: float, seed: int) -> None:
+    rig = bench(mechanics={"stiction": torque, "kinetic": 1.0, "play": play}, drive={"lag": 0.004}, seed=seed)
+    finding = next(f for f in commissioned(rig).findings if f.step == "friction")
+    assert finding.verdict is Grade.UNSURE
+    assert finding.figures["torque"] == pytest.approx(torque, rel=0.5)
+
+
+def test_stiction_that_holds_the_arms_still_is_not_measured_but_said() -> None:
+    found = commissioned(bench(mechanics={"stiction": 0.006}, seed=2))
+    finding = next(f for f in found.findings if f.step == "friction")
+    assert finding.verdict is Grade.UNSURE
+    assert finding.figures["torque"] > 0.002 or "cannot be measured" in finding.sentence
 
 
 @pytest.mark.slow  # Several seconds: many benches, to see the rare ones.
