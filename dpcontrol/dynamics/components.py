@@ -1,7 +1,7 @@
-"""Components of a plant besides its arms, cart and drive: their interface, and four that ordinary rigs have.
+"""Components that a plant can have in addition to arms, cart and drive: the interface, and four of ordinary rigs.
 
-A component adds terms to the plant's Lagrangian and Rayleigh function, and it can have states of its own. Where smooth
-equations are not enough it has modes: numbers that are constant within a step and are chosen at its beginning.
+A component adds terms to the Lagrangian and the Rayleigh function of the plant, and can have its own states. If smooth
+equations are not enough, it has modes: numbers that are chosen at the beginning of a step and constant within it.
 
     belt      ẍ = ω² (x_m - x) + 2 ζ ω (ẋ_m - ẋ) + b,  ẍ_m: acceleration of the drive, b: gravity along the track
     play      e⁺ = min(max(e, φ - w/2), φ + w/2),  φ: angle of the joint, e: angle of its encoder, w: the play
@@ -62,8 +62,8 @@ class Frame:
 class Terms(NamedTuple):
     """A component's part in the equations of motion.
 
-    lagrangian J, dissipation W; rates: time derivatives of the component's states; drive m/s²: the acceleration of the
-    cart in place of the drive's own, for a component with a motor.
+    lagrangian J and dissipation W. rates: time derivatives of the component's states. drive m/s²: acceleration that a
+    component with a motor gives the cart.
     """
 
     lagrangian: ca.SX = ca.SX(0)

@@ -9,8 +9,7 @@ every level gravity may pull along the track too, as on a track that is tilted: 
 term b (Σ S_i sin θ_i + M x). Angles are then still measured from the track's normal.
 
 Components add to this at every level (`dpcontrol.dynamics.components`). A component with a motor stands between drive
-and cart: the drive then moves the motor, ẍ_m = u or a, and the component gives the cart its acceleration, or the force
-M times that.
+and cart. The drive then moves the motor, ẍ_m = u or a. The component accelerates the cart, at level force by its force.
 
 Source: Åström & Murray, Feedback Systems (2008), section 2.2 and example 2.1 (balance systems).
 """
@@ -56,8 +55,8 @@ class PlantParameters(Settings):
 
     lag s: time constant of the drive's velocity loop, zero for one that follows at once. cart_mass kg without the
     arms, zero for a cart that the arms cannot move; cart_viscous N s/m. tilt rad of the track, positive where its
-    right end is the lower one: gravity then pulls by g sin(tilt) along it, by g cos(tilt) across. components: what the
-    plant has besides, in the order of their states.
+    right end is the lower one: gravity then pulls by g sin(tilt) along it, by g cos(tilt) across.
+    components: in the order of their states.
     """
 
     arms: ArmChainParameters
@@ -193,8 +192,8 @@ def _state(q: ca.SX, v: ca.SX, demand: ca.SX, level: PlantLevel) -> ca.SX:
 class _Motion:
     """The motion of a plant, symbolically.
 
-    demand: a; frames: of the components; moving (n+1,): accelerations of arms and cart; drive: acceleration of what the
-    drive moves; modes: in which a step begins; rates: of the components' states.
+    demand is a. frames are those of the components. moving (n+1,): accelerations of arms and cart. drive: acceleration
+    of cart or motor. modes: those in which a step begins. rates: derivatives of the components' states.
     """
 
     parts: Mechanics

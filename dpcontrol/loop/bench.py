@@ -218,14 +218,15 @@ class DisturbanceSettings(Settings, table="disturbances"):
 class MechanicsSettings(Settings, table="mechanics"):
     """Mechanics of an ordinary rig that no model has; see `dpcontrol.dynamics.components`.
 
-    belt Hz: frequency of the cart on an elastic belt with the motor held, belt_damping: its ratio; belt_scale: whether
-    the cart's scale sits on the "motor" or on the "cart". play rad: between joint and encoder, the whole width, for all
-    arms or for each; where the encoder begins in it is random. cable_torque N m on the hanging inner arm and
-    cable_stiffness N m/rad against its turning. stiction N m: break-away torque of the joints, for all or each, and
-    kinetic: their torque while they slide, as a share of it. initial_rate rad/s: uniform ± on each rate of the first
-    state; initial_cart m: where the cart stands at first.
+    belt Hz: frequency of the cart on an elastic belt with the motor held. belt_damping: damping ratio of that.
+    belt_scale: place of the cart's scale, "motor" or "cart". play rad: width of the play between joint and encoder, for
+    all arms or each. The encoder's first place in it is random. cable_torque N m acts on the hanging inner arm,
+    cable_stiffness N m/rad against its turning. stiction N m: break-away torque of the joints, for all or each.
+    kinetic: torque of a sliding joint as a share of that. initial_rate rad/s: uniform ± on each rate of the first
+    state. initial_cart m: first position of the cart.
 
-    known_belt Hz, known_play rad: what the loop knows of them, by default the bench's own; 0: nothing.
+    known_belt Hz and known_play rad are the loop's values of belt and play, by default the true ones. With 0 the loop
+    ignores them.
     """
 
     belt: float = setting(0.0, least=1, most=1000, zero="a rigid belt", unit="Hz")

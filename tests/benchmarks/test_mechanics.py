@@ -1,7 +1,7 @@
 """How much belt, play, cable, stiction and a rough start the loop bears: bars and measured stability limits.
 
-Every run has ±5 % on the arms, first angles off by ±0.05 rad, zeros by ±0.02 rad, a lag of 5 ms of which the loop does
-not know, noise on the command, 40,000 counts and 0.8 m of travel.
+Every run has ±5 % on the arms, first angles off by ±0.05 rad, and zeros by ±0.02 rad. The drive lags by 5 ms, which the
+loop does not know, and its command is noisy. Encoders have 40,000 counts, the cart 0.8 m of travel.
 """
 
 import sys
@@ -30,8 +30,8 @@ LADDERS = {
     ),
     "play, known (mrad)": tuple({"play": v} for v in (0.02, 0.05, 0.1, 0.2, 0.3, 0.4)),
     "play, unknown (mrad)": tuple({"play": v, **UNAWARE} for v in (0.002, 0.005, 0.007, 0.01, 0.015, 0.02)),
-    "cable torque (mN m)": tuple({"cable_torque": v} for v in (0.02, 0.05, 0.1, 0.2, 0.3)),
-    "cable stiffness (mN m/rad)": tuple({"cable_stiffness": v} for v in (0.02, 0.05, 0.1, 0.2, 0.3)),
+    "cable torque (mN m)": tuple({"cable_torque": v} for v in (0.005, 0.01, 0.015, 0.02, 0.03)),
+    "cable stiffness (mN m/rad)": tuple({"cable_stiffness": v} for v in (0.005, 0.01, 0.02, 0.05, 0.1)),
     "stiction (mN m)": tuple({"stiction": v} for v in (0.001, 0.002, 0.003, 0.004, 0.006, 0.01)),
     "first rates (rad/s)": tuple({"initial_rate": v} for v in (0.5, 1.0, 2.0, 3.0, 5.0)),
     "cart at first (mm)": tuple({"initial_cart": v} for v in (0.05, 0.1, 0.2, 0.3, 0.4)),
@@ -45,7 +45,7 @@ def plan_of(name: str) -> Plan:
 
 
 def completed(name: str, runs: int, **options: object) -> int:
-    """Return how many of so many runs are completed with these options."""
+    """Return the number of completed runs with these options."""
     plan = plan_of(name)
     scene = plan.followed().itinerary.with_run(RunOptions(**{**BENCH, **options}))
     done = 0

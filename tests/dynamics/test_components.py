@@ -132,7 +132,7 @@ def test_a_joint_slides_with_its_kinetic_torque_and_comes_to_rest_exactly() -> N
     angle, rate = found[:, 0], found[:, 1]
 
     def swing(begin: float) -> float:
-        """Return where a swing from rest at `begin` turns: gravity's energy less the torque times the way."""
+        """Return the angle at which a swing from rest at `begin` turns: all energy has gone into friction."""
         side = np.sign(begin)
         ends = np.linspace(begin, -begin, 400_001)
         left = WEIGHT * (np.cos(ends) - np.cos(begin)) - kinetic * np.abs(begin - ends)
