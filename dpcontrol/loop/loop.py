@@ -696,6 +696,10 @@ def loop_margins(
         known = {f.name: getattr(settings.estimator, f.name) for f in fields(FilterSettings) if f.name != "kind"}
         settings = replace(settings, estimator=EkfSettings(**known))
 
+    # To first order a known belt with its shaping is a lag, and play is nothing.
+    unshaped = replace(settings.mechanics, known_belt=0.0, known_play=0.0)
+    settings = replace(settings, drive_lag=settings.known_lag, mechanics=unshaped)
+
     def program_of(law: Controller) -> TickProgram:
         return make_ticker(parameters, settings, law, limits=_UNBOUND, delay=settings.drive.delay).program
 

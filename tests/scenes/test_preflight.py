@@ -19,7 +19,15 @@ from dpcontrol.scenes import preflight as module
 from dpcontrol.scenes.campaign import CampaignSettings, Job, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.preflight import ASSUMED_MISMATCH, PreflightSettings, SceneChange, as_known, falling, preflight
+from dpcontrol.scenes.preflight import (
+    ASSUMED_MISMATCH,
+    PreflightSettings,
+    SceneChange,
+    as_known,
+    falling,
+    hazards,
+    preflight,
+)
 from dpcontrol.scenes.run_options import RunOptions
 
 HARD = RunOptions(mismatch=0.2, initial_error=0.05, lag=0.005, command_noise=0.3, controller="tvlqr")
@@ -202,3 +210,17 @@ def test_impossible_settings_are_refused_by_name(values: dict[str, Any]) -> None
 
 def test_points_without_completing_seeds_have_no_share() -> None:
     assert math.isnan(ShareAt(1.0, 32, 0, 0).share)
+
+
+def test_borders_of_belt_play_and_stiction_are_sought_and_what_the_loop_knows_stays(turn: Plan) -> None:
+    rough = RunOptions(belt=60.0, play=0.004, cable_torque=-0.001)
+    scene = turn.followed().itinerary.with_run(rough)
+    found = {one.name: one for one in hazards(turn, scene, most_delay=10)}
+    assert {"belt", "play", "stiction", "cable torque"} <= found.keys()
+    assert not {"cable stiffness", "first rates", "cart at first"} & found.keys()
+    assert (found["belt"].set, found["play"].set, found["cable torque"].set) == (60.0, 0.004, 0.001)
+    worse = scene.with_run(found["play"].options(0.02)).loop
+    assert worse.mechanics.play == 0.02
+    assert worse.known_mechanics(2) == scene.loop.known_mechanics(2)
+    # Of a belt less is worse.
+    assert found["belt"].place(30.0) > found["belt"].place(60.0)
