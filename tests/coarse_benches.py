@@ -28,7 +28,7 @@ def completed(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> tuple[fl
 
 
 def delays_of_stuck_scales(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> list[float]:
-    """Return how long after the cart has moved a millimetre a stuck scale is found, s; infinite if it is not.
+    """Return the delays from the cart's first millimetre to the detection of its stuck scale, s; infinite for none.
 
     It sticks at a random time of each run. One that is found sooner counts as found at once.
     """
