@@ -221,7 +221,7 @@ class SimulatedPlant:
                 continue
             values: list[Any] = following.tolist()
             if values[cart] > track or values[cart] < -track:
-                self._meet_stop(acceleration, duration, time + k * duration)
+                self._meet_stop(acceleration, float(duration), time + k * duration)
             else:
                 self._states[:] = self._flown
                 self.values = values
@@ -345,7 +345,7 @@ class SimulatedBench:
         self.hardest: Any = 0.0
         """The largest acceleration that the drive has applied, m/s², of each run where there are many."""
         self._larger: Any = max if lanes is ONE else np.maximum
-        self._seen: list[Any] | None = None
+        self._seen: Any = None
         self._cart, self._ticks, self._tick = 2 * n, draw.ticks, -1
         self._braking: Any = None
         self._blows: dict[int, list[tuple[int, Blow]]] = {}

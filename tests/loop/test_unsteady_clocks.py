@@ -47,9 +47,9 @@ class Bursts(SimulatedRig):
 
 
 def flown(
-    reference: Reference, rig: type[SimulatedRig] = SimulatedRig, **sensors: float | str
+    reference: Reference, sensors: SensorSettings, rig: type[SimulatedRig] = SimulatedRig
 ) -> tuple[LoopResult, ControlLoop, Told]:
-    settings, told = replace(SETTINGS, sensors=SensorSettings(**sensors)), Told()
+    settings, told = replace(SETTINGS, sensors=sensors), Told()
     controller, limits = loop_controller(reference, LAB, settings), settings.limits(reference)
     loop = control_loop(LAB, settings, controller, limits=limits, sink=told)
     draw = settings.draw(LAB, ticks=controller.ticks + 1)
@@ -71,7 +71,7 @@ def rate_errors(result: LoopResult) -> float:
 
 @pytest.mark.parametrize("jitter", [0.0, 5e-4, 1e-3])
 def test_the_spread_of_the_readings_ages_is_found(turn: tuple[StandIn, Reference], jitter: float) -> None:
-    result, loop, _ = flown(turn[1], jitter=jitter)
+    result, loop, _ = flown(turn[1], SensorSettings(jitter=jitter))
     assert result.ending is Ending.FINISHED
     # Uniform ages: their variance is a twelfth of their span squared.
     uniform = jitter / np.sqrt(12)
@@ -79,17 +79,17 @@ def test_the_spread_of_the_readings_ages_is_found(turn: tuple[StandIn, Reference
 
 
 def test_a_reported_age_leaves_the_rates_as_good_as_without_jitter(turn: tuple[StandIn, Reference]) -> None:
-    jitter = {"jitter": PERIOD, "counts": 40_000}
+    jitter = SensorSettings(jitter=PERIOD)
     steady, unknown, known = (
-        rate_errors(flown(turn[1], **sensors)[0])
-        for sensors in ({"counts": 40_000}, jitter, {**jitter, "ages": "reported"})
+        rate_errors(flown(turn[1], sensors)[0])
+        for sensors in (SensorSettings(), jitter, replace(jitter, ages="reported"))
     )
     assert known < 1.2 * steady
     assert unknown > 1.5 * known
 
 
 def test_readings_that_fail_to_come_are_borne_in_silence(turn: tuple[StandIn, Reference]) -> None:
-    result, _, told = flown(turn[1], Bursts, dropout=0.03)
+    result, _, told = flown(turn[1], SensorSettings(dropout=0.03), Bursts)
     assert result.ending is Ending.FINISHED
     assert told.alarms == []
 
