@@ -15,8 +15,8 @@ Wraps are counted from the times between two crossings, because small orbits are
 
     N = N* + round((Δt - Δt*) / T)            N*, Δt*: of the plan; T: the period of the stop's orbit
 
-A threshold on how long the arms stay nearest to a saddle would not do: at H = 0.2 the orbit about Down-Up swings the
-inner arm by 1.8 rad, so that it is nearest to other saddles for much of each period.
+A threshold on how long the arms stay nearest to a saddle is not enough. At H = 0.2 the orbit about Down-Up swings the
+inner arm by 1.8 rad, so other saddles are nearer for much of each period.
 """
 
 from dataclasses import dataclass
@@ -47,11 +47,11 @@ class Visit:
 
 @dataclass(frozen=True)
 class Decoded:
-    """What a run did of its plan.
+    """The part of a plan that a run did.
 
-    visits: the stops that were reached, in order; crossings s: when each symbol between them crossed its section, None
-    for a transfer; wraps: at each interior stop between two crossings, else None. lost: the tick at which the run was
-    farther than `FOLLOWS` from the plan, None if it never was.
+    visits: the stops that were reached, in order. crossings: the time, s, at which each symbol between them crossed its
+    section, None for a transfer. wraps: at each interior stop between two crossings, else None. lost: the first tick
+    farther than `FOLLOWS` from the plan, or None.
     """
 
     visits: tuple[Visit, ...]
@@ -97,7 +97,7 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
 
 
 def _crossings(time: Array, angles: Array, plan: Reference) -> tuple[float | None, ...]:
-    """Return when each symbol crosses its section, s: where none is found when it is due, None for a transfer."""
+    """Return the time at which each symbol crosses its section, s: its due time if none is found, None for a transfer."""
     crossings: list[float | None] = []
     after, late = float(time[0]), 0.0
     for symbol in plan_notes(plan)["symbols"]:
@@ -281,7 +281,7 @@ _COUNTED = 0.3
 
 
 def shortfall(plan: Reference) -> str:
-    """Return why a run that follows the reference exactly is not completed, and what helps, or an empty string."""
+    """Return the reason why even an exact run of the reference is not completed, with a remedy, or an empty string."""
     notes = plan_notes(plan)
     stops, symbols = notes["stops"], notes["symbols"]
     times = np.arange(0.0, plan.duration, _GRID / 10)
