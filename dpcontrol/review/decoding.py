@@ -97,7 +97,7 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
 
 
 def _crossings(time: Array, angles: Array, plan: Reference) -> tuple[float | None, ...]:
-    """Return the time at which each symbol crosses its section, s: its due time if none is found, None for a transfer."""
+    """Return the crossing time of each symbol, s: the due time if there is no crossing, None for a transfer."""
     crossings: list[float | None] = []
     after, late = float(time[0]), 0.0
     for symbol in plan_notes(plan)["symbols"]:
