@@ -19,6 +19,7 @@ A threshold on how long the arms stay nearest to a saddle is not enough. At H = 
 inner arm by 1.8 rad, so other saddles are nearer for much of each period.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -80,10 +81,11 @@ def shortest_period(notes: PlanNotes) -> float:
 def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
     """Decode angles (K, n) at times (K,) s, the first of them on the plan's clock."""
     notes = plan_notes(plan)
-    crossings = _crossings(time, angles, plan)
-    clock = _plan_time(time, notes, crossings)
+    due = _due(plan, angles.shape[1])
+    crossings = _crossings(time, angles, plan, due, carries=True)
+    clock = _plan_time(time, due, crossings)
     lost = _lost(angles, clock, plan)
-    spans, arrivals = _spans(notes, plan.duration)
+    spans, arrivals = _spans(notes, due, plan.duration)
     half = shortest_period(notes) / 2
     visits: list[Visit] = []
     for stop, (begin, end), arrival in zip(notes["stops"], spans, arrivals, strict=True):
@@ -93,21 +95,37 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
         inside = np.flatnonzero((clock >= begin) & (clock <= end))
         visits.append(_visit(angles, inside, stop, notes))
     crossings = crossings[: max(0, len(visits) - 1)]
-    return Decoded(tuple(visits), crossings, _wraps(crossings, notes), lost)
+    return Decoded(tuple(visits), crossings, _wraps(crossings, due, notes), lost)
 
 
-def _crossings(time: Array, angles: Array, plan: Reference) -> tuple[float | None, ...]:
-    """Return the crossing time of each symbol, s: the due time if there is no crossing, None for a transfer."""
+def _due(plan: Reference, arms: int) -> list[float]:
+    """Return the plan's time at which its reference crosses each section, s: the middle of a transfer.
+
+    A symbol's own time is that of the orbit which the reference shadows, not of the reference itself.
+    """
+    times = np.arange(0.0, plan.duration, _GRID)
+    planned = [symbol["time"] for symbol in plan_notes(plan)["symbols"]]
+    found = _crossings(times, plan.state(plan.mesh[0] + times)[:, :arms], plan, planned, carries=False)
+    return [at if at is not None else time for at, time in zip(found, planned, strict=True)]
+
+
+def _crossings(
+    time: Array, angles: Array, plan: Reference, planned: Sequence[float], *, carries: bool
+) -> tuple[float | None, ...]:
+    """Return the crossing time of each symbol, s: the due time if there is no crossing, None for a transfer.
+
+    planned s: when they are due on the plan's clock. carries: whether one that is late makes the next ones late.
+    """
     crossings: list[float | None] = []
     after, late = float(time[0]), 0.0
-    for symbol in plan_notes(plan)["symbols"]:
-        due = symbol["time"] + late
+    for symbol, at in zip(plan_notes(plan)["symbols"], planned, strict=True):
+        due = at + late
         if symbol["section"] is None:
             crossings.append(None)
             continue
         found = _crossing(time, angles, symbol, plan, between=(after, due))
         crossings.append(found)
-        after, late = found, found - symbol["time"]
+        after, late = found, (found - at if carries else 0.0)
     return tuple(crossings)
 
 
@@ -130,13 +148,13 @@ def _crossing(
     return float(time[row] + share * (time[row + 1] - time[row]))
 
 
-def _plan_time(time: Array, notes: PlanNotes, crossings: tuple[float | None, ...]) -> Array:
+def _plan_time(time: Array, due: Sequence[float], crossings: tuple[float | None, ...]) -> Array:
     """Return the plan's time (K,) at each tick, s: with the offset of the nearest crossing, none at the start."""
     anchors, offsets = [float(time[0])], [0.0]
-    for at, symbol in zip(crossings, notes["symbols"], strict=True):
+    for at, planned in zip(crossings, due, strict=True):
         if at is not None:
             anchors.append(at)
-            offsets.append(at - symbol["time"])
+            offsets.append(at - planned)
     middles = [(a + b) / 2 for a, b in pairwise(anchors)]
     return np.asarray(time - np.asarray(offsets)[np.searchsorted(middles, time)])
 
@@ -165,13 +183,12 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
     return int(rows[0])
 
 
-def _spans(notes: PlanNotes, duration: float) -> tuple[list[tuple[float, float]], list[float]]:
+def _spans(notes: PlanNotes, due: Sequence[float], duration: float) -> tuple[list[tuple[float, float]], list[float]]:
     """Return between what times of the plan it is at each stop, from crossing to crossing or without the transfers
     beside it, and when the reference has arrived there, s.
     """
     begins, ends, arrivals = [0.0], [], [0.0]
-    for symbol in notes["symbols"]:
-        at = symbol["time"]
+    for symbol, at in zip(notes["symbols"], due, strict=True):
         if symbol["section"] is None:
             way = next(((a, b) for a, b in notes["transfers"] if a <= at <= b), (at, at))
             ends.append(way[0])
@@ -198,7 +215,7 @@ def _visit(angles: Array, inside: NDArray[np.intp], stop: StopNote, notes: PlanN
     return Visit(place, int(near[0]), int(near[-1]))
 
 
-def _wraps(crossings: tuple[float | None, ...], notes: PlanNotes) -> tuple[int | None, ...]:
+def _wraps(crossings: tuple[float | None, ...], due: Sequence[float], notes: PlanNotes) -> tuple[int | None, ...]:
     """Return the wraps at each interior stop that was reached.
 
     None beside a transfer, and where the orbit is changed at a stop.
@@ -209,7 +226,7 @@ def _wraps(crossings: tuple[float | None, ...], notes: PlanNotes) -> tuple[int |
         if arrived is None or left is None or planned is None:
             counts.append(None)
             continue
-        longer = (left - arrived) - (notes["symbols"][k + 1]["time"] - notes["symbols"][k]["time"])
+        longer = (left - arrived) - (due[k + 1] - due[k])
         counts.append(round(planned) + round(longer / _period(notes, k + 1)))
     return tuple(counts)
 
@@ -287,7 +304,7 @@ def shortfall(plan: Reference) -> str:
     times = np.arange(0.0, plan.duration, _GRID / 10)
     states = plan.state(plan.mesh[0] + times)
     angles = states[:, : len(stops[0]["angles"])]
-    spans, _ = _spans(notes, plan.duration)
+    spans, _ = _spans(notes, _due(plan, angles.shape[1]), plan.duration)
     for k, (stop, (begin, end)) in enumerate(zip(stops, spans, strict=True)):
         away = _distance(states[(times >= begin) & (times <= end)][::10], stop, plan)
         if away <= _REACHES:
