@@ -83,7 +83,7 @@ def counted_states(flown: Flown, plan: Plan) -> Array:
     n, out = plan.arms, []
     for k, flight in enumerate(flown.flights):
         later = min((f.at for f in flown.flights[k + 1 :]), default=np.inf)
-        count = min(flight.end - flight.first, round((later - flight.at) * plan.rate))
+        count = round(min(flight.end - flight.first, (later - flight.at) * plan.rate))
         if count <= 0:
             continue
         piece = flown.states[flight.first : flight.first + count].copy()

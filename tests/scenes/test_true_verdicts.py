@@ -67,7 +67,10 @@ def test_a_wide_orbit_between_a_transfer_and_a_hold_is_a_stop(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_hold_at_the_end_is_judged_for_no_longer_than_it_lasts(tmp_path: Path) -> None:
-    text = 'model = "lab"\nstart = "rest"\n[[parts]]\nhold = "up-up"\nseconds = 0.4\n'
+    holds = [
+        f'[[parts]]\nhold = "{name}"\nseconds = {seconds}\n' for name, seconds in (("up-up", 1.0), ("down-down", 0.5))
+    ]
+    text = "".join(['model = "lab"\nstart = "rest"\nfinish = "rest"\n', *holds])
     plan = planned(tmp_path, text)
     assert plan.converged
     assert verdict_on(exact(plan), plan.reference).problem == ""
