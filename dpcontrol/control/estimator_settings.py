@@ -192,7 +192,7 @@ class HoldEkfSettings(EkfSettings):
     """
 
     augment: tuple[str, ...] = ("zeros", "disturbance", "drive")
-    disturbance: float = 2.0
+    disturbance: float = 3.0
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ class HoldSettings(QuadraticWeights):
     """
 
     kind: str = "lqr"
-    damping: float = setting(0.07, least=0, most=10)
+    damping: float = setting(0.03, least=0, most=10)
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,7 @@ from dpcontrol.control.tracking import (
     extra_jacobians,
     tracking_controller,
 )
-from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
+from dpcontrol.dynamics.chain import ArmChainParameters, damping_scales, pendulum_system
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import equilibria
@@ -222,6 +222,11 @@ def _sought(saddle: str, energy: float, reference: Reference, parameters: ArmCha
     return found
 
 
+_OSCILLATION = 2.5
+"""rad/s: amplitude of a joint's rate at which a hold takes dry friction of its model for viscous friction."""
+_MOST_DRY = 0.055
+"""Most of it, as a share like a hold's damping: more costs robustness against wrong masses."""
+
 ControllerSettings = (
     TvlqrSettings | FeedforwardSettings | AdaptiveSettings | HoldSettings | OgySettings | ClassicOgySettings
 )
@@ -260,6 +265,10 @@ def make_controller(
         start, names = reference.state(0.0), extra_names(model.arms, estimator.augments)
         process = estimator.process(model.arms, model.period)
         effects, kept = extra_jacobians(model, estimator.augments, start[None], np.zeros(1), process)
+        if parameters.coulomb:
+            shares = np.array(parameters.coulomb) / np.array(damping_scales(parameters.base(), parameters.count))
+            dry = min(4 / (np.pi * _OSCILLATION) * float(shares.max()), _MOST_DRY)
+            settings = replace(settings, damping=settings.damping + dry)
         return hold_controller(start, model, settings, seconds=seconds, extras=Extras(names, effects[0], kept))
     if isinstance(settings, AdaptiveSettings):
         return adaptive_controller(reference, model, settings, estimator=estimator)
