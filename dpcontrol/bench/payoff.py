@@ -62,7 +62,7 @@ from dpcontrol.walks.symbols import parse_walk
 from dpcontrol.walks.walks import resolve
 
 LIMITS = Limits()
-SETTINGS = ReferenceSettings(pendulum_weight=0.0, cart_weight=0.0, iterations=100)
+SETTINGS = ReferenceSettings(pendulum_weight=0.0, cart_weight=0.0)
 """Of every search: the product's own, but for the cost, which is the effort alone."""
 GAP = 1e-4
 """Scaled: what may lie between an interval's end and the next one's start."""

@@ -60,6 +60,9 @@ from dpcontrol.references.trajectory import (
 )
 from dpcontrol.references.transcription import solve
 
+_HELD = 300.0
+"""Factor on the guess's weight if the solver fails or ends at another motion: it then wanders less. A walk of 10 s with
+dry friction takes 42 iterations in place of 279."""
 _STEP, _LEAST_STEP = 0.25, 1 / 32
 """Shares of the friction by which it is raised at first, and at least."""
 _ROUNDING = 1e-12
@@ -286,6 +289,16 @@ def _is_another_motion(problem: ReferenceProblem, solved: Solved, settings: Refe
     return followed and away_from_guess(problem, solved.trajectory)[0] > FARTHEST
 
 
+def _near_guess(
+    problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits
+) -> Solved | None:
+    """Return a solution that a heavy weight keeps near the guess, or None."""
+    if settings.pendulum_weight == 0:
+        return None
+    solved = solve(problem, first, settings=settings, limits=limits)
+    return solved if solved.succeeded and not _is_another_motion(problem, solved, settings) else None
+
+
 def _once_more(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits, failed: Solved
 ) -> tuple[Solved | None, str]:
@@ -348,9 +361,14 @@ def find_reference(
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if not solved.succeeded or _is_another_motion(problem, solved, settings):
             start = first_trajectory(problem, method, first.mesh)
-            raised, why = _once_more(problem, start, settings=settings, limits=limits, failed=solved)
-            if raised is None:
-                return result(replace(solved, trajectory=first), why, converged=False)
+            held = replace(settings, pendulum_weight=_HELD * settings.pendulum_weight)
+            raised = _near_guess(problem, start, settings=held, limits=limits)
+            if raised is not None:
+                settings = held
+            else:
+                raised, why = _once_more(problem, start, settings=settings, limits=limits, failed=solved)
+                if raised is None:
+                    return result(replace(solved, trajectory=first), why, converged=False)
             solved = raised
             iterations, seconds = iterations + raised.iterations, seconds + raised.seconds
         errors = error_between_nodes(problem, solved.trajectory)

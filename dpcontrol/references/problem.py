@@ -176,7 +176,7 @@ class ReferenceSettings(Settings, table="reference"):
     cart_weight: float = setting(10.0, least=0)
     end_tolerance: float = setting(0.0, least=0)
     rounds: int = setting(8, least=1)
-    iterations: int = setting(200, least=1)
+    iterations: int = setting(100, least=1)
 
     def __post_init__(self) -> None:
         """Check the bounds.
