@@ -388,7 +388,7 @@ def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
     notes = reference.notes
     try:
         model = model_from(notes["made_from"]["model"], notes["model"])
-        scene = itinerary_from(notes["made_from"]["scene"], notes["itinerary"], model)
+        scene = itinerary_from(notes["made_from"]["scene"], notes["itinerary"], model, folder=file.parent)
     except (KeyError, TypeError) as error:
         raise InputError(f"{file} is a reference, but its notes are not those of a plan: {error}") from error
     return replace(scene, path=file, stored=file)
@@ -421,13 +421,13 @@ def itinerary_of(
     return itinerary_from("\n".join(lines) + "\n", name, model)
 
 
-def itinerary_from(text: str, name: str, model: Model) -> Itinerary:
-    """Return the itinerary of a file's text, under a name.
+def itinerary_from(text: str, name: str, model: Model, *, folder: Path = Path()) -> Itinerary:
+    """Return the itinerary of a file's text, under a name; folder: of the files that it names, such as a plant's.
 
     Raises:
         InputError: a mistake in it.
     """
-    file = Path(f"{name}.toml")
+    file = folder / f"{name}.toml"
     return _itinerary(parse_toml(text, str(file)), text, file, model)
 
 

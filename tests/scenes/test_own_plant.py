@@ -9,7 +9,7 @@ import pytest
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shipped import find
 from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
-from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
+from dpcontrol.scenes.itinerary import Itinerary, itinerary_from, load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run import run_plan
@@ -52,6 +52,12 @@ def test_mismatch_and_the_factor_on_friction_go_with_the_plants_own(turn: Itiner
     tripled = replace(plain.loop, friction=3.0).draw(plain.model.arms, ticks=2).plant.arms
     as_before = plain.loop.draw(plain.model.arms, ticks=2).plant.arms
     assert tripled == replace(as_before, viscous=tuple(3.0 * k for k in as_before.viscous))
+
+
+def test_a_stored_plans_plant_is_found_beside_the_plan(rusty: Path) -> None:
+    text = find("itineraries", "outer-turn").read_text().replace("[run]", '[run]\nplant = "rusty.toml"')
+    loaded = itinerary_from(text, "with-rust", load_model("lab"), folder=rusty.parent)
+    assert loaded.loop.plant == load_model(str(rusty)).arms
 
 
 def test_an_itinerary_names_its_plant_from_its_own_folder(rusty: Path) -> None:
