@@ -128,8 +128,8 @@ def _points(
 def plant_at(level: str, arms: ArmChainParameters) -> PlantParameters:
     """Return these arms on the cart, on a cart with a drive, or on one that they push."""
     lag = 0.0 if level == PlantLevel.CART else LAG
-    cart = {"cart_mass": CART_MASS, "cart_viscous": CART_VISCOUS} if level == PlantLevel.FORCE else {}
-    return PlantParameters(arms, lag=lag, **cart)
+    mass, drag = (CART_MASS, CART_VISCOUS) if level == PlantLevel.FORCE else (0.0, 0.0)
+    return PlantParameters(arms, lag=lag, cart_mass=mass, cart_viscous=drag)
 
 
 def motions(reference: Reference, arms: ArmChainParameters) -> Panel:

@@ -226,7 +226,7 @@ class AdaptiveFilterSettings(FilterSettings):
 
     parameter_error: float = setting(0.0, least=0, most=_MOST)
     surprise: float = setting(2.0, least=0, most=4)
-    rate_noise: float = setting(3.5e-4, above=0, most=_MOST)
+    rate_noise: float = setting(0.01, above=0, most=_MOST)
     cart_noise: float = setting(3e-3, above=0, most=_MOST)
     augment: tuple[str, ...] = setting(("zeros", "drive", "friction", "parameters"), choices=tuple(Augment))
     drive_error: float = setting(0.1, above=0, most=_MOST)

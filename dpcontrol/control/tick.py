@@ -328,8 +328,8 @@ class TickEquations:
         lag = {"drive": 1} if self.lags else {}
         return Layout(
             z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=1,
-            restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, doubts=1, last=m, step=m, same=m,
-            begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, expected=1, commanded=1,
+            restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, doubts=1, last=m, step=m,
+            same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, expected=1, commanded=1,
             commanded_speed=1, scale_speed=1, scale_drift=1, scale_error=1, heading=1, turns=m - 1, timing=1, timed=1,
             **({"mark": m - 1} if self.plays else {}), **({"shaped": 2} if self.shapes else {}),
             **({"origin": m} if self.split else {}),

@@ -6,6 +6,7 @@ loop does not know, and its command is noisy. Encoders have 40,000 counts, the c
 
 import sys
 from functools import cache
+from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
