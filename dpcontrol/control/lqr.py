@@ -147,7 +147,7 @@ class HoldSession:
 
 
 @dataclass(frozen=True, eq=False)
-class Extras:
+class ExtraEffects:
     """What an estimator estimates besides the state: names (E,), effects E (N, E) in a period, share D (E,) kept."""
 
     names: tuple[str, ...]
@@ -164,7 +164,7 @@ def _damped(model: SampledModel, damping: float) -> SampledModel:
 
 
 def hold_controller(
-    state: ArrayLike, model: SampledModel, settings: HoldSettings, *, seconds: float, extras: Extras | None = None
+    state: ArrayLike, model: SampledModel, settings: HoldSettings, *, seconds: float, extras: ExtraEffects | None = None
 ) -> HoldController:
     """Return the regulator for the equilibrium with the pendulum's `state` (2n,), the cart in the middle.
 

@@ -52,6 +52,7 @@ _STEP = 0.5
 _WATCHED = frozenset(
     ("covariance", "velocity", "error", "nis", "silent", "restarts", "held", "moved", "restart", "stopped", "still",
      "cut", "doubts", "last", "step", "same", "begin", "away", "origin", "timing", "timed",
+     "lateness", "strain", "acted",
      "expected", "commanded", "commanded_speed", "scale_speed", "scale_drift", "scale_error")
 )  # fmt: skip
 """Parts of a tick's memory that no command depends on to first order: see above."""

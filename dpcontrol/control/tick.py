@@ -130,6 +130,8 @@ TIMING_MEMORY = 0.5
 """Time constant, s, of what is found of the readings' age."""
 _OLDEST = 1.5
 """Periods."""
+_LATE, _LATE_MEMORY = 0.5, 0.005
+"""Periods, and time constant in s, of the mean age that innovations look like."""
 TIMING_PRIOR = 2500.0
 """1/period²: information in the assumption that ages do not vary. A fiftieth of a period is not worth a correction."""
 SAME = 1e-9
@@ -318,10 +320,11 @@ class TickEquations:
         their signs. Of the cart: expected m, its predicted travel since its reading changed; scale_speed m/s, its
         velocity by scale and commands; scale_drift and scale_error m/s, the recent corrections of that and their
         largest size; commanded m and commanded_speed m/s, the part of expected and scale_speed due to commands since.
-        timing s²: the variance of the readings' age; timed: the information in it, for time in periods. With play:
-        mark (n,) rad, angle of each encoder when its joint last moved it. With a belt: shaped (2,) m/s², memory of what
-        shapes commands. Split: origin, which the positions in z are relative to; whoever keeps the memory may move from
-        one to the other.
+        timing s²: the variance of the readings' age; timed: the information in it, for time in periods; lateness: the
+        recent mean of the age that innovations look like, in periods; strain: the mean NIS as if ages did not vary.
+        With play: mark (n,) rad, angle of each encoder when its joint last moved it. With a belt: shaped (2,) m/s²,
+        memory of what shapes commands. Split: origin, which the positions in z are relative to; whoever keeps the
+        memory may move from one to the other.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
         sent = {"sent": self.whole + 2} if self.unrolled else {}
@@ -331,6 +334,7 @@ class TickEquations:
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, doubts=1, last=m, step=m,
             same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, expected=1, commanded=1,
             commanded_speed=1, scale_speed=1, scale_drift=1, scale_error=1, heading=1, turns=m - 1, timing=1, timed=1,
+            lateness=1, strain=1,
             **({"mark": m - 1} if self.plays else {}), **({"shaped": 2} if self.shapes else {}),
             **({"origin": m} if self.split else {}),
         )  # fmt: skip
@@ -387,7 +391,7 @@ class TickEquations:
         size = self.filter.dimension
         return Layout(
             z=size, covariance=size * (size + 1) // 2, sigmas=size, nis=1, used=1, sound=1, turns=self.filter.arms,
-            timing=1, timed=1, **({"mark": self.filter.arms} if self.plays else {}),
+            timing=1, timed=1, lateness=1, strain=1, **({"mark": self.filter.arms} if self.plays else {}),
         )  # fmt: skip
 
     @cached_property
@@ -467,10 +471,13 @@ class TickEquations:
         # Where it fails the prediction is kept, which the restart begins with.
         after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
         used = ca.sum1(r["present"])
-        timing, timed = self._timing(m, moving.T @ weighed, sound)
+        aligned, weight = ca.horzsplit(moving.T @ weighed)
+        clock = self._timing(m, aligned, weight, sound)
+        # Sherman and Morrison: without the part of S that varying ages make.
+        clock["strain"] = nis + m["timing"] * aligned**2 / (1 - m["timing"] * weight)
         out = {
             "z": after, "covariance": pack(covariance), "sigmas": sigmas, "nis": nis, "used": used, "sound": sound,
-            "turns": turns, "timing": timing, "timed": timed, **marks,
+            "turns": turns, **clock, **marks,
         }  # fmt: skip
         if self.split:
             out |= {"z": after + self._origin(m), "relative": after}
@@ -502,21 +509,25 @@ class TickEquations:
         spread = sums @ ca.diag(ca.vertcat(*variances)) @ sums.T
         return ca.vertcat(sums @ ca.vertcat(*shifts), 0), ca.diagcat(spread, 0), {"mark": ca.vertcat(*marks)}
 
-    def _timing(self, m: Mapping[str, ca.SX], weighed: ca.SX, sound: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """The variance of the readings' age and the information in it, after an update.
+    def _timing(self, m: Mapping[str, ca.SX], aligned: ca.SX, weight: ca.SX, sound: ca.SX) -> dict[str, ca.SX]:
+        """The variance of the readings' age, the information in it, and their recent mean, after an update.
 
-        weighed (1, 2): ωᵀS⁻¹y and ωᵀS⁻¹ω, whose ratio is the age that this innovation looks like. With a and b the
+        aligned, weight: ωᵀS⁻¹y and ωᵀS⁻¹ω, whose ratio is the age that this innovation looks like. With a and b the
         same for time in periods, the log likelihood has the slope (a² - b) / 2 by the variance, and b² / 2 is the
         information.
         Source: the score of a Gaussian whose covariance is linear in one parameter.
         """
-        period, (aligned, weight) = self.filter.period, ca.horzsplit(weighed)
+        period = self.filter.period
         a, b = aligned * period, weight * period**2
         timed = m["timed"] + min(period / TIMING_MEMORY, 1) * (TIMING_PRIOR**2 - m["timed"]) + b * b
         # A reading is never older than a period. What looks older by far is a blow, a wrong model or a stuck encoder.
         slope = ca.if_else(ca.fabs(a) <= _OLDEST * b, a * a - b, 0)
         variance = _clip(m["timing"] + period**2 * slope / timed, ca.SX(0), ca.SX(period**2 / 3))
-        return ca.if_else(sound, variance, m["timing"]), ca.if_else(sound, timed, m["timed"])
+        late = m["lateness"] + min(period / _LATE_MEMORY, 1) * (a - b * m["lateness"]) / (1 + b)
+        # Ages vary about what the filter follows. What looks late all the time is a stuck encoder or a wrong model.
+        variance = ca.if_else(ca.fabs(late) <= _LATE, variance, 0)
+        after = {"timing": variance, "timed": timed, "lateness": _within(late, ca.SX(_OLDEST))}
+        return {name: ca.if_else(sound, value, m[name]) for name, value in after.items()}
 
     def _slipped(
         self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], apart: ca.SX, innovation: ca.SX
@@ -711,6 +722,8 @@ class TickEquations:
         # A blow is over in a tick: it alone is no reason to give the estimate up.
         by_position = ca.fmin(e["nis"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
         nis = m["nis"] + ca.if_else(judged, (by_position - m["nis"]) * min(period / ESTIMATE_MEMORY, 1), 0)
+        strained = ca.fmin(e["strain"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
+        strain = m["strain"] + ca.if_else(judged, (strained - m["strain"]) * min(period / ESTIMATE_MEMORY, 1), 0)
         silent = ca.if_else(e["used"] > 0, 0, m["silent"] + period)
         angles = [e["z"][i] for i in range(n)]
         if predicts:
@@ -737,7 +750,7 @@ class TickEquations:
         holds = _all(astray, c["can_hold"], ca.logic_not(m["held"]))
         moves = _all(c["resynchronise"] > 0, error > c["resynchronise"], m["moved"] > TRACKING_MEMORY)
         taken = e.get("relative", e["z"])[: 2 * n] - m["z"][: 2 * n] if predicts else None
-        sensor, watch = self._stuck(m, r, c, row["wanted"], ca.if_else(restarts, 0, nis), taken)
+        sensor, watch = self._stuck(m, r, c, row["wanted"], ca.if_else(restarts, 0, strain), taken)
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrules those before it.
         for condition, code in (
@@ -794,8 +807,8 @@ class TickEquations:
 
         heading = _within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
         memory = {
-            **queue, "velocity": velocity, "heading": heading, "turns": e["turns"], "timing": e["timing"],
-            "timed": e["timed"],
+            **queue, "velocity": velocity, "heading": heading, "turns": e["turns"],
+            **{name: e[name] for name in ("timing", "timed", "lateness")}, "strain": strain,
             "error": ca.if_else(falls, 0, error), "nis": ca.if_else(again, 0, nis), "silent": silent,
             "restarts": m["restarts"] * (1 - min(period / RESTART_MEMORY, 1)) + again,
             "held": ca.if_else(falls, 1, m["held"]),

@@ -34,7 +34,7 @@ class Sizes(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class ComponentFrame:
     """The symbols from which a component builds its expressions.
 
     position, velocity (n+1,): the arms' angles and the cart; demand m/s²: acceleration of the drive. states,
@@ -89,27 +89,27 @@ class Component:
         return Sizes()
 
     @classmethod
-    def terms(cls, frame: Frame) -> Terms:
+    def terms(cls, frame: ComponentFrame) -> Terms:
         """Return the terms in the equations of motion."""
         return Terms()
 
     @classmethod
-    def constrained(cls, frame: Frame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
+    def constrained(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
         """Return the accelerations (N,) in these modes; mass (N, N) and acceleration (N,): without this component."""
         return acceleration
 
     @classmethod
-    def chosen(cls, frame: Frame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
+    def chosen(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
         """Return the modes in which a step begins."""
         return frame.modes
 
     @classmethod
-    def guards(cls, frame: Frame) -> ca.SX:
+    def guards(cls, frame: ComponentFrame) -> ca.SX:
         """Return numbers that are negative once a step has left its modes."""
         return ca.SX(0, 1)
 
     @classmethod
-    def settled(cls, frame: Frame) -> tuple[ca.SX, ca.SX]:
+    def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
         """Return velocities (n+1,) and own states at the end of a step."""
         return frame.velocity, frame.states
 
@@ -152,7 +152,7 @@ class Belt(Component):
         return Sizes(states=2, parameters=2)
 
     @classmethod
-    def terms(cls, frame: Frame) -> Terms:
+    def terms(cls, frame: ComponentFrame) -> Terms:
         x, v, (stiffness, damping) = frame.position[-1], frame.velocity[-1], ca.vertsplit(frame.parameters)
         pull = stiffness * (frame.states[0] - x) + damping * (frame.states[1] - v)
         return Terms(rates=ca.vertcat(frame.states[1], frame.demand), drive=pull)
@@ -187,11 +187,11 @@ class EncoderPlay(Component):
         return Sizes(states=arms, parameters=arms)
 
     @classmethod
-    def terms(cls, frame: Frame) -> Terms:
+    def terms(cls, frame: ComponentFrame) -> Terms:
         return Terms(rates=ca.SX.zeros(frame.states.shape[0]))
 
     @classmethod
-    def settled(cls, frame: Frame) -> tuple[ca.SX, ca.SX]:
+    def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
         half = frame.parameters / 2
         return frame.velocity, ca.fmin(ca.fmax(frame.states, frame.joints - half), frame.joints + half)
 
@@ -217,7 +217,7 @@ class Cable(Component):
         return Sizes(parameters=2)
 
     @classmethod
-    def terms(cls, frame: Frame) -> Terms:
+    def terms(cls, frame: ComponentFrame) -> Terms:
         (torque, stiffness), angle = ca.vertsplit(frame.parameters), frame.position[0]
         return Terms(lagrangian=torque * angle - stiffness * angle**2 / 2)
 
@@ -248,7 +248,7 @@ class Stiction(Component):
         return Sizes(parameters=2 * arms, modes=arms)
 
     @classmethod
-    def _solved(cls, frame: Frame, mass: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def _solved(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the accelerations (N,), and the torques (n,) that hold the joints at rest."""
         n, size = frame.modes.shape[0], mass.shape[0]
         # Rates are `sums` times the joints' rates; a cart that is free is the last of both.
@@ -263,11 +263,11 @@ class Stiction(Component):
         return sums @ joints, ((inertia @ joints - push) * (1 - moves))[:n]
 
     @classmethod
-    def constrained(cls, frame: Frame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
+    def constrained(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
         return cls._solved(frame, mass, acceleration)[0]
 
     @classmethod
-    def chosen(cls, frame: Frame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
+    def chosen(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
         n = frame.modes.shape[0]
         modes = _sign(frame.joint_rates)
         # A joint that breaks away changes the torques on the others: one after the other, the worst first.
@@ -280,11 +280,11 @@ class Stiction(Component):
         return modes
 
     @classmethod
-    def guards(cls, frame: Frame) -> ca.SX:
+    def guards(cls, frame: ComponentFrame) -> ca.SX:
         return frame.modes * frame.joint_rates
 
     @classmethod
-    def settled(cls, frame: Frame) -> tuple[ca.SX, ca.SX]:
+    def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
         rates: list[ca.SX] = []
         # A joint at rest turns with the arm before it, to the last bit.
         for k in range(frame.modes.shape[0]):

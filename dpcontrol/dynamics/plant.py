@@ -26,7 +26,7 @@ import numpy as np
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Level, arm_chain_equations, chain_energies
 from dpcontrol.dynamics.compiled import Compiled, compiled_step, fixed_step
-from dpcontrol.dynamics.components import Component, Frame, Terms
+from dpcontrol.dynamics.components import Component, ComponentFrame, Terms
 from dpcontrol.dynamics.equations import Equations, Mechanics, mechanics, solve_symmetric
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
@@ -141,12 +141,12 @@ def _symbols() -> SimpleNamespace:
 
 
 @cache
-def _own(count: int, components: Kinds) -> tuple[Frame, ...]:
+def _own(count: int, components: Kinds) -> tuple[ComponentFrame, ...]:
     """Return each component's own symbols, in frames without arms and cart."""
     none, frames = ca.SX(0, 1), []
     for k, one in enumerate(components):
         own = (ca.SX.sym(f"{one.__name__}_{k}_{c}", size) for c, size in enumerate(one.sizes(count)))
-        frames.append(Frame(none, none, ca.SX.sym("demand"), *own))
+        frames.append(ComponentFrame(none, none, ca.SX.sym("demand"), *own))
     return tuple(frames)
 
 
@@ -189,7 +189,7 @@ def _state(q: ca.SX, v: ca.SX, demand: ca.SX, level: PlantLevel) -> ca.SX:
 
 
 @dataclass(frozen=True, eq=False)
-class _Motion:
+class _EquationsOfMotion:
     """The motion of a plant, symbolically.
 
     demand is a. frames are those of the components. moving (n+1,): accelerations of arms and cart. drive: acceleration
@@ -198,7 +198,7 @@ class _Motion:
 
     parts: Mechanics
     demand: ca.SX
-    frames: tuple[Frame, ...]
+    frames: tuple[ComponentFrame, ...]
     moving: ca.SX
     drive: ca.SX
     modes: ca.SX
@@ -210,7 +210,7 @@ class _Motion:
 
 
 @cache
-def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], components: Kinds) -> _Motion:
+def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], components: Kinds) -> _EquationsOfMotion:
     s, free_cart, a = _symbols(), level is PlantLevel.FORCE, ca.SX.sym("a")
     parts = _parts(count, friction, free_cart=free_cart, components=components)
     q, v, demand = parts.position, parts.velocity, s.command if level is PlantLevel.CART else a
@@ -232,7 +232,7 @@ def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], compo
         moving = ca.vertcat(moving, pushed)
     # The velocity loop is that of the motor where there is one.
     driven = demand if belts else moving[count]
-    return _Motion(parts, a, frames, moving, driven, modes, ca.vertcat(*(term.rates for term in terms)))
+    return _EquationsOfMotion(parts, a, frames, moving, driven, modes, ca.vertcat(*(term.rates for term in terms)))
 
 
 @cache

@@ -28,7 +28,7 @@ from dpcontrol.control.estimator_settings import (
 )
 from dpcontrol.control.handover import Fly, Keep, Keeper, NearestKeeper, Program, Segment, program
 from dpcontrol.control.interface import Controller, Estimator, SampledModel
-from dpcontrol.control.lqr import Extras, HoldSettings, hold_controller
+from dpcontrol.control.lqr import ExtraEffects, HoldSettings, hold_controller
 from dpcontrol.control.ogy import ClassicOgySettings, OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import OrbitController, orbit_controller
 from dpcontrol.control.tracking import (
@@ -269,7 +269,7 @@ def make_controller(
             shares = np.array(parameters.coulomb) / np.array(damping_scales(parameters.base(), parameters.count))
             dry = min(4 / (np.pi * _OSCILLATION) * float(shares.max()), _MOST_DRY)
             settings = replace(settings, damping=settings.damping + dry)
-        return hold_controller(start, model, settings, seconds=seconds, extras=Extras(names, effects[0], kept))
+        return hold_controller(start, model, settings, seconds=seconds, extras=ExtraEffects(names, effects[0], kept))
     if isinstance(settings, AdaptiveSettings):
         return adaptive_controller(reference, model, settings, estimator=estimator)
     if isinstance(settings, TvlqrSettings) and keep != "none":

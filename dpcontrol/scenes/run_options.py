@@ -46,7 +46,9 @@ class RunOptions:
     tilt: float | None = _option(PLANT, "Tilt of the track, rad, positive with the right end down.")
     belt: float | None = _option(PLANT, "Frequency of the cart on an elastic belt, Hz; 0: a rigid belt.")
     belt_damping: float | None = _option(PLANT, "Damping ratio of the cart on its belt [0.05].")
-    belt_scale: str | None = _option(PLANT, "Where the cart's scale sits with a belt: motor, cart [motor].")
+    belt_scale: str | None = _option(
+        PLANT, "Where the cart's scale sits with a belt: motor, cart [motor].", ("motor", "cart")
+    )
     play: float | None = _option(PLANT, "Play between each joint and its encoder, rad.")
     cable_torque: float | None = _option(PLANT, "Torque of a cable on the hanging inner arm, N m.")
     cable_stiffness: float | None = _option(PLANT, "Stiffness of that cable against turning, N m/rad.")
@@ -54,8 +56,6 @@ class RunOptions:
     kinetic: float | None = _option(PLANT, "Torque of a sliding joint as a share of its break-away torque [0.8].")
     initial_rate: float | None = _option(PLANT, "Largest first rate of each arm, rad/s.")
     initial_cart: float | None = _option(PLANT, "Position of the cart at the start, m.")
-    known_belt: float | None = _option(DRIVE, "Frequency of the belt that the controller knows of, Hz [as --belt].")
-    known_play: float | None = _option(ESTIMATOR, "Play that the estimator knows of, rad [as --play].")
     pushes: int | None = _option(DISTURBANCES, "Number of random blows on the arms.")
     push_impulse: float | None = _option(DISTURBANCES, "Their greatest impulse, N m s.")
     knocks: int | None = _option(DISTURBANCES, "Number of random blows on the cart.")
@@ -74,7 +74,9 @@ class RunOptions:
     stuck_sensor: int | None = _option(SENSORS, "Which one sticks: 0 the inner arm's, 1 the outer's, 2 the cart's.")
     stuck_for: float | None = _option(SENSORS, "For how long it sticks, s [for good].")
     jitter: float | None = _option(SENSORS, "Greatest age of a reading, s.")
-    ages: str | None = _option(SENSORS, "Whether the bench reports the ages of its readings: reported, unknown.")
+    ages: str | None = _option(
+        SENSORS, "Whether the bench reports the ages of its readings: reported, unknown.", ("reported", "unknown")
+    )
     cart_resolution: float | None = _option(SENSORS, "Resolution of the cart's scale, m; 0: no rounding.")
     delay: float | None = _option(DRIVE, "Delay from reading to acting, in periods; may be a fraction.")
     lag: float | None = _option(DRIVE, "Time constant of the drive's velocity loop, s; see --drive-lag.")
@@ -86,6 +88,8 @@ class RunOptions:
     travel: float | None = _option(
         DRIVE, "The cart's greatest distance from the centre, m [the plan's own, as with 0]."
     )
+    known_belt: float | None = _option(DRIVE, "Frequency of the belt that the controller knows of, Hz [as --belt].")
+    known_play: float | None = _option(ESTIMATOR, "Play that the estimator knows of, rad [as --play].")
     estimator: str | None = _option(ESTIMATOR, f"Kind of estimator: {', '.join(FILTERS)}.", FILTERS)
     rate_noise: float | None = _option(ESTIMATOR, "Standard deviation of noise added to estimated rates, rad/s.")
     controller: str | None = _option(CONTROLLER, f"Kind of controller: {', '.join(LAWS)}.", LAWS)

@@ -53,7 +53,7 @@ def test_noise_covers_the_squares_of_the_parameters_errors() -> None:
     found = {}
     for nonlinearity in (0.0, AdaptiveEkfSettings().nonlinearity):
         settings = replace(
-            AdaptiveEkfSettings(), augment=("parameters",), model_error=0.14, nonlinearity=nonlinearity
+            AdaptiveEkfSettings(), augment=("parameters",), model_error=0.14, nonlinearity=nonlinearity, rate_noise=2e-4
         )  # fmt: skip
         found[nonlinearity] = simulated_consistency(
             EkfProgram(MODEL, settings), NOISE, first=np.array(SWING), commands=commands, runs=24, seed=8,

@@ -9,7 +9,7 @@ from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.ekf import FilterEquations
-from dpcontrol.control.lqr import Extras, HoldController, HoldSettings, hold_controller
+from dpcontrol.control.lqr import ExtraEffects, HoldController, HoldSettings, hold_controller
 from dpcontrol.control.tick import TickEquations
 from dpcontrol.control.tracking import riccati_gains
 from dpcontrol.foundation.errors import InputError
@@ -55,7 +55,7 @@ def test_what_is_estimated_is_compensated_at_the_cost_that_a_long_recursion_find
     rough = sampled_model(replace(LAB, viscous=(0.004, 0.002)), 1 / PERIOD)
     effects = np.zeros((6, 2))
     effects[2:4] = PERIOD * np.eye(2)
-    extras = Extras(("disturbance_1", "disturbance_2"), effects, np.array([0.99, 0.995]))
+    extras = ExtraEffects(("disturbance_1", "disturbance_2"), effects, np.array([0.99, 0.995]))
     up = np.array([np.pi, np.pi, 0.0, 0.0, 0.0, 0.0])
     found = hold_controller(up, rough, replace(settings, damping=0.0), seconds=1.0, extras=extras)
     a, b = rough.linearised(np.tile(up, (8000, 1)), np.zeros(8000))

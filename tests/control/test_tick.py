@@ -244,7 +244,7 @@ def test_a_joint_that_repeats_itself_while_its_reference_moves_is_stuck() -> Non
         moving = np.array([0.01 * k, 0.01 * k])
         # A count is known once a step was seen.
         turned = [0.0, 1e-4, 0.01, 0.02, 0.03, 0.04][min(k, 5)]
-        seen = np.array([turned, moving[1], 0.0]) + random.normal(0, 0.1, 3) * [0, 1, 1e-3]
+        seen = np.array([turned, moving[1], 0.0]) + random.normal(0, 0.05, 3) * [0, 1, 1e-3]
         report = tick(0.0, positions=seen, wanted=moving)
         if report["outcome"]:
             break

@@ -163,7 +163,7 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
     assert not parts.exists()
 
 
-@pytest.mark.parametrize("loop", [{"path": "ticks"}, {"hold": "nearest"}, {"estimator": "ukf"}, {"dropout": 0.01}])
+@pytest.mark.parametrize("loop", [{"path": "ticks"}, {"hold": "nearest"}, {"estimator": "ukf"}, {"missed_counts": 1.0}])
 def test_runs_that_go_one_by_one_are_kept_a_few_at_a_time(turn: Itinerary, loop: dict[str, Any]) -> None:
     settings = CampaignSettings(runs=100, path=loop.pop("path", "compiled"))
     cases = cases_of(turn, fixed=RunOptions(**loop), over={})

@@ -42,7 +42,8 @@ def crossings_of(system, connection):
 
 
 def test_homoclinics_that_come_back_cross_where_the_arms_align_both_ways(lab, back):
-    assert "at least" not in back.status
+    # Flights are searched up to `SHORT` only, and the status says so.
+    assert "longer flights exist" in back.status
     assert len(back.connections) == 16
     assert sum(c.winding == (0, 0) for c in back.connections) == 8
     for c in back.connections:
