@@ -257,7 +257,7 @@ class FallRecovery:
         if speed < wanted + (1 - _FAST) * fastest:
             return ""
         when = f"tracking lost at t = {k * ticker.program.period:.3f} s"
-        return f"{when}: the cart runs after the arms at {speed:.3g} m/s, where the reference has {wanted:.3g} m/s"
+        return f"{when}: the cart moves at {speed:.3g} m/s, where the reference has {wanted:.3g} m/s"
 
     def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Sequence[Choice] | None:
         """Return what is told of a fall at tick k, from which a return begins; None where no attempt is left."""

@@ -25,11 +25,12 @@ def test_runs_with_coarse_encoders_complete(turn_from_rest: Plan, rate: float, s
     assert completed(turn_from_rest, options, range(32)) == (1.0, [])
 
 
-@pytest.mark.parametrize("scale", [1e-6, 2e-4])
-def test_a_stuck_scale_is_found(turn_from_rest: Plan, scale: float) -> None:
+# The cart must move by ten counts, which are 2 mm on the coarse scale.
+@pytest.mark.parametrize(("scale", "within"), [(1e-6, 0.05), (2e-4, 0.25)])
+def test_a_stuck_scale_is_found(turn_from_rest: Plan, scale: float, within: float) -> None:
     delays = delays_of_stuck_scales(turn_from_rest, RunOptions(cart_resolution=scale), range(6))
     # The others wait for a cart that creeps to move on.
-    assert sorted(delays)[2] <= 0.05
+    assert sorted(delays)[2] <= within
     assert max(delays) < math.inf
 
 
