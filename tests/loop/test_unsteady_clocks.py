@@ -106,6 +106,6 @@ def test_runs_with_jitter_of_a_period_come_to_their_end(
     settings = replace(SETTINGS, rate=rate, sensors=SensorSettings(jitter=1 / rate, counts=counts, dropout=0.03))
     controller = loop_controller(turn[1], LAB, settings)
     runs = run_batch(LAB, settings=settings, seeds=range(16), controller=controller, limits=settings.limits(turn[1]))
-    # Nine in ten: where jitter is as long as the period, an arm in fast flight may look like one whose encoder is stuck.
+    # Where jitter is as long as the period, an arm in fast flight may look like one whose encoder is stuck.
     finished = sum(run.ending is Ending.FINISHED for run in runs)
     assert finished >= LEAST, [run.reason for run in runs]
