@@ -1,0 +1,232 @@
+"""The verb prove."""
+
+from dataclasses import replace
+from decimal import Decimal
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import click
+
+from dpcontrol.cli.verbs import (
+    YES,
+    Answer,
+    argument,
+    file_option,
+    hits_option,
+    option,
+    verb,
+)
+from dpcontrol.cli.walk import _Wraps
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import progress_bar
+
+if TYPE_CHECKING:
+    from dpcontrol.foundation.progress import Progress
+    from dpcontrol.proofs.prove import Proof, ProofSettings
+
+What = Literal["orbit", "walk", "connection", "horseshoe", "check"]
+STATEMENT, ENCLOSURES = "Statement", "Enclosures"
+
+
+@verb("prove", example="dpcontrol prove orbit lab --saddle down-up --energy -0.07")
+def prove_command(
+    *,
+    what: What = argument(),
+    model: str = argument(metavar="MODEL_OR_FILE"),
+    energy: Decimal | None = option(group=STATEMENT, help="Energy in J, exactly as typed."),
+    saddle: str | None = option(group=STATEMENT, help="For orbit: the saddle that the orbit surrounds."),
+    family: int = option(default=0, group=STATEMENT, help="For orbit: which of the saddle's families."),
+    symbols: tuple[str, ...] = option(
+        "-s", "--symbol", group=STATEMENT, help="For walk: a symbol, in order, as `dpcontrol walk` takes them."
+    ),
+    wraps: tuple[int, ...] | None = option(
+        type=_Wraps(),
+        multiple=False,
+        group=STATEMENT,
+        help="For walk: wraps at the stops.  [default: the least that suffice]",
+    ),
+    periodic: bool = option(group=STATEMENT, help="For walk: it closes; only closed walks are proved."),
+    source: str | None = option("--from", group=STATEMENT, help="For connection, horseshoe: saddle that is left."),
+    target: str | None = option(
+        "--to", group=STATEMENT, help="For connection: saddle that is joined. [default: that of --from]"
+    ),
+    name: tuple[str, ...] = option(
+        group=STATEMENT, help="For connection: only this one, as `dpcontrol connect` names it. [default: all]"
+    ),
+    hits: tuple[int, int] = hits_option("1", group=STATEMENT),
+    bits: int = option(type=click.IntRange(64, 1024), default=128, group=ENCLOSURES, help="Working precision, bits."),
+    radius: float = option(
+        type=click.FloatRange(1e-20, 1e-3),
+        default=1e-8,
+        group=ENCLOSURES,
+        help="Radius of the balls in which orbits are unique, in scaled coordinates.",
+    ),
+    box: float = option(
+        type=click.FloatRange(1e-12, 1e-4),
+        default=1e-7,
+        group=ENCLOSURES,
+        help="For connection, horseshoe: half-width of the boxes, scaled.",
+    ),
+    out: Path | None = file_option(
+        suffix=".json", help="For orbit, walk: write the certificate, which `prove check` verifies."
+    ),
+    yes: bool = YES,
+) -> Answer:
+    """Prove in ball arithmetic that orbits, closed walks, connections or a horseshoe exist, or check a certificate.
+
+    The model's parameters and the energy are read as exact decimals. The answer is "proved", or "not proved" with the
+    enclosure that does not close: that disproves nothing. A certificate is checked by code of its own.
+    """
+    from dpcontrol.foundation.parts import part
+
+    part("flint")
+    from dpcontrol.proofs.prove import ProofSettings
+
+    if what == "check":
+        return _check(Path(model))
+    if out is not None and what not in ("orbit", "walk"):
+        raise InputError(f"--out {out}: certificates are of orbits and walks; omit it")
+    if energy is None:
+        raise InputError("--energy is missing: give the energy in J")
+    settings = ProofSettings(bits=bits, radius=radius)
+    with progress_bar("proof") as progress:
+        if what == "orbit":
+            proof = _orbit(model, saddle, family, energy, settings, progress)
+        elif what != "walk":
+            asked = _Asked(source or saddle, target, name, hits or (1, 1), what == "horseshoe")
+            proof = _connections(model, asked, energy, replace(settings, box=box), yes, progress)
+        else:
+            proof = _walk(model, symbols, wraps, periodic, energy, settings, yes, progress)
+    return _answer(proof, out)
+
+
+def _orbit(
+    model: str, saddle: str | None, family: int, energy: Decimal, settings: "ProofSettings", progress: "Progress"
+) -> "Proof":
+    from dpcontrol.orbits.lyapunov import lyapunov_orbit
+    from dpcontrol.proofs.prove import exact_energy, prove_orbit
+    from dpcontrol.scenes.model import load_model
+
+    if saddle is None:
+        raise InputError("--saddle is missing: give the saddle that the orbit surrounds, such as down-up")
+    orbit = lyapunov_orbit(load_model(model).system, saddle, energy=float(energy), family=family)
+    return prove_orbit(orbit, energy=exact_energy(energy), settings=settings, progress=progress)
+
+
+class _Asked(NamedTuple):
+    """Which connections are asked for."""
+
+    source: str | None
+    target: str | None
+    names: tuple[str, ...]
+    hits: tuple[int, int]
+    whole: bool
+
+
+def _connections(
+    model: str, asked: _Asked, energy: Decimal, settings: "ProofSettings", yes: bool, progress: "Progress"
+) -> "Proof":
+    from dpcontrol.foundation.progress import announce, part_of
+    from dpcontrol.orbits.lyapunov import lyapunov_orbit
+    from dpcontrol.proofs.prove import cost, exact_energy, prove_connections
+    from dpcontrol.scenes.model import load_model
+    from dpcontrol.tubes.connections import find_connections
+
+    if asked.source is None:
+        raise InputError("--from is missing: give the saddle whose orbit the connections leave, such as down-up")
+    system = load_model(model).system
+    orbit = lyapunov_orbit(system, asked.source, energy=float(energy))
+    joined = orbit
+    if asked.target not in (None, asked.source):
+        if asked.whole:
+            raise InputError("a horseshoe is of the homoclinics of one orbit: omit --to")
+        joined = lyapunov_orbit(system, str(asked.target), energy=float(energy))
+    found = find_connections(
+        orbit, joined, hits=asked.hits, section=system.section_between(orbit.saddle, joined.saddle),
+        progress=part_of(progress, 0.0, 0.1),
+    )  # fmt: skip
+    chosen = [c for c in found.connections if not asked.names or c.name in asked.names]
+    for one in set(asked.names) - {c.name for c in chosen}:
+        raise InputError(f"no connection is named {one!r}; see `dpcontrol connect {model}`")
+    announce(cost(sum(4 + (c.time_out + c.time_in) / orbit.period for c in chosen)), yes=yes)
+    return prove_connections(
+        chosen, energy=exact_energy(energy), settings=settings, whole=asked.whole, progress=part_of(progress, 0.1, 1.0)
+    )
+
+
+def _walk(
+    model: str,
+    symbols: tuple[str, ...],
+    wraps: tuple[int, ...] | None,
+    periodic: bool,
+    energy: Decimal,
+    settings: "ProofSettings",
+    yes: bool,
+    progress: "Progress",
+) -> "Proof":
+    from dpcontrol.foundation.progress import announce, part_of
+    from dpcontrol.proofs.prove import cost, exact_energy, prove_walk
+    from dpcontrol.scenes.model import load_model
+    from dpcontrol.walks.edges import find_edges
+    from dpcontrol.walks.shadowing import WalkSolver
+    from dpcontrol.walks.symbols import parse_walk
+    from dpcontrol.walks.walks import resolve, vertex_names
+
+    if not symbols:
+        raise InputError("-s is missing: give the walk's symbols, such as -s 'down-up +'")
+    if not periodic:
+        raise InputError("only closed walks are proved: give --periodic as well")
+    system = load_model(model).system
+    asked = parse_walk(symbols, vertex_names(system))
+    edges = find_edges(system, float(energy), symbols=asked, yes=yes, progress=part_of(progress, 0.0, 0.2))
+    solver, chain = WalkSolver(edges.known), resolve(symbols, edges)
+    counts = solver.least(chain, periodic=True) if wraps is None else wraps
+    walk = solver.solve(chain, counts, periodic=True)
+    announce(cost(walk.duration / chain[0].source.period), yes=yes)
+    return prove_walk(
+        walk, energy=exact_energy(energy), rivals=edges.known, settings=settings, progress=part_of(progress, 0.2, 1.0)
+    )
+
+
+def _check(file: Path) -> Answer:
+    """Check a certificate's file."""
+    import json
+
+    from dpcontrol.foundation.files import checked_source
+    from dpcontrol.proofs.check import Rejected, check
+
+    try:
+        content = json.loads(checked_source(file).read_text(encoding="utf-8"))
+        with progress_bar("check") as progress:
+            shown = check(content, progress)
+    except (Rejected, ValueError, RecursionError) as error:
+        status = f"rejected: the certificate does not prove its statement: {error}"
+        return Answer({"proved": False, "status": status}, [status], status)
+    document = {"proved": True, "status": shown, "statement": content["statement"]}
+    return Answer(document, [str(content["statement"]), f"  checked: {shown}"])
+
+
+def _answer(proof: "Proof", out: Path | None) -> Answer:
+    """Show a proof's verdict and figures, and write its certificate if there is one."""
+    from dpcontrol.foundation.files import write_whole
+
+    lines = [proof.statement, f"  {proof.status}"]
+    for name, value in proof.figures.items():
+        if value == []:
+            continue
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            lines += ["  " + ", ".join(f"{key} {one[key]}" for key in one) for one in value]
+        else:
+            shown = "  ".join(map(str, value)) if isinstance(value, list) else str(value)
+            lines.append(f"  {name.replace('_', ' '):<14} {shown}")
+    lines.append(f"  {proof.seconds:.1f} s")
+    document = proof.document()
+    if out is not None and proof.proved and proof.certificate is not None:
+        import json
+
+        write_whole(out, json.dumps(proof.certificate, indent=1) + "\n")
+        document["certificate"] = str(out)
+        lines.append(f"  certificate    {out}")
+    elif out is not None and proof.proved:
+        lines.append("  certificate    none: the check knows models of two arms only")
+    return Answer(document, lines, "" if proof.proved else proof.status)

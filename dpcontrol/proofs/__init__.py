@@ -1,0 +1,1 @@
+"""Proofs in ball arithmetic that periodic orbits, closed walks and connections exist; certificates and a check."""

@@ -1,0 +1,202 @@
+"""Ball arithmetic: flint's numbers, its working precision, exact decimals, and equations that flint evaluates.
+
+A ball is a midpoint with a radius; flint's operations return balls that contain every result from numbers in the balls
+they are given. A comparison of balls is true only if it holds for all numbers in them. flint's working precision and
+the length of its power series belong to the whole process: `working` is the one place that sets them, and it restores
+them.
+
+A casadi graph is read once as a list of operations, each value assigned once. The same list is evaluated on balls,
+complex balls and power series of balls. Parameters enter as exact fractions.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.parts import Later
+
+flint: Any = Later("flint")
+
+
+class NotClosed(Exception):
+    """An enclosure does not close: one clause that names the step."""
+
+
+@contextmanager
+def working(bits: int) -> Iterator[None]:
+    """Set flint's working precision, and restore it and the length of its series afterwards."""
+    context = flint.ctx
+    before = context.prec, context.cap
+    context.prec = bits
+    try:
+        yield
+    finally:
+        context.prec, context.cap = before
+
+
+def ball(value: Any) -> Any:
+    """Return a number as a ball: doubles as the binary numbers that they are, fractions enclosed, balls unchanged."""
+    if isinstance(value, Fraction):
+        return flint.arb(flint.fmpq(value.numerator, value.denominator))
+    return value if isinstance(value, flint.arb) else flint.arb(float(value))
+
+
+def symmetric(radius: Any) -> Any:
+    """Return the ball about zero that reaches as far as `radius`, a ball or a number."""
+    return flint.arb(0, ball(radius).abs_upper())
+
+
+def exact(value: Any, digits: int = 40) -> Fraction:
+    """Return a decimal of so many significant digits near the midpoint of a ball."""
+    return Fraction(ball(value).mid().str(digits, radius=False))
+
+
+def decimal(value: Fraction) -> str:
+    """Return a fraction whose denominator divides a power of ten as its digits."""
+    return str(Context(prec=1200).divide(Decimal(value.numerator), Decimal(value.denominator)))
+
+
+def text(value: Any, digits: int = 20) -> str:
+    """Return a ball as its known digits and a radius."""
+    return ball(value).str(digits)
+
+
+def bound(value: Any, *, lower: bool = False) -> str:
+    """Return an upper, or a lower, bound of a ball of at least zero with three digits."""
+    number = Fraction((ball(value).lower() if lower else ball(value).upper()).fmpq().str())
+    rounded = Context(prec=3, rounding=ROUND_FLOOR if lower else ROUND_CEILING)
+    return f"{rounded.divide(Decimal(number.numerator), Decimal(number.denominator)):g}"
+
+
+def columns(rows: Sequence[Sequence[Any]]) -> Any:
+    """Return a matrix of balls."""
+    return flint.arb_mat([[ball(x) for x in row] for row in rows])
+
+
+def identity() -> Any:
+    """Return the matrix of the identity of four states."""
+    return flint.arb_mat(4, 4, [flint.arb(int(k % 5 == 0)) for k in range(16)])
+
+
+def _power(base: Any, exponent: Any) -> Any:
+    twice = 2 * exponent
+    if not twice.is_integer():
+        return (_log(base) * exponent).exp()
+    whole = int(float(twice))
+    return base ** (whole // 2) if whole % 2 == 0 else _sqrt(base) ** whole
+
+
+def _sqrt(x: Any) -> Any:
+    # Across a branch cut a complex root is no analytic function: flint then returns no number.
+    return x.sqrt(analytic=True) if isinstance(x, flint.acb) else x.sqrt()
+
+
+def _log(x: Any) -> Any:
+    return x.log(analytic=True) if isinstance(x, flint.acb) else x.log()
+
+
+_UNARY: dict[int, Callable[[Any], Any]] = {
+    ca.OP_ASSIGN: lambda a: a,
+    ca.OP_NEG: lambda a: -a,
+    ca.OP_EXP: lambda a: a.exp(),
+    ca.OP_LOG: _log,
+    ca.OP_SQRT: _sqrt,
+    ca.OP_SQ: lambda a: a * a,
+    ca.OP_TWICE: lambda a: a + a,
+    ca.OP_INV: lambda a: 1 / a,
+    ca.OP_TAN: lambda a: a.sin() / a.cos(),
+    ca.OP_SINH: lambda a: (a.exp() - (-a).exp()) / 2,
+    ca.OP_COSH: lambda a: (a.exp() + (-a).exp()) / 2,
+    ca.OP_TANH: lambda a: 1 - 2 / ((a + a).exp() + 1),
+}
+_BINARY: dict[int, Callable[[Any, Any], Any]] = {
+    ca.OP_ADD: lambda a, b: a + b,
+    ca.OP_SUB: lambda a, b: a - b,
+    ca.OP_MUL: lambda a, b: a * b,
+    ca.OP_DIV: lambda a, b: a / b,
+}
+
+
+@dataclass(frozen=True)
+class Instructions:
+    """A casadi function of (state, parameters) as operations on numbered values.
+
+    start: all values; the state's come first, those that depend on it are None before they are computed. steps:
+    (function, places of the results, places of the arguments). outputs: places of the entries, None for a structural
+    zero.
+    """
+
+    start: tuple[Any, ...]
+    steps: tuple[tuple[Callable[..., Any], tuple[int, ...], tuple[int, ...]], ...]
+    outputs: tuple[tuple[int | None, ...], ...]
+
+    def __call__(self, state: Sequence[Any]) -> list[list[Any]]:
+        """Return the entries of each output, column by column; structural zeros as zero."""
+        work = [*state, *self.start[len(state) :]]
+        for function, into, arguments in self.steps:
+            result = function(*[work[i] for i in arguments])
+            work[into[0]], work[into[-1]] = result if len(into) == 2 else (result, result)
+        return [[flint.arb(0) if i is None else work[i] for i in output] for output in self.outputs]
+
+
+def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: Sequence[Fraction]) -> Instructions:
+    """Return the program of casadi expressions of `state` and `parameters`, which have exact values.
+
+    Raises:
+        InputError: the expressions hold an operation that has no enclosure here.
+    """
+    function = ca.Function("f", [state, parameters], ca.cse(list(outputs)))
+    known: list[Any] = [None] * state.shape[0]
+    where: dict[int, int] = {}
+    angles: dict[int, tuple[int, int]] = {}
+    steps: list[tuple[Callable[..., Any], tuple[int, ...], tuple[int, ...]]] = []
+    places: list[list[int | None]] = [[None] * function.numel_out(i) for i in range(function.n_out())]
+    entries = [function.sparsity_out(i).get_triplet() for i in range(function.n_out())]
+
+    def new(value: Any = None) -> int:
+        known.append(value)
+        return len(known) - 1
+
+    def applied(operation: Callable[..., Any], *arguments: int) -> int:
+        if all(known[i] is not None for i in arguments):
+            return new(operation(*[known[i] for i in arguments]))
+        place = new()
+        steps.append((operation, (place,), arguments))
+        return place
+
+    for k in range(function.n_instructions()):
+        code, into, source = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+        if code == ca.OP_CONST:
+            where[into[0]] = new(ball(function.instruction_constant(k)))
+        elif code == ca.OP_INPUT:
+            where[into[0]] = source[1] if source[0] == 0 else new(ball(values[source[1]]))
+        elif code == ca.OP_OUTPUT:
+            rows, cols = entries[into[0]]
+            places[into[0]][rows[into[1]] + function.size1_out(into[0]) * cols[into[1]]] = where[source[0]]
+        elif code in (ca.OP_SIN, ca.OP_COS):
+            angle = where[source[0]]
+            if angle not in angles:
+                both = (None, None) if known[angle] is None else known[angle].sin_cos()
+                angles[angle] = new(both[0]), new(both[1])
+                if both[0] is None:
+                    steps.append((lambda a: a.sin_cos(), angles[angle], (angle,)))
+            where[into[0]] = angles[angle][code == ca.OP_COS]
+        elif code in _UNARY:
+            where[into[0]] = applied(_UNARY[code], where[source[0]])
+        elif code in _BINARY:
+            where[into[0]] = applied(_BINARY[code], where[source[0]], where[source[1]])
+        elif code in (ca.OP_CONSTPOW, ca.OP_POW) and known[where[source[1]]] is not None:
+            exponent = known[where[source[1]]]
+            where[into[0]] = applied(lambda a, power=exponent: _power(a, power), where[source[0]])
+        else:
+            raise InputError(
+                f"the equations use casadi's operation {code}, which the prover does not enclose; write the energy "
+                "with + - * /, powers, sqrt, exp, log, sin, cos, tan and hyperbolic functions"
+            )
+    return Instructions(tuple(known), tuple(steps), tuple(tuple(p) for p in places))

@@ -1,0 +1,376 @@
+"""Statements about one system at one energy, and whether they are proved.
+
+`Proof` holds the verdict in words: "proved", or "not proved" with the step that does not close and what may help. An
+enclosure that does not close disproves nothing.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.parts import versions
+from dpcontrol.foundation.progress import Cost, Progress, no_progress, part_of
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.proofs.balls import NotClosed, bound, decimal, flint, text, working
+from dpcontrol.proofs.charts import ChartSegment, Surface
+from dpcontrol.proofs.check import FORMAT, digest
+from dpcontrol.proofs.connect import horseshoe, link, orbit_boxes
+from dpcontrol.proofs.decode import decoded
+from dpcontrol.proofs.flow import Field, FlowSettings
+from dpcontrol.proofs.periodic import Chain, Newton, closed_chain, enclose, improved, multipliers, newton, total_time
+from dpcontrol.scenes.model import ModelSystem
+from dpcontrol.tubes.connections import Connection
+from dpcontrol.walks.shadowing import ShadowingOrbit
+
+_HELP = "more precision, a smaller ball or shorter steps may help (--bits, --radius)"
+
+
+@dataclass(frozen=True)
+class ProofSettings:
+    """bits: working precision. radius: of the balls in which orbits are unique, in the charts' scaled coordinates.
+
+    box: half-width of the boxes around connections. segments: nodes of a periodic orbit. A radius that does not close
+    is tried again at a hundredth, `tries` times.
+    """
+
+    bits: int = 128
+    radius: float = 1e-8
+    box: float = 1e-7
+    segments: int = 8
+    tries: int = 2
+    flow: FlowSettings = FlowSettings()  # noqa: RUF009 - frozen, so it may be shared
+
+
+@dataclass(frozen=True)
+class Proof:
+    """A statement and its verdict. figures: enclosures by name, as text; certificate: what a check needs, if any."""
+
+    kind: str
+    proved: bool
+    status: str
+    statement: str
+    figures: dict[str, Any]
+    seconds: float
+    certificate: dict[str, Any] | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        return f"<proof of {self.kind}: {self.status}>"
+
+    def document(self) -> dict[str, Any]:
+        """Return the verdict with the keys that `dpcontrol prove --json` prints."""
+        return {
+            "kind": self.kind,
+            "proved": self.proved,
+            "status": self.status,
+            "statement": self.statement,
+            **self.figures,
+            "seconds": self.seconds,
+        }
+
+
+def exact_energy(energy: Any) -> Fraction:
+    """Return an energy as the decimal that was typed; of a double, as the shortest decimal that reads as it."""
+    return Fraction(repr(float(energy)) if isinstance(energy, float) else str(energy))
+
+
+def exact_parameters(system: System) -> list[Fraction]:
+    """Return a system's parameters as the decimals of its model's file, or as the shortest decimals of its doubles."""
+    values = system.model.exact_parameters if isinstance(system, ModelSystem) else map(repr, system.parameters.tolist())
+    return [Fraction(value) for value in values]
+
+
+def surface_of(system: System, energy: Fraction) -> Surface:
+    """Return an energy of a system with exact parameters; make it at the working precision.
+
+    Raises:
+        InputError: the system has more than two degrees of freedom, or operations that flint does not enclose.
+    """
+    if system.dimension != 4:
+        raise InputError(
+            f"{system.name} has {system.dimension // 2} degrees of freedom: proofs are of systems with two"
+        )
+    turning = tuple(bool(p == 2 * np.pi) for p in system.periods)
+    values = exact_parameters(system)
+    return Surface(Field.of(system, values), energy, turning, values)
+
+
+def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -> Proof:
+    """Return what work proves at a precision; an enclosure that does not close is a verdict, too."""
+    begun = time.perf_counter()
+    try:
+        with working(bits):
+            proof = work()
+    except NotClosed as error:
+        proof = Proof(kind, False, f"not proved: {error}; {_HELP}", statement, {}, 0.0)
+    except (ZeroDivisionError, np.linalg.LinAlgError) as error:
+        proof = Proof(kind, False, f"not proved: {error}; {_HELP}", statement, {}, 0.0)
+    return replace(proof, seconds=time.perf_counter() - begun)
+
+
+def certificate(
+    statement: str, surface: Surface, system: System, chain: Chain, proof: tuple[list[ChartSegment], Newton]
+) -> dict[str, Any] | None:
+    """Return the certificate of a closed chain, in the terms of module check; None of other systems than two arms.
+
+    Its radii leave room for the check's own enclosures, and its bounds are those that the check is to confirm.
+    """
+    segments, found = proof
+    parameters, pair = system.model.parameters if isinstance(system, ModelSystem) else None, multipliers(segments)
+    if not isinstance(parameters, ArmChainParameters) or pair is None:
+        return None
+    names = ("mass", "centre_of_mass", "length", "inertia")
+    arms = {name: [repr(float(v)) for v in getattr(parameters, name)] for name in names}
+    exists = max(100 * float(found.exists), _LEAST_RADIUS)
+    durations = [leg.duration for leg in chain]
+    reach = Fraction(exists) * 2 * len(durations)
+    content = {
+        "format": FORMAT,
+        "statement": statement,
+        "versions": {name: number for name, number in versions().items() if name in ("dpcontrol", "python-flint")},
+        "system": {"equations": "double pendulum", **arms, "gravity": repr(float(parameters.gravity))},
+        "energy": decimal(surface.energy),
+        "nodes": [[decimal(v) for v in leg.first.node] for leg in chain],
+        "normals": [
+            [repr(float(row[2] / s**2)) for row, s in zip(leg.first.basis, system.scale, strict=True)] for leg in chain
+        ],
+        "durations": [decimal(v) for v in durations],
+        "turns": list(chain[-1].shift),
+        "scale": [repr(float(v)) for v in system.scale],
+        "exists": f"{exists:.3e}",
+        "unique": f"{max(_UNIQUE, 10 * exists):.3e}",
+        "period": [decimal(sum(durations) - reach), decimal(sum(durations) + reach)],
+        "multiplier_exceeds": f"{0.9 * float(abs(pair[0])):.3e}",
+    }
+    return {**content, "digest": digest(content)}
+
+
+_LEAST_RADIUS, _UNIQUE = 1e-12, 1e-10
+"""Radii that a certificate asks for, scaled: the check's integrator leaves some 1e-15."""
+
+
+def proved_chain(
+    surface: Surface, chain: Chain, settings: ProofSettings, progress: Progress = no_progress
+) -> tuple[list[ChartSegment], Newton]:
+    """Prove that a chain holds exactly one orbit, in balls of the first radius that closes; return its enclosures.
+
+    Raises:
+        NotClosed: no radius closes; gives the last one's reason.
+    """
+    reason = NotClosed("no radius was tried")
+    for attempt in range(settings.tries):
+        radius = settings.radius / 100**attempt
+        try:
+            segments = enclose(surface, chain, radius, settings.flow, progress)
+            found = newton(segments, radius)
+            if found.proved:
+                return segments, found
+            reason = NotClosed(
+                f"in balls of {radius:.0e} Newton–Kantorovich gives a contraction of {bound(found.contraction)} and "
+                f"a first step of {bound(found.residual)}, which do not show that a solution is there"
+            )
+        except NotClosed as error:
+            reason = error
+    raise reason
+
+
+def prove_orbit(
+    orbit: LyapunovOrbit,
+    *,
+    energy: Fraction,
+    settings: ProofSettings | None = None,
+    progress: Progress = no_progress,
+) -> Proof:
+    """Prove that a periodic orbit exists near a computed one, is unique in a ball, and is hyperbolic.
+
+    energy: exact. The orbit's nodes are refined by Newton steps in balls; then the theorem is applied once with a ball
+    of uniqueness, and the period and the multipliers are enclosed over a ball that holds the orbit.
+
+    Raises:
+        InputError: a system of other than two degrees of freedom, or with operations that are not enclosed.
+        GoalMissed: the computed orbit did not converge.
+    """
+    settings = settings or ProofSettings()
+    if not orbit.converged:
+        raise GoalMissed(f"there is no orbit to prove: {orbit.status}")
+    system, count = orbit.system, settings.segments
+    statement = f"{system.name} has a hyperbolic periodic orbit about {orbit.saddle} at the energy {float(energy):g}"
+
+    def work() -> Proof:
+        surface = surface_of(system, energy)
+        states = np.array([system.propagator.flow(orbit.state, orbit.period * k / count) for k in range(count)])
+        chain = closed_chain(system, states, np.full(count, orbit.period / count), [0] * 4)
+        rough, about = proved_chain(surface, chain, settings, part_of(progress, 0.0, 0.25))
+        fine = replace(settings.flow, order=44, left=1e-28)
+        chain = improved(surface, chain, rough, about)
+        # A second Newton step, then the theorem about nodes that are good to the precision.
+        segments = enclose(surface, chain, about.unique, fine, part_of(progress, 0.25, 0.5))
+        chain = improved(surface, chain, segments, newton(segments, about.unique))
+        segments = enclose(surface, chain, about.unique, fine, part_of(progress, 0.5, 0.75))
+        found = newton(segments, about.unique)
+        if not found.proved:
+            raise NotClosed("the theorem holds about the first nodes, but not about the refined ones")
+        narrow = found.exists * 1000 + flint.arb(1) / 10**24
+        sharp = enclose(surface, chain, narrow, replace(fine, box_order=40), part_of(progress, 0.75, 1.0))
+        # The boxes over which period and multipliers are enclosed must hold the proved orbit.
+        if not found.exists <= narrow:
+            raise NotClosed("the ball of the multipliers does not hold the orbit")
+        pair = multipliers(sharp)
+        period = total_time(sharp, found.exists)
+        figures = {
+            "period": text(period, 30),
+            "multipliers": None if pair is None else [text(v, 20) for v in pair],
+            "exists_within": bound(found.exists),
+            "unique_within": bound(found.unique, lower=True),
+            "contraction": bound(found.contraction),
+            "state": [text(v, 30) for v in sharp[-1].landed],
+            "steps": sum(len(one.spans) for one in sharp),
+        }
+        if pair is None:
+            return Proof(
+                "orbit", False, "not proved: the orbit exists and is unique, but its multipliers are not shown to lie "
+                "off the unit circle; more precision may help, unless the orbit is elliptic", statement, figures, 0.0,
+            )  # fmt: skip
+        within = f"within {bound(found.unique, lower=True)} of the nodes; it is within {bound(found.exists)}"
+        status = f"proved: exactly one orbit {within}"
+        shown = certificate(statement, surface, system, chain, (sharp, found))
+        return Proof("orbit", True, status, statement, figures, 0.0, shown)
+
+    return attempted("orbit", statement, settings.bits, work)
+
+
+def prove_walk(
+    walk: ShadowingOrbit,
+    *,
+    energy: Fraction,
+    rivals: Sequence[Connection] = (),
+    settings: ProofSettings | None = None,
+    progress: Progress = no_progress,
+) -> Proof:
+    """Prove that a closed walk's orbit exists, is unique in balls about its nodes, and follows its symbols.
+
+    energy: exact; rivals: other connections of the energy, which the orbit must not follow instead.
+
+    Raises:
+        InputError: an open walk, or a system whose equations are not enclosed.
+        GoalMissed: the walk's orbit did not converge.
+    """
+    settings = settings or ProofSettings()
+    if not walk.periodic:
+        raise InputError("only closed walks are proved: close it with --periodic (periodic=True in Python)")
+    if not walk.converged:
+        raise GoalMissed(f"there is no orbit to prove: {walk.status}")
+    system, orbit = walk.orbit.system, walk.orbit
+    text_of = ", ".join(walk.walk)
+    statement = (
+        f"{system.name} has a closed orbit at the energy {float(energy):g} that follows {text_of} "
+        f"with wraps {list(walk.wraps)}"
+    )
+
+    def work() -> Proof:
+        surface = surface_of(system, energy)
+        assert orbit.turn is not None
+        turns = np.zeros(4, dtype=int)
+        for k, length in enumerate(system.turn_lengths):
+            turns[k] = round(float(orbit.turn[k] / length)) if length else 0
+            if turns[k] and not surface.turns[k]:
+                raise InputError(f"coordinate {k + 1} of {system.name} turns with a period that is not 2π")
+        chain = closed_chain(system, orbit.states[:-1], np.diff(orbit.times), turns.tolist())
+        segments, found = proved_chain(surface, chain, settings, progress)
+        pair = multipliers(segments)
+        figures = {
+            "period": text(total_time(segments, found.exists), 20),
+            "multipliers": None if pair is None else [text(v, 8) for v in pair],
+            "exists_within": bound(found.exists),
+            "unique_within": bound(found.unique, lower=True),
+            "contraction": bound(found.contraction),
+            "nodes": len(chain),
+            "steps": sum(len(one.spans) for one in segments),
+        }
+        try:
+            passages = decoded(surface, walk, segments, rivals)
+        except NotClosed as error:
+            return Proof(
+                "walk", False, "not proved: a closed orbit exists and is unique, but it is not shown to follow its "
+                f"symbols: {error}", statement, figures, 0.0,
+            )  # fmt: skip
+        figures["symbols"] = passages
+        status = (
+            f"proved: exactly one orbit within {bound(found.unique, lower=True)} of the {len(chain)} nodes, and it "
+            f"follows its {len(passages)} symbols"
+        )
+        shown = certificate(statement, surface, system, chain, (segments, found))
+        return Proof("walk", True, status, statement, figures, 0.0, shown)
+
+    return attempted("walk", statement, settings.bits, work)
+
+
+def cost(periods: float) -> Cost:
+    """Return what a proof will take: measured 0.8 to 1.2 s of one core for each period of orbits in it."""
+    return Cost(f"{periods:.3g} periods of orbits", 1.2 * periods, 2e8, "prove")
+
+
+def prove_connections(
+    connections: Sequence[Connection],
+    *,
+    energy: Fraction,
+    settings: ProofSettings | None = None,
+    whole: bool = False,
+    progress: Progress = no_progress,
+) -> Proof:
+    """Prove that connections between two orbits exist and are transversal, and enclose their angles.
+
+    energy: exact. whole: prove also the horseshoe that all homoclinics of one orbit make together.
+
+    Raises:
+        InputError: no connections, or a system whose equations are not enclosed.
+    """
+    settings = settings or ProofSettings()
+    if not connections:
+        raise InputError("there are no connections to prove; find some with `dpcontrol connect`")
+    system, first, last = connections[0].source.system, connections[0].source, connections[0].target
+    kind = "horseshoe" if whole else "connection"
+    statement = (
+        f"{system.name} has {len(connections)} transversal connections from the orbit about {first.saddle} to that "
+        f"about {last.saddle} at the energy {float(energy):g}"
+    )
+
+    def work() -> Proof:
+        surface, links, failed = surface_of(system, energy), [], []
+        source = orbit_boxes(surface, first, settings.box, settings.flow)
+        target = source if last is first else orbit_boxes(surface, last, settings.box, settings.flow)
+        for k, connection in enumerate(connections):
+            progress(connection.name, k / len(connections))
+            try:
+                links.append(link(surface, connection, source, target, settings.flow))
+            except NotClosed as error:
+                failed.append(f"{connection.name}: {error}")
+        shown = [
+            {
+                "name": one.connection.name,
+                "angle_deg": one.angle.str(8, more=True),
+                "state": [text(x, 8) for x in one.state],
+            }
+            for one in links
+        ]
+        figures: dict[str, Any] = {"box": settings.box, "connections": shown, "failed": failed}
+        if failed:
+            status = f"not proved: {len(failed)} of {len(connections)}; {failed[0]}; {_HELP}"
+            return Proof(kind, False, status, statement, figures, 0.0)
+        status = f"proved: all {len(links)} exist and are transversal"
+        if whole:
+            least, entropy = horseshoe(surface, source, links)
+            figures |= {"least_wraps": max(map(max, least)), "entropy_at_least": text(entropy, 12), "least": least}
+            status += (
+                f"; every walk on them with at least {figures['least_wraps']} wraps at each stop is realised by an "
+                f"orbit, and the topological entropy is at least {float(entropy) - 5e-5:.4f} per second"
+            )
+        return Proof(kind, True, status, statement, figures, 0.0)
+
+    return attempted(kind, statement, settings.bits, work)

@@ -1,0 +1,129 @@
+"""Certificates are confirmed by code of its own, and each of twenty corruptions is rejected with exit code 1."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import dpcontrol
+
+import dpcontrol as dp
+
+pytest.importorskip("flint")
+
+from dpcontrol.proofs.check import Rejected, check, digest
+from dpcontrol.proofs.prove import ProofSettings
+
+Change = Callable[[dict[str, Any]], None]
+
+
+@pytest.fixture(scope="module")
+def lab() -> dict[str, Any]:
+    """The certificate of lab's orbit about Down-Up at -0.07 J."""
+    orbit = dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07)
+    proof = dp.prove(orbit, settings=replace(ProofSettings(), segments=6))
+    assert proof.certificate is not None, proof.status
+    return json.loads(json.dumps(proof.certificate))
+
+
+def shifted(text: str, by: str) -> str:
+    """Return a decimal changed by another."""
+    return str(float(Fraction(text) + Fraction(by)))
+
+
+def put(*path: Any, by: str = "", value: Any = None) -> Change:
+    """Return a change of one entry: by a number, or to a value; None removes it."""
+
+    def change(content: dict[str, Any]) -> None:
+        place: Any = content
+        for key in path[:-1]:
+            place = place[key]
+        if by:
+            place[path[-1]] = shifted(place[path[-1]], by)
+        elif value is None:
+            del place[path[-1]]
+        else:
+            place[path[-1]] = value
+
+    return change
+
+
+UNREADABLE = {
+    "format": put("format", value="dpcontrol proof 0"),
+    "no nodes": put("nodes"),
+    "a node less": put("nodes", 2),
+    "a component less": put("nodes", 2, 3),
+    "no mass": put("system", "mass"),
+    "another system": put("system", "equations", value="triple pendulum"),
+    "no number": put("durations", 1, value="soon"),
+    "no radius": put("exists"),
+    "exists beyond unique": put("exists", value="1e-3"),
+    "a negative duration": put("durations", 0, value="-0.1"),
+    "turns of a rate": put("turns", value=[0, 0, 1, 0]),
+}
+UNTRUE = {
+    "a node's tenth digit": put("nodes", 2, 1, by="1e-9"),
+    "a rate's eleventh digit": put("nodes", 4, 2, by="1e-9"),
+    "a smaller radius": put("exists", value="1e-30"),
+    "a huge ball": put("unique", value="1e-2"),
+    "a mass": put("system", "mass", 0, by="1e-8"),
+    "an inertia": put("system", "inertia", 1, by="1e-10"),
+    "gravity": put("system", "gravity", by="1e-7"),
+    "the energy": put("energy", by="1e-9"),
+    "a duration": put("durations", 3, by="1e-9"),
+    "a turn": put("turns", value=[0, 1, 0, 0]),
+    "the period": put("period", 0, by="1e-9"),
+    "the multiplier": put("multiplier_exceeds", value="600"),
+    "no plane": put("normals", 0, value=["0", "0", "0", "0"]),
+}
+
+
+@pytest.mark.slow
+def test_the_check_confirms_what_is_proved(lab: dict[str, Any], tmp_path: Path) -> None:
+    file = tmp_path / "proof.json"
+    file.write_text(json.dumps(lab), encoding="utf-8")
+    ended = dpcontrol("prove", "check", file)
+    assert ended.code == 0, ended.stderr
+    assert "exactly one periodic orbit" in ended.stdout
+
+
+def corrupted(content: dict[str, Any], change: Change, *, sealed: bool) -> dict[str, Any]:
+    """Return a changed copy, with the digest of what it now holds if it is sealed."""
+    copy = json.loads(json.dumps(content))
+    change(copy)
+    return {**copy, "digest": digest(copy)} if sealed else copy
+
+
+@pytest.mark.parametrize("name", [*UNREADABLE, *UNTRUE])
+def test_a_corrupted_file_is_rejected_by_its_digest_with_exit_code_1(
+    lab: dict[str, Any], name: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "proof.json"
+    file.write_text(json.dumps(corrupted(lab, (UNREADABLE | UNTRUE)[name], sealed=False)), encoding="utf-8")
+    ended = dpcontrol("prove", "check", file)
+    assert ended.code == 1
+    assert "rejected: " in ended.stderr
+
+
+@pytest.mark.parametrize("name", UNREADABLE)
+def test_what_does_not_fit_together_is_rejected_even_under_its_own_digest(lab: dict[str, Any], name: str) -> None:
+    with pytest.raises(Rejected):
+        check(corrupted(lab, UNREADABLE[name], sealed=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", UNTRUE)
+def test_what_is_untrue_is_rejected_by_the_mathematics_alone(lab: dict[str, Any], name: str) -> None:
+    with pytest.raises(Rejected):
+        check(corrupted(lab, UNTRUE[name], sealed=True))
+
+
+def test_files_that_are_no_certificates_are_rejected_or_named(tmp_path: Path) -> None:
+    for content in ("", "[]", "{}", "null", "[" * 100_000, '{"format": "dpcontrol proof 1"}'):
+        file = tmp_path / "proof.json"
+        file.write_text(content, encoding="utf-8")
+        assert dpcontrol("prove", "check", file).code == 1, content[:20]
+    assert dpcontrol("prove", "check", tmp_path / "none.json").code == 2

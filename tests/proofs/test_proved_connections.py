@@ -1,0 +1,87 @@
+"""Connections are proved with their angles, the homoclinics of lab at -0.07 J as a horseshoe; wrong ones are not."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import dpcontrol as dp
+
+pytest.importorskip("flint")
+
+from dpcontrol.proofs.balls import flint
+from dpcontrol.proofs.prove import Proof, ProofSettings, prove_connections
+from dpcontrol.tubes.connections import ConnectionSearch
+
+ENERGY = Fraction("-0.07")
+
+
+@pytest.fixture(scope="module")
+def found() -> ConnectionSearch:
+    """The homoclinics of lab's orbit about Down-Up at -0.07 J."""
+    return dp.connections(dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07))
+
+
+@pytest.fixture(scope="module")
+def steepest(found: ConnectionSearch) -> Proof:
+    """The proof of the most transversal of them alone."""
+    one = max(found.connections, key=lambda c: c.transversality_angle)
+    return prove_connections([one], energy=ENERGY, whole=True)
+
+
+def test_a_homoclinic_is_proved_and_its_angle_and_state_are_those_computed(
+    found: ConnectionSearch, steepest: Proof
+) -> None:
+    assert steepest.proved, steepest.status
+    one = max(found.connections, key=lambda c: c.transversality_angle)
+    (shown,) = steepest.figures["connections"]
+    assert abs(flint.arb(shown["angle_deg"]) - one.transversality_angle) < 0.1
+    for text, value in zip(shown["state"], one.state, strict=True):
+        assert flint.arb(text).overlaps(flint.arb(float(value), 1e-9))
+
+
+def test_one_homoclinic_and_rounds_make_a_horseshoe_with_entropy(steepest: Proof) -> None:
+    """Loops of 0.752 s and of some 5 s: the entropy is that of these two return times."""
+    entropy = float(flint.arb(steepest.figures["entropy_at_least"]))
+    assert 0.1 < entropy < 1.0
+    assert steepest.figures["least_wraps"] >= 1
+
+
+def test_a_connection_that_is_not_there_is_not_proved(found: ConnectionSearch) -> None:
+    one = found.connections[0]
+    orbit = one.orbit
+    states = orbit.states + 1e-4 * np.sin(np.arange(4))
+    wrong = replace(one, orbit=replace(orbit, states=states))
+    proof = prove_connections([wrong], energy=ENERGY)
+    assert not proof.proved
+    assert proof.status.startswith("not proved: 1 of 1; ")
+    assert "false" not in proof.status
+
+
+@pytest.mark.slow
+def test_all_eight_homoclinics_are_proved_and_any_walk_on_them_has_an_orbit(found: ConnectionSearch) -> None:
+    proof = dp.prove(found)
+    assert proof.proved, proof.status
+    angles = sorted(float(flint.arb(one["angle_deg"])) for one in proof.figures["connections"])
+    published = sorted(c.transversality_angle for c in found.connections)
+    assert np.allclose(angles, published, atol=0.01)
+    least = np.array(proof.figures["least"])
+    assert least.shape == (8, 8)
+    assert proof.figures["least_wraps"] == least.max()
+    assert float(flint.arb(proof.figures["entropy_at_least"])) > 0.3
+
+
+@pytest.mark.slow
+def test_the_heteroclinics_at_a_fifth_of_a_joule_are_proved() -> None:
+    lab = dp.load_model("lab")
+    found = dp.connections(dp.orbit(lab, "down-up", energy=0.2), dp.orbit(lab, "up-down", energy=0.2))
+    proof = dp.prove(found)
+    assert proof.proved, proof.status
+    assert len(proof.figures["connections"]) == 4
+
+
+@pytest.mark.slow
+def test_boxes_that_are_too_large_are_not_proved(found: ConnectionSearch) -> None:
+    proof = prove_connections(found.connections[:1], energy=ENERGY, settings=replace(ProofSettings(), box=1e-2))
+    assert not proof.proved

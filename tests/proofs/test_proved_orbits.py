@@ -1,0 +1,189 @@
+"""Orbits are proved where independent figures put them; what is not there, or not hyperbolic, is not proved."""
+
+import importlib
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from reference_values import LYAPUNOV_ORBITS
+
+import dpcontrol as dp
+from dpcontrol.proofs.balls import bound, flint, symmetric, working
+from dpcontrol.proofs.flow import FlowSettings, fly
+from dpcontrol.proofs.periodic import closed_chain
+from dpcontrol.proofs.prove import Proof, ProofSettings, exact_energy, proved_chain, surface_of
+
+pytest.importorskip("flint")
+
+DOUBLE = 1e-10
+"""Relative: the independent values are doubles of parameters that were read as doubles."""
+PERIOD_OF_DOUBLES = "0.75238002849288055803"
+"""The period of lab's orbit at -0.07 J with the parameters' doubles, from another program (5e-21)."""
+
+
+def number(text: str) -> Any:
+    """Return a ball from its text."""
+    return flint.arb(text)
+
+
+def near(text: str, value: float, relative: float = DOUBLE) -> bool:
+    """True if a ball's text holds a number within a relative distance of a value, and is not wider than that."""
+    gap = abs(number(text) - flint.arb(value))
+    return bool(gap < flint.arb(relative) * abs(flint.arb(value)))
+
+
+@pytest.mark.parametrize("case", [("lab", "down-up", -0.07), ("lab", "up-down", 0.2), ("printed", "down-up", -0.07)])
+def test_enclosures_hold_the_independent_period_multiplier_and_state(case: tuple[str, str, float]) -> None:
+    state, period, multiplier, _ = LYAPUNOV_ORBITS[case]
+    proof = dp.prove(dp.orbit(dp.load_model(case[0]), case[1], energy=case[2]))
+    assert proof.proved, proof.status
+    assert near(proof.figures["period"], period)
+    assert near(proof.figures["multipliers"][0], multiplier)
+    assert near(proof.figures["multipliers"][1], 1 / multiplier)
+    for text, value in zip(proof.figures["state"], state, strict=True):
+        assert abs(number(text) - flint.arb(value)) < DOUBLE
+
+
+def test_a_period_differs_from_that_of_the_parameters_doubles_in_the_sixteenth_digit_only() -> None:
+    proof = dp.prove(dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07))
+    with working(160):
+        gap = abs(number(proof.figures["period"]) - number(PERIOD_OF_DOUBLES))
+        assert flint.arb(1e-17) < gap < flint.arb(1e-15)
+        assert number(proof.figures["period"]).rad() < flint.arb(5e-21)
+
+
+def test_three_bodies_and_a_users_hamiltonian_are_proved() -> None:
+    def hamiltonian(q: Any, p: Any, c: Any) -> Any:
+        (x, y), (px, py) = q, p
+        return (px**2 + py**2 + x**2 + y**2) / 2 + c["lambda"] * (x**2 * y - y**3 / 3) + 0.01 * ca.exp(-(x**2))
+
+    own = dp.System.from_hamiltonian(
+        "own", hamiltonian, coordinates=("x", "y"), parameters={"lambda": 1.1}, equilibria={"top": (0.0, 0.9)}
+    )
+    orbits = [dp.orbit(dp.load_model("three-body"), "L1", energy=-1.515), dp.orbit(own, "top", energy=0.17)]
+    for orbit in orbits:
+        proof = dp.prove(orbit)
+        assert proof.proved, proof.status
+        assert near(proof.figures["period"], orbit.period)
+        assert near(proof.figures["multipliers"][0], orbit.unstable_multiplier, 1e-8)
+
+
+def refused(proof: Proof) -> bool:
+    """True if a verdict is "not proved", and not that anything is false."""
+    return not proof.proved and proof.status.startswith("not proved: ") and "false" not in proof.status
+
+
+def test_a_wrong_node_a_huge_ball_and_an_elliptic_orbit_are_not_proved() -> None:
+    lab = dp.load_model("lab")
+    orbit = dp.orbit(lab, "down-up", energy=-0.07)
+    once = ProofSettings(tries=1)
+    assert refused(dp.prove(replace(orbit, state=orbit.state + 1e-4 * np.eye(4)[2]), settings=once))
+    assert refused(dp.prove(replace(orbit, period=orbit.period * 1.001), settings=once))
+    assert refused(dp.prove(orbit, settings=replace(once, radius=1e-2)))
+    assert refused(dp.prove(orbit, energy=-0.069, settings=once))
+
+    def wells(q: Any, p: Any, _: Any) -> Any:
+        (x, y), (px, py) = q, p
+        return (px**2 + 2 * py**2) / 2 + x**2 / 2 - x**4 / 40 + y**2 - 0.2 * x * y**2
+
+    # At rest in the well both motions oscillate: the orbit about it is elliptic.
+    system = dp.System.from_hamiltonian("wells", wells, coordinates=("x", "y"), equilibria={"out": (3.16, 0.0)})
+    amplitude = 0.3
+    state = np.array([0.0, 0.0, amplitude, 0.0])
+    elliptic = replace(orbit, system=system, state=state, period=_period(system, state), saddle="bottom")
+    proof = dp.prove(elliptic, energy=exact_energy(float(system.numeric.hamiltonian(state))))
+    assert refused(proof)
+    assert proof.figures["multipliers"] is None, proof.status
+
+
+def _period(system: dp.System, state: np.ndarray) -> float:
+    """Return the time after which an orbit of one coordinate crosses zero upward again."""
+    times = np.linspace(5.0, 8.0, 3001)
+    x = system.propagator.sample(state, times)[:, 0]
+    k = int(np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))[0])
+    period = float(times[k])
+    for _ in range(5):
+        end = system.propagator.flow(state, period)
+        period -= float(end[0] / system.numeric.rate(end)[0])
+    return period
+
+
+def test_random_flights_stay_in_their_enclosures() -> None:
+    """Doubles from another integrator, from random corners of a box, lie in the box's enclosure."""
+    random = np.random.default_rng(3)
+    system = dp.load_model("lab").system
+    radius = 1e-6
+    with working(128):
+        surface = surface_of(system, Fraction(0))
+        for _ in range(3):
+            start = np.concatenate([random.uniform(-3, 3, 2), random.uniform(-20, 20, 2)])
+            flown = fly(
+                surface.field,
+                [flint.arb(v) for v in start],
+                flint.arb_mat(4, 1, [symmetric(radius)] * 4),
+                Fraction(1, 10),
+                FlowSettings(),
+            )
+            for _ in range(8):
+                end = system.propagator.flow(start + radius * random.choice([-1.0, 1.0], 4), 0.1)
+                rounding = 1e-12
+                assert all(abs(b.mid() - v) <= b.rad() + rounding for b, v in zip(flown.box, end, strict=True))
+            _, stm = system.propagator.flow_with_stm(start, 0.1)
+            entries = zip(flown.derivative.entries(), stm.ravel(), strict=True)
+            assert all(abs(b.mid() - v) <= b.rad() + 1e-9 for b, v in entries)
+            # The enclosure is no wider than the box makes it.
+            assert max(float(b.rad()) for b in flown.thin) < 1e-15
+
+
+def test_flints_precision_is_restored_and_bounds_round_up() -> None:
+    before = flint.ctx.prec
+    with working(200):
+        assert flint.ctx.prec == 200
+    assert flint.ctx.prec == before
+    assert (bound(flint.arb(1) / 3), bound(flint.arb(1) / 3, lower=True)) == ("0.334", "0.333")
+    assert (bound(1e-8), bound(1e-8, lower=True)) == ("1.01e-8", "1.00e-8")
+
+
+def test_a_chain_of_nodes_off_the_energy_is_lifted_onto_it() -> None:
+    system = dp.load_model("lab").system
+    orbit = dp.orbit(system, "down-up", energy=-0.07)
+    states = np.array([system.propagator.flow(orbit.state, orbit.period * k / 4) for k in range(4)])
+    with working(128):
+        surface = surface_of(system, Fraction("-0.07000000001"))
+        chain = closed_chain(system, states, np.full(4, orbit.period / 4), [0] * 4)
+        _, found = proved_chain(surface, chain, ProofSettings())
+    assert found.proved
+    assert found.exists > flint.arb(1e-13)
+
+
+def test_the_command_line_proves_in_words_and_json_and_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    done = dpcontrol("prove", "orbit", "lab", "--saddle", "down-up", "--energy", "-0.07", "--json")
+    assert done.code == 0
+    assert done.document["proved"]
+    assert near(done.document["period"], 0.7523800284928803)
+    refusals = {
+        ("orbit", "lab", "--energy", "-0.07"): "--saddle is missing",
+        ("orbit", "lab", "--saddle", "down-up"): "--energy is missing",
+        ("walk", "lab", "--energy", "-0.07", "--periodic"): "-s is missing",
+        ("walk", "lab", "--energy", "-0.07", "-s", "down-up +"): "--periodic",
+        ("orbit", "triple", "--saddle", "down-up-down", "--energy", "-0.2"): "degrees of freedom",
+    }
+    for line, said in refusals.items():
+        ended = dpcontrol("prove", *line)
+        assert ended.code == 2, line
+        assert said in ended.stderr
+    imported = importlib.import_module
+
+    def lacking(name: str, package: str | None = None) -> Any:
+        if name == "flint":
+            raise ImportError(name)
+        return imported(name, package)
+
+    monkeypatch.setattr(importlib, "import_module", lacking)
+    ended = dpcontrol("prove", "orbit", "lab", "--saddle", "down-up", "--energy", "-0.07")
+    assert ended.code == 2
+    assert "dpcontrol[proof]" in ended.stderr

@@ -1,0 +1,96 @@
+"""Closed walks are proved with their symbols; what does not follow its symbols is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+
+import dpcontrol as dp
+
+pytest.importorskip("flint")
+
+from dpcontrol.proofs.balls import flint, working
+from dpcontrol.proofs.check import check
+from dpcontrol.proofs.prove import Proof
+from dpcontrol.walks.edges import Edges
+from dpcontrol.walks.shadowing import ShadowingOrbit
+
+LAB = dp.load_model("lab")
+
+
+@pytest.fixture(scope="module")
+def graph() -> Edges:
+    """The connections of lab at -0.07 J."""
+    return dp.graph(LAB, energy=-0.07)
+
+
+@pytest.fixture(scope="module")
+def turn(graph: Edges) -> ShadowingOrbit:
+    """The closed walk of one turn of the outer arm, without a wrap."""
+    return dp.shadow(graph, ["down-up +"], wraps=[0], periodic=True)
+
+
+@pytest.fixture(scope="module")
+def proof(graph: Edges, turn: ShadowingOrbit) -> Proof:
+    """Its proof."""
+    return dp.prove(turn, rivals=graph)
+
+
+def test_a_closed_walk_is_proved_with_its_period_multiplier_symbol_and_wraps(
+    proof: Proof, turn: ShadowingOrbit
+) -> None:
+    assert proof.proved, proof.status
+    estimate = turn.estimate
+    assert estimate is not None
+    assert estimate.multipliers is not None
+    with working(128):
+        # The estimate of the walk, in doubles, is near the enclosures.
+        assert abs(flint.arb(proof.figures["period"]) - turn.duration) < 1e-10
+        outside = flint.arb(proof.figures["multipliers"][0])
+        assert abs(abs(outside).log() - estimate.multipliers.log_unstable) < 1e-3
+        assert (outside > 0) == (estimate.multipliers.sign > 0)
+    assert [(s["crossings"], s["wraps"]) for s in proof.figures["symbols"]] == [(1, 0)]
+    assert float(proof.figures["exists_within"]) < 1e-11 < float(proof.figures["unique_within"])
+
+
+@pytest.mark.slow
+def test_its_certificate_is_confirmed(proof: Proof) -> None:
+    assert proof.certificate is not None
+    assert proof.certificate["turns"] == [0, 1, 0, 0]
+    assert "exactly one periodic orbit" in check(proof.certificate)
+
+
+def test_a_walk_with_other_symbols_wraps_or_turns_is_not_proved(graph: Edges, turn: ShadowingOrbit) -> None:
+    other = next(c for c in graph.connections if c.sense > 0 and c.name != turn.walk[0])
+    for wrong in (
+        replace(turn, connections=(other,)),
+        replace(turn, wraps=(1,)),
+        replace(turn, offsets=turn.offsets + np.array([[0.0] * 4, [0.0, 1.0, 0.0, 0.0]])),
+    ):
+        found = dp.prove(wrong, rivals=graph)
+        assert not found.proved
+        assert found.status.startswith("not proved: a closed orbit exists")
+
+
+def test_an_orbit_pushed_off_its_nodes_is_not_proved(turn: ShadowingOrbit) -> None:
+    states = turn.orbit.states.copy()
+    states[5] += 1e-5
+    found = dp.prove(replace(turn, orbit=replace(turn.orbit, states=states)))
+    assert not found.proved
+    assert found.status.startswith("not proved: ")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("energy", "symbols", "wraps"),
+    [
+        ("-0.07", ["down-up +", "down-up -", "down-up +", "down-up +"], "1,2,0,1"),
+        ("0.2", ["down-up +", "down-up > up-down", "up-down -", "up-down > down-up"], "1,1,1,1"),
+    ],
+)
+def test_walks_of_four_symbols_are_proved_on_the_command_line(energy: str, symbols: list[str], wraps: str) -> None:
+    given = [part for symbol in symbols for part in ("-s", symbol)]
+    ended = dpcontrol("prove", "walk", "lab", "--energy", energy, *given, "--wraps", wraps, "--periodic", "--json")
+    assert ended.code == 0, ended.stderr
+    assert [s["wraps"] for s in ended.document["symbols"]] == [int(n) for n in wraps.split(",")]
