@@ -1,0 +1,214 @@
+"""What the page draws, as JSON: joints as places in m, cuts and connections as places on sections, series over time.
+
+The page knows no lengths, angles or equations: where an arm is at which time is computed here.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
+from dpcontrol.logs import RunLog
+from dpcontrol.orbits.lyapunov import equilibria
+from dpcontrol.references.reference import summarised
+from dpcontrol.review.atlas import connections_of, section_curves, section_place
+from dpcontrol.scenes.model import Model, load_model
+from dpcontrol.scenes.plan import Plan
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, section_axes
+from dpcontrol.walks.symbols import Symbol, choose
+
+RATE = 60.0
+"""Frames per second of motions."""
+_FINE = 1e4
+"""Places are sent in whole tenths of a millimetre."""
+_ARMS = ("inner", "outer")
+_BEYOND, _BELOW = 0.1, 0.025
+"""The slider's end above the highest saddle, and the first energy, in shares of all equilibria's range of energies."""
+
+
+def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -> list[list[int]]:
+    """Return pivot, joints and tip (K, 2n + 1): the pivot's x, then x and y of each arm's end, in 0.1 mm, y upward."""
+    along = np.asarray(lengths) * np.sin(angles)
+    up = -np.asarray(lengths) * np.cos(angles)
+    pivot = np.broadcast_to(np.asarray(cart, dtype=float), (len(angles),))
+    ends = np.stack([pivot[:, None] + np.cumsum(along, axis=1), np.cumsum(up, axis=1)], axis=-1)
+    return np.rint(_FINE * np.column_stack([pivot, ends.reshape(len(angles), -1)])).astype(int).tolist()
+
+
+def energies_of(model: Model) -> tuple[float, float, float]:
+    """Return the lowest and the highest energy to choose from, and the first to show, J."""
+    points = equilibria(model.system).values()
+    saddles = [point.energy for point in points if point.kind.startswith("index-1")]
+    spread = max(point.energy for point in points) - min(point.energy for point in points)
+    lowest, highest = min(saddles) + 0.005 * spread, max(saddles) + _BEYOND * spread
+    return float(f"{lowest:.3f}"), float(f"{highest:.3f}"), float(f"{max(saddles) + _BELOW * spread:.2g}")
+
+
+def shown_model(model: Model) -> dict[str, Any]:
+    """Return what the page shows of a model before there is an atlas."""
+    lowest, highest, first = energies_of(model)
+    points = equilibria(model.system).values()
+    lengths = model.arms.length
+    return {
+        "name": model.name,
+        "title": model.title,
+        "remarks": list(model.remarks),
+        "energies": [lowest, highest, first],
+        "reach": sum(lengths),
+        "points": [
+            {
+                "name": point.name,
+                "energy": point.energy,
+                "kind": point.kind,
+                "frame": joints(point.state[None, : len(lengths)], lengths)[0],
+            }
+            for point in points
+        ],
+    }
+
+
+@cache
+def fitting_model(name: str) -> Model:
+    """Return a model by name or path.
+
+    Raises:
+        InputError: it cannot be loaded, or the planner cannot plan with it.
+    """
+    model = load_model(name)
+    if (count := model.arms.count) != 2:
+        why = {1: "no connections to choose from"}.get(
+            count, "connections at single energies: `dpcontrol guide triple`"
+        )
+        raise InputError(f"{name}: {count} arm{'s' if count > 1 else ''} have {why}; choose a model of two arms")
+    return model
+
+
+def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
+    """Return orbits as moving arms, each kind's section, and each connection's place, figures and motion."""
+    lengths = model.arms.length
+    n = len(lengths)
+    kinds = []
+    for kind in atlas.kinds:
+        connections = connections_of(atlas, kind)
+        if not connections and any(k is not kind and (k.source, k.target) == (kind.source, kind.target)
+                                   for k in atlas.kinds):  # fmt: skip
+            continue
+        coordinate, period = section_axes(atlas.cut(kind.source, kind.section, kind.hits[0]).section, atlas.periods)
+        curves = [
+            {"stable": stable, "forward": sign > 0, "points": np.round(points, 4).tolist()}
+            for stable, sign, points in section_curves(atlas, kind)
+        ]
+        kinds.append({
+            "source": kind.source, "target": kind.target, "section": kind.section, "coordinate": coordinate,
+            "period": period, "curves": curves,
+        })  # fmt: skip
+    listed = [c for kind in atlas.kinds for c in connections_of(atlas, kind)]
+    return {
+        "model": atlas.model,
+        "energy": atlas.energy,
+        "status": atlas.status,
+        "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in atlas.absent],
+        "orbits": [
+            {
+                "name": orbit.name,
+                "saddle": orbit.saddle,
+                "period": orbit.period,
+                "frames": joints(orbit.samples[:, :n], lengths),
+            }
+            for orbit in atlas.orbits
+        ],
+        "kinds": kinds,
+        "connections": [_shown_connection(c, atlas, lengths) for c in listed],
+        "symbols": _symbols(listed),
+    }
+
+
+def _shown_connection(c: AtlasConnection, atlas: Atlas, lengths: Sequence[float]) -> dict[str, Any]:
+    times = np.arange(c.times[0], c.times[-1], 1 / RATE)
+    angles = np.column_stack([np.interp(times, c.times, column) for column in c.states[:, : len(lengths)].T])
+    return {
+        "name": c.name,
+        "source": c.source,
+        "target": c.target,
+        "turns": _turns(c),
+        "figures": f"{c.transversality_angle:.1f}°  {c.time_out + c.time_in:.2f} s",
+        "place": np.round(section_place(atlas, c), 5).tolist(),
+        "motion": {"rate": RATE, "frames": joints(angles, lengths)},
+    }
+
+
+def _turns(c: AtlasConnection) -> str:
+    turns = [f"{arm} {turn:+d}" for arm, turn in zip(_ARMS, c.winding, strict=True) if turn]
+    return ", ".join(turns).replace("-", "−") or "no turn"
+
+
+def _symbols(connections: list[AtlasConnection]) -> dict[str, str]:
+    """Return which connection each short symbol, such as "down-up +", stands for."""
+    found: dict[str, str] = {}
+    for source, target in dict.fromkeys((c.source, c.target) for c in connections):
+        between: Any = [c for c in connections if (c.source, c.target) == (source, target)]
+        for sense, sign in ((1, " +"), (-1, " -"), (None, "")):
+            if any(sense in (None, c.sense) for c in between) and (source != target or sense):
+                text = f"{source}{sign}" if source == target else f"{source} > {target}{sign}"
+                found[text] = choose(Symbol(text, source, target, sense, None), between).name
+    return found
+
+
+def shown_plan(plan: Plan) -> dict[str, Any]:
+    """Return a plan's motion with its cart, the cart's path and command, and when each symbol is done."""
+    reference, notes = plan.reference, plan.notes
+    times = np.arange(0.0, reference.duration, 1 / RATE)
+    states = np.asarray(reference.state(times))
+    n = plan.itinerary.model.arms.count
+    return {
+        "motion": {"rate": RATE, "frames": joints(states[:, :n], plan.itinerary.model.arms.length, states[:, 2 * n])},
+        "duration": reference.duration,
+        "travel": reference.limits.position,
+        "series": {
+            "position": np.round(states[:, 2 * n], 5).tolist(),
+        },
+        "symbols": [{"text": symbol["text"], "time": symbol["time"]} for symbol in notes["symbols"]],
+    }
+
+
+def figures_of(plan: Plan) -> dict[str, Any]:
+    """Return a converged plan's figures against its limits."""
+    summary = summarised(plan.reference)
+    return {
+        "duration": plan.reference.duration,
+        "effort": summary.effort,
+        "error": plan.reference.max_error_between_nodes,
+        "uses": [
+            {
+                "name": {"position": "travel", "velocity": "speed"}.get(use.name, use.name),
+                **picked(use, "unit", "bound", "largest", "time"),
+            }
+            for use in summary.uses
+        ],
+    }
+
+
+def shown_run(log: RunLog) -> dict[str, Any]:
+    """Return a run's motion beside its reference's, both with their carts."""
+    times = np.arange(log.time[0], log.time[-1], 1 / RATE)
+    n = len(log.arm_lengths)
+    rows = np.clip(np.searchsorted(log.time, times), 0, len(log.time) - 1)
+    states = log.estimate if log.truth is None else log.truth
+    limits = log.limits or (0.0, 0.0, 0.0)
+    return {
+        "motion": {"rate": RATE, "frames": joints(states[rows, :n], log.arm_lengths, states[rows, 2 * n])},
+        "ghost": {
+            "rate": RATE,
+            "frames": joints(log.reference[rows, :n], log.arm_lengths, log.reference[rows, 2 * n]),
+        },
+        "duration": float(log.time[-1] - log.time[0]),
+        "travel": limits[0],
+        "series": {
+            "position": np.round(states[rows, 2 * n], 5).tolist(),
+            "reference": np.round(log.reference[rows, 2 * n], 5).tolist(),
+        },
+    }

@@ -1,0 +1,172 @@
+"""The process that does the long work of a page: one job at a time; whoever started it may kill it at any moment.
+
+`python -m dpcontrol.planner.worker` reads a job from each line of its standard input, as JSON {"do": NAME, ...}, and
+writes lines, each a word and JSON: `progress [TEXT, SHARE]`, `show:KIND VALUE` for the page, `remark TEXT`, and last
+`done VALUE` or `failed SENTENCE`. It ends with its input.
+"""
+
+import base64
+import json
+import os
+import queue
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Remark, printable
+from dpcontrol.foundation.files import plain
+from dpcontrol.foundation.progress import Progress, part_of
+from dpcontrol.foundation.settings import parse_toml
+from dpcontrol.logs import read_log
+from dpcontrol.planner.shown import energies_of, figures_of, fitting_model, shown_atlas, shown_plan, shown_run
+from dpcontrol.scenes.atlas import make_atlas, make_branches
+from dpcontrol.scenes.itinerary import itinerary_from
+from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.run import Run, run_plan
+from dpcontrol.scenes.run_options import RunOptions
+
+SEEDS = 20
+"""Runs that the bar of successes counts."""
+_EVERY = 0.05
+"""s between two reports of progress."""
+_NAME = "planned"
+"""Of every plan: its file may be named later."""
+
+
+class Reporter:
+    """Writes what a job reports."""
+
+    def __init__(self, handle: int) -> None:
+        self._file, self._next = os.fdopen(handle, "w", encoding="utf-8"), 0.0
+
+    def say(self, word: str, value: Any) -> None:
+        """Write one line."""
+        self._file.write(f"{word} {json.dumps(plain(value), ensure_ascii=False)}\n")
+        self._file.flush()
+
+    def progress(self, what: str, done: float) -> None:
+        """Report progress, not more often than it can be seen."""
+        if (now := time.monotonic()) >= self._next:
+            self._next = now + _EVERY
+            self.say("progress", [what, min(max(float(done), 0.0), 1.0)])
+
+
+def _atlas(report: Reporter, *, model: str, energy: float) -> dict[str, Any]:
+    atlas = make_atlas(fitting_model(model), energy, progress=report.progress).atlas
+    shown = {**shown_atlas(atlas, fitting_model(model)), "model": model}
+    report.say("show:atlas", shown)
+    names = [one["name"] for one in shown["connections"]]
+    return {"energy": energy, "model": model, "names": names, "symbols": shown["symbols"]}
+
+
+def _marks(report: Reporter, *, model: str) -> list[dict[str, Any]]:
+    """Return the energies at which connections appear, vanish or split, each with what happens there."""
+    loaded, found = fitting_model(model), []
+    # Each connection has its images among those of the opposite kind.
+    for pair in [pair for pair in loaded.system.sections if pair == tuple(sorted(pair))]:
+        found += [
+            {
+                "energy": mark.energy,
+                "text": f"{' → '.join(pair)}: {mark.kind}, {mark.count_below} → {mark.count_above} connections",
+            }
+            for mark in make_branches(loaded, *pair, progress=report.progress).marks
+            if mark.kind != "section-artefact" and mark.energy < energies_of(loaded)[1]
+        ]
+    return found
+
+
+def _plan(report: Reporter, *, text: str) -> dict[str, Any]:
+    plan = _planned(text, report.progress).followed()
+    report.say("show:plan", shown_plan(plan))
+    return {"converged": True, "status": plan.status, **figures_of(plan)}
+
+
+def _run(report: Reporter, *, text: str, seed: int, log: str) -> dict[str, Any]:
+    run = _flown(text, seed, report.progress, Path(log))
+    report.say("show:run", shown_run(run.log))
+    return {**run.document(), "sentence": run.status, "log": log}
+
+
+def _seeds(report: Reporter, *, text: str) -> dict[str, Any]:
+    done: list[bool] = []
+    for seed in range(SEEDS):
+        within = part_of(report.progress, seed / SEEDS, (seed + 1) / SEEDS)
+        done.append(_flown(text, seed, within).converged)
+        report.say("show:seeds", done)
+    return {"completed": sum(done), "runs": SEEDS}
+
+
+def _page(report: Reporter, *, log: str) -> None:
+    from dpcontrol.review.page import save_figure
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "page.png"
+        save_figure(Run(read_log(log)).plot(), file)
+        report.say("show:page", f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}")
+
+
+def _film(report: Reporter, *, log: str, film: str) -> None:
+    from dpcontrol.review.film import write_film
+    from dpcontrol.review.of_log import run_view
+
+    write_film(run_view(read_log(log)), film, progress=report.progress)
+
+
+def _rerun(_: Reporter, *, log: str) -> None:
+    from dpcontrol.review.of_log import run_view
+    from dpcontrol.review.picture import view_in_window
+
+    view_in_window(run_view(read_log(log)), Path(log).stem)
+
+
+JOBS: dict[str, Callable[..., Any]] = {
+    "atlas": _atlas, "marks": _marks, "plan": _plan, "run": _run, "seeds": _seeds, "page": _page, "film": _film,
+    "rerun": _rerun,
+}  # fmt: skip
+
+
+def _planned(text: str, progress: Progress) -> Plan:
+    model = fitting_model(parse_toml(text, f"{_NAME}.toml").text("model", "lab"))
+    return make_plan(itinerary_from(text, _NAME, model), progress=progress)
+
+
+def _flown(text: str, seed: int, progress: Progress, log: Path | None = None) -> Run:
+    plan = _planned(text, part_of(progress, 0.0, 0.1))
+    scene = plan.itinerary.with_run(RunOptions(), seed=seed)
+    return run_plan(replace(plan, itinerary=scene), log, force=True, progress=part_of(progress, 0.1, 1.0))
+
+
+def main() -> None:
+    """Do jobs until the input ends."""
+    report = Reporter(os.dup(1))
+    # What libraries print goes elsewhere.
+    os.dup2(2, 1)
+    warnings.simplefilter("always", Remark)
+    warnings.showwarning = lambda text, kind, *_: report.say("remark", str(text)) if kind is Remark else None
+    jobs: queue.SimpleQueue[str] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(jobs,), daemon=True).start()
+    while True:
+        given = json.loads(jobs.get())
+        try:
+            report.say("done", JOBS[given.pop("do")](report, **given))
+        except (GoalMissed, InputError, PartMissing) as error:
+            report.say("failed", printable(str(error)))
+        except Exception as error:  # noqa: BLE001 - the page shows it, and the process goes on
+            report.say("failed", f"this is an error of dpcontrol, {type(error).__name__}: {error}")
+
+
+def _listen(jobs: "queue.SimpleQueue[str]") -> None:
+    """Queue jobs; where the input ends, so does this process, whatever it is computing."""
+    for line in sys.stdin:
+        jobs.put(line)
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

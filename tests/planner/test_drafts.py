@@ -1,0 +1,77 @@
+"""The itinerary's text is changed by pointing and by typing, and every mistake in it has a line."""
+
+import tomllib
+
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.planner.draft import enough_wraps, fault_of, first_text, read_draft
+
+FIRST = first_text("lab", 0.2)
+WALK = ["down-up > up-down", "up-down > down-up"]
+
+
+def test_a_new_text_lacks_only_its_first_symbol() -> None:
+    draft = read_draft(FIRST)
+    assert (draft.mistake, draft.itinerary, draft.walk, draft.energy) == (None, None, [], 0.2)
+
+
+def test_a_walk_that_is_put_together_reads_as_an_itinerary() -> None:
+    text = read_draft(FIRST).changed("", {"walk": WALK, "wraps": [3]})
+    draft = read_draft(text)
+    assert draft.itinerary is not None
+    assert draft.itinerary.walk == tuple(WALK)
+    assert (draft.wraps, draft.stops) == ([3], ["down-up", "up-down", "down-up"])
+
+
+def test_what_stands_beside_a_change_is_kept_with_its_comments() -> None:
+    text = FIRST.replace("[run]", "[limits]\nposition = 0.3  # m\n\n[run]  # of the bench")
+    changed = read_draft(text).changed("", {"walk": WALK, "wraps": [2], "finish": "orbit"})
+    assert "position = 0.3  # m" in changed
+    assert "[run]  # of the bench" in changed
+    assert tomllib.loads(changed) == {**tomllib.loads(text), "walk": WALK, "wraps": [2], "finish": "orbit"}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "line"),
+    [
+        ("energy = 0.2", "energy = ", 3),
+        ("energy = 0.2", 'energy = "high"', 3),
+        ('model  = "lab"', 'model  = "lob"', 2),
+        ("walk   = []", 'walk   = ["sideways"]', 4),
+        ("wraps  = []", "wraps  = [1, 2, 3]", 5),
+        ('start  = "rest"', 'start  = "bed"', 6),
+        ("mismatch      = 0.02", "mismatch      = 7", 10),
+        ("initial_error = 0.02", "initial_eror = 0.02", 11),
+        ("[run]", "[runn]", 9),
+    ],
+)
+def test_a_mistake_is_found_on_its_line(before: str, after: str, line: int) -> None:
+    text = FIRST if "wraps" not in after else FIRST.replace("walk   = []", 'walk   = ["down-up +"]')
+    draft = read_draft(text.replace(before, after))
+    assert draft.mistake is not None
+    assert draft.mistake.line == line, draft.mistake
+    assert draft.itinerary is None
+
+
+def test_a_text_with_a_mistake_is_not_changed_by_pointing() -> None:
+    draft = read_draft(FIRST.replace("energy = 0.2", "energy = "))
+    with pytest.raises(InputError, match=r"line 3 .* correct it first"):
+        draft.changed("", {"finish": "orbit"})
+
+
+def test_a_text_of_several_parts_is_changed_as_text_only() -> None:
+    parts = '\n[[parts]]\nhold = "up-up"\n[[parts]]\nenergy = 0.2\nwalk = ["down-up +"]\n'
+    text = "\n".join(line for line in FIRST.splitlines() if line[:4] not in ("ener", "walk", "wrap"))
+    draft = read_draft(text + parts)
+    assert draft.itinerary is not None
+    with pytest.raises(InputError, match="change it as text"):
+        draft.changed("", {"walk": WALK})
+
+
+def test_a_failed_plan_points_at_its_symbol_and_at_wraps_that_work() -> None:
+    sentence = "the shadowing orbit: symbol 2 of 3 (a>b): no; wraps [0, 1] are too few: the least that work are [1, 1]"
+    assert fault_of(sentence, ["x", "y", "z"]) == 1
+    assert enough_wraps(sentence) == [1, 1]
+    assert fault_of("'up-down +': no such connection at this energy", ["down-up +", "up-down +"]) == 1
+    assert (fault_of("out of memory", ["x"]), enough_wraps("out of memory")) == (None, None)

@@ -1,0 +1,198 @@
+"""The planner's address admits this computer's browser alone, and answers nonsense with a sentence."""
+
+import http.client
+import json
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+import dpcontrol as dp
+from dpcontrol.foundation.errors import InputError
+
+starlette, connected = pytest.importorskip("starlette"), pytest.importorskip("websockets.sync.client")
+from websockets.exceptions import InvalidStatus  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("planner"))
+        with dp.open_planner("lab", browser=False) as planner:
+            yield planner.address
+
+
+def status(address: str, path: str, **headers: str) -> int:
+    place = urlsplit(address)
+    connection = http.client.HTTPConnection(place.hostname or "", place.port, timeout=60)
+    connection.putrequest("GET", path, skip_host=True)
+    for name, value in {"Host": place.netloc, **headers}.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    return connection.getresponse().status
+
+
+class Page:
+    """What a page does: commands out, messages in."""
+
+    def __init__(self, address: str, name: str) -> None:
+        place = urlsplit(address)
+        self.socket = connected.connect(
+            f"ws://{place.netloc}/page/{name}?{place.query}", origin=f"http://{place.netloc}", max_size=None
+        )
+        self.sent = 0
+
+    def until(self, kind: str) -> Any:
+        """Return the next message of a kind."""
+        while True:
+            message = json.loads(self.socket.recv(timeout=120))
+            if kind in message:
+                return message[kind]
+
+    def send(self, command: Any) -> dict[str, Any]:
+        """Return the state after a command was taken."""
+        self.sent += 1
+        self.socket.send(json.dumps({**command, "n": self.sent} if isinstance(command, dict) else command))
+        while True:
+            state = self.until("state")
+            if state["ack"] == self.sent or not isinstance(command, dict):
+                return state
+
+
+@pytest.fixture
+def page(address: str, request: pytest.FixtureRequest) -> Iterator[Page]:
+    made = Page(address, "".join(c for c in request.node.name if c.isalnum()))
+    yield made
+    made.socket.close()
+
+
+def test_only_the_address_with_its_token_host_and_origin_is_answered(address: str) -> None:
+    place = urlsplit(address)
+    token = place.query
+    for path in ("/", "/planner.js", "/planner.css"):
+        assert status(address, f"{path}?{token}") == 200
+        assert status(address, f"{path}?{token}", Origin=f"http://{place.netloc}") == 200
+        refused = [
+            status(address, path),
+            status(address, f"{path}?token=wrong"),
+            status(address, f"{path}?{token}&{token}"),
+            status(address, f"{path}?{token}", Host="evil.example"),
+            status(address, f"{path}?{token}", Host=f"localhost:{place.port}"),
+            status(address, f"{path}?{token}", Origin="http://evil.example"),
+            status(address, f"{path}?{token}", Origin="null"),
+        ]
+        assert refused == [403] * len(refused)
+    assert status(address, "/nothing") == 403
+    assert status(address, f"/nothing?{token}") == 404
+
+
+@pytest.mark.parametrize("wrong", ["token", "origin"])
+def test_a_socket_without_token_or_from_another_site_is_refused(address: str, wrong: str) -> None:
+    place = urlsplit(address)
+    query = "token=no" if wrong == "token" else place.query
+    origin = "http://evil.example" if wrong == "origin" else f"http://{place.netloc}"
+    with pytest.raises(InvalidStatus) as refused:
+        connected.connect(f"ws://{place.netloc}/page/x?{query}", origin=origin)
+    assert refused.value.response.status_code == 403
+
+
+def test_the_page_asks_no_other_host() -> None:
+    from pathlib import Path
+
+    for file in (Path(dp.__file__).parent / "planner" / "static").iterdir():
+        text = file.read_text(encoding="utf-8")
+        assert "http://" not in text
+        assert "https://" not in text
+        assert all(len(line) <= 100 for line in text.splitlines())
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        {"do": "nothing"}, {"do": "set", "values": 3}, {"do": "set", "values": {"title": "x"}}, {}, 7, None,
+        {"do": "set", "values": {"energy": float("nan")}}, {"do": "run"}, {"do": "film"}, {"do": "save"},
+        {"do": "name", "name": "../x"}, {"do": "model", "name": "three-body"}, {"do": "run", "seed": -1}, "{",
+        {"do": "set", "table": "sensors", "values": {}}, {"do": "model", "name": "nothing"}, {"do": "plan"},
+    ],
+)  # fmt: skip
+def test_nonsense_is_answered_with_a_sentence(page: Page, command: Any) -> None:
+    before = page.until("state")["toml"]
+    state = page.send(command)
+    assert state["message"]["kind"] == "error" or state["mistake"]
+    assert state["toml"] == before or state["mistake"]
+
+
+def test_models_that_cannot_be_used_are_listed_with_their_message(page: Page) -> None:
+    problems = {model["name"]: model["problem"] for model in page.until("models")}
+    assert problems["lab"] == ""
+    assert "no arms" in problems["three-body"]
+    assert "3 arms" in problems["triple"]
+    assert "1 arm" in problems["single"]
+
+
+def test_changes_are_undone_and_done_again_one_by_one(page: Page) -> None:
+    first = page.until("state")["toml"]
+    page.send({"do": "set", "values": {"walk": ["down-up > up-down"], "wraps": []}})
+    changed = page.send({"do": "set", "values": {"start": "orbit"}})
+    assert changed["walk"] == ["down-up > up-down"]
+    assert changed["start"] == "orbit"
+    assert page.send({"do": "undo"})["start"] == "rest"
+    assert page.send({"do": "undo"})["toml"] == first
+    page.send({"do": "redo"})
+    assert page.send({"do": "redo"})["toml"] == changed["toml"]
+
+
+def test_a_page_that_is_loaded_again_finds_its_choices_and_another_page_does_not(address: str) -> None:
+    one, other = Page(address, "first-of-two"), Page(address, "second-of-two")
+    one.send({"do": "set", "values": {"walk": ["down-up +"], "wraps": []}})
+    one.socket.close()
+    assert Page(address, "first-of-two").until("state")["walk"] == ["down-up +"]
+    assert other.send({"do": "set", "values": {"finish": "orbit"}})["walk"] == []
+
+
+def test_an_itinerary_is_saved_once_under_a_name_and_not_over_another(page: Page, address: str) -> None:
+    page.send({"do": "set", "values": {"walk": ["down-up +"], "wraps": []}})
+    page.send({"do": "name", "name": "mine"})
+    assert page.send({"do": "save"})["saved"]["toml"].endswith("mine.toml")
+    assert page.send({"do": "save"})["message"]["kind"] == "good"
+    other = Page(address, "one-more")
+    other.send({"do": "set", "values": {"walk": ["down-up -"], "wraps": []}})
+    other.send({"do": "name", "name": "mine"})
+    assert "give another name" in other.send({"do": "save"})["message"]["text"]
+
+
+def test_a_model_that_the_planner_cannot_use_and_a_port_that_is_taken_are_refused(address: str) -> None:
+    with pytest.raises(InputError, match="no arms"):
+        dp.open_planner("three-body", browser=False)
+    with pytest.raises(InputError, match="--port"):
+        dp.open_planner("lab", browser=False, port=urlsplit(address).port or 0)
+
+
+@pytest.mark.slow
+def test_work_is_cancelled_and_a_process_that_dies_can_be_tried_again(page: Page) -> None:
+    import os
+    import signal
+    import subprocess
+
+    page.until("atlas")
+    page.send({"do": "set", "values": {"walk": ["down-up +"], "wraps": []}})
+    assert page.send({"do": "plan"})["busy"]
+    state = page.send({"do": "cancel"})
+    assert state["busy"] is None
+    assert "cancelled" in state["message"]["text"]
+    page.send({"do": "plan"})
+    page.until("state")
+    while not (state := page.until("state"))["busy"] or state["busy"]["what"] == "plan":
+        # Its process has begun when it reports what it is doing.
+        pass
+    children = subprocess.run(["pgrep", "-P", str(os.getpid())], capture_output=True, text=True, check=True)
+    for number in children.stdout.split():
+        os.kill(int(number), signal.SIGKILL)
+    while not (state := page.until("state"))["retry"]:
+        pass
+    assert "has ended" in state["message"]["text"]
+    page.send({"do": "retry"})
+    while not (state := page.until("state"))["plan"]:
+        pass
+    assert state["plan"]["converged"]
