@@ -57,6 +57,7 @@ from dpcontrol.bifurcations.links import (
 )
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arguments import numbers, whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import fields_of, picked
@@ -677,17 +678,16 @@ def find_bifurcations(
         raise InputError(f"{system.name} has no section between {source} and {target}")
     if crossings < 1:
         raise InputError(f"hits = {crossings}: connections cross their section at least once")
-    low, high = energies
-    if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise InputError(f"energies {low:g} to {high:g} J: must be two finite numbers, the lower first")
+    low, high = numbers("energies", energies, 2)
+    whole("samples", settings.energies, least=2, most=1_000_000)
+    if not low < high:
+        raise InputError(f"energies {low:g} to {high:g}: must be two finite numbers, the lower first")
     births = [equilibrium(system, name).energy for name in (source, target)]
     floor = max(births) + settings.closest * system.energy_scale
     start = max(low, floor)
     if start >= high:
-        raise InputError(
-            f"energies {low:g} to {high:g} J: both orbits, and with them connections, exist only above "
-            f"{max(births):.6g} J"
-        )
+        text = f"energies {low:g} to {high:g} J: both orbits, and with them connections, exist only above "
+        raise InputError(system.worded(f"{text}{max(births):.6g} J"))
     sweep = Sweep(system, source, target, crossings, settings)
     grid = [float(e) for e in np.linspace(start, high, settings.energies)]
     narrowest = 1.001 * (grid[1] - grid[0]) / 2**settings.halvings
@@ -719,7 +719,9 @@ def find_bifurcations(
         runs=tuple(run for a, b in pairs for run in sweep.between(a, b).runs),
         scatters_from=scatters_from,
         complete=not unexplained and all(c.complete for c in counts),
-        status=_status(len(events), counts, unexplained, scatters_from, max(births) if start > low else None),
+        status=system.worded(
+            _status(len(events), counts, unexplained, scatters_from, max(births) if start > low else None)
+        ),
     )
 
 

@@ -256,6 +256,17 @@ def _sustained_text(orbit: "SustainedOrbit", sections: int) -> Iterator[str]:
 
 SEARCH, RESULT = "Search", "Result"
 THOROUGH = 'Go on where a search says "at least": 20,000 trajectories a tube and more where they part, up to a minute'
+SECONDS_HELP = (
+    "Processor time in s that each search may take; when it is over, the partial result is shown (exit code 1). "
+    "[default: 60]"
+)
+
+
+def seconds_option(**more: Any) -> float | None:
+    """Return the option --seconds of a search."""
+    return option(type=click.FloatRange(min=0, min_open=True), help=SECONDS_HELP, **more)
+
+
 SHOWN = 8
 """Open ends of cuts that are printed for people: tubes that scatter have hundreds."""
 
@@ -286,6 +297,7 @@ def connect_command(
         "resolved when it is short. [default: the model's, 12 for pendulums]",
     ),
     thorough: bool = option(group=SEARCH, help=f"{THOROUGH}."),
+    seconds: float | None = seconds_option(group=SEARCH),
     name: str | None = option(group=RESULT, help="Show this connection only; names are those that the verb lists."),
     precision: Precision = option(
         default="double", group=RESULT, help="extended: refine the connection named by --name in 113-bit arithmetic."
@@ -316,7 +328,9 @@ def connect_command(
         if source != target:
             raise InputError(f"--energies: symmetric connections lead back to their orbit: give --to {source} as well")
         orbit = _lyapunov(load_model(model), source, energies[0], family)
-        return _symmetric_connections(api.connections(orbit, energies=energies, hits=hits or (1, 1), progress=True))
+        return _symmetric_connections(
+            api.connections(orbit, energies=energies, hits=hits or (1, 1), seconds=seconds, progress=True)
+        )
     assert energy is not None
     if family:
         raise InputError("--family belongs to a search with --energies: leave it out with --energy")
@@ -331,6 +345,7 @@ def connect_command(
         section=section or named_section,
         longest=longest,
         thorough=thorough,
+        seconds=seconds,
         progress=True,
     )
     document, found = search.document(), search.connections
@@ -439,23 +454,24 @@ def bifurcations_command(
     from dpcontrol import api
     from dpcontrol.scenes.model import load_model
 
+    loaded = load_model(model)
     found = api.find_bifurcations(
-        load_model(model), source, target, energies=energies, hits=hits, samples=samples, yes=yes, progress=True
+        loaded, source, target, energies=energies, hits=hits, samples=samples, yes=yes, progress=True
     )
     missed = f"not every change of the count was located: {found.status}" if found.unexplained else ""
-    return Answer({**found.document(), "energies": energies}, _bifurcations_text(found), missed)
+    return Answer({**found.document(), "energies": energies}, _bifurcations_text(loaded, found), missed)
 
 
-def _bifurcations_text(found: "BifurcationSearch") -> Iterator[str | TextTable]:
+def _bifurcations_text(model: "Model", found: "BifurcationSearch") -> Iterator[str | TextTable]:
     title = f"{found.source} → {found.target}, {found.crossings} crossing(s) of {found.section.name}"
     yield table(title, found.events, {
-        "energy (J)": "{.energy:.10f}",
+        f"energy{model.unit('J', _BRACKETS)}": "{.energy:.10f}",
         "kind": "{.kind}",
         "count": lambda e: f"{'at least ' if e.at_least else ''}{e.count_below} → {e.count_above}",
         "symmetric": _symmetric,
         "winding": lambda e: ", ".join(map(str, e.winding)),
         "residual": "{.residual:.0e}",
-        "state (rad, rad/s)": lambda e: spaced(e.state, ".6f"),
+        f"state{model.unit('rad, rad/s', _BRACKETS)}": lambda e: spaced(e.state, ".6f"),
     })  # fmt: skip
     yield found.status
 
@@ -467,6 +483,7 @@ def atlas_command(
     energy: float = ENERGY,
     hits: tuple[int, int] | None = hits_option("for each kind the first at which they meet, up to 2"),
     thorough: bool = option(help=f"{THOROUGH} for each kind of connection."),
+    seconds: float | None = seconds_option(),
     fresh: bool = option(help="Compute anew even if the atlas is cached."),
     out: Path | None = file_option(suffix=".npz", help="Also write the atlas to this .npz."),
     yes: bool = YES,
@@ -480,22 +497,28 @@ def atlas_command(
     from dpcontrol.scenes.model import load_model
     from dpcontrol.tubes.intersections import search_settings
 
-    settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough))
+    settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough, seconds=seconds))
     with progress_bar("atlas") as progress:
-        found = make_atlas(load_model(model), energy, settings=settings, fresh=fresh, yes=yes, progress=progress)
+        loaded = load_model(model)
+        found = make_atlas(loaded, energy, settings=settings, fresh=fresh, yes=yes, progress=progress)
     atlas, file = found.atlas, found.file if os.path.isfile(found.file) else None
     if out is not None:
         save_atlas(out, atlas)
         file = out
-    missed = "" if atlas.complete else f"the atlas of {model} at {energy:g} J is not complete: {atlas.status}"
+    place_of = f"{model} at {energy:g}{loaded.unit('J')}"
+    missed = "" if atlas.complete else f"the atlas of {place_of} is not complete: {atlas.status}"
     document = {**atlas.document(), "file": file, "cached": found.cached}
-    place = f"{file or 'none: the cache cannot be written'}{' (cached)' if found.cached else ''}"
-    return Answer(document, [*_atlas_text(atlas), f"file  {place}"], missed)
+    partial = any(kind.partial for kind in atlas.kinds)
+    nowhere = "none: a partial atlas is not cached; --out keeps it" if partial else "none: the cache cannot be written"
+    place = f"{file or nowhere}{' (cached)' if found.cached else ''}"
+    return Answer(document, [*_atlas_text(atlas, loaded), f"file  {place}"], missed)
 
 
-def _atlas_text(atlas: "Atlas") -> Iterator[str | TextTable]:
-    yield table(f"{atlas.model} at {atlas.energy:g} J: Lyapunov orbits", atlas.orbits, {
-        "about": "{.name}", "period (s)": "{.period:.12g}", "multiplier": "{0.floquet_multipliers[0].real:.10g}",
+def _atlas_text(atlas: "Atlas", model: "Model") -> Iterator[str | TextTable]:
+    title = f"{atlas.model} at {atlas.energy:g}{model.unit('J')}: Lyapunov orbits"
+    yield table(title, atlas.orbits, {
+        "about": "{.name}", f"period{model.unit('s', _BRACKETS)}": "{.period:.12g}",
+        "multiplier": "{0.floquet_multipliers[0].real:.10g}",
         "closure": "{.residual:.0e}",
     })  # fmt: skip
     if atlas.rotating_orbits:

@@ -1,5 +1,6 @@
 """The verb walk."""
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from decimal import Decimal
@@ -26,11 +27,12 @@ from dpcontrol.cli.verbs import (
     verb,
 )
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.progress import progress_bar
+from dpcontrol.foundation.progress import Progress, progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.scenes.model import Model
     from dpcontrol.walks.edges import Edges
+    from dpcontrol.walks.symbols import Symbol
     from dpcontrol.walks.walks import WalkAnswer, WalkRequest
 
 REFINED = 4
@@ -78,6 +80,11 @@ def walk_command(
     lengths: tuple[int, int] = option(default=(1, 8), group=WALKS, help="Symbols of a drawn walk."),
     seed: int = option(type=click.IntRange(0), default=0, group=WALKS, help="Seed of drawn walks."),
     periodic: bool = option(group=WALKS, help="Walks that close: periodic orbits, with one more stop."),
+    compare: float | None = option(
+        metavar="ENERGY",
+        group=WALKS,
+        help="Report where symbols come to stand for other connections between --energy and this one, J.",
+    ),
     wraps: tuple[int, ...] | None = option(
         type=_Wraps(),
         multiple=False,
@@ -106,6 +113,9 @@ def walk_command(
     draws some. With none of these the graph itself is shown. --solve finds each walk's orbit: homoclinic, heteroclinic,
     or periodic with --periodic, with an estimate of its error.
 
+    A symbol stands for the connection at the largest angle, and so may stand for another one at another energy:
+    --compare says from which energy on.
+
     A symbol is "down-up +", "down-up > up-down", any connection's name that `dpcontrol connect` lists, an edge grown
     from a walk ("(down-up +)·1·(down-up -)": symbols, and the wraps between them), or leads to or from a rotating
     orbit: "down-up > outer-rotating" (also inner-rotating, outer-rotating-back, outer-rotating-2: faster ones first),
@@ -117,6 +127,10 @@ def walk_command(
         raise InputError(f"{' and '.join(chosen)} both choose walks: give one of them")
     if wraps is not None and not (symbols or through):
         raise InputError("--wraps are those of one walk: give its symbols (-s) or stops (--through), or --extra-wraps")
+    if compare is not None and not (symbols or through):
+        raise InputError("--compare follows the symbols of a walk: give them (-s), or its stops (--through)")
+    if compare is not None and solve:
+        raise InputError("--compare follows symbols, --solve finds orbits at one energy: give one of them")
     if solve and not chosen:
         raise InputError("--solve needs walks: give -s, --through, --length or --random")
     needs = {
@@ -159,6 +173,8 @@ def walk_command(
         loaded = load_model(model)
         numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
         asked = parse_walk(symbols, vertex_names(loaded.system)) if symbols else ways(through)
+        if compare is not None:
+            return _changes(loaded, asked, float(energy), compare, progress)
         edges = find_edges(loaded.system, float(energy), hits=numbers, symbols=asked, yes=yes, progress=progress)
     leads = (lead_in, lead_out)
     if not chosen:
@@ -191,6 +207,24 @@ def walk_command(
     return _solve(edges, requests, loaded, energy if precision == "extended" else None, out, picture, film)
 
 
+def _changes(model: "Model", symbols: "Sequence[Symbol]", begin: float, end: float, progress: Progress) -> Answer:
+    """Show where symbols come to stand for other connections from one energy to another."""
+    from dpcontrol.foundation.progress import part_of
+    from dpcontrol.walks.following import SymbolBranches
+
+    if begin == end or not math.isfinite(end):
+        raise InputError(f"--compare {end:g}: must be a finite energy other than --energy {begin:g}")
+    texts = list({s.text: s for symbol in symbols for s in symbol.simple if s.name is None}.values())
+    found = []
+    for k, symbol in enumerate(texts):
+        part = part_of(progress, k / len(texts), (k + 1) / len(texts))
+        found += SymbolBranches(model.system, symbol).changes(begin, end, progress=part)
+    span = model.system.worded(f"between {begin:g} and {end:g} J")
+    status = f"{len(found)} changes of what symbols stand for {span}"
+    document = {"symbol_changes": [one.document() for one in found], "energies": (begin, end), "status": status}
+    return Answer(document, [*(model.system.worded(one.sentence) for one in found), status])
+
+
 def _graph(edges: "Edges") -> Answer:
     """Show the connections of an energy, and how many walks they allow."""
     from dpcontrol.walks.walks import count_walks
@@ -198,7 +232,7 @@ def _graph(edges: "Edges") -> Answer:
     counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
     rows = [(f"{a} → {b}", str(len(edges.between(a, b)))) for a, b in edges.searched]
     text = [
-        TextTable(f"connections at {edges.energy:g} J", ("from → to", "count"), rows),
+        TextTable(edges.system.worded(f"connections at {edges.energy:g} J"), ("from → to", "count"), rows),
         *(f"  {c.name}" for c in edges.connections),
         "walks by number of symbols: " + ", ".join(f"{k}: {n:,}" for k, n in counts.items()),
         *(f"not there: {reason}" for _, reason in edges.absent),

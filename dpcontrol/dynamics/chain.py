@@ -340,6 +340,7 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
         sections=sections,
         between=between,
         section_scale=1.0,
+        si=True,
     )
 
 

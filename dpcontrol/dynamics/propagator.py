@@ -27,8 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.dynamics.compiled import hy, to_heyoka
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arguments import number, numbers
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.errors import GoalMissed, InputError
 
 Row = Sequence[float] | Array
 
@@ -56,7 +57,9 @@ class Section:
     def plane(cls, name: str, normal: Row, *, offset: float = 0.0, period: float | None = None) -> "Section":
         """Return the section normal · q = offset of two coordinates q, with sheets offset + period · k of an angle."""
         row, along = _plane_rows(normal)
-        return cls(name, (*row, 0.0, 0.0), (*along, 0.0, 0.0), along, offset, period)
+        if period is not None and not number("period", period) > 0:
+            raise InputError(f"period = {period:g} of the section {name}: must be positive, or None on a line")
+        return cls(name, (*row, 0.0, 0.0), (*along, 0.0, 0.0), along, number("offset", offset), period)
 
     @classmethod
     def turning(cls, name: str, direction: Row) -> "Section":
@@ -129,7 +132,9 @@ class Crossing:
 
 def _plane_rows(normal: Row) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return a row of two coordinates, and the row across it with its largest entry positive."""
-    first, second = (float(value) for value in normal)
+    first, second = numbers("normal", tuple(normal), 2)
+    if not (first or second):
+        raise InputError("normal = (0, 0): a section needs a direction")
     sign = 1.0 if max(first, -second, key=abs) < 0 else -1.0
     return (first, second), (sign * second + 0.0, -sign * first + 0.0)
 
@@ -153,6 +158,10 @@ def _copied(equations: Equations, kind: Hashable, make: Callable[[], Any]) -> An
 # time; with it: 4 lanes 0.09 s, 8 lanes 0.067 s, 16 lanes 0.064 s, 0.2 s to compile. Sixteen waste more on the few
 # trajectories of a refinement.
 LANES = 8
+
+_MOST_STEPS = 50_000
+"""Taylor steps between two crossings, after which a flight has failed: a hundred times what tubes take. One that runs
+into a singularity would take ever smaller ones without end."""
 
 
 class CrossingFinder:
@@ -219,7 +228,7 @@ class CrossingFinder:
         for lane in range(LANES):
             launch(lane)
         while any(k is not None for k in flying):
-            integrator.propagate_until(ends)
+            integrator.propagate_until(ends, max_steps=_MOST_STEPS)
             for lane, (outcome, *_) in enumerate(integrator.propagate_res):
                 k = flying[lane]
                 if k is None or outcome == success:

@@ -33,6 +33,7 @@ from dpcontrol.dynamics.equations import (
     state_equations,
 )
 from dpcontrol.dynamics.propagator import Propagator, Section, taylor_system
+from dpcontrol.foundation.arguments import number
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
@@ -56,7 +57,7 @@ class SystemOptions(TypedDict, total=False):
     energy_scale: (the energy's rise over that size). sections: by short names; between: (from, to) -> short name, for
     all pairs to be connected (a plane half-way between two saddles; for the orbits of one, the points beyond half the
     scale where they turn around).
-    section_scale, flight_periods: see System.
+    section_scale, flight_periods, si: see System.
     """
 
     periods: Sequence[float | None]
@@ -68,6 +69,7 @@ class SystemOptions(TypedDict, total=False):
     between: Mapping[tuple[str, str], str]
     section_scale: float
     flight_periods: float
+    si: bool
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,8 @@ class System:
     with orientation · (x - saddle) > 0. scale (N,): divides a state error. energy_scale: in the energy's unit.
     sections: (from, to) -> section on which connections are sought unless another is named; named_sections: all there
     are, by short names; section_scale: the size of what happens there in (q, p/p₀). flight_periods: how many periods
-    of its orbit a tube's trajectory is given to reach a section. coordinates (n,): their names.
+    of its orbit a tube's trajectory is given to reach a section. coordinates (n,): their names. si: whether units are
+    those of SI.
     """
 
     name: str
@@ -97,6 +100,7 @@ class System:
     section_scale: float = 1.0
     flight_periods: float = 12.0
     coordinates: tuple[str, ...] = ()
+    si: bool = False
 
     @classmethod
     def from_lagrangian(
@@ -147,6 +151,10 @@ class System:
     def dimension(self) -> int:
         """Length N of the state."""
         return self.equations.dimension
+
+    def worded(self, text: str) -> str:
+        """Return a text that has energies in J without their unit where the system's units are its own."""
+        return text if self.si else re.sub(r"(?<=\d) J\b", "", text)
 
     @cached_property
     def turn_lengths(self) -> Array:
@@ -309,7 +317,12 @@ def described_system(
     named = dict(options.get("sections", {}))
     sections: dict[tuple[str, str], Section] = {}
     if "between" not in options and n == 2 and reversers:
-        sections = _default_sections(saddles, reversers[0], numeric, scale, coordinates)
+        sections = _default_sections(saddles, reversers[0], numeric, scale, periods, coordinates)
+        # Those that an angle puts aside can still be named.
+        for key in saddles:
+            aside = _default_sections({key: saddles[key]}, reversers[0], numeric, scale, _ENDLESS, coordinates)
+            if (key, key) in aside and aside[key, key] != sections.get((key, key)):
+                named.setdefault(f"turning-{key}", aside[key, key])
     for pair, key in options.get("between", {}).items():
         for wanted, choices in ((key, named), (pair[0], saddles), (pair[1], saddles)):
             if wanted not in choices:
@@ -332,6 +345,7 @@ def described_system(
         section_scale=options.get("section_scale", float(np.min(scale[:n]))),
         flight_periods=options.get("flight_periods", 12.0),
         coordinates=tuple(coordinates),
+        si=options.get("si", False),
     )
 
 
@@ -381,7 +395,7 @@ def _equilibria(
 def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | None], near: Array) -> Array:
     """Return the periods (N,) of the coordinates (n,), infinite where there is none."""
     n = len(near) // 2
-    if len(periods) != n or any(p is not None and not p > 0 for p in periods):
+    if len(periods) != n or any(p is not None and not number("periods", p) > 0 for p in periods):
         raise InputError(f"periods = {list(periods)} of {name}: give {n}, each positive or None")
     lengths = np.array([np.inf if p is None else float(p) for p in periods] + [np.inf] * n)
     for k in np.flatnonzero(np.isfinite(lengths)):
@@ -400,7 +414,10 @@ def _scale(
     """Return the typical size (N,) of each state, of those of the second half by the fastest eigenvalue at a saddle."""
     n = len(periods) // 2
     turning = np.isfinite(periods[:n])
-    sizes = np.where(turning, periods[:n] / 2, 1.0) if given is None else np.asarray(given, dtype=float)
+    try:
+        sizes = np.where(turning, periods[:n] / 2, 1.0) if given is None else np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        sizes = np.empty(0)
     if sizes.shape not in ((), (n,), (2 * n,)) or not np.isfinite(sizes).all() or not (sizes > 0).all():
         raise InputError(f"scale = {given!r} of {name}: give one positive number, or one for each of {n} coordinates")
     if sizes.shape == (2 * n,):
@@ -470,13 +487,22 @@ def _is_half_turn(numeric: NumericEquations, saddle: Array, symmetry: Array) -> 
     return bool(np.allclose(symmetry @ swings, -swings, atol=1e-9))
 
 
+_ENDLESS = np.full(4, np.inf)
+
+
 def _default_sections(
-    saddles: Mapping[str, Array], reverser: Array, numeric: NumericEquations, scale: Array, names: Sequence[str]
+    saddles: Mapping[str, Array],
+    reverser: Array,
+    numeric: NumericEquations,
+    scale: Array,
+    periods: Array,
+    names: Sequence[str],
 ) -> dict[tuple[str, str], Section]:
     """Return sections between all saddles of two coordinates that a reverser keeps, as far as there are any.
 
-    Between two saddles: the plane half-way. For the orbits of one: the plane in which the reverser's fixed set lies,
-    which symmetric connections cross half-way; under time reversal where the motion along the unstable direction turns.
+    Between two saddles: the plane half-way, round an angle both ways. For the orbits of one: half a turn away where the
+    unstable direction is mostly an angle's; else the plane in which the reverser's fixed set lies, which symmetric
+    connections cross half-way; under time reversal where the motion along the unstable direction turns.
     """
     sections: dict[tuple[str, str], Section] = {}
     for first, second in product(saddles, repeat=2):
@@ -485,6 +511,18 @@ def _default_sections(
         if first == second:
             values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(here)))
             side, section = _unit_row(vectors[:2, int(np.argmax(np.real(values)))]), None
+            along = int(np.argmax(np.abs(side / scale[:2])))
+            if np.isfinite(periods[along]):
+                turn = float(periods[along])
+                half = Section.plane(
+                    f"{names[along]} half a turn from {first}",
+                    np.eye(2)[along],
+                    offset=float(here[along]) + turn / 2,
+                    period=turn,
+                )
+                if half.kept_by(reverser, here):
+                    sections[first, first] = half
+                    continue
             for k in range(2):
                 if section is None and np.allclose(reverser[k], -np.eye(4)[k]):
                     side, flat = np.eye(2)[1 - k], np.eye(2)[k]
@@ -493,11 +531,24 @@ def _default_sections(
             reach = 0.5 * float(np.linalg.norm(side * scale[:2]))
             section = section.where(side, middle=float(side @ here[:2]), reach=reach)
         else:
-            row = _unit_row((there - here)[:2])
-            section = Section.plane(f"between {low} and {high}", row, offset=float(row @ (here + there)[:2]) / 2)
+            apart = (there - here)[:2]
+            apart = apart - np.rint(apart / periods[:2]) * np.where(np.isfinite(periods[:2]), periods[:2], 0.0)
+            row = _unit_row(apart)
+            offset = float(row @ (here[:2] + apart / 2))
+            section = Section.plane(f"between {low} and {high}", row, offset=offset, period=_turn(row, apart, periods))
         if section.kept_by(reverser, saddles[second]):
             sections[first, second] = section
     return sections
+
+
+def _turn(row: Array, apart: Array, periods: Array) -> float | None:
+    """Return the distance between the sheets of a plane with unit normal `row` (2,), half-way between two saddles
+    `apart` (2,), that are images of each other by whole turns of angles, or None where the normal leaves them."""
+    steps = np.abs(row[row != 0] * periods[:2][row != 0])
+    if not np.isfinite(steps).all() or not np.allclose(steps, steps[0]):
+        return None
+    # Along a single angle both ways round have their middles half a turn from each other.
+    return float(steps[0]) / (2 if len(steps) == 1 else 1)
 
 
 def _unit_row(direction: NDArray[Any]) -> Array:

@@ -22,10 +22,13 @@ _NEEDED = {
     "save the recording in MATLAB as version 7",
     "rosbags": "ROS bags and MCAP files need rosbags; install it by `pip install 'dpcontrol[bags]'`, or save CSV",
     "pyarrow": "Parquet tables, as campaigns write them, need pyarrow; install it by `pip install 'dpcontrol[tables]'`",
+    "flint": "proofs need python-flint; install it by `pip install 'dpcontrol[proof]'`",
     "rerun": "the viewer and its recordings need rerun-sdk; install it by `pip install 'dpcontrol[viewer]'`, or have "
     "matplotlib draw with --picture FILE.png",
 }
 _NEEDED["h5py"] = _NEEDED["matio"]
+for _name in ("starlette", "uvicorn", "websockets"):
+    _NEEDED[_name] = f"the planner needs {_name}; install it by `pip install 'dpcontrol[planner]'`"
 
 
 def part(name: str) -> Any:
@@ -68,7 +71,7 @@ class Later:
 
 _DISTRIBUTIONS = (
     "numpy", "scipy", "casadi", "heyoka", "networkx", "control", "filterpy", "mcap", "zstandard", "matplotlib",
-    "rerun-sdk", "pyarrow", "mat-io", "pandas",
+    "rerun-sdk", "pyarrow", "mat-io", "pandas", "python-flint",
 )  # fmt: skip
 
 

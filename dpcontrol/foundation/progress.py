@@ -5,14 +5,20 @@ is asked for by name.
 """
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Literal
 
 from dpcontrol.foundation.errors import InputError, printable, remark
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and how much of it is done (0 to 1)."""
+
+
+Reporting = Progress | Literal[True] | None
+"""Where progress goes: a function, True for a bar on stderr, None for a line on stderr every twenty seconds."""
 
 
 def no_progress(what: str, done: float) -> None:
@@ -32,10 +38,10 @@ def part_of(progress: Progress, low: float, high: float) -> Progress:
 def progress_bar(label: str) -> Iterator[Progress]:
     """Show a progress bar on stderr while the block runs; yields the function to report to.
 
-    Where stderr is no terminal, only the end is reported.
+    Where stderr is no terminal, a line is written every twenty seconds, and one at the end.
     """
     if not sys.stderr.isatty():
-        yield no_progress
+        yield lines(label)
         sys.stderr.write(f"{printable(label)}: done\n")
         return
     from rich.console import Console
@@ -53,12 +59,40 @@ def progress_bar(label: str) -> Iterator[Progress]:
         bar.update(task, completed=1.0, description=printable(label))
 
 
+_LINE = 20.0
+"""s between lines of progress."""
+
+
+def lines(label: str) -> Progress:
+    """Return a progress that writes a line to stderr every twenty seconds, and nothing about work that takes less."""
+    began = last = time.monotonic()
+
+    def report(what: str, done: float) -> None:
+        nonlocal last
+        if (now := time.monotonic()) - last >= _LINE:
+            last = now
+            sys.stderr.write(f"{printable(label)}: {printable(what)}, {done:.0%} after {now - began:.0f} s\n")
+            sys.stderr.flush()
+
+    return report
+
+
 MOST_SECONDS, MOST_BYTES = 3600.0, 4e9
 """What is begun without being asked for by name."""
 NEVER_SECONDS, NEVER_BYTES = 1e8, 1e13
 """What no one means to begin: to be asked for by name is not advised there."""
 SAID_FROM = 60.0
 """s; work that takes longer is announced."""
+
+
+@contextmanager
+def reporting(progress: Reporting, label: str) -> Iterator[Progress]:
+    """Yield the function that takes progress, with a bar of this label if one is asked for."""
+    if progress is True:
+        with progress_bar(label) as report:
+            yield report
+    else:
+        yield progress or lines(label)
 
 
 @dataclass(frozen=True)

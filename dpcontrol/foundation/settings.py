@@ -12,6 +12,7 @@ Checked reading of TOML files: every mistake is one sentence naming file, table,
 """
 
 import difflib
+import json
 import math
 import re
 import tomllib
@@ -188,7 +189,7 @@ class Table:
 def suggest(value: str, choices: Iterable[str]) -> str:
     """Return what is allowed instead of `value`, the nearest spelling first."""
     choices = [str(choice) for choice in choices]
-    close = nearest(value, choices)
+    close = nearest(str(value), choices)
     if close:
         return f"did you mean {close!r}? Allowed: {', '.join(choices)}"
     return f"allowed: {', '.join(choices)}"
@@ -232,26 +233,27 @@ def parse_toml(text: str, file: str) -> Table:
 
 
 def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) -> str:
-    """Return TOML text with keys of one table set to numbers or lists of numbers; all else stays as it was written.
+    """Return TOML text with keys of one table set to texts, numbers or lists of these; all else stays as written.
 
-    Comments, order, spacing and line ends are kept; new keys follow the table's last one, a new table the text.
+    table: "" for the top level. Comments, order, spacing and line ends are kept; new keys follow the table's last one,
+    a new table the text.
 
     Raises:
         InputError: the text is written in a way that this cannot change; says what to write by hand.
     """
     before = tomllib.loads(text)
-    wanted = {**before, table: {**before.get(table, {}), **values}}
+    wanted = {**before, table: {**before.get(table, {}), **values}} if table else {**before, **values}
     end = "\r\n" if "\r\n" in text else "\n"
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith(("\n", "\r")):
         lines[-1] += end
     header = re.compile(rf"\s*\[\s*{re.escape(table)}\s*\]\s*(#.*)?$")
-    first = next((k for k, line in enumerate(lines) if header.match(line)), None)
+    first = next((k for k, line in enumerate(lines) if header.match(line)), None) if table else -1
     if first is None:
         lines += [end, f"[{table}]{end}"] if lines else [f"[{table}]{end}"]
         first = len(lines) - 1
     for key, value in values.items():
-        _set(lines, first, key, repr(value), end)
+        _set(lines, first, key, _toml(value), end)
     out = "".join(lines)
     try:
         same = tomllib.loads(out) == wanted
@@ -259,8 +261,16 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
         same = False
     if not same:
         shown = ", ".join(f"{key} = {value!r}" for key, value in values.items())
-        raise InputError(f"{file}: its [{table}] is not written line by line and stays as it is; write there {shown}")
+        where = f"its [{table}]" if table else "it"
+        raise InputError(f"{file}: {where} is not written line by line and stays as it is; write there {shown}")
     return out
+
+
+def _toml(value: Any) -> str:
+    """Return a value as TOML has it; a list of several texts has a line for each."""
+    if isinstance(value, list | tuple) and len(value) > 1 and all(isinstance(one, str) for one in value):
+        return "[\n" + "".join(f"  {_toml(one)},\n" for one in value) + "]"
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _set(lines: list[str], header: int, key: str, value: str, end: str) -> None:
@@ -273,7 +283,7 @@ def _set(lines: list[str], header: int, key: str, value: str, end: str) -> None:
             continue
         found = re.match(rf"(\s*{re.escape(key)}\s*=\s*)(.*)", "".join(lines[k:stop]), re.DOTALL)
         if found:
-            comment = _comment(found[1], found[2])
+            comment = "" if "\n" in value else _comment(found[1], found[2])
             if comment:
                 # It stays in its column where the value leaves room.
                 room = len(found[2].rstrip("\r\n")) - len(comment.lstrip())

@@ -425,12 +425,14 @@ def lyapunov_family(
     problem, linear = symmetric_shooting(system, saddle, family)
     low, high = energies
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise InputError(f"energies {low:g} to {high:g} J: must be two finite numbers, the lower first")
+        raise InputError(f"energies {low:g} to {high:g}: must be two finite numbers, the lower first")
     far = high if linear.sign > 0 else low
     if (far - linear.energy) * linear.sign <= 0:
         raise InputError(
-            f"energies {low:g} to {high:g} J: the Lyapunov orbits about {saddle} exist only "
-            f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g} J"
+            system.worded(
+                f"energies {low:g} to {high:g} J: the Lyapunov orbits about {saddle} exist only "
+                f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g} J"
+            )
         )
     curve = _curve(problem, linear, settings)
 
@@ -464,11 +466,15 @@ def lyapunov_family(
         points = [p for p in points if p.measures[SIZE] <= largest]
     if not points:
         raise InputError(
-            f"energies {low:g} to {high:g} J: the family about {saddle} does not reach them; {last.reason}"
+            system.worded(
+                f"energies {low:g} to {high:g} J: the family about {saddle} does not reach them; {last.reason}"
+            )
         )
     members = tuple(orbit(p) for p in points)
     converged = last.kind != "not followed further"
-    status = f"{len(members)} orbits from {members[0].energy:.9g} to {members[-1].energy:.9g} J; {last.reason}"
+    first, last = (replace(end, reason=system.worded(end.reason)) for end in (first, last))
+    ends = f"{members[0].energy:.9g} to {members[-1].energy:.9g} J"
+    status = system.worded(f"{len(members)} orbits from {ends}; {last.reason}")
     events = tuple(FamilyEvent("fold" if e.test == SLOPE else e.test, orbit(e.place)) for e in run.events)
     return LyapunovFamily(
         system, saddle, family, events, (first, last), members=members, converged=converged, status=status

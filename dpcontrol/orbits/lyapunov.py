@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System, saddle_index
+from dpcontrol.foundation.arguments import number, whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import fields_of
@@ -360,13 +361,14 @@ def lyapunov_orbit(
         InputError: unknown saddle or family, or an energy on the wrong side of the saddle's.
     """
     settings = settings or ContinuationSettings()
-    problem, linear = symmetric_shooting(system, saddle, family)
-    if not np.isfinite(energy):
-        raise InputError(f"energy = {energy}: must be a finite number of joules")
+    energy = number("energy", energy)
+    problem, linear = symmetric_shooting(system, saddle, whole("family", family, least=-1, most=1000))
     if (energy - linear.energy) * linear.sign <= 0:
         raise InputError(
-            f"energy = {energy!r} J: the Lyapunov orbits about {saddle} exist only "
-            f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy!r} J"
+            system.worded(
+                f"energy = {energy!r} J: the Lyapunov orbits about {saddle} exist only "
+                f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy!r} J"
+            )
         )
     unknowns, residual, converged, status = _follow(problem, settings, linear, energy)
     return described_orbit(
@@ -451,7 +453,7 @@ def _follow(
             step = (s - last.s) / 2
             if step < settings.smallest_step * largest:
                 reached = saddle_energy + sign * last.s**2
-                return last.unknowns, residual, False, (
+                return last.unknowns, residual, False, problem.system.worded(
                     f"not converged: the family could be followed only to {reached:.6g} J (residual "
                     f"{residual:.1e} beyond); ask for an energy nearer to the saddle's"
                 )  # fmt: skip

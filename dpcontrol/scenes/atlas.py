@@ -36,7 +36,7 @@ import json
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, TypeVar, get_args, get_origin, get_type_hints
@@ -53,6 +53,7 @@ from dpcontrol.bifurcations.bifurcations import (
 )
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arguments import number, whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.errors import InputError
@@ -141,21 +142,23 @@ def make_atlas(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> FoundAtlas:
-    """Return the atlas of `model` at `energy` (J), from the cache unless `fresh`, and keep it there.
+    """Return the atlas of `model` at `energy` (J), from the cache unless `fresh`, and keep it there if it is no part.
 
     Raises:
         InputError: no saddle has a Lyapunov orbit at this energy.
     """
     settings = settings or AtlasSettings()
-    if not np.isfinite(energy):
-        raise InputError(f"energy = {energy}: must be a finite number of joules")
+    energy = number("energy", energy)
+    for hit in settings.hits or ():
+        whole("hits", hit, least=1, most=9)
     file = cache_file("atlases", f"{model.name}-{energy:g}", atlas_key(model, energy, settings))
     if not fresh and (content := kept(file)) is not None:
         return FoundAtlas(load_atlas(BytesIO(content)), file, cached=True)
     atlas = compute_atlas(model, energy, settings=settings, yes=yes, progress=progress)
-    content = BytesIO()
-    save_atlas(content, atlas)
-    keep(file, content.getvalue())
+    if not any(kind.partial for kind in atlas.kinds):
+        content = BytesIO()
+        save_atlas(content, atlas)
+        keep(file, content.getvalue())
     return FoundAtlas(atlas, file, cached=False)
 
 
@@ -188,7 +191,8 @@ def compute_atlas(
     if not orbits:
         births = ", ".join(f"{saddle.name} {saddle.energy:.6g} J" for saddle in saddles)
         raise InputError(
-            f"energy = {energy:g} J: no saddle of {model.name} has a Lyapunov orbit; their families begin at {births}"
+            system.worded(f"energy = {energy:g} J: no saddle of {model.name} has a Lyapunov orbit; ")
+            + system.worded(f"their families begin at {births}")
         )
     # Sections are cut for the first of each saddle's families, which is the one that has sections.
     first = {orbit.saddle: orbit for orbit in orbits if orbit.family == 0}
@@ -346,7 +350,7 @@ def _kind(one: PairSearch) -> AtlasKind:
         count=len(search.connections),
         open_ends=tuple((tube, end.branch, end.phase_interval, end.reason) for tube, end in search.open_ends),
         by_reversal=one.by_reversal,
-        **picked(search, "failed", "complete", "status"),
+        **picked(search, "failed", "complete", "status", "partial"),
     )
 
 
@@ -368,7 +372,8 @@ def _status(
     incomplete = [k for k in kinds if not k.complete]
     if incomplete:
         names = ", ".join(f"{k.source} → {k.target} at {list(k.hits)}" for k in incomplete)
-        parts.append(f"the searches of {names} are not complete: connections at these hits may be missing")
+        late = ", as time ran out (partial)" if any(k.partial for k in incomplete) else ""
+        parts.append(f"the searches of {names} are not complete{late}: connections at these hits may be missing")
     elif kinds:
         parts.append("all cuts are resolved, so none of these hits is missing down to the cuts' chord")
     parts += [reason for _, reason in absent]
@@ -437,6 +442,8 @@ def _unpacked(
 ) -> Record:
     """Return the record of which `_packed` made an entry and arrays."""
     values: dict[str, Any] = {}
+    # What has a default came later: files without it are read as before.
+    entry = {f.name: f.default for f in fields(kind) if f.default is not MISSING} | entry  # type: ignore[arg-type]
     for name, hint in get_type_hints(kind).items():
         member = next((one for one in get_args(hint) if is_dataclass(one)), None)
         if name not in entry:

@@ -145,7 +145,8 @@ def solve_pieces(
             lift = moved.lift
             if not moved.reference.converged:
                 break
-        pieces.append(_own(itinerary, goal, lift, part_of(progress, begun + share / 2, begun + share)))
+        here = part_of(progress, begun + share / 2, begun + share)
+        pieces.append(_own(itinerary, goal, lift, here, judged=k == len(goals) - 1))
         if not pieces[-1].reference.converged:
             break
     return pieces
@@ -176,8 +177,16 @@ def lifted_guess(goal: Goal, lift: Array) -> Guess:
     return lambda times: sample(times + goal.begin) + turned
 
 
-def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> SolvedPiece:
-    """Return the piece of a goal itself."""
+_ROOM, _ELSEWHERE = 0.05, 0.3
+"""rad: half of what a run may be off its last orbit, so that a reference that is farther off leaves the feedback no
+room; and from where on it has not come to that orbit at all."""
+_CLOSER = (100.0, 10_000.0)
+"""Factors on the pendulum's weight with which such a reference is sought again: friction and one cart keep no orbit
+exactly, and the cheapest way to end is not the nearest."""
+
+
+def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, judged: bool) -> SolvedPiece:
+    """Return the piece of a goal itself; judged: by its last orbit, which the itinerary ends on."""
     settings = itinerary.reference
     if goal.shadowing is None:
         method, interval = method_named(settings.method), max(settings.interval, 0.05)
@@ -189,7 +198,30 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> S
         free = itinerary.model.arms.frictionless()
         conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
         return SolvedPiece(goal.text, goal, lift, shadowed(conservative, settings))
-    return SolvedPiece(goal.text, goal, lift, find_reference(problem, settings, progress=progress))
+    found = find_reference(problem, settings, progress=progress)
+    least = _off_last_orbit(goal, found, lift) if judged and found.converged else 0.0
+    for factor in _CLOSER:
+        if not _ROOM < least < _ELSEWHERE:
+            break
+        weight = factor * settings.pendulum_weight
+        closer = find_reference(problem, replace(settings, pendulum_weight=weight), progress=progress)
+        gap = _off_last_orbit(goal, closer, lift)
+        if closer.converged and gap < least:
+            found, least = closer, gap
+    return SolvedPiece(goal.text, goal, lift, found)
+
+
+_PHASES = 1000
+"""Phases at which an orbit is sampled, and its last period."""
+
+
+def _off_last_orbit(goal: Goal, found: Reference, lift: Array) -> float:
+    """Return how far the angles of a walk are from its last orbit over the last period, rad."""
+    orbit, n = goal.orbits[1], len(lift)
+    shares = np.linspace(0.0, 1.0, _PHASES)
+    path = OrbitCurve(orbit).states(shares)[:, :n] - orbit.system.equilibrium(orbit.saddle)[:n] + goal.last + lift
+    late = found.state(found.duration - orbit.period * shares.clip(max=found.duration / orbit.period))[:, :n]
+    return float(np.abs(late[:, None] - path).max(axis=2).min(axis=1).max())
 
 
 @dataclass(frozen=True)

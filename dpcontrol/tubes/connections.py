@@ -18,7 +18,6 @@ resonance transitions in celestial mechanics (2000), section 4.
 
 import difflib
 import re
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,10 +27,12 @@ from scipy.optimize import root_scalar
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import fields_of, picked
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingOrbit, solve_shooting
@@ -338,6 +339,7 @@ class ConnectionSearch:
 
     failed: crossings of the cuts that did not converge. complete: none failed, the cuts are resolved and open only
     where nothing is hidden, closed ones cross as often one way as the other, and no two are tangent to rounding.
+    partial: the search's time was over before its work was done.
     """
 
     source: LyapunovOrbit
@@ -347,6 +349,7 @@ class ConnectionSearch:
     failed: int
     complete: bool
     status: str
+    partial: bool = False
 
     def __repr__(self) -> str:
         return f"<connections {self.source.saddle} → {self.target.saddle}: {self.status}>"
@@ -360,7 +363,7 @@ class ConnectionSearch:
                 {"branch": f"{tube} {end.branch:+d}", **picked(end, "phase_interval", "reason")}
                 for tube, end in self.open_ends
             ],
-            **picked(self, "complete", "status"),
+            **picked(self, "complete", "partial", "status"),
             "energy": self.source.energy,
             "from": self.source.saddle,
             "to": self.target.saddle,
@@ -408,6 +411,7 @@ def find_connections(
     section: Section | None = None,
     settings: ConnectionSettings | None = None,
     cuts: tuple[Cut, Cut] | None = None,
+    budget: Budget | None = None,
     progress: Progress = no_progress,
 ) -> ConnectionSearch:
     """Find every connection from `source` to `target` that meets a section at `hits`: their own, or another.
@@ -416,23 +420,23 @@ def find_connections(
     crossings: one that passes by another saddle's side and comes back has at least two.
 
     cuts: of the unstable tubes of source and target, where they are known already, made with the same settings (the
-    stable tube's cut is its unstable one's, turned around).
+    stable tube's cut is its unstable one's, turned around). budget: time that is shared with other work, instead of the
+    settings' seconds; when it is over, what was found is returned, marked as partial.
 
     Raises:
         InputError: the orbits differ in energy, no section is known between their saddles, it is not kept by the
             target's reverser, or one of the orbits crosses it itself.
     """
-    settings, began = settings or ConnectionSettings(), time.process_time()
-    system = source.system
-
-    def spent() -> float:
-        """The share of the search's time that has passed."""
-        return (time.process_time() - began) / settings.seconds
-
+    settings, system = settings or ConnectionSettings(), source.system
+    for hit in hits:
+        whole("hits", hit, least=1, most=1000)
+    budget = budget or Budget(settings.seconds)
     section = section or system.section_between(source.saddle, target.saddle)
     if source.energy != target.energy:
         raise InputError(
-            f"orbits at {source.energy:g} J and {target.energy:g} J cannot be connected: the flow keeps its energy"
+            system.worded(
+                f"orbits at {source.energy:g} J and {target.energy:g} J cannot be connected: the flow keeps its energy"
+            )
         )
     if not section.kept_by(target.reverser, target.centre):
         raise InputError(
@@ -451,31 +455,42 @@ def find_connections(
         local_manifold(target, settings.distance),
     )
     if cuts is None:
-        progress(f"tube of {source.saddle}", 0.0)
-        unstable = tube_cut(manifolds[0], section, hit=hits[0], settings=settings.cut)
-        progress(f"tube of {target.saddle}", 0.4)
         same_tube = source is target and hits[0] == hits[1]
-        backward = unstable if same_tube else tube_cut(manifolds[1], section, hit=hits[1], settings=settings.cut)
+
+        def cut(which: int) -> Cut:
+            # Each tube leaves time for the other, and both for what follows.
+            share, part = 0.4 * (which + 1), part_of(progress, 0.3 * which, 0.3 * (which + 1))
+            part(f"tube of {(source, target)[which].saddle}", 0.0)
+            return tube_cut(
+                manifolds[which], section, hit=hits[which], settings=settings.cut, budget=budget.until(share),
+                progress=part,
+            )  # fmt: skip
+
+        unstable = cut(0)
+        backward = unstable if same_tube else cut(1)
     else:
         unstable, backward = cuts
     progress("intersections", 0.6)
-    after_cuts = spent()
+    after_cuts = budget.share
 
     def spent_since() -> float:
-        return (spent() - after_cuts) / max(1 - after_cuts, 1e-9)
+        share = (budget.share - after_cuts) / max(1 - after_cuts, 1e-9)
+        progress("intersections", 0.6 + 0.1 * min(share, 1.0))
+        return share
 
     met = intersect_cuts(system, section, manifolds, (unstable, backward), settings, spent=spent_since)
     crossings, failed, left = met.found, met.failed, met.left
     even = balanced(crossings, (unstable, backward))
-    remaining = settings.seconds * (1 - spent())
-    finer = replace(settings, cut=replace(settings.cut, chord=settings.cut.chord / 2), seconds=remaining)
+    finer = replace(settings, cut=replace(settings.cut, chord=settings.cut.chord / 2))
     # A finer search takes about twice as long.
-    if not even and finer.cut.chord >= settings.finest and spent() < 1 / 4:
+    if not even and finer.cut.chord >= settings.finest and budget.share < 1 / 4:
         # Folds thinner than the chord: what one polyline cuts off, a finer one follows.
-        return find_connections(source, target, hits=hits, section=section, settings=finer, progress=progress)
+        return find_connections(
+            source, target, hits=hits, section=section, settings=finer, budget=budget, progress=progress
+        )
     found = []
     for k, crossing in enumerate(crossings):
-        if spent() > 1:
+        if budget.spent:
             left += len(crossings) - k
             break
         progress("refining connections", 0.7 + 0.3 * k / len(crossings))
@@ -510,10 +525,12 @@ def find_connections(
     if failed:
         remedy = "try another energy" if settings.thorough else "search thoroughly, or at another energy"
         status += f"; {failed} crossings of the cuts did not converge: {remedy}"
-    if left:
+    partial = bool(left) or any(cut.spent for cut in (unstable, backward))
+    if partial:
         status += (
-            f"; {left} places were left when {settings.seconds:.0f} s of processor time were over: at an energy nearer "
-            "to the saddles' tubes cross less often"
+            f"; partial: {f'{left} places were left when ' if left else ''}the search's {budget.seconds:.3g} s of "
+            "processor time were over: give it more seconds, or an energy nearer to the saddles', where tubes cross "
+            "less often"
         )
     if tangent:
         status += f"; the tubes are tangent to rounding at {tangent}, so near a bifurcation that each may be several"
@@ -525,7 +542,7 @@ def find_connections(
     elif unstable.open_ends or backward.open_ends:
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)
-    return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status)
+    return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status, partial)
 
 
 def _sort(found: list[Connection]) -> list[Connection]:

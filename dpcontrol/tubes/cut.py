@@ -5,9 +5,8 @@ points are close. Where it cannot be refined the curve is open: a trajectory gra
 jumps), or never arrives in the time allowed. Open ends are found by bisection and reported, never bridged.
 """
 
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,8 @@ import numpy as np
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array, Flags
+from dpcontrol.foundation.budget import Budget
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.manifold import UnstableManifold
 
 _THOROUGH = 20_000
@@ -90,12 +91,12 @@ class CutSamples:
         return len(self.phases)
 
     def __getitem__(self, which: Any) -> "CutSamples":
-        return CutSamples(*(getattr(self, field.name)[which] for field in fields(self)))
+        return CutSamples(*(getattr(self, one.name)[which] for one in fields(self)))
 
     @staticmethod
     def joined(parts: "Sequence[CutSamples]") -> "CutSamples":
         """Return several parts as one, in their order."""
-        names = [field.name for field in fields(CutSamples)]
+        names = [one.name for one in fields(CutSamples)]
         return CutSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     @property
@@ -118,6 +119,7 @@ class Sampler:
     hit: int
     branch: int
     settings: CutSettings
+    budget: Budget = field(default_factory=lambda: Budget(np.inf))
 
     @property
     def chord(self) -> float:
@@ -174,27 +176,51 @@ def _some(phases: Array) -> Array:
 _TRIED = 8
 
 
-def refined(sampler: Sampler, start: float) -> tuple[CutSamples, str]:
+def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress) -> tuple[CutSamples, str, bool]:
     """Sample one period from phase `start`, halving until chords are short or phases indistinguishable.
 
-    Returns the samples and why refinement stopped early, empty if it did not.
+    Returns the samples, why refinement stopped early, empty if it did not, and whether that is because its time was
+    over.
     """
-    settings, began = sampler.settings, time.process_time()
-    samples = sampler.fly(start + np.arange(settings.first_phases + 1) / settings.first_phases)
-    while len(samples) < settings.most_points and time.process_time() - began < settings.seconds:
+    settings = sampler.settings
+    budget = sampler.budget.part(settings.seconds)
+
+    def flown(phases: Array) -> CutSamples:
+        """Return the samples at the first of the phases, as many as there is time for."""
+        parts: list[CutSamples] = []
+        for first in range(0, len(phases), _AT_ONCE):
+            if parts and budget.spent:
+                break
+            progress(f"tube of {sampler.manifold.orbit.saddle}", min(budget.share, 1.0))
+            parts.append(sampler.fly(phases[first : first + _AT_ONCE]))
+        return CutSamples.joined(parts)
+
+    # Coarsely all around first, with both ends, should there be time for no more.
+    number = np.arange(settings.first_phases + 1)
+    coarse = (number % (settings.first_phases // _AT_ONCE + 1) == 0) | (number == number[-1])
+    samples = flown(start + np.concatenate([number[coarse], number[~coarse]]) / settings.first_phases)
+    samples = samples[np.argsort(samples.phases, kind="stable")]
+    while len(samples) < settings.most_points and not budget.spent:
         phases, arrived, steps = samples.phases, samples.arrived, np.diff(samples.phases)
         wide = (arrived[:-1] | arrived[1:]) & (steps > settings.smallest_phase_step)
         wide &= ~samples.continuous(sampler.chord)
         if not wide.any():
-            return samples, ""
+            return samples, "", False
         if np.count_nonzero(steps[wide] < settings.fine_phase_step) > settings.most_jumps:
             return samples, (
                 f"branch {sampler.branch:+d} scatters before crossing {sampler.hit}: more than {settings.most_jumps} "
                 f"jumps between phases {settings.fine_phase_step:g} apart; allow less time"
-            )
-        samples = CutSamples.joined([samples, sampler.fly(((phases[:-1] + phases[1:]) / 2)[wide])])
+            ), False  # fmt: skip
+        samples = CutSamples.joined([samples, flown(((phases[:-1] + phases[1:]) / 2)[wide])])
         samples = samples[np.argsort(samples.phases, kind="stable")]
-    return samples, f"branch {sampler.branch:+d}: {len(samples)} points leave wide chords; allow less time"
+    left = f"branch {sampler.branch:+d}: {len(samples)} points leave wide chords"
+    if budget.spent:
+        return samples, f"{left} when {budget.seconds:.0f} s of processor time for it were over", True
+    return samples, f"{left}; allow less time", False
+
+
+_AT_ONCE = 64
+"""Trajectories flown between two looks at the clock."""
 
 
 @dataclass(frozen=True)
@@ -235,7 +261,8 @@ class Piece:
 class Cut:
     """All pieces in which both branches of a tube meet a section, and where they are open.
 
-    trajectories: how many were flown; resolved: whether chords are short everywhere but at open ends.
+    trajectories: how many were flown; resolved: whether chords are short everywhere but at open ends. spent: whether
+    refinement ended because its time was over.
     """
 
     section: Section
@@ -245,6 +272,7 @@ class Cut:
     trajectories: int
     resolved: bool
     status: str
+    spent: bool = False
 
 
 def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
@@ -255,6 +283,8 @@ def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
             f"never arrives: {len(samples)} phases do not reach crossing {hit} of {sampler.section.name} within "
             f"{sampler.longest:g} periods"
         )
+        if sampler.budget.spent:
+            return OpenEnd(sampler.branch, interval, reason, hides=True)
         if sampler.escapes(samples.phases):
             reason = f"escapes: {len(samples)} phases leave for good and never reach {sampler.section.name}"
             return OpenEnd(sampler.branch, interval, reason, hides=False, escapes=True)
@@ -319,16 +349,29 @@ def _mirrored(manifold: UnstableManifold, section: Section, piece: Piece) -> Pie
     )
 
 
-def tube_cut(manifold: UnstableManifold, section: Section, *, hit: int = 1, settings: CutSettings | None = None) -> Cut:
-    """Cut both branches of an unstable tube at the `hit`-th crossing of a section."""
-    settings = settings or CutSettings()
+def tube_cut(
+    manifold: UnstableManifold,
+    section: Section,
+    *,
+    hit: int = 1,
+    settings: CutSettings | None = None,
+    budget: Budget | None = None,
+    progress: Progress = no_progress,
+) -> Cut:
+    """Cut both branches of an unstable tube at the `hit`-th crossing of a section, as finely as a budget allows."""
+    settings, budget = settings or CutSettings(), budget or Budget(np.inf)
     pieces: list[Piece] = []
     gaps: list[OpenEnd] = []
-    flown, unresolved = 0, ""
+    flown, unresolved, late = 0, "", False
     branches = (1,) if manifold.branches_are_mirrored else (1, -1)
-    for branch in branches:
-        sampler = Sampler(manifold, section, hit, branch, settings)
-        samples, stopped = refined(sampler, 0.0)
+    for k, branch in enumerate(branches):
+        # The first of two branches leaves the other half of the time, and both some for their ends.
+        allowed = budget.until(0.9 * (k + 1) / len(branches))
+        within = part_of(progress, k / len(branches), (k + 1) / len(branches))
+        samples, stopped, over = refined(
+            Sampler(manifold, section, hit, branch, settings, allowed), 0.0, progress=within
+        )
+        sampler, late = Sampler(manifold, section, hit, branch, settings, budget), late or over
         unresolved += f"; {stopped}" if stopped else ""
         flown += len(samples)
         found, open_ends = _pieces(samples, sampler)
@@ -351,4 +394,4 @@ def tube_cut(manifold: UnstableManifold, section: Section, *, hit: int = 1, sett
         status = f"not resolved by {flown} trajectories{unresolved}"
     else:
         status = f"resolved to chords of {settings.chord:g} by {flown} trajectories"
-    return Cut(section, hit, tuple(pieces), tuple(gaps), flown, not unresolved, status)
+    return Cut(section, hit, tuple(pieces), tuple(gaps), flown, not unresolved, status, late)

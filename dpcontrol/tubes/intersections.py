@@ -36,8 +36,11 @@ from scipy.spatial import KDTree
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
+from dpcontrol.foundation.arguments import number
 from dpcontrol.foundation.arrays import Array, Flags
+from dpcontrol.foundation.budget import SECONDS
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import MOST_SECONDS
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.cut import Cut, CutSettings, Piece, longest_flight, section_points
@@ -124,7 +127,7 @@ def _to_segment(points: Array, start: Array, end: Array) -> Array:
 
 
 _PLACED, _SOLVED, _PAIRED = 0.25, 0.5, 0.6  # of the time left after the cuts: what each step must have ended by
-_THOROUGH = 50.0  # s of processor time: what is under way when they have passed takes a few more
+_THOROUGH = 50.0  # what is under way when they have passed takes a few more
 _BESIDE = 1e-3  # phase over which the cuts' bend is measured, less than the 1/100 between the first samples of a cut
 _FARTHEST_PARTNER = 0.05  # phase; the polylines tell partners apart that are farther off
 _FARTHEST = 0.2  # phase from a guess to where Newton's method may lead
@@ -142,7 +145,7 @@ class ConnectionSettings:
     from it at most (its square is left out), nearest: at least (rounding), and segments: nodes per period, in the
     multiple-shooting refinement; near: scaled distance at which a connection is said to have joined its orbit. finest:
     chord to which cuts are refined where closed ones cross unevenly. seconds: of processor time after which a search
-    ends with what it has.
+    ends with what it has. thorough: whether it goes on for as long as it may, so that to advise it would not help.
     """
 
     distance: float = 1e-4
@@ -156,30 +159,36 @@ class ConnectionSettings:
     segments: int = 8
     near: float = 1e-3
     finest: float = 0.003
-    seconds: float = np.inf
-
-    @property
-    def thorough(self) -> bool:
-        """Whether a search goes on for as long as it may: to advise a thorough one would not help."""
-        return bool(np.isfinite(self.seconds))
+    seconds: float = SECONDS
+    thorough: bool = False
 
 
 MOST_PERIODS = 1000.0
 
 
-def search_settings(*, longest: float | None = None, thorough: bool = False) -> ConnectionSettings:
+def search_settings(
+    *, longest: float | None = None, thorough: bool = False, seconds: float | None = None
+) -> ConnectionSettings:
     """Return settings for a search.
 
     longest: periods of its orbit that a trajectory may take to the section, None for the system's own number; thorough:
-    go on where a search is given up after seconds, for up to a minute.
+    go on where a search would be given up, for up to a minute; seconds: of processor time, instead of a minute.
 
     Raises:
         InputError: no time, or more than the longest.
     """
+    seconds = seconds if seconds is None or isinstance(seconds, float) else number("seconds", seconds)
+    if seconds is not None and not 0 < seconds <= MOST_SECONDS:
+        raise InputError(f"seconds = {seconds:g}: must be positive, and at most {MOST_SECONDS:g} s")
+    longest = longest if longest is None or isinstance(longest, float) else number("longest", longest)
     if longest is not None and not 0 < longest <= MOST_PERIODS:
         raise InputError(f"longest = {longest:g}: must be positive, and at most {MOST_PERIODS:g} periods of the orbit")
     cut = CutSettings(longest=longest)
-    return ConnectionSettings(cut=cut.thoroughly(), seconds=_THOROUGH) if thorough else ConnectionSettings(cut=cut)
+    if thorough:
+        # Cuts take what share of a longer time they take of the usual one.
+        cut = cut.thoroughly()
+        cut = replace(cut, seconds=cut.seconds * (seconds or _THOROUGH) / _THOROUGH)
+    return ConnectionSettings(cut=cut, seconds=seconds or (_THOROUGH if thorough else SECONDS), thorough=thorough)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ import numpy as np
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.budget import SECONDS, Budget
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -68,7 +69,7 @@ class SymmetricSearch:
     """Symmetric homoclinic connections of one family between two energies.
 
     searched: the energies in J between which the family could be searched. failed: zeros of the map whose refinement
-    did not converge.
+    did not converge. partial: the search's time was over before its work was done.
     """
 
     saddle: str
@@ -78,6 +79,7 @@ class SymmetricSearch:
     connections: tuple[Connection, ...]
     failed: int
     status: str
+    partial: bool = False
 
     def __repr__(self) -> str:
         return f"<symmetric connections of {self.saddle}: {self.status}>"
@@ -94,7 +96,7 @@ class SymmetricSearch:
             "to": self.saddle,
             "hits": [self.hit, self.hit],
             "complete": False,
-            **picked(self, "family", "searched", "failed", "status"),
+            **picked(self, "family", "searched", "failed", "partial", "status"),
         }
 
 
@@ -106,17 +108,19 @@ def find_symmetric_connections(
     family: int = 0,
     hit: int = 1,
     settings: SymmetricSettings | None = None,
+    budget: Budget | None = None,
     progress: Progress = no_progress,
 ) -> SymmetricSearch:
     """Find homoclinic connections of a family that its symmetry makes, each at its own energy in J.
 
-    hit: which passage of the standing arm through its lowest position is the middle.
+    hit: which passage of the standing arm through its lowest position is the middle. budget: time, a minute by default;
+    when it is over, what was found is returned, marked as partial.
 
     Raises:
         InputError: an unknown saddle or family, energies on the wrong side of the saddle's or in no order, or a system
             of other than three coordinates.
     """
-    settings = settings or SymmetricSettings()
+    settings, budget = settings or SymmetricSettings(), budget or Budget(SECONDS)
     if system.dimension != 6:
         raise InputError(
             f"{system.name} has {system.dimension // 2} coordinates, and connections at every energy: give one energy, "
@@ -139,11 +143,17 @@ def find_symmetric_connections(
         ended = _unfit(orbit)
         if ended:
             break
+        if budget.share > _GRID:
+            ended = f"{_OVER} before {energy:g} J"
+            break
         rows.append(search.flown(orbit))
     found: list[Connection] = []
-    failed = 0
+    failed = left = 0
     zeros = list(search.zeros(rows))
     for k, (orbit, branch, phase) in enumerate(zeros):
+        if budget.spent:
+            left = len(zeros) - k
+            break
         progress(f"{len(zeros)} candidates", 0.8 + 0.2 * k / len(zeros))
         connection = search.refined(orbit, branch, phase, (high - low) / settings.energies)
         if connection is None:
@@ -161,7 +171,17 @@ def find_symmetric_connections(
         status += f"; {failed} candidates did not converge: search a narrower range"
     if ended:
         status += f"; not searched beyond: {ended}"
-    return SymmetricSearch(saddle, family, hit, reached, tuple(found), failed, status)
+    if left:
+        status += f"; {left} candidates were left when {_OVER}"
+    partial = bool(left) or ended.startswith(_OVER)
+    if partial:
+        status += f"; partial: give the search more than {budget.seconds:.3g} s, or a narrower range"
+    return SymmetricSearch(saddle, family, hit, reached, tuple(found), failed, status, partial)
+
+
+_OVER = "the search's time was over"
+_GRID = 0.7
+"""Share of a search's time for the grid of energies; candidates take the rest."""
 
 
 def _name(connection: Connection) -> str:

@@ -144,7 +144,8 @@ class AtlasKind:
     """How the search for connections of one kind ended: from, to, hits.
 
     failed: crossings of the cuts that did not converge. complete: none failed and both cuts are closed. open_ends:
-    (tube, branch, (phase, phase), reason) where they are not. by_reversal: made from the opposite kind.
+    (tube, branch, (phase, phase), reason) where they are not. by_reversal: made from the opposite kind. partial: the
+    search's time was over before its work was done.
     """
 
     source: str
@@ -157,6 +158,7 @@ class AtlasKind:
     open_ends: tuple[tuple[str, int, tuple[float, float], str], ...]
     by_reversal: bool
     status: str
+    partial: bool = False
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ import networkx as nx
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
@@ -197,12 +198,16 @@ class TubeCuts:
             self._manifolds[orbit.saddle] = local_manifold(orbit, self.settings.distance)
         return self._manifolds[orbit.saddle]
 
-    def cut(self, orbit: LyapunovOrbit, section: Section, hit: int) -> Cut:
+    def cut(
+        self, orbit: LyapunovOrbit, section: Section, hit: int, *, budget: Budget, progress: Progress = no_progress
+    ) -> Cut:
         """Return the cut of an orbit's unstable tube at the `hit`-th crossing of a section."""
         key = (orbit.saddle, section.name, hit)
         if key not in self.made:
             began = time.perf_counter()
-            self.made[key] = tube_cut(self.manifold(orbit), section, hit=hit, settings=self.settings.cut)
+            self.made[key] = tube_cut(
+                self.manifold(orbit), section, hit=hit, settings=self.settings.cut, budget=budget, progress=progress
+            )
             self.seconds += time.perf_counter() - began
         return self.made[key]
 
@@ -295,11 +300,16 @@ def search_pairs(
         here = part_of(progress, k / len(pairs), (k + 1) / len(pairs))
         for hit in hits:
             here(f"tubes {source} → {target}", 0.0)
-            cuts = (tubes.cut(orbits[source], section, hit[0]), tubes.cut(orbits[target], section, hit[1]))
-            within = part_of(here, 0.5, 1.0)
+            budget = Budget(tubes.settings.seconds)
+            first, second = (
+                tubes.cut(orbits[saddle], section, number, budget=budget.until(0.4 * (which + 1)),
+                          progress=part_of(here, 0.25 * which, 0.25 * (which + 1)))
+                for which, (saddle, number) in enumerate(zip((source, target), hit, strict=True))
+            )  # fmt: skip
             search = find_connections(
-                orbits[source], orbits[target], hits=hit, settings=tubes.settings, cuts=cuts, progress=within
-            )
+                orbits[source], orbits[target], hits=hit, settings=tubes.settings, cuts=(first, second),
+                budget=budget, progress=part_of(here, 0.5, 1.0),
+            )  # fmt: skip
             found.append(PairSearch(search, by_reversal=False))
             if until_found and search.connections:
                 break

@@ -447,7 +447,8 @@ def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, le
     check_stops(chain, wraps, periodic=periodic)
     for name, values in (("wraps", wraps), ("lead_in", (lead_in,)), ("lead_out", (lead_out,))):
         for value in values:
-            if isinstance(value, bool) or int(value) != value or value < 0:
+            number = isinstance(value, int | float | np.number) and not isinstance(value, bool) and np.isfinite(value)
+            if not number or int(value) != value or value < 0:
                 raise InputError(f"{name} = {value!r}: must be a whole number, zero or more")
             if value > MOST_WRAPS:
                 raise InputError(f"{name} = {value}: must be at most {MOST_WRAPS:,}")

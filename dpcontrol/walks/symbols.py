@@ -117,6 +117,8 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     Raises:
         InputError: the text is not a symbol, or names a saddle that is not among `saddles`.
     """
+    if not isinstance(text, str):
+        raise InputError(f"a symbol is a text such as 'down-up +', not {type(text).__name__}")
     text = text.strip()
     if "(" in text and np.cumsum([(c == "(") - (c == ")") for c in text]).max() > MOST_NESTED:
         raise InputError(f"{text[:60]!r}…: symbols in brackets may be nested {MOST_NESTED} deep at most")
@@ -205,7 +207,9 @@ def choose(symbol: Symbol, connections: "Sequence[Connection]") -> "Connection":
         raise InputError(f"no connection is named {symbol.name!r} at this energy; there are: {known}")
     fitting = [c for c in connections if symbol.sense is None or c.sense == symbol.sense]
     if not fitting:
-        raise InputError(f"{symbol.text!r}: no such connection at this energy; try a higher one or `dpcontrol connect`")
+        raise InputError(
+            f"{symbol.text!r}: no such connection at this energy; `dpcontrol connect` lists those there are"
+        )
     symmetric = [c for c in fitting if c.symmetric] or fitting
     # Mirror images have the same angle up to rounding; of those the positive sense is taken.
     return max(symmetric, key=lambda c: (round(c.transversality_angle, 6), c.sense, c.name))

@@ -249,7 +249,9 @@ def _connection(symbol: Symbol, edges: Edges) -> Connection:
         notes = [note for note in edges.notes if note.startswith(f"{pair[0]} → {pair[1]}: ")]
         why = f" ({notes[0]})" if notes else ""
         raise InputError(
-            f"{symbol.text!r}: no such connection was found at {edges.energy:g} J{why}; try another energy"
+            edges.system.worded(
+                f"{symbol.text!r}: no such connection was found at {edges.energy:g} J{why}; try another energy"
+            )
         )
     return choose(symbol, candidates)
 
@@ -286,14 +288,16 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
     chain: list[Connection] = []
     for stop in stops:
         if stop not in graph:
-            raise InputError(f"{stop!r} has no orbit at {edges.energy:g} J: {suggest(stop, edges.orbits)}")
+            text = f"{stop!r} has no orbit at {edges.energy:g} J: {suggest(stop, edges.orbits)}"
+            raise InputError(edges.system.worded(text))
     for here, there in pairwise(stops):
         if here == there:
             path = [here, there] if graph.has_edge(here, there) else []
         else:
             path = nx.shortest_path(graph, here, there) if nx.has_path(graph, here, there) else []
         if not path:
-            raise InputError(f"no walk at {edges.energy:g} J leads from {here} to {there}; try a higher energy")
+            text = f"no walk at {edges.energy:g} J leads from {here} to {there}; try a higher energy"
+            raise InputError(edges.system.worded(text))
         chain += [choose(way, edges.between(way.source, way.target)) for way in ways(path)]
     return tuple(chain)
 
@@ -347,7 +351,8 @@ def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, pe
     onward = np.ones(len(names), dtype=object)
     first = np.array([powers[length][k, k] if periodic else (powers[length] @ onward)[k] for k in range(len(names))])
     if not first.sum():
-        raise InputError(f"there is no {'closed ' if periodic else ''}walk of {length} symbols at {edges.energy:g} J")
+        text = f"there is no {'closed ' if periodic else ''}walk of {length} symbols at {edges.energy:g} J"
+        raise InputError(edges.system.worded(text))
     at = start = _drawn(first, generator)
     chain: list[Connection] = []
     for left in range(length - 1, -1, -1):

@@ -357,7 +357,7 @@ def test_runs_follow_every_connection_round_its_fold(system):
     [
         ("lab", ("down-up", "up-down"), (0.0, 0.1), "exist only above 0.17543"),
         ("lab", ("down-up", "up-up"), (0.5, 0.6), "no section between"),
-        ("lab", ("down-up", "down-up"), (0.1, float("nan")), "two finite numbers"),
+        ("lab", ("down-up", "down-up"), (0.1, float("nan")), "must be a finite number"),
     ],
 )
 def test_impossible_searches_are_refused_with_what_is_possible(model, saddles, energies, fragment):

@@ -1,0 +1,168 @@
+"""Which connection a symbol stands for as energy changes, and which is the same one at another energy.
+
+"down-up +" stands for the connection whose tubes meet at the largest angle. Angles change with energy, so that from
+some energy on it may stand for another motion. A connection is followed by continuation, and the energy located at
+which a symbol leaves it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings
+from dpcontrol.bifurcations.links import PathPoint, carry, first_crossing
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import fields_of
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.tubes.connections import Connection, find_connections, mirrored, orbits_between
+from dpcontrol.walks.symbols import Symbol, choose
+
+_SAME = 1e-4
+"""Scaled distance between one connection's crossings of its section, solved for in two ways."""
+_GRID = 6
+"""Steps in which a range of energies is looked at."""
+_HALVED = 7
+"""Times that a step is halved to locate a change."""
+
+
+@dataclass(frozen=True)
+class SymbolChange:
+    """Where a symbol begins to stand for another connection.
+
+    energy: in J; within: how far it may lie off. before, after: names at the step's ends. ends: whether the connection
+    could not be followed beyond, so that it is not there or has turned; else another one meets at a larger angle.
+    """
+
+    symbol: str
+    energy: float
+    within: float
+    before: str
+    after: str
+    ends: bool
+
+    @property
+    def sentence(self) -> str:
+        """What changes, and where."""
+        why = "the one that it stood for ends there" if self.ends else "another one meets at a larger angle there"
+        return (
+            f'"{self.symbol}" stands for another connection beyond {self.energy:.6g} J (±{self.within:.1g}), as {why}: '
+            f"{self.before} before, {self.after} after"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the change with the keys that `dpcontrol walk --compare --json` prints."""
+        return fields_of(SymbolChange, self)
+
+
+class SymbolBranches:
+    """The connections that an unnamed symbol between two saddles chooses from, at any energy; searches are kept."""
+
+    def __init__(self, system: System, symbol: Symbol) -> None:
+        if symbol.parts or (symbol.source, symbol.target) not in system.sections:
+            raise InputError(f"{symbol.text!r}: only a connection between saddles can be followed in energy")
+        self.system, self.symbol = system, symbol
+        self._found: dict[float, tuple[Connection, ...]] = {}
+
+    @cached_property
+    def _sweep(self) -> Sweep:
+        return Sweep(self.system, self.symbol.source, self.symbol.target, 1, SweepSettings())
+
+    def connections(self, energy: float) -> tuple[Connection, ...]:
+        """Return all that are found at an energy, empty where an orbit is missing."""
+        if energy not in self._found:
+            try:
+                orbits = orbits_between(self.system, self.symbol.source, self.symbol.target, energy)
+                self._found[energy] = find_connections(*orbits).connections
+            except InputError:
+                self._found[energy] = ()
+        return self._found[energy]
+
+    def chosen(self, energy: float) -> Connection | None:
+        """Return the connection that the symbol stands for, None where there is none."""
+        try:
+            return choose(self.symbol, self.connections(energy))
+        except InputError:
+            return None
+
+    def followed(self, connection: Connection, energy: float) -> Connection | None:
+        """Return the connection at an energy that another one becomes, None where it cannot be followed so far."""
+        begin = connection.source.energy
+        for image in _images(connection):
+            point = self._point(image, begin)
+            if point is None:
+                continue
+            carried = point if energy == begin else carry(self._sweep.problem, point, energy)
+            if carried is None:
+                return None
+            state = first_crossing(self._sweep.problem, carried.link, energy, self._sweep.section)
+            fitting = [c for c in self.connections(energy) if c.sense == connection.sense]
+            return self._nearest(state, fitting, flipped=image is not connection)
+        return None
+
+    def _point(self, connection: Connection, energy: float) -> PathPoint | None:
+        problem, section = self._sweep.problem, self._sweep.section
+        for point in self._sweep.search(energy).points:
+            state = first_crossing(problem, point.link, energy, section)
+            if state is not None and float(self.system.scaled_distance(state, connection.state)) < _SAME:
+                return point
+        return None
+
+    def _nearest(self, state: Array | None, among: list[Connection], *, flipped: bool) -> Connection | None:
+        if state is None:
+            return None
+        for c in among:
+            there = mirrored(c) if flipped else c
+            if float(self.system.scaled_distance(state, there.state)) < _SAME:
+                return c
+        return None
+
+    def changes(self, low: float, high: float, *, progress: Progress = no_progress) -> tuple[SymbolChange, ...]:
+        """Return where the symbol begins to stand for another connection between two energies, from `low` on."""
+        grid, found = np.linspace(low, high, _GRID + 1).tolist(), []
+        for k, (begin, end) in enumerate(pairwise(grid)):
+            progress(f"{self.symbol.text} at {begin:.4g} J", k / _GRID)
+            here, there = self.chosen(begin), self.chosen(end)
+            if here is None or there is None:
+                continue
+            if self._keeps(here, end):
+                continue
+            energy, beyond = bisected(begin, end, lambda at, one=here: self._keeps(one, at))
+            known = self.followed(here, beyond)
+            other = self.chosen(beyond)
+            found.append(
+                SymbolChange(
+                    self.symbol.text,
+                    (energy + beyond) / 2,
+                    abs(beyond - energy) / 2,
+                    here.name,
+                    there.name if other is None else other.name,
+                    known is None,
+                )
+            )
+        progress(self.symbol.text, 1.0)
+        return tuple(found)
+
+    def _keeps(self, connection: Connection, energy: float) -> bool:
+        """Whether the symbol stands at an energy for what a connection becomes there."""
+        followed, chosen = self.followed(connection, energy), self.chosen(energy)
+        return followed is not None and chosen is not None and followed.name == chosen.name
+
+
+def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[float, float]:
+    """Return the last place found where a property holds and the first where it does not, from one to the other."""
+    for _ in range(_HALVED):
+        middle = (low + high) / 2
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low, high
+
+
+def _images(connection: Connection) -> tuple[Connection, ...]:
+    """Return a connection and, where there is one, its mirror image: sweeps find one of both."""
+    own = connection.orbit.start.manifold.half_turn is not None
+    return (connection, mirrored(connection)) if own else (connection,)
