@@ -16,8 +16,10 @@ if TYPE_CHECKING:
 
 ALL_CHARTS = (*CHARTS, *GROUPS)
 FIGURES = (
-    "energy-landscape", "families", "tubes", "homoclinics-low", "homoclinics-high", "heteroclinics", "branches",
-    "graph", "double-homoclinics", "triple-homoclinics", "colour-wheels", "three-body",
+    "energy-landscape", "three-body-homoclinics", "three-body", "lyapunov-orbits", "families", "tubes",
+    "tubes-down-up", "cuts", "colour-wheels", "tubes-up-down", "colour-wheels-up-down", "homoclinics-low",
+    "homoclinics-high", "heteroclinics", "heteroclinic-orbits", "branches", "graph", "shadowing",
+    "double-homoclinics", "triple-homoclinics", "returning-homoclinics", "up-up",
 )  # fmt: skip
 """Names of `review.figures.FIGURES`, whose import takes a second."""
 _FIGURES_HELP = f"""Draw the paper's computational figures from atlases: each a PNG with a caption and what differs.
@@ -38,7 +40,8 @@ def figures_command(
     with progress_bar("figures") as progress:
         progress("loading", 0.0)
         from dpcontrol.foundation.files import picked
-        from dpcontrol.review.figures import CAPTIONS, Gallery, draw_figures
+        from dpcontrol.review.figures import CAPTIONS, draw_figures
+        from dpcontrol.review.gallery import Gallery
         from dpcontrol.scenes.atlas import AtlasSettings, make_atlas, make_branches
         from dpcontrol.scenes.model import load_model
 

@@ -1,7 +1,5 @@
 """The verbs that read logs: score, review, report, info, recover."""
 
-import shutil
-import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
@@ -138,7 +136,7 @@ def review_command(
     no renderer is installed the picture is drawn by matplotlib, and the message says so. A film shows the arms on their
     cart, the reference's ghost, the tip's path and the itinerary.
     """
-    from dpcontrol.review.picture import write_picture, write_recording
+    from dpcontrol.review.picture import view_in_window, write_picture, write_recording
 
     first = files[0]
     if stretch is not None and film is None:
@@ -155,7 +153,7 @@ def review_command(
             document["recording"] = save
         elif picture is None and film is None:
             progress("recording", 0.2)
-            document["recording"] = _viewed(shown, first.stem)
+            document["recording"] = view_in_window(shown, first.stem)
         if film is not None:
             document["film"] = _filmed(shown, film, stretch, yes=yes, progress=progress)
         if picture is not None:
@@ -175,22 +173,6 @@ def _filmed(shown: Any, file: Path, stretch: tuple[float, float] | None, *, yes:
     if not isinstance(shown, RunView):
         raise InputError(f"{file}: a film shows one motion: give one log, recording or reference")
     return write_film(shown, file, stretch=stretch, yes=yes, progress=progress)
-
-
-def _viewed(shown: Any, name: str) -> Path:
-    """Open the viewer on a recording that is removed when the viewer is closed, or not opened; return its path."""
-    from dpcontrol.review.picture import check_viewer, open_viewer, write_recording
-
-    check_viewer()
-    folder = Path(tempfile.mkdtemp(prefix="dpcontrol-"))
-    recording = folder / f"{name[:40]}.rrd"
-    try:
-        write_recording(shown, recording)
-        open_viewer(recording, temporary=folder)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return recording
 
 
 def _opened(files: tuple[Path, ...], symbol: int) -> Any:

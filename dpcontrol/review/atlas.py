@@ -35,12 +35,16 @@ BRANCHES = {
 
 @dataclass(frozen=True, eq=False)
 class TubePart:
-    """One branch of a tube in space: trajectories (M, N) up to its section, and where they end (K, N)."""
+    """One branch of a tube in space: trajectories (M, N) up to its section, and where they end (K, N).
+
+    sense: sign of the crossing in which it ends, 0 where it has none.
+    """
 
     stable: bool
     branch: int
     strands: list[Array]
     ends: list[Array]
+    sense: int = 0
 
     @property
     def colour(self) -> str:
@@ -80,7 +84,8 @@ def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
             closed = [np.vstack([p.states, p.states[:1]]) if p.closed else p.states for p in pieces]
             if stable:
                 strands, closed = ([atlas.turned(states, cut.saddle) for states in some] for some in (strands, closed))
-            parts.append(TubePart(stable, branch, strands, closed))
+            ways = {stable_direction(atlas, cut, p.direction) if stable else p.direction for p in pieces}
+            parts.append(TubePart(stable, branch, strands, closed, ways.pop() if len(ways) == 1 else 0))
     return parts
 
 
@@ -123,12 +128,18 @@ def draw_cuts(
     shown: tuple[AtlasConnection, ...] | None = None,
     numbers: dict[str, str] | None = None,
     legend: bool = True,
+    sense: int | None = None,
 ) -> None:
-    """Draw both tubes' cuts of a kind and mark its connections (those of `shown`), labelled by `numbers`."""
+    """Draw both tubes' cuts of a kind and mark its connections (those of `shown`), labelled by `numbers`.
+
+    sense: of the crossings that are drawn, both without it.
+    """
     section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
     coordinate, period = section_axes(section, atlas.periods)
     for is_stable, direction, points in section_curves(atlas, kind):
-        line = "-" if direction > 0 else (0, (4, 1.6))
+        if sense not in (None, direction):
+            continue
+        line = "-" if direction > 0 or sense else (0, (4, 1.6))
         axes.plot(*points.T, color=BRANCHES[is_stable, 1], linewidth=1.3, linestyle=line, zorder=2)
     connections = connections_of(atlas, kind) if shown is None else shown
     look = colours(connections)
@@ -184,14 +195,15 @@ def draw_row(
     marked: tuple[AtlasConnection, ...] | None = None,
     flat: bool = False,
     share: float = 1.65,
-) -> None:
-    """Draw a kind's cuts left and the flights of `shown` right, each under its number.
+) -> Axes:
+    """Draw a kind's cuts left and the flights of `shown` right, each under its number; return the axes of the cuts.
 
     numbers: by connection's name. marked: on the cuts, all connections if not given. flat: flights one below the other.
     share: width of the flights over that of the cuts.
     """
     left, right = cell.subgridspec(1, 2, wspace=0.1, width_ratios=[1, share])
-    draw_cuts(figure.add_subplot(left), atlas, kind, shown=marked, numbers=numbers)
+    cuts = figure.add_subplot(left)
+    draw_cuts(cuts, atlas, kind, shown=marked, numbers=numbers)
     count = max(len(shown), 1)
     flights = right.subgridspec(*((count, 1) if flat else (1, count)), wspace=0.27, hspace=0.75)
     look = colours(connections_of(atlas, kind) if marked is None else marked)
@@ -201,6 +213,7 @@ def draw_row(
         turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in c.winding)
         title = f"{numbers[c.name]}  {c.transversality_angle:.1f}°, winding [{turns}]"
         axes.set_title(title, fontsize=9 if count < 5 else 7.5, loc="left", color=look[c.name])
+    return cuts
 
 
 def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: str, *, labelled: bool = True) -> None:
@@ -246,13 +259,17 @@ def draw_space(
     one_colour: str | None = None,
     flights: tuple[AtlasConnection, ...] = (),
     steps: tuple[float, float] = (1.0, 1.0),
+    sense: int | None = None,
+    saddles: tuple[str, ...] | None = None,
 ) -> None:
     """Draw the tubes of cuts, all orbits, and flights, in 3-D axes with ticks every `steps` half turns.
+
+    sense: of the crossings in which the branches that are drawn end, both without it. saddles: whose orbits are drawn.
 
     Flights leave their source's named place; where they end whole turns away, the orbit that they join is drawn there.
     """
     picked = [0, 1, len(atlas.periods) // 2]
-    for tube in (part for cut in cuts for part in tubes_of_cut(atlas, cut)):
+    for tube in (part for cut in cuts for part in tubes_of_cut(atlas, cut) if sense in (None, part.sense)):
         for states in tube.strands:
             axes.plot(*states[:, picked].T, color=tube.colour, linewidth=0.5, alpha=0.8)
         for states in tube.ends:
@@ -260,7 +277,7 @@ def draw_space(
     ends = sorted({(c.target, c.winding) for c in flights if any(c.winding)})
     for c in flights:
         axes.plot(*c.states[:, picked].T, color=FLIGHT, linewidth=0.9, alpha=0.9, zorder=8)
-    for orbit in atlas.orbits:
+    for orbit in (o for o in atlas.orbits if saddles is None or o.saddle in saddles):
         colour = one_colour or style.saddle_colour(orbit.saddle)
         axes.plot(*placed(atlas, orbit)[:, picked].T, color=colour, linewidth=2.5, zorder=10)
         for winding in (w for saddle, w in ends if saddle == orbit.saddle and orbit.family == 0):

@@ -493,6 +493,11 @@ class HazardBorder:
         return self.set / self.border if self.falling else self.border / self.set
 
     @property
+    def own(self) -> str:
+        """The bench's own value, as text."""
+        return "none" if math.isinf(self.set) else f"{shown_number(self.set)} {self.unit}"
+
+    @property
     def order(self) -> tuple[bool, float, str]:
         """What puts the nearest border first, and those without a margin last."""
         return self.margin is None, self.margin or 0.0, self.name

@@ -16,19 +16,15 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import hsv_to_rgb
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
 
 from dpcontrol.bifurcations.bifurcations import BranchDiagram
-from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.family import lyapunov_family
-from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
-from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.review import style
 from dpcontrol.review.atlas import (
     BRANCHES,
@@ -40,38 +36,25 @@ from dpcontrol.review.atlas import (
     draw_space,
     kind_of,
     one_of_each,
-    placed,
+    section_place,
 )  # fmt: skip
+from dpcontrol.review.gallery import Gallery, Page
 from dpcontrol.review.orbits import draw_families
-from dpcontrol.review.page import DOTTED, angle_axis, key, new_figure, quiet, save_figure
-from dpcontrol.tubes.cut import tube_cut
-from dpcontrol.tubes.intersections import InteriorSettings, Outline, Returns, TubeInterior, tube_interior
-from dpcontrol.walks.atlas import Atlas, AtlasConnection, walks
-
-
-@dataclass(frozen=True)
-class Gallery:
-    """What figures are drawn from; each figure asks for what it needs.
-
-    system: of a model by name. atlas: of a model, an energy in J and hits (None: the first that there are).
-    branches: of a model, a source and a target, with what to report to: their connections against energy.
-    progress: where the figure being drawn reports how far it is.
-    """
-
-    system: Callable[[str], System]
-    atlas: Callable[[str, float, tuple[int, int] | None], Atlas]
-    branches: Callable[[str, str, str, Progress], BranchDiagram]
-    progress: Progress = no_progress
-
-
-@dataclass(frozen=True)
-class Page:
-    """A figure with its words: what it shows, and what differs from the paper's and why."""
-
-    figure: Figure
-    caption: str
-    differs: str
-
+from dpcontrol.review.page import angle_axis, key, new_figure, quiet, save_figure
+from dpcontrol.review.paper import (
+    cuts_page,
+    heteroclinic_orbits_page,
+    landscape_page,
+    lyapunov_orbits_page,
+    returning_page,
+    senses_page,
+    shadowing_page,
+    three_body_homoclinics_page,
+    three_body_page,
+    up_up_page,
+)
+from dpcontrol.review.wheels import wheels_page
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind, walks
 
 ENERGY = -0.07
 SADDLE = "down-up"
@@ -187,18 +170,32 @@ def heteroclinics_page(gallery: Gallery) -> Page:
         assert kind is not None
         shown = atlas.between(source, target)[:4]
         numbers = {c.name: "abcdefgh"[4 * row + k] for k, c in enumerate(shown)}
-        draw_row(figure, grid[row, 0], atlas, kind, shown, numbers=numbers, share=1.75)
+        cuts = draw_row(figure, grid[row, 0], atlas, kind, shown, numbers=numbers, share=1.75)
+        _zoom(cuts, atlas, kind, (0.03, 0.03) if row == 0 else (0.66, 0.03))
         counts.append(f"{kind.count} from {source} to {target}")
     return Page(
         figure,
-        "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left: where the unstable tube (red) of the orbit that is "
-        "left meets the stable tube (green) of the orbit that is joined. Right: the flights in the plane of the "
-        "angles, from the source's named position; pale teal is the orbit about Down-Up, pale violet that about "
-        f"Up-Down. {' and '.join(counts)}; those in one direction are those in the other, run backward in time.",
+        "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left, with a part enlarged: where the unstable tube "
+        "(red) of the orbit that is left meets the stable tube (green) of the orbit that is joined. Right: the flights "
+        "in the plane of the angles, from the source's named position; pale teal is the orbit about Down-Up, pale "
+        f"violet that about Up-Down. {' and '.join(counts)}; those in one direction are those in the other, "
+        "run backward in time.",
         'The paper\'s heteroclinics "at H = -0.07" cannot exist, since Up-Down has no orbit below its energy of '
         "0.1754 J. Here both directions are drawn, and each connection with its reflection; the unstable tube's cut is "
         "open where its trajectories graze the section.",
     )
+
+
+def _zoom(axes: Axes, atlas: Atlas, kind: AtlasKind, corner: tuple[float, float]) -> None:
+    """Draw the neighbourhood of the connections of positive sense again, larger, in a corner of their panel."""
+    places = np.array([section_place(atlas, c) for c in connections_of(atlas, kind) if c.sense > 0])
+    middle, reach = places.mean(axis=0), 1.2 * np.ptp(places, axis=0) + np.array([0.08, 0.05])
+    inset = axes.inset_axes((*corner, 0.31, 0.31))
+    draw_cuts(inset, atlas, kind, legend=False)
+    inset.set(xlim=(middle[0] - reach[0], middle[0] + reach[0]), ylim=(middle[1] - reach[1], middle[1] + reach[1]))
+    inset.set(xlabel="", ylabel="", xticks=[], yticks=[])
+    inset.spines[:].set_visible(True)
+    axes.indicate_inset_zoom(inset, edgecolor=style.CART)
 
 
 _SHOWN = 3
@@ -246,136 +243,6 @@ def draw_repeated(gallery: Gallery, *, turns: int) -> Page:
         f"passes near the orbit again{'' if resolved else torn}.",
         "The paper cuts them on θ₂ = 4π and 6π; here the section is that of the single ones, θ₂ = 2πk, at later hits. "
         "On θ₁ = θ₂ `dpcontrol connect --section aligned` lists them.",
-    )
-
-
-THREE_BODY_ENERGY = -1.5175
-
-
-def three_body_page(gallery: Gallery) -> Page:
-    """Draw L1's and L2's Lyapunov orbits, their tubes to x = 1 - μ, and the first connection from L1 to L2."""
-    atlas, system = gallery.atlas("three-body", THREE_BODY_ENERGY, None), gallery.system("three-body")
-    kind = kind_of(atlas, "L1", "L2")
-    assert kind is not None
-    mu = float(system.parameters[0])
-    figure = new_figure(
-        14, 5.6, f"Three bodies: orbits about L1 and L2 at energy {THREE_BODY_ENERGY:g}, tubes, first connection"
-    )
-    plane = figure.add_axes((0.045, 0.1, 0.36, 0.76))
-    _forbidden(plane, gallery)
-    _tubes(plane, atlas, kind.section, kind.hits[0])
-    _bodies(plane, atlas, mu)
-    looks = [("unstable tube of L1", style.UNSTABLE), ("stable tube of L2", style.STABLE)]
-    key(plane, looks, fontsize=8, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=2, borderaxespad=0.2)
-    cuts = figure.add_axes((0.46, 0.1, 0.22, 0.76))
-    draw_cuts(cuts, atlas, kind, numbers={c.name: "ab"[k] for k, c in enumerate(connections_of(atlas, kind)[:2])},
-              legend=False)  # fmt: skip
-    cuts.set_title(f"cuts on {kind.section.replace('mu', 'μ')}, hits {list(kind.hits)}", fontsize=10, loc="left")
-    flight = figure.add_axes((0.72, 0.1, 0.27, 0.76))
-    _forbidden(flight, gallery)
-    connections = connections_of(atlas, kind)
-    look = colours(connections)
-    for c in connections[:1]:
-        flight.plot(c.states[:, 0], c.states[:, 1], color=look[c.name], linewidth=1.1, zorder=3)
-    _bodies(flight, atlas, mu)
-    flight.set_title("a  from L1's orbit to L2's" if connections else "none found", fontsize=10, loc="left")
-    return Page(
-        figure,
-        "The planar circular restricted three-body problem in the rotating frame, mass ratio "
-        f"{mu:g}, near the smaller primary (dot). Grey: out of reach at this energy. Left: Lyapunov orbits about L1 "
-        f"(teal) and L2 (violet), the unstable tube of L1 and the stable tube of L2 up to their crossing number "
-        f"{kind.hits[0]} of the line x = 1 - μ. Middle: the cuts there, with the {kind.count} connections found. "
-        "Right: the first of them, whole.",
-        f"Both tubes pass the line once before they can meet: hits {list(kind.hits)} are the first at which there are "
-        "connections from L1 to L2. The energy's constant is that of the paper's appendix. Cuts are open where "
-        "trajectories of the tube pass close to the smaller primary and are scattered.",
-    )
-
-
-def _forbidden(axes: Axes, gallery: Gallery) -> None:
-    system = gallery.system("three-body")
-    x, y = np.meshgrid(np.linspace(0.88, 1.12, 240), np.linspace(-0.12, 0.12, 240))
-    # At rest in the rotating frame the energy is the effective potential.
-    states = np.stack([x, y, 0 * x, 0 * x], axis=-1).reshape(-1, 4)
-    potential = system.numeric.hamiltonian(states).reshape(x.shape)
-    axes.contourf(x, y, potential, levels=[THREE_BODY_ENERGY, 1e9], colors=["#c4c9cf"])
-    quiet(axes, x="x", y="y")
-    axes.grid(False)
-    axes.set(xlim=(0.89, 1.11), ylim=(-0.11, 0.11), aspect="equal")
-
-
-def _tubes(axes: Axes, atlas: Atlas, section: str, hit: int) -> None:
-    for saddle, colour in (("L1", style.UNSTABLE), ("L2", style.STABLE)):
-        cut = atlas.cut(saddle, section, hit)
-        for strand in cut.strands:
-            states = atlas.turned(strand, saddle) if colour == style.STABLE else strand
-            axes.plot(states[:, 0], states[:, 1], color=colour, linewidth=0.45, alpha=0.75)
-
-
-def _bodies(axes: Axes, atlas: Atlas, mu: float) -> None:
-    for orbit in atlas.orbits:
-        closed = placed(atlas, orbit)
-        axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour(orbit.saddle), linewidth=2.4, zorder=5)
-        axes.annotate(orbit.saddle, closed[:, :2].max(axis=0), fontsize=9, color=style.saddle_colour(orbit.saddle))
-    axes.plot(1 - mu, 0, "o", color=style.INK, markersize=5, zorder=6)
-    axes.axvline(1 - mu, color=style.MARK, linewidth=0.8, linestyle=DOTTED)
-
-
-ENERGIES = (-0.3, -0.07, 0.2, 0.55)
-_GRID = 241
-
-
-def landscape_page(gallery: Gallery) -> Page:
-    """Draw the potential as a landscape and Hill's regions at four energies, for the lab pendulum."""
-    system = gallery.system("lab")
-    angles = np.linspace(-np.pi, np.pi, _GRID)
-    first, second = np.meshgrid(angles, angles)
-    states = np.stack([first, second, 0 * first, 0 * first], axis=-1)
-    potential = system.numeric.hamiltonian(states.reshape(-1, 4)).reshape(first.shape)
-    points = equilibria(system)
-    figure = new_figure(13.5, 3.7, "Hill's regions of the lab pendulum: what each energy opens")
-    grid = figure.add_gridspec(
-        1, 5, left=0.012, right=0.985, top=0.86, bottom=0.12, wspace=0.32, width_ratios=[1.45, 1, 1, 1, 1]
-    )
-    relief = figure.add_subplot(grid[0, 0], projection="3d")
-    relief.plot_surface(first, second, potential, cmap="viridis", linewidth=0, rcount=60, ccount=60, alpha=0.95)  # type: ignore[attr-defined]
-    relief.view_init(elev=38, azim=-60)  # type: ignore[attr-defined]
-    relief.set_title("potential energy (J)", fontsize=10, color=style.INK, y=1.02)
-    for which, label in (("x", "θ₁"), ("y", "θ₂")):
-        angle_axis(relief, which, step=1.0)
-        getattr(relief, f"set_{which}label")(label, fontsize=9, labelpad=-4)
-    relief.tick_params(labelsize=7.5, pad=-2)
-    for k, energy in enumerate(ENERGIES):
-        axes = figure.add_subplot(grid[0, k + 1])
-        axes.contourf(first, second, potential, levels=[potential.min() - 1, energy], colors=["#dbe9f6"])
-        axes.contourf(first, second, potential, levels=[energy, potential.max() + 1], colors=["#8d959e"])
-        axes.contour(first, second, potential, levels=[energy], colors=[style.INK], linewidths=1.0, linestyles="solid")
-        passable = []
-        for name, point in points.items():
-            reached = point.energy <= energy
-            mark = "o" if point.kind == "centre" else ("s" if point.kind.startswith("index-1") else "^")
-            for a in {-np.pi, np.pi} if point.state[0] else {0.0}:
-                for b in {-np.pi, np.pi} if point.state[1] else {0.0}:
-                    axes.plot(a, b, mark, color="#2c8a4b" if reached else style.LIMIT, clip_on=False, markersize=6)
-            if reached and point.kind != "centre":
-                passable.append(name)
-        words = {0: "no saddle reached", 2: "both saddles open", 3: "everything reached"}.get(
-            len(passable), " and ".join(passable) + " open"
-        )
-        quiet(axes, f"{energy:g} J: {words}", x="θ₁", y="" if k else "θ₂", size=8.5)
-        axes.grid(False)
-        axes.set_aspect("equal")
-        angle_axis(axes, "x", step=1.0)
-        angle_axis(axes, "y", step=1.0)
-    listed = ", ".join(f"{name} {point.energy:+.4f} J" for name, point in points.items())
-    return Page(
-        figure,
-        "Left: the potential energy over the torus of the two angles (from hanging). Right: Hill's regions at four "
-        "energies; blue may be reached, grey may not. Circle: the stable equilibrium; squares: the saddles Down-Up and "
-        "Up-Down, through whose necks an arm turns; triangle: the maximum Up-Up. Green: the energy reaches it; red: it "
-        "does not. Equilibria: " + listed + ".",
-        "Energies are chosen one between each two equilibria; parameters are the rig's identified ones, since those "
-        "printed in the paper are not the values behind its pictures.",
     )
 
 
@@ -474,95 +341,6 @@ def _loop(axes: Axes, x: float, y: float, sign: int, size: float, *, dashed: boo
     axes.plot(px, py, color=colour, linewidth=1.3, linestyle=(0, (5, 2)) if dashed else "-", zorder=3)
     axes.annotate("", (px[-12], py[-12]), (px[-18], py[-18]),
                   arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 10})  # fmt: skip
-
-
-def draw_interior(interior: TubeInterior) -> Figure:
-    """Return the figure: the start and its forward returns above, its backward returns below."""
-    returns, orbit = interior.forward.arrived.shape[1], interior.orbit
-    figure = new_figure(
-        3.5 * (returns + 1), 7.9, f"Inside the unstable tube of {orbit.saddle} at {orbit.energy:g} J "
-        f"(branch {interior.branch:+d}), cut on {interior.section.name}"
-    )  # fmt: skip
-    panels = figure.subplots(
-        2, returns + 1, sharex=True, sharey=True,
-        gridspec_kw={"left": 0.055, "right": 0.99, "top": 0.855, "bottom": 0.08, "wspace": 0.06, "hspace": 0.2},
-    )  # fmt: skip
-    saturation = 0.12 + 0.88 * np.clip(interior.radius, 0, 1)
-    hue = interior.angle / (2 * np.pi)
-    colours = hsv_to_rgb(np.column_stack([hue, saturation, np.full(len(hue), 0.93)]))
-    direction = next(o.direction for o in interior.outlines if o.branch == interior.branch and not o.stable)
-    size = _marker(interior)
-    for row, (word, run) in enumerate((("forward", interior.forward), ("backward", interior.backward))):
-        for k, axes in enumerate(panels[row]):
-            quiet(axes, f"start: {len(hue)} points", x="q (rad)" if row else "", y="" if k else "p / p₀", size=9)
-            axes.grid(False)
-            _outlines(axes, interior.outlines, direction)
-            if k == 0:
-                q = (interior.points[:, 0] + np.pi) % (2 * np.pi) - np.pi
-                axes.scatter(q, interior.points[:, 1], s=size, c=colours, marker="s", linewidths=0)
-                continue
-            for way, opacity in ((-direction, 0.3), (direction, 1.0)):
-                here = run.arrived[:, k - 1] & (run.direction[:, k - 1] == way)
-                points = run.points[here, k - 1]
-                axes.scatter(*points.T, s=0.5 * size, c=colours[here], alpha=opacity, linewidths=0)
-            axes.set_title(_returned(run, k, word), loc="left", fontsize=9)
-    both = (interior.forward, interior.backward)
-    arrived = np.concatenate([r.points[r.arrived] for r in both] + [o.vertices for o in interior.outlines])
-    wide, high = 1.08 * np.abs(arrived).max(axis=0)
-    panels[0, 0].set(xlim=(-min(np.pi, wide), min(np.pi, wide)), ylim=(-high, high))
-    figure.text(
-        0.055, 0.928,
-        "Hue: angle about the innermost point at the start; saturation: how near to the cut. Pale dots cross the "
-        "section against the start's direction.\nRed: cut of the unstable tube; green: of the stable tube; pale: "
-        "cuts crossed against the start's direction.",
-        fontsize=9, color=style.CART, va="center",
-    )  # fmt: skip
-    return figure
-
-
-def _marker(interior: TubeInterior) -> float:
-    """Return the marker's area in points² at which neighbours of the start's grid overlap."""
-    spans = np.ptp(interior.points, axis=0)
-    across = max(len(np.unique(np.round(interior.points[:, k], 9))) for k in (0, 1))
-    # A cut takes about a half of an axis that is 230 points long either way.
-    share = float(np.clip(max(spans / (2 * np.abs(interior.points).max(axis=0))), 0.3, 1.0))
-    return float(np.clip((1.05 * 230 * share / across) ** 2, 2.5, 60.0))
-
-
-def _outlines(axes: Axes, outlines: tuple[Outline, ...], direction: int) -> None:
-    for outline in outlines:
-        closed = np.vstack([outline.vertices, outline.vertices[:1]])
-        turns = np.rint((closed[:, 0].min() + closed[:, 0].max()) / 2 / (2 * np.pi))
-        colour = style.STABLE if outline.stable else style.UNSTABLE
-        opacity = 1.0 if outline.direction == direction else 0.25
-        axes.plot(closed[:, 0] - 2 * np.pi * turns, closed[:, 1], color=colour, lw=1.1, alpha=opacity, zorder=3)
-
-
-def _returned(run: Returns, k: int, word: str) -> str:
-    arrived = run.arrived[:, k - 1]
-    count = max(1, int(arrived.sum()))
-    stable = np.count_nonzero(run.in_stable[arrived, k - 1]) / count
-    unstable = np.count_nonzero(run.in_unstable[arrived, k - 1]) / count
-    missing = np.count_nonzero(~arrived)
-    text = f"return {k} {word}\n{unstable:.0%} in unstable, {stable:.0%} in stable cuts"
-    return text + (f", {missing} do not return" if missing else "")
-
-
-def wheels_page(gallery: Gallery) -> Page:
-    """Draw two returns each way of the inside of Down-Up's unstable tube at -0.07 J."""
-    system = gallery.system("lab")
-    orbit = lyapunov_orbit(system, SADDLE, energy=ENERGY)
-    manifold = UnstableManifold(orbit)
-    cut = tube_cut(manifold, system.sections[SADDLE, SADDLE])
-    interior = tube_interior(manifold, cut, settings=InteriorSettings(returns=2))
-    return Page(
-        draw_interior(interior),
-        f"A grid over the inside of the unstable tube of Down-Up at {ENERGY:g} J, coloured like a wheel where it first "
-        "meets the section, and where its points are at each return forward (above) and backward (below) in time. "
-        f"What lands inside a tube's cut will pass, or has passed, the neck at Down-Up again. {interior.status}.",
-        "Coordinates are canonical, so that coloured areas keep their size from return to return, and returns are "
-        "drawn in both directions of time.",
-    )
 
 
 KINDS = (("down-up", "down-up"), ("up-down", "up-down"), ("down-up", "up-down"))
@@ -695,17 +473,27 @@ def _differs(diagrams: list[BranchDiagram]) -> str:
 
 FIGURES: dict[str, Callable[[Gallery], Page]] = {
     "energy-landscape": landscape_page,
+    "three-body-homoclinics": three_body_homoclinics_page,
+    "three-body": three_body_page,
+    "lyapunov-orbits": lyapunov_orbits_page,
     "families": families_page,
     "tubes": tubes_page,
+    "tubes-down-up": partial(senses_page, saddle="down-up"),
+    "cuts": cuts_page,
+    "colour-wheels": partial(wheels_page, saddle="down-up"),
+    "tubes-up-down": partial(senses_page, saddle="up-down"),
+    "colour-wheels-up-down": partial(wheels_page, saddle="up-down"),
     "homoclinics-low": _low,
     "homoclinics-high": _high,
     "heteroclinics": heteroclinics_page,
+    "heteroclinic-orbits": heteroclinic_orbits_page,
     "branches": branches_page,
     "graph": graph_page,
+    "shadowing": shadowing_page,
     "double-homoclinics": partial(draw_repeated, turns=2),
     "triple-homoclinics": partial(draw_repeated, turns=3),
-    "colour-wheels": wheels_page,
-    "three-body": three_body_page,
+    "returning-homoclinics": returning_page,
+    "up-up": up_up_page,
 }
 """In the order of the paper."""
 CAPTIONS = "captions.json"

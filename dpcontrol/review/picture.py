@@ -8,6 +8,7 @@ It exits with 0 and the picture written, or with 1 and the reason as the last li
 import contextlib
 import os
 import shlex
+import shutil
 import socket
 import subprocess
 import sys
@@ -117,6 +118,25 @@ def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
             raise InputError(f"the viewer ended at once; {REVIEW_REMEDY}")
     # It is left to itself: nobody here waits for its end.
     watch.returncode = 0
+
+
+def view_in_window(shown: Any, name: str) -> Path:
+    """Open a viewer on what is reviewed; return its recording, which is removed when the viewer is closed or fails.
+
+    Raises:
+        InputError: there is no viewer, no display, or the viewer ended at once.
+        PartMissing: rerun-sdk is not installed.
+    """
+    check_viewer()
+    folder = Path(tempfile.mkdtemp(prefix="dpcontrol-"))
+    recording = folder / f"{name[:40]}.rrd"
+    try:
+        write_recording(shown, recording)
+        open_viewer(recording, temporary=folder)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return recording
 
 
 def missing_renderer() -> str | None:

@@ -66,7 +66,7 @@ def test_a_run_in_memory_has_the_extras_of_its_log(adaptive: Run) -> None:
 def test_the_page_has_a_chart_for_each_kind_with_the_truth_in_it(adaptive: Run) -> None:
     view = run_view(adaptive.log)
     shown = {chart.key: chart for chart in extra_charts(view)}
-    assert list(shown)[-3:] == ["drive", "friction", "parameters"]
+    assert list(shown)[-4:] == ["drive", "friction", "dry", "parameters"]
     assert [line.key for line in shown["parameters"].lines] == [*KNOWN, *(f"{name}_truth" for name in KNOWN)]
     titles = [axes.get_title(loc="left") for axes in draw(view).axes]
     assert all(chart.title in titles for chart in shown.values())
