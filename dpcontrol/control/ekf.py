@@ -159,7 +159,7 @@ class FilterEquations:
         """Lengths of a prediction's inputs: z, command, parameters, `FilterSettings.process`, and `doubt`."""
         parameters = int(self.equations.parameters.shape[0])
         return {
-            "z": self.dimension, "command": 1, "parameters": parameters, "process": 10 + 2 * len(self.extra_names),
+            "z": self.dimension, "command": 1, "parameters": parameters, "process": 11 + 2 * len(self.extra_names),
             "doubt": 3,
         }  # fmt: skip
 
@@ -186,7 +186,18 @@ class FilterEquations:
             factors[first + i] = factors[first + n + i] = ca.exp(coupling)
             for law in range(laws):
                 factors[first + (2 + law) * n + i] += friction
-        return parameters * factors
+        found = parameters * factors
+        for i in range(n if Augment.DRY in self.augment else 0):
+            found[first + 3 * n + i] += extra[f"dry_{i + 1}"] * parameters[first + i]
+        return found
+
+    def _braked(self, e: ca.SX, parameters: ca.SX) -> ca.SX:
+        """Return the accelerations (n,) that dry friction makes at most, known or found; each arm moving alone."""
+        n, found = self.arms, self._parameters(parameters, dict(zip(self.extra_names, ca.vertsplit(e), strict=True)))
+        if self.equations.linear_parameters is None:
+            return ca.SX(n, 1)
+        torques, inertias = found[n * (n + 1) // 2 + 3 * n :], np.cumsum([0, *range(n, 1, -1)]).tolist()
+        return ca.vertcat(*(ca.sum1(torques[i : min(i + 2, n)]) / found[inertias[i]] for i in range(n)))
 
     @cached_property
     def _slopes(self) -> ca.Function:
@@ -228,19 +239,19 @@ class FilterEquations:
             total, slopes = total + weight * k, slopes + weight * k_slope
             if further is not None:
                 moved, spread = x + further * k, start + further * k_slope
-        decay = process[10 : 10 + extras]
+        decay = process[11 : 11 + extras]
         following = ca.vertcat(x + step / 6 * total, decay * e)
         jacobian = ca.vertcat(start + step / 6 * slopes, ca.horzcat(ca.SX(extras, size), ca.diag(decay)))
         block = np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
-        noise = ca.SX(self.dimension, self.dimension)
+        noise, braked = ca.SX(self.dimension, self.dimension), self._braked(e, parameters)
         for i in range(n):
             # The Jacobian leaves out the squares of the parameters' errors: P does not cover them.
             wrong = process[1] + process[7] * doubt[0] ** 2
-            density = process[0] + wrong * (following[n + i] - x[n + i]) ** 2
+            density = process[0] + wrong * (following[n + i] - x[n + i]) ** 2 + process[10] * braked[i] ** 2
             noise[i, i], noise[n + i, n + i] = density * block[0, 0], density * block[1, 1]
             noise[i, n + i] = noise[n + i, i] = density * block[0, 1]
         for i in range(extras):
-            noise[size + i, size + i] = process[10 + extras + i]
+            noise[size + i, size + i] = process[11 + extras + i]
         # What the cart does besides its command moves the arms as well.
         reach = ca.SX(self.dimension, 3)
         for position, rate in [*((i, n + i) for i in range(n)), (2 * n, 2 * n + 1)]:

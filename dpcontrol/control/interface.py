@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
@@ -293,10 +294,18 @@ class SampledModel:
         return self.equations.discrete_step(self.period)
 
     @cached_property
+    def machine(self) -> Any:
+        """The step as machine code: from state, command and parameters, (N+1+p, S), to the following states (N, S)."""
+        return Compiled(self._plain).machine
+
+    @cached_property
+    def _plain(self) -> Any:
+        return self._function.factory("plain", self._function.name_in(), [self._function.name_out(0)])
+
+    @cached_property
     def _buffered(self) -> tuple[Any, Any, Array, Array, Array]:
         """Return (trigger, its keeper, state, input, following) that share memory with the plain step's arguments."""
-        function = self._function.factory("plain", self._function.name_in(), [self._function.name_out(0)])
-        buffer, trigger = function.buffer()
+        buffer, trigger = self._plain.buffer()
         x, u, following = np.zeros(self.dimension), np.zeros(1), np.zeros(self.dimension)
         for k, array in enumerate((x, u, self.parameters)):
             buffer.set_arg(k, memoryview(array.data))

@@ -204,5 +204,5 @@ def hold_controller(
     pushes = cost @ np.pad(extras.effects, ((0, len(b) - len(x)), (0, 0)))
     closed, unit = a - np.outer(b, gains), np.eye(len(b))
     later = [np.linalg.solve(unit - d * closed.T, push) for d, push in zip(extras.kept, pushes.T, strict=True)]
-    on_extras = np.array(later) @ b / (effort + b @ cost @ b)
+    on_extras = np.reshape(later, (-1, len(b))) @ b / (effort + b @ cost @ b)
     return replace(found, extra_gains=on_extras, names=extras.names)

@@ -23,8 +23,8 @@ bears, no margin says.
 Source: Åström & Murray, Feedback Systems (2008), section 9.3; Bittanti & Colaneri, Periodic Systems (2009), chapter 3.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -142,7 +142,9 @@ class Margins:
 
     growth (W,): that multiplier with nothing changed. low, high (W,): factors on the commanded acceleration between
     which the loop is stable; delay, lag (W,): further ones that it bears, s. At a bound of the search: at least that
-    much. A window that is unstable as it is has margins of 1 and 0.
+    much. A window that is unstable as it is has margins of 1 and 0. simulated: those of the whole nonlinear run, each
+    with the time in s at which the next run is lost (`dpcontrol.control.simulated_margins`); None where a law keeps a
+    clock of its own.
     """
 
     times: Array
@@ -153,11 +155,14 @@ class Margins:
     high: Array
     delay: Array
     lag: Array
+    simulated: Mapping[str, tuple[float, float]] | None = field(default=None, kw_only=True)
 
     @property
     def status(self) -> str:
         """What the loop bears, and where it bears least, as a sentence."""
-        if not (self.growth <= self.limits).all():
+        if self.simulated and not self.simulated["delay"][0]:
+            return f"a run is lost after {self.simulated['delay'][1]:.2f} s even with all as the model says"
+        if not self.simulated and not (self.growth <= self.limits).all():
             k = int(np.argmax(self.growth / self.limits))
             return (
                 f"the loop is not stable at {self.times[k]:.2f} s even with all as the model says: errors grow by "
@@ -168,14 +173,21 @@ class Margins:
         for name, (value, time) in self.least().items():
             text = f"{value:.2g}" if name.startswith("gain") else f"{1e3 * value:.1f} ms"
             said[name] = f"{'at least ' if value >= bounds[name] else ''}{text}"
-            if len(self.times) > 1:
+            if len(self.times) > 1 and np.isfinite(time):
                 said[name] += f" (at {time:.1f} s)"
         return (
             f"gain {said['gain_low']} to {said['gain_high']}, further delay {said['delay']}, further lag {said['lag']}"
         )
 
     def least(self) -> dict[str, tuple[float, float]]:
-        """Return each margin where it is smallest, by name, with the time in s at which that window begins."""
+        """Return each margin by name, with a time in s: when the next simulated run is lost, else where it is smallest.
+
+        Not a number: at a bound of the search.
+        """
+        return dict(self.simulated or self.least_of_windows())
+
+    def least_of_windows(self) -> dict[str, tuple[float, float]]:
+        """Return each window's margin where it is smallest, by name, with the time in s at which that window begins."""
         worst = {
             "gain_low": (self.low, np.argmax), "gain_high": (self.high, np.argmin), "delay": (self.delay, np.argmin),
             "lag": (self.lag, np.argmin),
@@ -186,8 +198,18 @@ class Margins:
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol plan --margins --json` prints."""
         along = {name: getattr(self, name).tolist() for name in _ALONG}
-        least = {name: {"value": value, "time": time} for name, (value, time) in self.least().items()}
-        return {**least, "growth": float((self.growth / self.limits).max()), "along": along, "status": self.status}
+        least, windows = (
+            {name: {"value": value, "time": time if np.isfinite(time) else None} for name, (value, time) in of.items()}
+            for of in (self.least(), self.least_of_windows())
+        )
+        return {
+            **least,
+            "windows": windows,
+            "simulated": self.simulated is not None,
+            "growth": float((self.growth / self.limits).max()),
+            "along": along,
+            "status": self.status,
+        }
 
 
 _ALONG = ("times", "windows", "limits", "growth", "low", "high", "delay", "lag")

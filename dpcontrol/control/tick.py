@@ -130,8 +130,8 @@ TIMING_MEMORY = 0.5
 """Time constant, s, of what is found of the readings' age."""
 _OLDEST = 1.5
 """Periods."""
-_LATE, _LATE_MEMORY = 0.5, 0.005
-"""Periods, and time constant in s, of the mean age that innovations look like."""
+_LATE, _LATE_MEMORY = 0.5, 5.0
+"""Periods, and time constant in readings, of the mean age that innovations look like."""
 TIMING_PRIOR = 2500.0
 """1/period²: information in the assumption that ages do not vary. A fiftieth of a period is not worth a correction."""
 SAME = 1e-9
@@ -523,7 +523,7 @@ class TickEquations:
         # A reading is never older than a period. What looks older by far is a blow, a wrong model or a stuck encoder.
         slope = ca.if_else(ca.fabs(a) <= _OLDEST * b, a * a - b, 0)
         variance = _clip(m["timing"] + period**2 * slope / timed, ca.SX(0), ca.SX(period**2 / 3))
-        late = m["lateness"] + min(period / _LATE_MEMORY, 1) * (a - b * m["lateness"]) / (1 + b)
+        late = m["lateness"] + (a - b * m["lateness"]) / (1 + b) / _LATE_MEMORY
         # Ages vary about what the filter follows. What looks late all the time is a stuck encoder or a wrong model.
         variance = ca.if_else(ca.fabs(late) <= _LATE, variance, 0)
         after = {"timing": variance, "timed": timed, "lateness": _within(late, ca.SX(_OLDEST))}

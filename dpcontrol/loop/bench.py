@@ -387,6 +387,8 @@ class BenchDraw:
     blows: Mapping[int, Blow]
     random_blows: Callable[[], Iterator[tuple[int, Blow]]]
     """Gives blows at random times with their ticks, in order, without end where there are any."""
+    own: Any = None
+    """A user's plant in place of these (`dpcontrol.loop.own`)."""
 
     command_noise = _drawn("command_noise")
     ages = _drawn("ages")

@@ -7,9 +7,9 @@ The notes of a reference whose stops are kept say which of its intervals are a s
 Orbits that are not in a reference are searched for again, which is the same search with the same result each time.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -42,6 +42,7 @@ from dpcontrol.control.tracking import (
 from dpcontrol.dynamics.chain import ArmChainParameters, damping_scales, pendulum_system
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.loop.own import OwnController, OwnEstimates, OwnEstimator, OwnLaw
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.references.reference import Reference, plan_notes
 
@@ -49,14 +50,42 @@ if TYPE_CHECKING:
     from dpcontrol.references.sustained import SustainedOrbit
 
 
-ESTIMATORS: dict[str, type[EstimatorSettings]] = {
-    settings.kind: settings for settings in (EkfSettings, UkfSettings, FilterpyEkfSettings)
-}
-"""The settings of each kind of estimator, by its name in an itinerary."""
-ADAPTIVE_ESTIMATORS: dict[str, type[EstimatorSettings]] = {
-    settings.kind: settings for settings in (AdaptiveEkfSettings, AdaptiveUkfSettings, AdaptiveFilterpyEkfSettings)
-}
+class Filter(NamedTuple):
+    """A kind of estimator: its settings, those with the defaults for the adaptive law, what makes it, and whether it is
+    an expression, which is compiled into the tick and exported to C."""
+
+    settings: type
+    adaptive: type
+    make: Callable[[Any, SampledModel, Array], Estimator]
+    symbolic: bool = False
+
+
+def _filterpy(name: str) -> Callable[[Any, SampledModel, Array], Estimator]:
+    def make(settings: Any, model: SampledModel, noise: Array) -> Estimator:
+        # filterpy takes a second to import.
+        import dpcontrol.control.ukf as filters
+
+        return getattr(filters, name)(model, settings, noise=noise)
+
+    return make
+
+
+FILTERS = (
+    Filter(EkfSettings, AdaptiveEkfSettings, lambda s, model, noise: CompiledEkf(model, s, noise=noise), symbolic=True),
+    Filter(UkfSettings, AdaptiveUkfSettings, _filterpy("Ukf")),
+    Filter(FilterpyEkfSettings, AdaptiveFilterpyEkfSettings, _filterpy("FilterpyEkf")),
+    Filter(OwnEstimator, OwnEstimator, lambda s, model, noise: OwnEstimates(s.own, model, noise=noise)),
+)
+"""Every kind of estimator."""
+ESTIMATORS: dict[str, type[EstimatorSettings]] = {one.settings.kind: one.settings for one in FILTERS[:-1]}
+"""The settings of each built-in kind, by its name in an itinerary."""
+ADAPTIVE_ESTIMATORS: dict[str, type[EstimatorSettings]] = {one.adaptive.kind: one.adaptive for one in FILTERS[:-1]}
 """The same with the defaults for the adaptive law."""
+
+
+def filter_of(settings: EstimatorSettings | OwnEstimator) -> Filter:
+    """Return the kind of estimator of these settings."""
+    return next(one for one in FILTERS if isinstance(settings, one.settings))
 
 
 def estimators_of(law: "ControllerSettings") -> dict[str, type[EstimatorSettings]]:
@@ -66,20 +95,13 @@ def estimators_of(law: "ControllerSettings") -> dict[str, type[EstimatorSettings
     return {**ESTIMATORS, "ekf": HoldEkfSettings} if isinstance(law, HoldSettings) else ESTIMATORS
 
 
-def make_estimator(settings: EstimatorSettings, model: SampledModel, *, noise: Array) -> Estimator:
+def make_estimator(settings: EstimatorSettings | OwnEstimator, model: SampledModel, *, noise: Array) -> Estimator:
     """Return the estimator of `settings` for `model`; noise (n+1, n+1): of the measured positions.
 
     Raises:
         InputError: the noise has the wrong shape or is no covariance.
     """
-    if isinstance(settings, EkfSettings):
-        return CompiledEkf(model, settings, noise=noise)
-    # filterpy takes a second to import.
-    from dpcontrol.control.ukf import FilterpyEkf, Ukf
-
-    if isinstance(settings, UkfSettings):
-        return Ukf(model, settings, noise=noise)
-    return FilterpyEkf(model, settings, noise=noise)
+    return filter_of(settings).make(settings, model, noise)
 
 
 KEEPERS = ("none", "ogy", "ogy-classic", "tvlqr")
@@ -228,8 +250,95 @@ _MOST_DRY = 0.055
 """Most of it, as a share like a hold's damping: more costs robustness against wrong masses."""
 
 ControllerSettings = (
-    TvlqrSettings | FeedforwardSettings | AdaptiveSettings | HoldSettings | OgySettings | ClassicOgySettings
+    TvlqrSettings | FeedforwardSettings | AdaptiveSettings | HoldSettings | OgySettings | ClassicOgySettings | OwnLaw
 )
+
+
+@dataclass(frozen=True, eq=False)
+class LawInputs:
+    """What a controller is made of; parameters: the model's arms, estimator: for what it will know; keep: see
+    `make_controller`."""
+
+    reference: Reference
+    parameters: ArmChainParameters
+    model: SampledModel
+    settings: Any
+    estimator: FilterSettings
+    keep: str
+
+    @property
+    def stay(self) -> dict[str, Any]:
+        """Where the reference stays, if it goes nowhere."""
+        return dict(self.reference.notes.get("stay", {}))
+
+
+def _own(made: LawInputs) -> Controller:
+    flown = tracking_controller(made.reference, made.model, FeedforwardSettings())
+    return OwnController(made.settings.own, flown, made.model.period)
+
+
+def _ogy(made: LawInputs) -> Controller:
+    if made.stay.get("kind") != "orbit":
+        raise InputError(
+            f'controller: kind = "{made.settings.kind}" keeps an orbit; give the itinerary orbit = "down-up"'
+        )
+    orbit = stay_orbit(made.reference, made.parameters)
+    return ogy_controller(orbit, made.model, made.settings, seconds=made.reference.duration)
+
+
+def _hold(made: LawInputs) -> Controller:
+    settings, model, estimator, parameters = made.settings, made.model, made.estimator, made.parameters
+    if made.stay.get("kind") != "hold":
+        raise InputError(
+            f'controller: kind = "{settings.kind}" holds an equilibrium; give the itinerary hold = "up-up"'
+        )
+    start, names = made.reference.state(0.0), extra_names(model.arms, estimator.augments)
+    process = estimator.process(model.arms, model.period)
+    effects, kept = extra_jacobians(model, estimator.augments, start[None], np.zeros(1), process)
+    if parameters.coulomb:
+        shares = np.array(parameters.coulomb) / np.array(damping_scales(parameters.base(), parameters.count))
+        dry = min(4 / (np.pi * _OSCILLATION) * float(shares.max()), _MOST_DRY)
+        settings = replace(settings, damping=settings.damping + dry)
+    extras = ExtraEffects(names, effects[0], kept)
+    return hold_controller(start, model, settings, seconds=made.reference.duration, extras=extras)
+
+
+def _tvlqr(made: LawInputs) -> Controller:
+    reference, parameters, model, settings = made.reference, made.parameters, made.model, made.settings
+    if made.keep != "none":
+        return keeping_controller(reference, parameters, model, flies=settings, keep=made.keep)
+    if made.stay.get("kind") == "orbit":
+        orbit = stay_orbit(reference, parameters)
+        return orbit_controller(orbit, model, settings, seconds=reference.duration)
+    return tracking_controller(reference, model, settings)
+
+
+class Law(NamedTuple):
+    """A kind of controller: its settings, what makes it, and whether it is an expression by the loop's clock, which is
+    compiled into the tick and exported to C (not by phase)."""
+
+    settings: type
+    make: Callable[[LawInputs], Controller]
+    symbolic: bool = True
+
+
+LAWS = (
+    Law(TvlqrSettings, _tvlqr),
+    Law(AdaptiveSettings, lambda m: adaptive_controller(m.reference, m.model, m.settings, estimator=m.estimator)),
+    Law(OgySettings, _ogy, symbolic=False),
+    Law(ClassicOgySettings, _ogy, symbolic=False),
+    Law(HoldSettings, _hold),
+    Law(FeedforwardSettings, lambda m: tracking_controller(m.reference, m.model, m.settings)),
+    Law(OwnLaw, _own, symbolic=False),
+)
+"""Every kind of controller."""
+CONTROLLERS: dict[str, type[ControllerSettings]] = {one.settings.kind: one.settings for one in LAWS[:-1]}
+"""The settings of each built-in kind, by its name in an itinerary."""
+
+
+def law_of(settings: ControllerSettings) -> Law:
+    """Return the kind of controller of these settings."""
+    return next(one for one in LAWS if isinstance(settings, one.settings))
 
 
 def make_controller(
@@ -243,37 +352,10 @@ def make_controller(
 ) -> Controller:
     """Return the controller of `settings`, with `parameters` as the model's and `estimator` for what it will know.
 
-    keep: what keeps the stops of a walk (`programs.KEEPERS`) where the settings are TVLQR's.
+    keep: what keeps the stops of a walk (`KEEPERS`) where the settings are TVLQR's.
 
     Raises:
         InputError: the reference did not converge, is not one of these arms, or not of the kind that is needed.
         GoalMissed: no controller can be made for it.
     """
-    stay: dict[str, Any] = dict(reference.notes.get("stay", {}))
-    seconds = reference.duration
-    if isinstance(settings, OgySettings | ClassicOgySettings):
-        if stay.get("kind") != "orbit":
-            raise InputError(
-                f'controller: kind = "{settings.kind}" keeps an orbit; give the itinerary orbit = "down-up"'
-            )
-        return ogy_controller(stay_orbit(reference, parameters), model, settings, seconds=seconds)
-    if isinstance(settings, HoldSettings):
-        if stay.get("kind") != "hold":
-            raise InputError(
-                f'controller: kind = "{settings.kind}" holds an equilibrium; give the itinerary hold = "up-up"'
-            )
-        start, names = reference.state(0.0), extra_names(model.arms, estimator.augments)
-        process = estimator.process(model.arms, model.period)
-        effects, kept = extra_jacobians(model, estimator.augments, start[None], np.zeros(1), process)
-        if parameters.coulomb:
-            shares = np.array(parameters.coulomb) / np.array(damping_scales(parameters.base(), parameters.count))
-            dry = min(4 / (np.pi * _OSCILLATION) * float(shares.max()), _MOST_DRY)
-            settings = replace(settings, damping=settings.damping + dry)
-        return hold_controller(start, model, settings, seconds=seconds, extras=ExtraEffects(names, effects[0], kept))
-    if isinstance(settings, AdaptiveSettings):
-        return adaptive_controller(reference, model, settings, estimator=estimator)
-    if isinstance(settings, TvlqrSettings) and keep != "none":
-        return keeping_controller(reference, parameters, model, flies=settings, keep=keep)
-    if isinstance(settings, TvlqrSettings) and stay.get("kind") == "orbit":
-        return orbit_controller(stay_orbit(reference, parameters), model, settings, seconds=seconds)
-    return tracking_controller(reference, model, settings)
+    return law_of(settings).make(LawInputs(reference, parameters, model, settings, estimator, keep))

@@ -12,24 +12,17 @@ import itertools
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import partial
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from dpcontrol.control.calming import CalmingSettings, calming_controller
-from dpcontrol.control.estimator_settings import Augment, EkfSettings, EstimatorSettings, FilterSettings
+from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
 from dpcontrol.control.handover import NearestKeeper
-from dpcontrol.control.interface import MANY, Controller, GainSchedule, Mode, SampledModel, schedule_of
-from dpcontrol.control.lqr import HoldSettings
-from dpcontrol.control.margins import Margins, law_margins
-from dpcontrol.control.tick import KnownMechanics, Outcome, TickProgram, whole_periods
-from dpcontrol.control.tracking import TvlqrSettings, costs_to_go
+from dpcontrol.control.interface import SampledModel
+from dpcontrol.control.tick import KnownMechanics, Outcome
+from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
-from dpcontrol.dynamics.compiled import VECTOR
-from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -43,26 +36,23 @@ from dpcontrol.loop.bench import (
     StreamReader,
     draw_bench,
 )
-from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, make_estimator, nearest_keeper
-from dpcontrol.loop.recovery import RETURN_SECONDS, Choice, FallRecovery, Reach, RecoveryPlan, StartController, started
+from dpcontrol.loop.controllers import KEEPERS, ControllerSettings
+from dpcontrol.loop.own import OwnEstimator, OwnFailure, OwnLaw, OwnObject, OwnPlant
+from dpcontrol.loop.recovery import Choice, FallRecovery
 from dpcontrol.loop.result import (
     EVENTS,
-    BatchRun,
     Ending,
-    JudgedTicks,
     LoopResult,
     LoopSink,
-    NoSink,
     Rig,
     SupervisorSettings,
     Ticks,
     ending,
     explained,
 )
-from dpcontrol.loop.simulated import BatchBench, SimulatedRig
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
-from dpcontrol.references.reference import Reference, StartNote, joined, plan_notes, start_reference
+from dpcontrol.references.reference import Reference
 
 _FLUSH_SECONDS = 0.02
 """Between two handings over of rows to the sink; a log's writer makes a chunk of as many."""
@@ -145,7 +135,7 @@ class ControlLoop:
         if recovery is not None:
             self._tell_all(0, [recovery.begin(ticker)])
         late, quiet_until = 0, 0.0
-        at, take = ticker.at, rows.take
+        at, take, watched = ticker.at, rows.take, ticker.watched
         command, notable, news, done_at = at["command"], at["notable"], at["news"], at["done"]
         noise = self._rate_noise
         clock, thinking = time.perf_counter, deque[float](maxlen=_THOUGHTS)
@@ -158,7 +148,7 @@ class ControlLoop:
             try:
                 reading = rig.read()
             except ArithmeticError as failure:
-                self.ending, self.reason = Ending.PLANT_FAILED, str(failure)
+                self._fail(k, failure)
                 break
             asked = clock()
             report = ticker(k, reading, None if noise is None else noise[k])
@@ -166,6 +156,9 @@ class ControlLoop:
             rig.command(report.item(command, 0))
             take(k - self._first, reading, report, rig.truth, ticker.references[k - ticker.began])
             self._done = done = k + 1
+            if watched and (wrong := ticker.failure) is not None:
+                self._fail(k, wrong)
+                break
             if report.item(notable, 0):
                 self._heed(k, rig)
             if reading.late > 0:
@@ -214,6 +207,12 @@ class ControlLoop:
         kept = Ticks.joined([*self._full, self._rows.between(0, done - self._first)])
         result = LoopResult(kept, self.ending, self.reason, late, elapsed, np.array(thinking))
         return result if recovery is None else replace(result, falls=recovery.falls, flights=recovery.flights(done))
+
+    def _fail(self, k: int, failure: ArithmeticError) -> None:
+        """Note what ends the run at tick k: the plant, or a user's object."""
+        own = isinstance(failure, OwnFailure)
+        self.ending = Ending.OBJECT_FAILED if own else Ending.PLANT_FAILED
+        self.reason = f"{failure}, at t = {k * self._period:.3f} s" if own else str(failure)
 
     def _next_block(self, k: int) -> tuple[Ticks, Callable[..., None]]:
         """Make room for further ticks, from tick k on."""
@@ -322,12 +321,12 @@ class LoopSettings(Settings, table="run"):
     mismatch: float = setting(0.0, least=0, most=0.9)
     model_uncertainty: float = setting(0.0, least=0, most=100)
     friction: float = setting(1.0, least=0, most=1000)
-    plant: ArmChainParameters | None = None
+    plant: ArmChainParameters | OwnPlant | None = None
     travel: float = setting(0.0, least=0, most=1000, unit="m")
     drive_lag: float = setting(0.0, least=1e-5, most=1, zero="a drive that follows at once", unit="s")
     keep: str = setting("none", choices=KEEPERS)
     controller: ControllerSettings = field(default_factory=TvlqrSettings)
-    estimator: EstimatorSettings = field(default_factory=EkfSettings)
+    estimator: EstimatorSettings | OwnEstimator = field(default_factory=EkfSettings)
     sensors: SensorSettings = field(default_factory=SensorSettings)
     drive: DriveSettings = field(default_factory=DriveSettings)
     disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
@@ -339,6 +338,13 @@ class LoopSettings(Settings, table="run"):
         if self.plant is not None and self.model_uncertainty:
             raise self.refusal(
                 "model_uncertainty", "the plant has arms of its own, not those near the model's; use a mismatch"
+            )
+        mechanics = replace(self.mechanics, initial_rate=0.0, initial_cart=0.0)
+        built_in = self.drive.lag or self.drive.cart_mass or self.disturbances.tilt or mechanics != MechanicsSettings()
+        if isinstance(self.plant, OwnPlant) and (built_in or self.model_uncertainty):
+            raise InputError(
+                f"run: plant = {self.plant.kind}: its `step` is all there is of arms, cart and drive; leave out lag, "
+                "cart_mass, tilt, model_uncertainty, belts, play, cables and stiction"
             )
         if self.keep != "none" and not isinstance(self.controller, TvlqrSettings):
             raise self.refusal("keep", f'what flies between the stops is "tvlqr", not "{self.controller.kind}"')
@@ -383,12 +389,29 @@ class LoopSettings(Settings, table="run"):
 
         instead: seed or mismatch in place of the settings' own.
         """
-        given = {"seed": self.seed, "mismatch": self.mismatch, **instead}
-        return draw_bench(
+        given, own = {"seed": self.seed, "mismatch": self.mismatch, **instead}, self.plant
+        drawn = draw_bench(
             arms, self.bench, ticks=ticks, period=1 / self.rate, model_uncertainty=self.model_uncertainty,
-            uncertainty=uncertainty, initial_error=self.initial_error, friction=self.friction, plant=self.plant,
-            **given,
+            uncertainty=uncertainty, initial_error=self.initial_error, friction=self.friction,
+            plant=None if isinstance(own, OwnPlant) else own, **given,
         )  # fmt: skip
+        return replace(drawn, own=own.own) if isinstance(own, OwnPlant) else drawn
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether runs of these settings can go side by side, if their law can answer for many."""
+        sensors, supervisor = self.sensors, self.supervisor
+        faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
+        hands_over = self.keep != "none" or supervisor.hold != "none" or supervisor.resynchronise
+        compiled = isinstance(self.estimator, EkfSettings) and not isinstance(self.controller, OwnLaw)
+        compiled = compiled and not isinstance(self.plant, OwnPlant)
+        return compiled and not faults and not hands_over and supervisor.on_fall == "stop"
+
+    @property
+    def own(self) -> tuple[OwnObject, ...]:
+        """The users' own objects that are not of a file."""
+        made = [getattr(one, "own", None) for one in (self.controller, self.estimator, self.plant)]
+        return tuple(one for one in made if isinstance(one, OwnObject) and not one.source)
 
     def limits(self, reference: Reference) -> Limits:
         """Return the cart's limits in this run: the reference's, with this travel where it is given."""
@@ -396,440 +419,12 @@ class LoopSettings(Settings, table="run"):
 
 
 def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:
-    """Return the cart-level model of these arms between ticks at `rate` Hz, its drive lagging by `lag` s."""
+    """Return the cart-level model of these arms between ticks at `rate` Hz, its drive lagging by `lag` s.
+
+    It has dry friction, of zero where these arms have none, for a filter that estimates it.
+    """
+    parameters = replace(parameters, coulomb=parameters.coulomb or (0.0,) * parameters.count)
     equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)
     # A step of one period does not resolve a faster reversal.
     eased = replace(parameters, smoothing=max(parameters.smoothing, parameters.coulomb_acceleration / rate))
     return SampledModel(equations, eased.base(), period=1 / rate, lag=lag)
-
-
-def _loop_model(parameters: ArmChainParameters, settings: LoopSettings) -> SampledModel:
-    """Return the model of controller and filter. A hold that estimates disturbances leaves dry friction to them."""
-    leaves = isinstance(settings.controller, HoldSettings) and Augment.DISTURBANCE in settings.estimator.augments
-    arms = replace(parameters, coulomb=()) if leaves else parameters
-    return sampled_model(arms, settings.rate, settings.known_lag)
-
-
-def loop_controller(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> Controller:
-    """Return the controller of these settings, which any number of runs may share.
-
-    Raises:
-        InputError: the reference did not converge, or is not one of these arms.
-        GoalMissed: no controller can be made for it.
-    """
-    model = _loop_model(parameters, settings)
-    return make_controller(
-        reference, parameters, model, settings=settings.controller, estimator=settings.estimator, keep=settings.keep
-    )
-
-
-def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> NearestKeeper | None:
-    """Return what these settings hold when tracking is lost, which any number of runs may share; None for nothing.
-
-    Raises:
-        InputError: the reference is of other arms.
-        GoalMissed: an orbit was not found, or cannot be held.
-    """
-    if settings.supervisor.hold == "none":
-        return None
-    law = settings.controller
-    flies = law if isinstance(law, TvlqrSettings) else TvlqrSettings()
-    model = _loop_model(parameters, settings)
-    return nearest_keeper(reference, parameters, model, flies=flies)
-
-
-def loop_recovery(
-    reference: Reference,
-    parameters: ArmChainParameters,
-    settings: LoopSettings,
-    controller: Controller,
-    *,
-    later: bool = False,
-) -> RecoveryPlan | None:
-    """Return how runs of these settings recover from a fall, which any number of them may share; None if they end.
-
-    controller: of `loop_controller`. The ways from rest to the stops are the reference's own (notes, `starts`). later:
-    it may have none, for they are added to the recovery's while it runs.
-
-    Raises:
-        InputError: the reference has none, or the controller keeps a clock of its own.
-        GoalMissed: no controller can be made for a start.
-    """
-    s = settings.supervisor
-    if s.on_fall == "stop":
-        return None
-    main = schedule_of(controller, whole_periods(settings.drive.delay)[1])
-    if main is None:
-        raise InputError(
-            f'supervisor: on_fall = "{s.on_fall}": {controller.kind} keeps a clock of its own, and cannot be taken up '
-            'anywhere; use kind = "adaptive", "tvlqr" or "lqr" without keep'
-        )
-    notes = plan_notes(reference)
-    starts: Sequence[StartNote] = notes.get("starts", ())
-    if not starts and not later:
-        raise InputError(
-            f'supervisor: on_fall = "{s.on_fall}": the reference was planned without ways from rest to its stops; plan '
-            "the itinerary again with that setting"
-        )
-    model = _loop_model(parameters, settings)
-    limits = settings.limits(reference)
-    ways = [
-        start_controller(note, start_reference(reference, k), reference, parameters, settings, main)
-        for k, note in enumerate(starts)
-    ]
-    reaction = (settings.drive.delay + 1) / settings.rate + settings.known_lag
-    calming = calming_controller(model, limits, CalmingSettings(), reaction=reaction, seconds=RETURN_SECONDS)
-    last = notes["stops"][-1]["orbit"]
-    return RecoveryPlan(
-        calming, ways, tuple(stop["saddle"] for stop in notes["stops"]),
-        tuple(symbol["text"] for symbol in notes["symbols"]), limits,
-        reference.extra[f"orbit_{last}"][:, : model.arms], notes["orbits"][last]["period"], main,
-        _reach(reference, parameters, settings),
-        s.on_fall == "restart", s.attempts,
-    )  # fmt: skip
-
-
-def start_controller(
-    note: StartNote,
-    lead_in: Reference | None,
-    reference: Reference,
-    parameters: ArmChainParameters,
-    settings: LoopSettings,
-    main: GainSchedule,
-) -> StartController:
-    """Return a way from rest to a stop and on along the reference; lead_in: its transfer, None from a stop at rest.
-
-    main: gains of the whole reference.
-
-    Raises:
-        GoalMissed: no controller can be made for it.
-    """
-    # Runs that do not recover do without what finds references.
-    from dpcontrol.references.find import tail
-
-    turns = 2 * np.pi * np.array(note["turns"], dtype=float)
-    gains, ticks = main, 0
-    if lead_in is not None:
-        ticks = round(lead_in.duration * settings.rate)
-        onward = tail(reference, note["at"], seconds=_ONWARD, turns=turns)
-        model = _loop_model(parameters, settings)
-        law = TvlqrSettings() if isinstance(settings.controller, HoldSettings) else settings.controller
-        flown = make_controller(
-            joined([lead_in, onward])[0], parameters, model, settings=law, estimator=settings.estimator
-        )
-        before = schedule_of(flown, whole_periods(settings.drive.delay)[1])
-        assert before is not None
-        gains = before
-    whole = started(gains, main, lead_in=ticks, place=round(note["at"] * settings.rate), turns=turns)
-    return StartController(note["stop"], note["at"], ticks, turns, whole)
-
-
-def _reach(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> Reach:
-    every = max(1, round(settings.rate / _PLACES))
-    states, costs = costs_to_go(reference, sampled_model(parameters, settings.rate / every), TvlqrSettings())
-    return Reach(every, states, costs)
-
-
-_PLACES = 100.0
-"""Hz, at which a reference has places where a run may be caught."""
-_ONWARD = 4.0
-"""Seconds of the itinerary after a start joins it that the start's gains look ahead to: these forget what is later."""
-
-
-def make_ticker(
-    parameters: ArmChainParameters,
-    settings: LoopSettings,
-    controller: Controller,
-    *,
-    limits: Limits,
-    delay: float,
-    can_hold: bool = False,
-    runs: int = 1,
-    library: Path | None = None,
-) -> Ticker:
-    """Return controller, estimator and supervisor of one run, or of `runs` side by side; delay in periods, believed.
-
-    library: one made of what `dpcontrol export` writes, which does the ticks of one run.
-
-    Raises:
-        InputError: the delay is impossible, or the controller is not for these arms; or the library is not of these
-            settings, or such a one cannot be.
-    """
-    # The estimator relies on the stated noise of sensors and drive.
-    noise = settings.sensors.covariance(parameters.count)
-    model = _loop_model(parameters, settings)
-    filters = settings.estimator.with_command_noise(
-        settings.drive.command_noise, period=model.period, keeps=model.lag_keeps
-    )
-    schedule = schedule_of(controller, whole_periods(delay)[1])
-    compiled = isinstance(settings.estimator, EkfSettings)
-    make: Any = TickProgram
-    if library is not None:
-        from dpcontrol.control.export import LibraryProgram, checked_exportable
-
-        schedule = checked_exportable(controller, lead=whole_periods(delay)[1])
-        make = partial(LibraryProgram, library)
-    program = make(
-        model, filters, noise=noise, delay=delay, runs=runs,
-        bounds=_bounds(settings, limits, can_hold=can_hold, trust=0.0 if schedule is None else schedule.trust),
-        shares=None if schedule is None else schedule.shares, mechanics=settings.known_mechanics(parameters.count),
-    )  # fmt: skip
-    estimator = None if compiled else make_estimator(filters, model, noise=noise)
-    ticker = Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=settings.estimator.kind)
-    if library is not None and schedule is not None:
-        program.check(schedule, law=controller.kind)
-    return ticker
-
-
-def _bounds(settings: LoopSettings, limits: Limits, *, can_hold: bool, trust: float) -> dict[str, float]:
-    s, delay = settings.supervisor, settings.drive.delay
-    return {
-        "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": limits.position,
-        "reaction": (delay + 1) / settings.rate + settings.known_lag,
-        # The state ahead is that at which a command acts: the delay is in it.
-        "onset": (delay - whole_periods(delay)[1] + 1) / settings.rate + settings.known_lag,
-        "brake": 2 * s.braking * limits.acceleration,
-        "margin": s.margin, "lost_tracking": s.lost_tracking, "lost_estimate": s.lost_estimate,
-        "resynchronise": s.resynchronise, "restarts": s.restarts, "missing": s.missing, "can_hold": can_hold,
-        "trust": trust, "mode": Mode.TRACKING, "scale": settings.sensors.cart_resolution,
-    }  # fmt: skip
-
-
-def control_loop(
-    parameters: ArmChainParameters,
-    settings: LoopSettings,
-    controller: Controller,
-    *,
-    limits: Limits,
-    believed_delay: float | None = None,
-    rate_noise: StreamReader | None = None,
-    sink: LoopSink | None = None,
-    fallback: NearestKeeper | None = None,
-    recovery: RecoveryPlan | None = None,
-    until: int = 0,
-    keep: bool = True,
-    library: Path | None = None,
-    progress: Progress = no_progress,
-) -> ControlLoop:
-    """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default.
-
-    rate_noise, (n, 1) rad/s by tick, until, keep: see `ControlLoop`; until: the itinerary is repeated up to then.
-    recovery: of `loop_recovery`. library: see `make_ticker`.
-
-    Raises:
-        InputError: the delay is impossible, or the controller is not for these arms; or the library is not for this.
-    """
-    if library is not None and (rate_noise is not None or fallback is not None or recovery is not None):
-        what = "noise on measured rates" if fallback is None else 'hold = "nearest"'
-        what = what if recovery is None else "on_fall"
-        raise InputError(f"run: a controller's library knows nothing of {what}; run it without")
-    delay = settings.drive.delay if believed_delay is None else believed_delay
-    ticker = make_ticker(
-        parameters, settings, controller, limits=limits, delay=delay, can_hold=fallback is not None, library=library
-    )
-    falls = None if recovery is None else FallRecovery(recovery, controller, laps=until > 0)
-    return ControlLoop(
-        ticker, limits=limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, recovery=falls,
-        until=until, keep=keep, progress=progress,
-    )  # fmt: skip
-
-
-def run_loop(
-    reference: Reference,
-    parameters: ArmChainParameters,
-    *,
-    settings: LoopSettings,
-    controller: Controller | None = None,
-    uncertainty: Uncertainty | None = None,
-    sink: LoopSink | None = None,
-    fallback: NearestKeeper | None = None,
-    recovery: RecoveryPlan | None = None,
-    until: int = 0,
-    keep: bool = True,
-    library: Path | None = None,
-    progress: Progress = no_progress,
-) -> LoopResult:
-    """Track `reference` on a simulated bench, with `parameters` as the model of controller and estimator.
-
-    controller, fallback, recovery: made before, by `loop_controller` and the like with the same settings, to spare
-    making them for each of many seeds. until: the tick up to which it is done again and again, where it recovers from
-    falls; 0: it is done once. keep: whether all ticks are in the result, or the last block of them. uncertainty: of the
-    model, for settings that draw the plant from it. library: see `make_ticker`.
-
-    Raises:
-        InputError: the reference did not converge, or is not one of these arms; an uncertainty is asked for and not
-            known.
-        GoalMissed: no controller can be made for it, or no plant drawn.
-    """
-    if controller is None:
-        controller = loop_controller(reference, parameters, settings)
-    if fallback is None:
-        fallback = loop_fallback(reference, parameters, settings)
-    if recovery is None:
-        recovery = loop_recovery(reference, parameters, settings, controller)
-    limits, first = settings.limits(reference), controller.first_state
-    draw = settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty)
-    if recovery is not None:
-        draw = draw.endless()
-    loop = control_loop(
-        parameters, settings, controller, limits=limits,
-        rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), sink=sink, fallback=fallback,
-        recovery=recovery, until=until, keep=keep, library=library, progress=progress,
-    )  # fmt: skip
-    rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
-    return replace(loop.run(rig), plant=draw.plant.arms, hardest=rig.hardest)
-
-
-def loop_margins(
-    reference: Reference, parameters: ArmChainParameters, settings: LoopSettings, controller: Controller | None = None
-) -> Margins:
-    """Return what gain, further delay and further lag the loop bears along `reference` with these settings.
-
-    The arms are as the model says. controller: made before by `loop_controller`. Another filter than the extended one
-    counts as that of its settings.
-
-    Raises:
-        InputError: the law has no margins, for it acts by pulses or not at all, or the reference is not of these arms.
-        GoalMissed: no controller can be made for it, or the loop does not stay on its reference.
-    """
-    if not isinstance(settings.estimator, EkfSettings):
-        known = {f.name: getattr(settings.estimator, f.name) for f in fields(FilterSettings) if f.name != "kind"}
-        settings = replace(settings, estimator=EkfSettings(**known))
-
-    # To first order a known belt with its shaping is a lag, and play is nothing.
-    unshaped = replace(settings.mechanics, known_belt=0.0, known_play=0.0)
-    settings = replace(settings, drive_lag=settings.known_lag, mechanics=unshaped)
-
-    def program_of(law: Controller) -> TickProgram:
-        return make_ticker(parameters, settings, law, limits=_UNBOUND, delay=settings.drive.delay).program
-
-    notes = reference.notes
-    return law_margins(
-        controller or loop_controller(reference, parameters, settings), program_of, rate=settings.rate,
-        wobble=max((orbit["period"] for orbit in notes.get("orbits", ())), default=_WOBBLE),
-        repeats="stay" in notes, lags=settings.known_lag > 0,
-    )  # fmt: skip
-
-
-_UNBOUND = Limits(position=1e6, velocity=1e6, acceleration=1e6)
-"""Of a cart that nothing stops."""
-_WOBBLE = 0.8
-"""s: of a reference that names no orbit."""
-
-
-def can_batch(settings: LoopSettings, controller: Controller | None = None) -> bool:
-    """Tell whether runs can go in lockstep, by the settings alone where no controller is given."""
-    sensors = settings.sensors
-    faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
-    hands_over = settings.keep != "none" or settings.supervisor.hold != "none" or settings.supervisor.resynchronise
-    hands_over = hands_over or settings.supervisor.on_fall != "stop"
-    compiled = isinstance(settings.estimator, EkfSettings)
-    answers_many = controller is None or hasattr(controller, "schedule") or hasattr(controller, "begin_many")
-    return compiled and not faults and not hands_over and answers_many
-
-
-def run_batch(
-    parameters: ArmChainParameters,
-    *,
-    settings: LoopSettings,
-    seeds: Sequence[int],
-    controller: Controller,
-    limits: Limits,
-    uncertainty: Uncertainty | None = None,
-    mismatches: Sequence[float] | None = None,
-    believed_delay: float | None = None,
-) -> list[BatchRun]:
-    """Run the seeds and return them in their order; `parameters` are the model's, `limits` the cart's in these runs.
-
-    uncertainty: of the model, for settings that draw the plants from it. mismatches: of each run's plant, in place of
-    the settings' own. believed_delay in periods, the drive's own by default.
-
-    Raises:
-        InputError: the settings ask for what `can_batch` rejects.
-    """
-    if not can_batch(settings, controller):
-        raise InputError("these runs cannot go in lockstep; run them tick by tick, --path ticks")
-    if not seeds:
-        return []
-    # Full vectors of the processor only: those left over would be rounded differently, and a run with its company.
-    own = [settings.mismatch] * len(seeds) if mismatches is None else mismatches
-    lanes = [*zip(seeds, own, strict=True)]
-    lanes += [lanes[-1]] * (-len(lanes) % VECTOR)
-    draws = [
-        settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty, seed=seed, mismatch=mismatch)
-        for seed, mismatch in lanes
-    ]
-    delay = settings.drive.delay if believed_delay is None else believed_delay
-    ticker = make_ticker(parameters, settings, controller, limits=limits, delay=delay, runs=len(lanes))
-    bench = BatchBench(
-        draws, settings.bench, limits=limits, start=controller.first_state, queued=list(ticker.queued), lanes=MANY
-    )
-    return _Lockstep(ticker, bench, draws).run()[: len(seeds)]
-
-
-class _Lockstep:
-    """The loop of many runs."""
-
-    def __init__(self, ticker: Ticker, bench: BatchBench, draws: Sequence[BenchDraw]) -> None:
-        self._ticker, self._bench, self._runs = ticker, bench, len(draws)
-        self._period, self._arms = ticker.program.period, ticker.program.model.arms
-        noise = [draw.rate_noise for draw in draws if draw.rate_noise is not None]
-        self._rate_noise = np.stack(noise, axis=2) if noise else None
-        self._alive, self._over = np.ones(self._runs, dtype=bool), False
-        self._counts, self._stopped_at = [ticker.count] * self._runs, [ticker.count] * self._runs
-        self._endings = [Ending.FINISHED] * self._runs
-        self._reasons = ["came to the reference's end"] * self._runs
-
-    def run(self) -> list[BatchRun]:
-        """Run to the last tick, or until every run has ended."""
-        ticker, bench, noise = self._ticker, self._bench, self._rate_noise
-        rows = JudgedTicks(ticker.count, self._runs, self._arms)
-        command, notable, done = (ticker.at[name] for name in ("command", "notable", "done"))
-        with np.errstate(all="ignore"):
-            for k in range(ticker.count):
-                reading = bench.read()
-                report = ticker(k, reading, None if noise is None else noise[k])
-                bench.command(report[command])
-                rows.take(k, report, ticker.at, bench.truth)
-                if (failed := bench.failed) is not None:
-                    why = f"plant failed at t = {k * self._period:.3f} s: its state is no longer finite"
-                    self._end(failed, k, Ending.PLANT_FAILED, why)
-                if np.add.reduce(report[notable]):
-                    self._heed(k, report, rows)
-                    for lane in np.flatnonzero(report[done] * self._alive).tolist():
-                        self._end([lane], k + 1, self._endings[lane], self._reasons[lane])
-                for lane, fault in bench.faults.items():
-                    if self._endings[lane] is not Ending.CART_STOP:
-                        self._end([lane], k + 1, Ending.CART_STOP, fault)
-                if self._over:
-                    break
-        references = ticker.references
-        angles = references[:, : self._arms, None] if references.ndim == 2 else references
-        runs = [
-            rows.run(
-                lane, self._counts[lane], angles[:, :, lane % angles.shape[2]], stands_from=self._stopped_at[lane],
-                period=self._period, ending=self._endings[lane], reason=self._reasons[lane],
-            )
-            for lane in range(self._runs)
-        ]  # fmt: skip
-        return [replace(run, hardest=float(most)) for run, most in zip(runs, bench.hardest, strict=True)]
-
-    def _heed(self, k: int, report: Array, rows: JudgedTicks) -> None:
-        """Do what the outcomes of tick k ask for."""
-        outcomes = report[self._ticker.at["outcome"]] * self._alive
-        for lane in np.flatnonzero(outcomes).tolist():
-            outcome = Outcome(int(outcomes[lane]))
-            if outcome is Outcome.RESTART:
-                rows.without_nis(k, lane)
-                continue
-            figures = self._ticker.figures(k, lane)
-            why = explained(outcome, k * self._period, figures, arms=self._arms, period=self._period)
-            self._endings[lane], self._reasons[lane], self._stopped_at[lane] = ending(outcome), why, k
-            self._bench.stop([lane])
-
-    def _end(self, lanes: Any, count: int, ending: Ending, reason: str) -> None:
-        for lane in np.arange(self._runs)[lanes].tolist():
-            if self._alive[lane]:
-                self._endings[lane], self._reasons[lane], self._counts[lane] = ending, reason, count
-                self._alive[lane] = False
-        self._over = not self._alive.any()

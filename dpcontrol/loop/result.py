@@ -94,6 +94,8 @@ class Ending(StrEnum):
     ESTIMATE_LOST = "estimate lost"
     TRACKING_LOST = "tracking lost"
     PLANT_FAILED = "plant failed"
+    OBJECT_FAILED = "object failed"
+    """A user's law, estimator, plant or rig raised, took too long, or returned what it may not."""
 
 
 HOLDS = ("none", "nearest")

@@ -21,6 +21,7 @@ from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import BenchDraw, BenchSettings, Blow, SensorSettings
+from dpcontrol.loop.own import OwnArms
 from dpcontrol.loop.result import Reading
 from dpcontrol.references.problem import Limits
 
@@ -339,7 +340,10 @@ class SimulatedBench:
         if draw.plant.lag:
             first = np.append(first, [self._demands[0]], axis=0)
         first = np.append(first, further if lanes is MANY else further[:, 0], axis=0)
-        self._plant = SimulatedPlant([d.plant for d in draws], first, track=own.position)
+        self._plant = (
+            SimulatedPlant([d.plant for d in draws], first, track=own.position) if draw.own is None
+            else OwnArms(draw.own, draw.plant, first, track=own.position)
+        )  # fmt: skip
         self.truth: Array = self._plant.state[: 2 * n + 2]
         """The true state (2n+2,) or states (2n+2, S) at the last reading's tick; overwritten at the next."""
         self.hardest: Any = 0.0

@@ -16,6 +16,7 @@ from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSch
 from dpcontrol.control.tick import UNROLLED, Outcome, TickProgram
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.own import OwnController, OwnEstimates, OwnFailure, OwnSession
 from dpcontrol.loop.result import Reading
 
 _SCALE_SECONDS = 0.01
@@ -43,6 +44,9 @@ class Ticker:
         estimator_kind: str,
     ) -> None:
         self.program, self.controller, self.estimator = program, controller, estimator
+        self._own = estimator if isinstance(estimator, OwnEstimates) else None
+        self.watched = self._own is not None or isinstance(controller, OwnController)
+        """Whether a user's law or estimator takes part; it may fail."""
         self.kind, self.estimator_kind = controller.kind, estimator_kind
         self.lead, self.at = program.lead, program.at
         self._arms, self._n = program.model.arms, program.model.dimension
@@ -66,6 +70,12 @@ class Ticker:
         self.began = 0
         """The tick at which what is followed now began; `references` are from there on."""
         self.begin()
+
+    @property
+    def failure(self) -> OwnFailure | None:
+        """What was wrong with a user's law or estimator in the last tick."""
+        session = self._session.failure if isinstance(self._session, OwnSession) else None
+        return session or (None if self._own is None else self._own.failure)
 
     @property
     def extra_names(self) -> tuple[str, ...]:
@@ -116,7 +126,7 @@ class Ticker:
     def _begun(self) -> Any:
         law: Any = self.controller
         if not self._many:
-            return law.begin()
+            return law.begin_after(self.lead) if hasattr(law, "begin_after") else law.begin()
         if not hasattr(law, "begin_many"):
             raise InputError(f'controller: kind = "{self.kind}" answers one run at a time; run these one by one')
         return law.begin_many(self.program.runs)
@@ -176,6 +186,9 @@ class Ticker:
         program.finish(sensed, ahead, drive, back, predicts=self.estimator is None)
         if self.estimator is not None and program.report[self.at["outcome"], 0] == Outcome.RESTART:
             self._estimate = self.estimator.restarted(self._estimate, reading.positions)
+        if self._own is not None and not self._own.judged:
+            program.report[self.at["nis"]] = math.nan
+            self.event = f"{self._own.kind} has no sigmas: NIS and the check of the estimate are off" * (k == 0)
         return program.report
 
     def _estimated(self, k: int, reading: Reading) -> tuple[Array, Array, Array]:
@@ -187,6 +200,8 @@ class Ticker:
         sound = 1.0
         try:
             if k:
+                if self._own is not None:
+                    self._own.sent = program.report[self.at["command"], 0].item()
                 acted = program.report[self.at["acting"], 0].item()
                 now = estimator.step(before, acted, reading.positions, reading.present)
             else:
@@ -300,7 +315,9 @@ class Ticker:
         self.program.memory[self.program.equations.memory.slices["velocity"]] = velocity
 
     def rehearse(self) -> None:
-        """Do ticks that nobody sees, so that all is in memory before the first deadline."""
+        """Do ticks that nobody sees, so that all is in memory before the first deadline; not with users' objects."""
+        if self.watched:
+            return
         state = self.controller.first_state
         reading = Reading(0.0, state[self.program.model.position_indices])
         for k in range(min(50, self.count)):

@@ -92,7 +92,8 @@ class BenchRecord:
     """What happened on a bench in a run of K ticks, n arms.
 
     positions (K, n+1) rad and m; sent (K,): whether the reading went out; switch (K,); truth (K, 2n+2), not-a-number
-    where it is not known; commands (K,) m/s²: in answer to each tick's reading, not-a-number where none came in time.
+    where it is not known; ages (K,) s of the readings, not-a-number where unknown; commands (K,) m/s²: in answer to
+    each tick's reading, not-a-number where none came in time.
     last: the newest tick that was answered; fault: the bench's own, from tick `fault_at` on; ended: why the run did.
     Of a run that goes on longer the first K ticks are kept.
     """
@@ -101,7 +102,7 @@ class BenchRecord:
         self.period, self.ticks, self.last = period, 0, -1
         self.positions, self.truth = np.full((ticks, arms + 1), np.nan), np.full((ticks, 2 * arms + 2), np.nan)
         self.sent, self.switch = np.zeros(ticks, dtype=bool), np.zeros(ticks, dtype=np.int8)
-        self.commands = np.full(ticks, np.nan)
+        self.commands, self.ages = np.full(ticks, np.nan), np.full(ticks, np.nan)
         self.fault, self.fault_at, self.ended = "", ticks, ""
 
     def read(self, k: int, reading: Reading, truth: Array | None, *, sent: bool) -> None:
@@ -110,6 +111,7 @@ class BenchRecord:
             return
         self.ticks, self.sent[k], self.switch[k] = k + 1, sent, reading.switch
         self.positions[k] = reading.positions
+        self.ages[k] = math.nan if reading.age is None else reading.age
         if truth is not None:
             self.truth[k] = truth
 
@@ -167,7 +169,8 @@ class RecordedRig:
             raise ArithmeticError(f"{last}: {record.ended}{stood}")
         self._tick = k
         present = None if record.sent[k] else self._nothing
-        return Reading(k * self.period, record.positions[k], present, int(record.switch[k]))
+        age = float(record.ages[k]) if math.isfinite(record.ages[k]) else None
+        return Reading(k * self.period, record.positions[k], present, int(record.switch[k]), age=age)
 
     def command(self, acceleration: float) -> None:
         """Compare a command, m/s², with the one that was sent then, and let that one be on its way."""
@@ -416,7 +419,7 @@ class _BenchRun:
             if sends:
                 content = ReadingPacket(
                     k, tuple(reading.positions.tolist()), self._heard, self._held, self._trip, reading.switch,
-                    self._condition, self._text, self._ignored,
+                    self._condition, self._text, self._ignored, reading.age,
                 )  # fmt: skip
                 self._send(packets.reading(content))
         text = f"the bench was made for {self._ticks} ticks and has run them"

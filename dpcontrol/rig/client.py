@@ -132,6 +132,8 @@ _LONGEST_PERIOD = 60.0
 """Seconds."""
 _LATEST = 1_000_000
 """Ticks, the last, of which it is kept how late they began and how long their answers took."""
+_OLDEST = 1.0
+"""s: an older reading counts as one whose age is not known."""
 _MOST_REFUSED = 256
 """Packets that are refused in a row before the loop looks at its clock again."""
 
@@ -286,7 +288,9 @@ class UdpRig:
         finite = np.isfinite(positions)
         # What is not a number is not a reading.
         self._positions = np.where(finite, positions, self._positions)
-        return Reading(k * period, self._positions, None if finite.all() else finite, packet.switch, late)
+        # An age beyond the bounds of a reading's is as good as none.
+        age = packet.age if packet.age is not None and 0 <= packet.age <= _OLDEST else None
+        return Reading(k * period, self._positions, None if finite.all() else finite, packet.switch, late, age)
 
     def command(self, acceleration: float) -> None:
         """Send the cart's wanted acceleration, m/s² to the right.

@@ -13,7 +13,7 @@ Little-endian, one packet a datagram. Every packet begins with a head of 20 byte
                                                   u32 periods that had to do with an old command, u32 packets ignored,
                                                   f64 s from that reading to its command, i8 switch, u8 condition,
                                                   u16 bytes of a sentence, f64 positions (arms, then the cart), the
-                                                  sentence
+                                                  sentence; then, if the bench knows it, f64 s: age of the positions
     COMMAND  4   loop    0                        u32 tick of the reading that it answers, f64 acceleration m/s²
     STOP     5   loop    0                        nothing: brake to a standstill
     BYE      6   both    bytes of a sentence      the sentence: the run is over
@@ -58,6 +58,7 @@ _OLD_HEAD = struct.Struct("<4sBBH")
 _WELCOME = struct.Struct("<dIQ")
 _READING = struct.Struct("<IIIIdbBH")
 _COMMAND = struct.Struct("<Id")
+_AGE = struct.Struct("<d")
 _SEAL = 16
 
 
@@ -131,7 +132,8 @@ class ReadingPacket(NamedTuple):
 
     heard: tick of the newest command that has come, -1 for none; held: periods so far in which no new one came; trip s:
     from the reading `heard` to its command; switch -1, 0, +1; condition of the bench, and a sentence on it; ignored:
-    packets so far that were not of this run's loop, or not new.
+    packets so far that were not of this run's loop, or not new. age s: how long before the tick the positions were
+    taken, None if the bench does not know.
     """
 
     tick: int
@@ -143,6 +145,7 @@ class ReadingPacket(NamedTuple):
     condition: Condition
     text: str
     ignored: int = 0
+    age: float | None = None
 
 
 class CommandPacket(NamedTuple):
@@ -189,7 +192,8 @@ def reading(content: ReadingPacket) -> Packet:
         content.tick, heard, content.held, min(content.ignored, NO_TICK), content.trip, content.switch,
         content.condition, len(text),
     )  # fmt: skip
-    return Packet(Kind.READING, count - 1, body + struct.pack(f"<{count}d", *content.positions) + text)
+    age = b"" if content.age is None else _AGE.pack(content.age)
+    return Packet(Kind.READING, count - 1, body + struct.pack(f"<{count}d", *content.positions) + text + age)
 
 
 def command(tick: int, acceleration: float) -> Packet:
@@ -263,8 +267,13 @@ def _content(kind: Kind, data: bytes, count: int) -> tuple[Content, int]:
             raise struct.error(f"a switch of {switch}")
         heard = -1 if heard == NO_TICK else heard
         text = _text(data, at, size)
-        said = ReadingPacket(tick, positions, heard, held, trip, switch, Condition(condition), text, ignored)
-        return said, at + size
+        at += size
+        age = None
+        # A seal has 16 bytes, so eight more are an age.
+        if len(data) - at in (_AGE.size, _AGE.size + _SEAL):
+            (age,) = _AGE.unpack_from(data, at)
+            at += _AGE.size
+        return ReadingPacket(tick, positions, heard, held, trip, switch, Condition(condition), text, ignored, age), at
     if kind is Kind.COMMAND:
         return CommandPacket(*_COMMAND.unpack_from(data, at)), at + _COMMAND.size
     if kind is Kind.START:

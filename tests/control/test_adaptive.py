@@ -24,8 +24,9 @@ from dpcontrol.control.tracking import (
 )
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings
-from dpcontrol.loop.loop import LoopSettings, run_batch, run_loop
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Ending, NoSink
 from dpcontrol.references.reference import Reference
 
@@ -268,9 +269,7 @@ def test_arms_wrong_by_a_fifth_end_on_the_orbit_where_tvlqr_alone_loses_half(
     ended = {}
     for kind, controller in ((SETTINGS, law), (TvlqrSettings(), plain)):
         settings = _settings(kind, 0.2)
-        runs = run_batch(
-            LAB, settings=settings, seeds=seeds, controller=controller, limits=settings.limits(reference)
-        )  # fmt: skip
+        runs = Assembly(reference, LAB, settings, law=controller).batch(seeds)
         near = [
             run.ending is Ending.FINISHED
             and float(np.abs((run.truth[:, :2] - run.references)[-500:]).max()) < 2 * CLOSE
@@ -286,7 +285,7 @@ def test_arms_beyond_trust_are_named_and_the_run_ends_with_a_reason(
 ) -> None:
     # These arms: M11 twice, S1 1.8 times the model's, over M12.
     sink, narrow = Events(), replace(law, trust=0.2)
-    result = run_loop(turn[1], LAB, settings=_settings(SETTINGS, 0.4, seed=6), controller=narrow, sink=sink)
+    result = Assembly(turn[1], LAB, _settings(SETTINGS, 0.4, seed=6), law=narrow).simulate(sink=sink)
     assert any("model doubted: M" in text or "model doubted: S" in text for text in sink.texts), sink.texts
     assert result.ending is not Ending.FINISHED
     assert result.reason

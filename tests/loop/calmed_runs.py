@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 from dpcontrol.control.calming import CalmingSettings, calming_controller
 from dpcontrol.control.estimator_settings import AdaptiveEkfSettings
 from dpcontrol.control.interface import MANY
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
-from dpcontrol.loop.loop import LoopSettings, make_ticker, sampled_model
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.recovery import calming_bounds
 from dpcontrol.loop.simulated import BatchBench
+from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import still
 from dpcontrol.scenes.model import load_model
 
 Array = NDArray[np.float64]
@@ -66,7 +69,8 @@ def calmed(
     )
     start = fallen_states(seeds, fastest)
     draws = [run.draw(arms, ticks=law.ticks + 1, seed=seed) for seed in seeds]
-    ticker = make_ticker(arms, run, law, limits=LIMITS, delay=run.drive.delay, runs=len(seeds))
+    nowhere = still(np.zeros(6), 1.0, method=method_named("radau-7"), limits=LIMITS, interval=1.0)
+    ticker = Assembly(nowhere, arms, run, law=law).ticker(runs=len(seeds))
     bench = BatchBench(draws, run.bench, limits=LIMITS, start=start, queued=list(ticker.queued), lanes=MANY)
     ticker.lose()
     # What is known of the cart is not lost with the arms.
@@ -83,6 +87,6 @@ def calmed(
             truth = bench.truth
             farthest = np.maximum(farthest, np.abs(truth[4]))
             away = np.abs(truth[:2] - 2 * np.pi * np.rint(truth[:2] / (2 * np.pi))).max(0)
-            still = (away <= ANGLE) & (np.abs(truth[2:4]).max(0) <= RATE) & (np.abs(truth[4:]).max(0) <= CENTRE)
-            rest = np.where(still, np.minimum(rest, k / run.rate), np.inf)
+            calm = (away <= ANGLE) & (np.abs(truth[2:4]).max(0) <= RATE) & (np.abs(truth[4:]).max(0) <= CENTRE)
+            rest = np.where(calm, np.minimum(rest, k / run.rate), np.inf)
     return Calmed(rest, farthest, dict(bench.faults))

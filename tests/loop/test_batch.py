@@ -10,8 +10,9 @@ from shadowing_stand_in import LAB, StandIn
 from dpcontrol.control.estimator_settings import EkfSettings, UkfSettings
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
-from dpcontrol.loop.loop import LoopSettings, can_batch, loop_controller, run_batch, run_loop
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import BatchRun, Ending, SupervisorSettings
 from dpcontrol.references.reference import Reference
 
@@ -95,12 +96,9 @@ WHERE_IT_BREAKS = {
 
 def both(reference: Reference, settings: LoopSettings) -> tuple[list[BatchRun], list[BatchRun]]:
     """Return the runs of SEEDS in lockstep, and tick by tick."""
-    controller = loop_controller(reference, LAB, settings)
-    together = run_batch(LAB, settings=settings, seeds=SEEDS, controller=controller, limits=settings.limits(reference))
-    alone = [
-        BatchRun.of(run_loop(reference, LAB, settings=replace(settings, seed=seed), controller=controller))
-        for seed in SEEDS
-    ]
+    controller = Assembly(reference, LAB, settings).controller
+    together = Assembly(reference, LAB, settings, law=controller).batch(SEEDS)
+    alone = [BatchRun.of(Assembly(reference, LAB, settings, law=controller).simulate(seed=seed)) for seed in SEEDS]
     return together, alone
 
 
@@ -137,7 +135,7 @@ def test_a_filter_told_of_the_lag_is_nearer_to_the_truth(turn: tuple[StandIn, Re
     trusting = EkfSettings(augment=(), parameter_error=0.0, rate_noise=1e-3, cart_noise=1e-3)
     for known in (0.0, 0.02):
         settings = replace(with_drive(lag=0.02), seed=1, mismatch=0.0, drive_lag=known, estimator=trusting)
-        run = run_loop(turn[1], LAB, settings=settings).ticks
+        run = Assembly(turn[1], LAB, settings).simulate().ticks
         assert run.truth is not None
         # Rates, once the first guess is forgotten.
         wrong.append(np.sqrt(np.mean((run.estimates - run.truth)[300:, 2:4] ** 2)))
@@ -162,11 +160,9 @@ def test_a_seed_runs_the_same_in_any_company(turn: tuple[StandIn, Reference]) ->
         drive=DriveSettings(lag=0.005, command_noise=0.3),
         disturbances=DisturbanceSettings(pushes=2, push_impulse=1e-3),
     )
-    controller = loop_controller(reference, LAB, settings)
-    limits = settings.limits(reference)
-    found = {}
+    assembly, found = Assembly(reference, LAB, settings), {}
     for seeds in ([7], range(3, 14), [20, 7, 21], range(8)):
-        runs = run_batch(LAB, settings=settings, seeds=list(seeds), controller=controller, limits=limits)
+        runs = assembly.batch(list(seeds))
         run = runs[list(seeds).index(7)]
         found[len(runs)] = (run.truth.tobytes(), run.applied.tobytes(), run.ending, run.reason)
     assert len(set(found.values())) == 1
@@ -182,8 +178,9 @@ def test_a_seed_runs_the_same_in_any_company(turn: tuple[StandIn, Reference]) ->
     ],
 )
 def test_what_only_the_loop_can_do_is_left_to_it(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
-    controller = loop_controller(turn[1], LAB, BASE)
-    assert not can_batch(settings, controller)
+    assembly = Assembly(turn[1], LAB, BASE)
+    assert assembly.lockstep
+    other = assembly.under(settings)
+    assert not other.lockstep
     with pytest.raises(InputError, match="tick by tick"):
-        run_batch(LAB, settings=settings, seeds=[0], controller=controller, limits=turn[1].limits)
-    assert can_batch(BASE, controller)
+        other.batch([0])

@@ -9,6 +9,7 @@ from shadowing_stand_in import StandIn
 
 from dpcontrol.dynamics.chain import Uncertainty, base_ratios, ratio_names
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import (
     BenchDraw,
     BenchSettings,
@@ -17,7 +18,7 @@ from dpcontrol.loop.bench import (
     SensorSettings,
     draw_bench,
 )
-from dpcontrol.loop.loop import LoopSettings, loop_controller, run_batch, run_loop
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.campaign import Case, Job
 from dpcontrol.scenes.itinerary import load_itinerary
@@ -122,20 +123,15 @@ def test_an_uncertainty_that_hardly_any_arms_fit_misses_the_goal_with_a_sentence
 def test_runs_in_lockstep_draw_the_plants_that_the_loop_draws(turn: tuple[StandIn, Reference]) -> None:
     reference, seeds = turn[1], [1]
     settings = LoopSettings(seed=0, model_uncertainty=2.0, initial_error=0.02)
-    controller = loop_controller(reference, LAB, settings)
-    limits = settings.limits(reference)
+    controller = Assembly(reference, LAB, settings).controller
 
     def together(settings: LoopSettings) -> list[np.ndarray]:
-        runs = run_batch(
-            LAB, settings=settings, seeds=seeds, controller=controller, limits=limits, uncertainty=KNOWN_TO
-        )
+        runs = Assembly(reference, LAB, settings, uncertainty=KNOWN_TO, law=controller).batch(seeds)
         return [run.truth[:100] for run in runs]
 
     drawn, plain = together(settings), together(replace(settings, model_uncertainty=0.0))
     for seed, one in zip(seeds, drawn, strict=True):
-        alone = run_loop(
-            reference, LAB, settings=replace(settings, seed=seed), controller=controller, uncertainty=KNOWN_TO
-        )
+        alone = Assembly(reference, LAB, settings, uncertainty=KNOWN_TO, law=controller).simulate(seed=seed)
         assert alone.ticks.truth is not None
         assert np.abs(one - alone.ticks.truth[:100]).max() < FLOWN
     assert np.abs(plain[0] - drawn[0]).max() > 100 * FLOWN

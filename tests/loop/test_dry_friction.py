@@ -7,7 +7,8 @@ import pytest
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.lqr import HoldController
-from dpcontrol.loop.loop import loop_controller, run_batch, sampled_model
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.loop import sampled_model
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run_options import RunOptions
@@ -26,10 +27,10 @@ def test_up_up_is_held_against_dry_friction(told: bool) -> None:
     scene = load_itinerary("hold-up-up").with_run(BENCH)
     reference, settings = make_plan(scene).reference, replace(scene.loop, plant=ROUGH)
     model = ROUGH if told else LAB
-    law = loop_controller(reference, model, settings)
+    law = Assembly(reference, model, settings).controller
     assert isinstance(law, HoldController)
     law = replace(law, ticks=round(SECONDS * settings.rate))
-    runs = run_batch(model, settings=settings, seeds=range(8), controller=law, limits=settings.limits(reference))
+    runs = Assembly(reference, model, settings, law=law).batch(range(8))
     for run in runs:
         last = np.abs(run.truth[-1000:, :2] - np.pi).max()
         assert len(run.times) > SECONDS * settings.rate

@@ -8,7 +8,7 @@ from command_line import Ended, dpcontrol
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog, read_log
-from dpcontrol.loop.loop import loop_fallback
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import Ending, SupervisorSettings
 from dpcontrol.review.score import plan_of
 from dpcontrol.scenes.itinerary import load_itinerary
@@ -89,9 +89,9 @@ def test_what_cannot_be_held_is_refused() -> None:
 def test_the_orbits_and_equilibria_of_a_reference_and_hanging_still_are_candidates(name: str, own: str) -> None:
     itinerary = load_itinerary(name).with_run(RunOptions(hold="nearest"))
     reference = make_plan(itinerary).reference
-    fallback = loop_fallback(reference, itinerary.model.arms, itinerary.loop)
+    fallback = Assembly(reference, itinerary.model.arms, itinerary.loop).fallback
     assert fallback is not None
     assert fallback.session(0, reference.state(0.0))[1].startswith(f"holds {own}")
     hanging = np.array([2 * np.pi, 0.02, 0.0, 0.0, 0.1, 0.0])
     assert fallback.session(0, hanging)[1] == "holds down-down, 0.0064 (scaled) away, by lqr"
-    assert loop_fallback(reference, itinerary.model.arms, itinerary.with_run(RunOptions(hold="none")).loop) is None
+    assert Assembly(reference, itinerary.model.arms, itinerary.with_run(RunOptions(hold="none")).loop).fallback is None

@@ -17,20 +17,23 @@ from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.estimator_settings import AdaptiveEkfSettings
 from dpcontrol.control.tracking import AdaptiveSettings, adaptive_controller
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
-from dpcontrol.loop.loop import LoopSettings, loop_controller, sampled_model
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run_options import RunOptions
 
-QUICK = (0.1, 1.6)
+QUICK = (0.35, 1.6)
 """Of 16 runs."""
-PARAMETERS = (0.07, 1.5)
-"""At ±5 and ±10 %, of 64 runs. The filter is cautious: its noise on rates also stands for unmodelled dry friction."""
-FAR_OFF = 2.2
-"""At ±20 %, of 64 runs: it was 5 with a prior of 3 %."""
-STATES = (0.1, 1.25)
+PARAMETERS = (0.55, 1.5)
+"""Of 64 runs, from 2 s on."""
+EARLY = (0.4, 1.75)
+"""After half a second, when the prior still counts, which fits ±10 %."""
+STATES = (0.55, 1.25)
+SLOW = (0.35, 1.8)
+"""Of angles: rounding of an arm that hardly moves is no white noise, and a zero is first known by its prior."""
 SAME_BENCH = RunOptions(
     lag=0.005, drive_lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.02, counts=40_000, travel=0.8
 )  # fmt: skip
@@ -53,17 +56,17 @@ def test_states_and_parameters_err_by_what_the_filter_expects(turn: tuple[StandI
     found = beliefs(turn[1], LAB, settings=settings, controller=law, seeds=range(16), times=(0.5, 1.0))
     for kinds in (("M", "S"), ("rate",), ("velocity",), ("angle",)):
         assert ((of_kind(found, *kinds) > QUICK[0]) & (of_kind(found, *kinds) < QUICK[1])).all(), kinds
-    assert np.nanmean(found.nis[100:]) == pytest.approx(2.7, rel=0.1)
+    assert np.nanmean(found.nis[100:]) == pytest.approx(3.0, rel=0.15)
 
 
-@pytest.fixture(scope="module", params=["outer-turn", "cross"])
+@pytest.fixture(scope="module", params=["outer-turn", "cross", "turn-from-rest"])
 def flown(request: pytest.FixtureRequest):
     plan = make_plan(load_itinerary(request.param))
 
     def fly(options: RunOptions, mismatch: float) -> Beliefs:
         loop = plan.itinerary.with_run(replace(options, mismatch=mismatch)).loop
         arms = plan.itinerary.model.arms
-        law = loop_controller(plan.reference, arms, loop)
+        law = Assembly(plan.reference, arms, loop).controller
         return beliefs(
             plan.reference, arms, settings=loop, controller=law, seeds=range(64), times=(0.5, 2.0, -(loop.rate**-1))
         )
@@ -76,9 +79,8 @@ def test_parameters_are_as_uncertain_as_they_are_wrong_at_any_mismatch(flown) ->
     for mismatch in (0.05, 0.1, 0.2):
         found = of_kind(flown(UNTOLD, mismatch), "M", "S")
         sys.stdout.write(f"\n±{mismatch:.0%}, untold lag: parameters {found.round(2)}")
-        low, high = PARAMETERS
-        assert (found > low).all()
-        assert (found < (FAR_OFF if mismatch > 0.1 else high)).all()
+        for values, (low, high) in ((found[:1], EARLY), (found[1:], PARAMETERS)):
+            assert ((values > low) & (values < high)).all()
 
 
 @pytest.mark.slow
@@ -87,6 +89,7 @@ def test_states_err_by_what_the_filter_expects_on_a_bench_as_it_is_told(flown) -
     for kind in ("angle", "rate", "cart", "velocity"):
         over = of_kind(found, kind)
         sys.stdout.write(f"\n{kind} {over.round(2)}")
-        assert (over > STATES[0]).all(), kind
-        assert (over < STATES[1]).all(), kind
-    assert np.nanmean(found.nis[300:]) == pytest.approx(2.7, rel=0.1)
+        low, high = SLOW if kind == "angle" else STATES
+        assert (over > low).all(), kind
+        assert (over < high).all(), kind
+    assert np.nanmean(found.nis[300:]) == pytest.approx(3.0, rel=0.1)

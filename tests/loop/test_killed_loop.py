@@ -10,11 +10,14 @@ from told_run import killed
 
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.logs import LogWriter, read_log, recover
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import draw_bench
-from dpcontrol.loop.loop import LoopSettings, control_loop
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import LogSink, Reading
 from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import still
 
 LOST_SECONDS = 0.025
 MOMENTS = 25
@@ -88,7 +91,8 @@ def interrupted_run(folder: Path, controller: Hanging, *, rate: float, moments: 
     settings = LoopSettings(rate=rate, seed=0)
     draw = draw_bench(LAB, settings.bench, seed=0, ticks=controller.ticks + 1, period=1 / rate)
     with LogWriter(folder / "run.mcap", arm_lengths=LAB.length, rate_hz=rate, attachments=ATTACHMENTS) as log:
-        loop = control_loop(LAB, settings, controller, limits=LIMITS, sink=LogSink(log))
+        rest = still(np.zeros(6), 1.0, method=method_named("radau-7"), limits=LIMITS, interval=1.0)
+        loop = Assembly(rest, LAB, settings, law=controller).loop(sink=LogSink(log))
         rig = SimulatedRig(draw, settings.bench, limits=LIMITS, start=controller.first_state, queued=loop.queued)
         loop.run(CopyingRig(rig, log, folder, moments))
 

@@ -11,8 +11,9 @@ from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.tracking import FeedforwardSettings, TrackingController, tracking_controller
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs.layout import control_fields
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings, draw_bench
-from dpcontrol.loop.loop import LoopSettings, control_loop, run_loop, sampled_model
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult, LoopSink, SinkBeside, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
@@ -79,7 +80,7 @@ def test_real_runs_follow_to_the_end_and_show_the_orbit(tracked: tuple[StandIn, 
     period = DOWN_UP_LOW.period if reference.duration < 8 else UP_DOWN_HIGH.period
     tvlqr = tracking_controller(reference, sampled_model(LAB, REAL.rate), REAL.controller)
     for seed in range(3):
-        result = run_loop(reference, LAB, settings=replace(REAL, seed=seed), controller=tvlqr)
+        result = Assembly(reference, LAB, REAL, law=tvlqr).simulate(seed=seed)
         assert result.ending is Ending.FINISHED, result.reason
         assert distance_to_orbit(result, orbit, period) < FINAL
         assert np.abs(result.ticks.truth[:, 4]).max() < reference.limits.position
@@ -88,7 +89,7 @@ def test_real_runs_follow_to_the_end_and_show_the_orbit(tracked: tuple[StandIn, 
 
 def test_feedforward_alone_is_lost_and_says_so(tracked: tuple[StandIn, Reference]) -> None:
     settings = replace(REAL, controller=FeedforwardSettings())
-    result = run_loop(tracked[1], LAB, settings=settings)
+    result = Assembly(tracked[1], LAB, settings).simulate()
     assert result.ending is Ending.TRACKING_LOST
     assert "tracking lost at t = " in result.reason
     assert not result.finished
@@ -103,7 +104,7 @@ def test_the_right_model_tracks_to_encoder_counts(
     # Zeros that have to be found first cost their share.
     for augment, most in (((), COUNT), (("zeros",), 3 * COUNT)):
         settings = LoopSettings(seed=0, estimator=EkfSettings(augment=augment))
-        result = run_loop(turn[1], LAB, settings=settings, controller=controller)
+        result = Assembly(turn[1], LAB, settings, law=controller).simulate()
         assert result.finished
         assert rms((result.ticks.truth - result.ticks.references)[:, :2]) < most
         assert rms(result.ticks.control[:, FIELDS["applied"]]) < 2 * most / COUNT * turn[1].rms_cart_acceleration
@@ -114,7 +115,7 @@ def test_a_command_acts_after_the_delay_and_not_before(turn: tuple[StandIn, Refe
     first = turn[1].state(0.0)
     ramp = Scripted(first, 39, lambda tick: 0.001 * (tick + 1))
     settings = LoopSettings(seed=0, drive=DriveSettings(delay=delay))
-    result = run_loop(turn[1], LAB, settings=settings, controller=ramp)
+    result = Assembly(turn[1], LAB, settings, law=ramp).simulate()
     command, applied = result.ticks.control[:, FIELDS["command"]], result.ticks.control[:, FIELDS["applied"]]
     # A ramp's mean over a period that two commands share lies between them as the delay's fraction says.
     first_known = int(np.ceil(delay))
@@ -132,9 +133,9 @@ def test_a_late_command_that_nobody_expects_is_worse(
 ) -> None:
     # Beyond the margin: the unstable direction grows by half in that time.
     slow = replace(REAL, drive=DriveSettings(delay=50.0))
-    expected = run_loop(turn[1], LAB, settings=slow)
+    expected = Assembly(turn[1], LAB, slow).simulate()
     draw = draw_bench(LAB, slow.bench, seed=0, ticks=controller.ticks + 1, period=1e-3, initial_error=0.02)
-    loop = control_loop(LAB, slow, controller, limits=turn[1].limits, believed_delay=0.0)
+    loop = Assembly(turn[1], LAB, slow, law=controller, believed_delay=0.0).loop()
     unaware = loop.run(SimulatedRig(draw, slow.bench, limits=turn[1].limits, start=controller.first_state))
     assert expected.finished
     assert unaware.ending is not Ending.FINISHED
@@ -143,7 +144,7 @@ def test_a_late_command_that_nobody_expects_is_worse(
 def test_truth_between_ticks_is_the_mismatched_plant_under_the_applied_command(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
-    result = run_loop(turn[1], LAB, settings=REAL, controller=controller)
+    result = Assembly(turn[1], LAB, REAL, law=controller).simulate()
     assert result.plant != LAB
     for value, nominal in zip(result.plant.mass, LAB.mass, strict=True):
         assert abs(value / nominal - 1) <= 0.02
@@ -159,9 +160,7 @@ def test_truth_between_ticks_is_the_mismatched_plant_under_the_applied_command(
 def test_a_seed_repeats_its_run_and_another_draws_another(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
-    once, again, other = (
-        run_loop(turn[1], LAB, settings=replace(REAL, seed=s), controller=controller) for s in (4, 4, 5)
-    )
+    once, again, other = (Assembly(turn[1], LAB, REAL, law=controller).simulate(seed=s) for s in (4, 4, 5))
     assert (once.ticks.truth == again.ticks.truth).all()
     assert (once.ticks.control == again.ticks.control).all()
     assert once.plant != other.plant
@@ -169,7 +168,7 @@ def test_a_seed_repeats_its_run_and_another_draws_another(
     assert 0 < np.abs(start).max() <= REAL.initial_error
     assert (once.ticks.truth[0, 2:] == once.ticks.references[0, 2:]).all()
     # One setting's draw does not depend on the other.
-    exact = run_loop(turn[1], LAB, settings=replace(REAL, seed=4, mismatch=0.0), controller=controller)
+    exact = Assembly(turn[1], LAB, REAL, law=controller).simulate(seed=4, mismatch=0.0)
     assert (exact.ticks.truth[0] == once.ticks.truth[0]).all()
 
 
@@ -177,10 +176,9 @@ def test_the_sink_sees_every_tick_and_the_ending(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
     kept, heard = Kept(), []
-    result = run_loop(
-        turn[1], LAB, settings=REAL, controller=controller, sink=kept,
-        progress=lambda what, done: heard.append((what, done)),
-    )  # fmt: skip
+    result = Assembly(turn[1], LAB, REAL, law=controller).simulate(
+        sink=kept, progress=lambda what, done: heard.append((what, done))
+    )
     for name in ("times", "truth", "estimates", "control"):
         assert (kept.whole(name) == getattr(result.ticks, name)).all()
     assert max(len(block.times) for block in kept.blocks) <= 20
@@ -196,7 +194,7 @@ def test_a_sink_beside_the_loop_sees_the_same_and_what_fails_there_ends_the_run(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
     def run(sink: LoopSink) -> None:
-        run_loop(turn[1], LAB, settings=REAL, controller=controller, sink=sink)
+        Assembly(turn[1], LAB, REAL, law=controller).simulate(sink=sink)
 
     here, there = Kept(), Kept()
     run(here)
@@ -220,7 +218,7 @@ def test_the_cart_is_braked_before_its_stop_and_the_run_ends_by_name(
     short = replace(turn[1], limits=Limits(position=0.012))
     kept = Kept()
     for seed in range(5):
-        result = run_loop(short, LAB, settings=replace(REAL, seed=seed), controller=controller, sink=kept)
+        result = Assembly(short, LAB, REAL, law=controller).simulate(seed=seed, sink=kept)
         assert result.ending is Ending.CART_STOP
         assert "cart at its stop at t = " in result.reason
         assert kept.events[-1][1:3] == ("error", "cart at its stop")
@@ -233,7 +231,7 @@ def test_the_cart_is_braked_before_its_stop_and_the_run_ends_by_name(
 def test_a_weak_drive_is_reported_as_saturated(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
     weak = replace(turn[1], limits=Limits(acceleration=0.3))
     kept = Kept()
-    result = run_loop(weak, LAB, settings=REAL, controller=controller, sink=kept)
+    result = Assembly(weak, LAB, REAL, law=controller).simulate(sink=kept)
     assert np.abs(result.ticks.control[:, FIELDS["applied"]]).max() <= 0.3
     assert result.ticks.control[:, FIELDS["saturated"]].any()
     assert "saturated" in [e[2] for e in kept.events]
@@ -248,14 +246,14 @@ def test_arms_of_another_kind_lose_the_estimate_by_name(
         first_angle=0.05,
     )  # fmt: skip
     settings = replace(REAL, estimator=strict, plant=other, mismatch=0.0)
-    result = run_loop(turn[1], LAB, settings=settings, controller=controller)
+    result = Assembly(turn[1], LAB, settings, law=controller).simulate()
     assert result.ending is Ending.ESTIMATE_LOST
     assert "NIS" in result.reason
 
 
 def test_coarse_encoders_still_serve(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
     settings = replace(REAL, sensors=SensorSettings(counts=1024))
-    assert run_loop(turn[1], LAB, settings=settings, controller=controller).finished
+    assert Assembly(turn[1], LAB, settings, law=controller).simulate().finished
 
 
 def test_a_controller_for_other_arms_is_refused(
@@ -263,7 +261,7 @@ def test_a_controller_for_other_arms_is_refused(
 ) -> None:
     other = replace(controller, reference_states=controller.reference_states[:, :4])
     with pytest.raises(InputError, match="these arms have"):
-        run_loop(turn[1], LAB, settings=REAL, controller=other)
+        Assembly(turn[1], LAB, REAL, law=other).simulate()
 
 
 def test_impossible_runs_are_refused() -> None:

@@ -11,7 +11,8 @@ from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.margins import Margins
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.loop import LoopSettings, loop_controller, loop_margins, make_ticker, sampled_model
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Reading
 from dpcontrol.references.problem import Limits
 from dpcontrol.scenes.itinerary import load_itinerary
@@ -45,9 +46,9 @@ def difference(
     """  # fmt: skip
     arms, period = plan.itinerary.model.arms, 1 / settings.rate
     model, runs = sampled_model(arms, settings.rate), []
-    begins = round(settled * settings.rate)
+    begins, unbound = round(settled * settings.rate), replace(plan.reference, limits=FREE)
     for perturbation in (0.0, PERTURBED):
-        ticker = make_ticker(arms, settings, law, limits=FREE, delay=1.0)
+        ticker = Assembly(unbound, arms, settings, law=law, believed_delay=1.0).ticker()
         x, lagging, states = law.first_state.copy(), 0.0, []
         sent = deque([0.0] * 400, maxlen=400)
         for k in range(law.ticks):
@@ -95,8 +96,8 @@ def test_a_held_equilibrium_is_lost_where_its_margins_end() -> None:
     plan = plan_of("hold-up-up")
     settings = LoopSettings(seed=0, rate=200.0, controller=HoldSettings())
     arms = plan.itinerary.model.arms
-    law = replace(loop_controller(plan.reference, arms, settings), ticks=1600)
-    margins = loop_margins(plan.reference, arms, settings, law)
+    law = replace(Assembly(plan.reference, arms, settings).controller, ticks=1600)
+    margins = Assembly(plan.reference, arms, settings, law=law).margins()
     # What nothing excites, a zero of hanging arms, stays at 1 to rounding.
     assert margins.growth.max() < 1 + 1e-6
     check_borders(plan, settings, margins, law, settled=4.0)
@@ -107,8 +108,8 @@ def test_a_kept_orbit_is_lost_where_its_margins_end() -> None:
     plan = plan_of("keep-down-up")
     settings = LoopSettings(seed=0)
     arms = plan.itinerary.model.arms
-    law = replace(loop_controller(plan.reference, arms, settings), ticks=16_000)
-    margins = loop_margins(plan.reference, arms, settings, law)
+    law = replace(Assembly(plan.reference, arms, settings).controller, ticks=16_000)
+    margins = Assembly(plan.reference, arms, settings, law=law).margins()
     # So many times the feedforward would move the orbit itself, which is another than the reference then.
     check_borders(plan, settings, margins, law, settled=6.0, but="gain_high")
 
@@ -117,8 +118,8 @@ def test_a_kept_orbit_is_lost_where_its_margins_end() -> None:
 def test_a_flight_has_on_an_orbit_the_margins_of_the_orbit() -> None:
     plan, arms = plan_of("turn-from-rest"), plan_of("turn-from-rest").itinerary.model.arms
     settings = LoopSettings(seed=0, controller=TvlqrSettings(closing=1.0))
-    flight = loop_margins(plan.reference, arms, settings)
-    kept = settled_margins(loop_margins(plan_of("keep-down-up").reference, arms, settings))
+    flight = Assembly(plan.reference, arms, settings).margins()
+    kept = settled_margins(Assembly(plan_of("keep-down-up").reference, arms, settings).margins())
     # The walk's own orbit, which it wobbles on, away from both ends of its stay.
     on_orbit = (flight.times > 4.0) & (flight.times < 7.0)
     assert on_orbit.sum() > 4
@@ -132,6 +133,6 @@ def test_a_law_without_margins_says_so() -> None:
     plan = plan_of("keep-down-up")
     arms = plan.itinerary.model.arms
     with pytest.raises(InputError, match="pulses"):
-        loop_margins(plan.reference, arms, plan.itinerary.loop)
+        Assembly(plan.reference, arms, plan.itinerary.loop).margins()
     with pytest.raises(InputError, match="feeds nothing back"):
-        loop_margins(plan.reference, arms, LoopSettings(seed=0, controller=FeedforwardSettings()))
+        Assembly(plan.reference, arms, LoopSettings(seed=0, controller=FeedforwardSettings())).margins()

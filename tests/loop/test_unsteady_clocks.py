@@ -8,8 +8,9 @@ from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.estimator_settings import AdaptiveEkfSettings
 from dpcontrol.control.tracking import AdaptiveSettings
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
-from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, loop_controller, run_batch
+from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.result import Ending, LoopResult, NoSink, Reading
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference
@@ -50,10 +51,9 @@ def flown(
     reference: Reference, sensors: SensorSettings, rig: type[SimulatedRig] = SimulatedRig
 ) -> tuple[LoopResult, ControlLoop, Told]:
     settings, told = replace(SETTINGS, sensors=sensors), Told()
-    controller, limits = loop_controller(reference, LAB, settings), settings.limits(reference)
-    loop = control_loop(LAB, settings, controller, limits=limits, sink=told)
-    draw = settings.draw(LAB, ticks=controller.ticks + 1)
-    bench = rig(draw, settings.bench, limits=limits, start=controller.first_state, queued=loop.queued)
+    assembly = Assembly(reference, LAB, settings)
+    loop, start = assembly.loop(sink=told), assembly.controller.first_state
+    bench = rig(assembly.draw(), settings.bench, limits=assembly.limits, start=start, queued=loop.queued)
     return loop.run(bench), loop, told
 
 
@@ -104,8 +104,8 @@ def test_runs_with_jitter_of_a_period_come_to_their_end(
     turn: tuple[StandIn, Reference], rate: float, counts: int
 ) -> None:
     settings = replace(SETTINGS, rate=rate, sensors=SensorSettings(jitter=1 / rate, counts=counts, dropout=0.03))
-    controller = loop_controller(turn[1], LAB, settings)
-    runs = run_batch(LAB, settings=settings, seeds=range(16), controller=controller, limits=settings.limits(turn[1]))
+    controller = Assembly(turn[1], LAB, settings).controller
+    runs = Assembly(turn[1], LAB, settings, law=controller).batch(range(16))
     # Where jitter is as long as the period, an arm in fast flight may look like one whose encoder is stuck.
     finished = sum(run.ending is Ending.FINISHED for run in runs)
     assert finished >= LEAST, [run.reason for run in runs]

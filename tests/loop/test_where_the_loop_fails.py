@@ -13,8 +13,9 @@ from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.tracking import TrackingController, tracking_controller
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings, draw_bench
-from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference
@@ -66,16 +67,19 @@ def ended(
     believed_delay: float | None = None,
     fallback: object = None,
 ) -> Ended:
-    limits = settings.limits(turn[1])
+    if fallback is not None:
+        settings = replace(settings, supervisor=replace(settings.supervisor, hold="nearest"))
+    assembly = Assembly(turn[1], LAB, settings, law=controller, believed_delay=believed_delay)
+    if fallback is not None:
+        # In place of what it would look for.
+        vars(assembly)["fallback"] = fallback
     draw = draw_bench(
         LAB, settings.bench, seed=settings.seed, ticks=controller.ticks + 1 + AFTER, period=1e-3,
         mismatch=settings.mismatch, initial_error=settings.initial_error,
     )  # fmt: skip
     log = Kept()
-    loop = control_loop(
-        LAB, settings, controller, limits=limits, believed_delay=believed_delay, sink=log, fallback=fallback
-    )
-    rig = SimulatedRig(draw, settings.bench, limits=limits, start=controller.first_state, queued=loop.queued)
+    loop = assembly.loop(sink=log)
+    rig = SimulatedRig(draw, settings.bench, limits=assembly.limits, start=controller.first_state, queued=loop.queued)
     record = loop.run(rig)
     truth = record.ticks.truth
     assert truth is not None

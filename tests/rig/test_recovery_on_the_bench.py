@@ -10,8 +10,8 @@ import pytest
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import read_log
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import Push
-from dpcontrol.loop.loop import control_loop, loop_controller, loop_recovery
 from dpcontrol.loop.result import Ending, NoSink
 from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
 from dpcontrol.rig.client import LinkSettings, UdpRig
@@ -81,13 +81,10 @@ class Dies(NoSink):
 def fly(address: tuple[str, int], key: bytes) -> None:
     plan = falling()
     arms, settings = plan.itinerary.model.arms, plan.itinerary.loop
-    controller = loop_controller(plan.reference, arms, settings)
-    shared = loop_recovery(plan.reference, arms, settings, controller)
+    controller = Assembly(plan.reference, arms, settings).controller
+    shared = Assembly(plan.reference, arms, settings, law=controller).recovery
     assert shared is not None
-    loop = control_loop(
-        arms, settings, controller, limits=settings.limits(plan.reference), sink=Dies(),
-        recovery=shared,
-    )  # fmt: skip
+    loop = Assembly(plan.reference, arms, settings, law=controller).loop(sink=Dies(), recovery=shared)
     loop.rehearse()
     with UdpRig(address, queued=loop.queued, key=key) as rig:
         loop.run(rig)

@@ -18,7 +18,8 @@ from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.tracking import tracking_controller
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Ending
 from dpcontrol.references.reference import Reference
 from dpcontrol.rig import packets as packets
@@ -54,6 +55,12 @@ def test_packets_are_laid_out_as_described() -> None:
     data = packets.packed(packets.reading(content), Role.BENCH, **at)
     assert data == head(3, 2) + expected + text
     assert packets.unpacked(data, Role.BENCH) == packets.Heard(Kind.READING, 258, 3, content)
+    aged = content._replace(age=0.0004)
+    data = packets.packed(packets.reading(aged), Role.BENCH, **at)
+    assert data == head(3, 2) + expected + text + struct.pack("<d", 0.0004)
+    assert packets.unpacked(data, Role.BENCH) == packets.Heard(Kind.READING, 258, 3, aged)
+    sealed_reading = packets.packed(packets.reading(aged), Role.BENCH, **at, key=KEY)
+    assert packets.unpacked(sealed_reading, Role.BENCH, key=KEY).content == aged
     sealed = packets.packed(packets.command(7, -1.5), Role.LOOP, **at, key=KEY)
     assert sealed == told + hmac.new(KEY, b"loop" + told, "sha256").digest()[:16]
     assert packets.unpacked(sealed, Role.LOOP, key=KEY).content == packets.CommandPacket(7, -1.5)
@@ -113,6 +120,12 @@ def test_zeros_are_taken_off_the_arms_readings() -> None:
     with served(Toy()) as bench, UdpRig(bench.address, zeros=[0.25, -0.5], settings=LONG) as rig:
         rig.read()
         assert rig.read().positions == pytest.approx([0.75, 1.5, 1.0])
+
+
+@pytest.mark.parametrize(("sent", "comes"), [(0.0003, 0.0003), (None, None), (5.0, None), (math.nan, None)])
+def test_a_readings_age_comes_with_it_unless_it_is_none(sent: float | None, comes: float | None) -> None:
+    with served(Toy(age=sent)) as bench, UdpRig(bench.address, settings=LONG) as rig:
+        assert [rig.read().age, rig.read().age] == [comes, comes]
 
 
 @pytest.mark.slow
@@ -303,7 +316,7 @@ def test_the_loop_follows_its_reference_on_a_bench_in_a_process_of_its_own(turn:
     # A busy machine misses deadlines and so loses the arms: what is asked here is that it follows where it keeps time.
     for _ in range(KEEPING_TIME):
         with BenchProcess(recipe, PATIENT) as bench:
-            loop = control_loop(LAB, settings, short, limits=turn[1].limits)
+            loop = Assembly(turn[1], LAB, settings, law=short).loop()
             loop.rehearse()
             with UdpRig(bench.address, queued=loop.queued, key=bench.key) as rig:
                 result = loop.run(rig)

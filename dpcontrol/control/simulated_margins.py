@@ -1,0 +1,133 @@
+"""Margins by simulation: up to which gain, further delay and further lag the nonlinear loop keeps to its reference.
+
+Multipliers (`dpcontrol.control.margins`) are those of small errors in a short window. They do not show that a loop with
+dry friction oscillates, by an amplitude that grows as the gain falls, nor that a flight may pass through a window in
+which errors grow. So the whole loop, filter and supervisor included, flies its reference from a small first error. Arms
+and sensors are as the model says, dry friction included. Runs side by side differ in their drive:
+
+    mean of period k: through a lag τ, g · (command a delay D + d ago)
+
+Of each margin a row of values is tried from the nominal one on; the border lies before the first with which the
+reference is lost, and is then narrowed down by a second row.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpcontrol.control.interface import GainSchedule, SampledModel
+from dpcontrol.control.tick import TickProgram
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.references.problem import Limits
+
+FIRST_ERROR = 2e-3
+"""rad, of each angle at the start: large against a count, small against what a loop has to bear."""
+ASTRAY, _PHASE = 0.2, 0.1
+"""rad from the reference over a run's last tenth, at a time that is off by so many seconds at most: as in the score."""
+SHAKEN = 0.5
+"""rms of what feedback moves the cart by over the last tenth, as a share of its greatest acceleration: more is a swing
+that limits alone contain."""
+_TRIED = 16
+"""Values of each margin in a row."""
+_LOST, _EVERY = 1.5, 10
+"""rad, ticks."""
+FARTHEST = {"gain_low": 1 / 64, "gain_high": 64.0, "delay": 0.128, "lag": 0.512}
+_NEAREST = {"gain_low": 1.0, "gain_high": 1.0, "delay": 1e-3, "lag": 1e-3}
+
+
+@dataclass(frozen=True, eq=False)
+class NominalLoop:
+    """A loop whose arms and drive are as believed.
+
+    plant: with the drive's lag; program_of: a tick for so many runs, which has begun on the law; delay in periods;
+    limits: the cart's.
+    """
+
+    plant: SampledModel
+    program_of: Callable[[int], TickProgram]
+    law: GainSchedule
+    delay: float
+    limits: Limits
+
+    def lost_at(self, gain: Array, delay: Array, lag: Array) -> Array:
+        """Return when runs with these gains (S,), further delays (S,) and lags (S,) in s are lost, s; inf for never."""
+        count, period, n = len(gain), self.plant.period, self.plant.arms
+        rows, references = self.law.rows, self.law.references
+        program, step = self.program_of(count), self.plant.machine
+        lanes, positions = program.lanes, self.plant.position_indices
+        changed = (gain, self.delay + delay / period, np.maximum(self.plant.lag + lag, 1e-9))
+        g, d, tau = (program.spread(values) for values in changed)
+        whole = np.floor(d + 1e-9).astype(int)
+        part, kept = np.maximum(d - whole, 0.0), np.exp(-period / tau)
+        mean = tau / period * (1 - kept)
+        first = np.repeat(references[0][:, None], lanes, axis=1)
+        x = first.copy()
+        x[:n] += FIRST_ERROR
+        inputs = np.concatenate([x, np.zeros((1, lanes)), np.repeat(self.plant.parameters[:, None], lanes, axis=1)])
+        slots, each, lagging = int(whole.max()) + 2, np.arange(lanes), np.zeros(lanes)
+        sent, lost, swing = np.zeros((slots, lanes)), np.full(lanes, np.inf), np.zeros(lanes)
+        for k, command in enumerate(self.law.queued):
+            sent[k - len(self.law.queued)] = command
+        tail, around = len(rows) * 9 // 10, round(_PHASE / period)
+        for k, row in enumerate(rows):
+            program.take(x[positions], None, 0, None)
+            program.row[:] = row[:, None]
+            program.tick()
+            report, at = program.report, program.at
+            sent[k % slots] = report[at["command"]]
+            acting = g * ((1 - part) * sent[(k - whole) % slots, each] + part * sent[(k - whole - 1) % slots, each])
+            acting = np.clip(acting, -self.limits.acceleration, self.limits.acceleration)
+            inputs[len(x)] = acting + mean * (lagging - acting)
+            lagging = kept * lagging + (1 - kept) * acting
+            x = inputs[: len(x)] = step(inputs, np.empty(x.shape))
+            path = references[k + 1 : k + 2, :n] if k < tail else references[k - around : k + around : _EVERY, :n]
+            away = np.abs(x[:n] - path[:, :, None]).max(axis=1).min(axis=0, initial=np.inf)
+            near = (away < (_LOST if k < tail else ASTRAY)) & (np.abs(x[2 * n]) < self.limits.position)
+            lost[~(near & (report[at["stop"]] == 0)) & np.isinf(lost)] = (k + 1) * period
+            swing += (g * report[at["feedback"]]) ** 2 / (len(rows) - tail) if k >= tail else 0.0
+            gone = np.isfinite(lost)
+            if gone.all():
+                break
+            # What is lost rests, so that nothing overflows.
+            x = inputs[: len(x)] = np.where(gone, first, x)
+        lost[(swing > (SHAKEN * self.limits.acceleration) ** 2) & np.isinf(lost)] = len(rows) * period
+        return lost[:count]
+
+
+def simulated_margins(loop: NominalLoop) -> dict[str, tuple[float, float]]:
+    """Return gain_low, gain_high, delay and lag in s, each with the time in s at which the run just beyond is lost.
+
+    Where none is lost the margin is the farthest value that was tried, and the time not a number. With margins of 1 and
+    0 the loop is lost as it is.
+    """
+    (nominal,) = loop.lost_at(np.ones(1), np.zeros(1), np.zeros(1))
+    near: dict[str, float] = dict(_NEAREST)
+    far, when = dict(FARTHEST), dict.fromkeys(FARTHEST, np.nan)
+    if np.isfinite(nominal):
+        return {name: (1.0 if name.startswith("gain") else 0.0, float(nominal)) for name in far}
+    kept = {name: 1.0 if name.startswith("gain") else 0.0 for name in far}
+    for _ in range(2):
+        rows = {name: np.geomspace(near[name], far[name], _TRIED + 1) for name in far}
+        # The nominal gain is known to be kept; the shortest delay is not.
+        tried = {name: row[1:] if kept[name] == near[name] else row for name, row in rows.items()}
+        lost = _of_all(loop, tried)
+        for name, values in tried.items():
+            first = int(np.argmax(np.isfinite(lost[name]))) if np.isfinite(lost[name]).any() else len(values)
+            if first:
+                kept[name] = near[name] = float(values[first - 1])
+            if first < len(values):
+                far[name], when[name] = float(values[first]), float(lost[name][first])
+    return {name: (kept[name], when[name]) for name in far}
+
+
+def _of_all(loop: NominalLoop, tried: dict[str, Array]) -> dict[str, Array]:
+    """Return when runs are lost, by margin, all of them flown side by side."""
+    drives: dict[str, Array] = {}
+    sizes = np.cumsum([0, *(len(values) for values in tried.values())])
+    for key, usual in (("gain", 1.0), ("delay", 0.0), ("lag", 0.0)):
+        drives[key] = np.concatenate(
+            [values if name.startswith(key) else np.full(len(values), usual) for name, values in tried.items()]
+        )
+    lost = loop.lost_at(**drives)
+    return {name: lost[sizes[k] : sizes[k + 1]] for k, name in enumerate(tried)}

@@ -1,0 +1,382 @@
+"""What a closed loop is made of, made once for any number of runs: controller, fallback, recovery, ticker, bench.
+
+An assembly is a reference, the arms of the model and the settings of a run. Its parts are made when they are first
+needed: a run tick by tick, many runs in lockstep, a run on a rig and the margins all take theirs from here.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.control.calming import CalmingSettings, calming_controller
+from dpcontrol.control.estimator_settings import Augment, EkfSettings, FilterSettings
+from dpcontrol.control.handover import NearestKeeper
+from dpcontrol.control.interface import MANY, Controller, GainSchedule, Mode, SampledModel, schedule_of
+from dpcontrol.control.lqr import HoldController, HoldSettings
+from dpcontrol.control.margins import Margins, law_margins
+from dpcontrol.control.simulated_margins import NominalLoop, simulated_margins
+from dpcontrol.control.tick import TickProgram, whole_periods
+from dpcontrol.control.tracking import TvlqrSettings, costs_to_go
+from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
+from dpcontrol.dynamics.compiled import VECTOR
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.loop.bench import BenchDraw, StreamReader
+from dpcontrol.loop.controllers import make_controller, make_estimator, nearest_keeper
+from dpcontrol.loop.lockstep import Lockstep
+from dpcontrol.loop.loop import ControlLoop, LoopSettings, sampled_model
+from dpcontrol.loop.own import OwnEstimator, OwnLaw
+from dpcontrol.loop.recovery import RETURN_SECONDS, FallRecovery, Reach, RecoveryPlan, StartController, started
+from dpcontrol.loop.result import BatchRun, LoopResult, LoopSink, NoSink
+from dpcontrol.loop.simulated import BatchBench, SimulatedRig
+from dpcontrol.loop.ticker import Ticker
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import Reference, StartNote, joined, plan_notes, start_reference
+
+_PLACES = 100.0
+"""Hz, at which a reference has places where a run may be caught."""
+_ONWARD = 4.0
+"""Seconds of the itinerary after a start joins it that the start's gains look ahead to: these forget what is later."""
+_UNBOUND = Limits(position=1e6, velocity=1e6, acceleration=1e6)
+"""Of a cart that nothing stops."""
+_HELD = 10.0
+"""s of a hold that are simulated for its margins."""
+_WOBBLE = 0.8
+"""s: of a reference that names no orbit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """A reference, the arms of the model, the settings of a run, and what is made of them.
+
+    uncertainty: of the model, for settings that draw the plant from it. law: a controller made before, in place of the
+    settings' own. believed_delay in periods, the drive's own by default.
+    """
+
+    reference: Reference
+    arms: ArmChainParameters
+    settings: LoopSettings
+    uncertainty: Uncertainty | None = None
+    law: Controller | None = None
+    believed_delay: float | None = None
+
+    def under(self, settings: LoopSettings) -> "Assembly":
+        """Return the parts made so far under other settings of the bench, supervisor or seed."""
+        other = replace(self, settings=settings)
+        parts = ("controller", "fallback", "recovery")
+        other.__dict__.update({name: self.__dict__[name] for name in parts if name in self.__dict__})
+        return other
+
+    @property
+    def limits(self) -> Limits:
+        """The cart's limits: the reference's, with the settings' travel where it is given."""
+        return self.settings.limits(self.reference)
+
+    @property
+    def delay(self) -> float:
+        """The drive's delay that the loop reckons with, in periods."""
+        return self.settings.drive.delay if self.believed_delay is None else self.believed_delay
+
+    @property
+    def model(self) -> SampledModel:
+        """The model of controller and filter. A hold that estimates disturbances leaves dry friction to them."""
+        settings = self.settings
+        leaves = isinstance(settings.controller, HoldSettings) and Augment.DISTURBANCE in settings.estimator.augments
+        arms = replace(self.arms, coulomb=()) if leaves else self.arms
+        return sampled_model(arms, settings.rate, settings.known_lag)
+
+    @cached_property
+    def controller(self) -> Controller:
+        """The controller.
+
+        Raises:
+            InputError: the reference did not converge, or is not one of these arms.
+            GoalMissed: no controller can be made for it.
+        """
+        settings = self.settings
+        return self.law or make_controller(
+            self.reference, self.arms, self.model, settings=settings.controller, estimator=settings.estimator,
+            keep=settings.keep,
+        )  # fmt: skip
+
+    @cached_property
+    def fallback(self) -> NearestKeeper | None:
+        """What is held when tracking is lost; None for nothing.
+
+        Raises:
+            InputError: the reference is of other arms.
+            GoalMissed: an orbit was not found, or cannot be held.
+        """
+        if self.settings.supervisor.hold == "none":
+            return None
+        law = self.settings.controller
+        flies = law if isinstance(law, TvlqrSettings) else TvlqrSettings()
+        return nearest_keeper(self.reference, self.arms, self.model, flies=flies)
+
+    @cached_property
+    def recovery(self) -> RecoveryPlan | None:
+        """How runs recover from a fall, by the reference's ways from rest to its stops; None if they end.
+
+        Raises:
+            InputError: the reference has none, or the controller keeps a clock of its own.
+            GoalMissed: no controller can be made for a start.
+        """
+        return self.planned_recovery()
+
+    def planned_recovery(self, *, later: bool = False) -> RecoveryPlan | None:
+        """Return `recovery`; later: the reference may have no starts, for they are added to it while it runs."""
+        reference, settings = self.reference, self.settings
+        s = settings.supervisor
+        if s.on_fall == "stop":
+            return None
+        main = schedule_of(self.controller, whole_periods(settings.drive.delay)[1])
+        if main is None:
+            raise InputError(
+                f'supervisor: on_fall = "{s.on_fall}": {self.controller.kind} keeps a clock of its own, and cannot be '
+                'taken up anywhere; use kind = "adaptive", "tvlqr" or "lqr" without keep'
+            )
+        notes = plan_notes(reference)
+        starts: Sequence[StartNote] = notes.get("starts", ())
+        if not starts and not later:
+            raise InputError(
+                f'supervisor: on_fall = "{s.on_fall}": the reference was planned without ways from rest to its stops; '
+                "plan the itinerary again with that setting"
+            )
+        ways = [self.start(note, start_reference(reference, k), main) for k, note in enumerate(starts)]
+        model, limits = self.model, self.limits
+        reaction = (settings.drive.delay + 1) / settings.rate + settings.known_lag
+        calming = calming_controller(model, limits, CalmingSettings(), reaction=reaction, seconds=RETURN_SECONDS)
+        last = notes["stops"][-1]["orbit"]
+        every = max(1, round(settings.rate / _PLACES))
+        reach = costs_to_go(reference, sampled_model(self.arms, settings.rate / every), TvlqrSettings())
+        return RecoveryPlan(
+            calming, ways, tuple(stop["saddle"] for stop in notes["stops"]),
+            tuple(symbol["text"] for symbol in notes["symbols"]), limits,
+            reference.extra[f"orbit_{last}"][:, : model.arms], notes["orbits"][last]["period"], main,
+            Reach(every, *reach), s.on_fall == "restart", s.attempts,
+        )  # fmt: skip
+
+    def start(self, note: StartNote, lead_in: Reference | None, main: GainSchedule) -> StartController:
+        """Return a way from rest to a stop and on along the reference; lead_in: its transfer, None from a stop at rest.
+
+        main: gains of the whole reference.
+
+        Raises:
+            GoalMissed: no controller can be made for it.
+        """
+        # Runs that do not recover do without what finds references.
+        from dpcontrol.references.find import tail
+
+        settings = self.settings
+        turns = 2 * np.pi * np.array(note["turns"], dtype=float)
+        gains, ticks = main, 0
+        if lead_in is not None:
+            ticks = round(lead_in.duration * settings.rate)
+            onward = tail(self.reference, note["at"], seconds=_ONWARD, turns=turns)
+            law = TvlqrSettings() if isinstance(settings.controller, HoldSettings) else settings.controller
+            flown = make_controller(
+                joined([lead_in, onward])[0], self.arms, self.model, settings=law, estimator=settings.estimator
+            )
+            before = schedule_of(flown, whole_periods(settings.drive.delay)[1])
+            assert before is not None
+            gains = before
+        whole = started(gains, main, lead_in=ticks, place=round(note["at"] * settings.rate), turns=turns)
+        return StartController(note["stop"], note["at"], ticks, turns, whole)
+
+    def ticker(self, *, runs: int = 1, library: Path | None = None) -> Ticker:
+        """Return controller, estimator and supervisor of one run, or of `runs` side by side.
+
+        library: one made of what `dpcontrol export` writes, which does the ticks of one run.
+
+        Raises:
+            InputError: the delay is impossible, or the controller is not for these arms; or the library is not of these
+                settings, or such a one cannot be.
+        """
+        settings, controller, model, lead = self.settings, self.controller, self.model, whole_periods(self.delay)[1]
+        # The estimator relies on the stated noise of sensors and drive.
+        noise = settings.sensors.covariance(self.arms.count)
+        filters = settings.estimator.with_command_noise(
+            settings.drive.command_noise, period=model.period, keeps=model.lag_keeps
+        )
+        schedule = schedule_of(controller, lead)
+        make: Any = TickProgram
+        if library is not None:
+            from dpcontrol.control.export import LibraryProgram, checked_exportable
+
+            schedule = checked_exportable(controller, lead=lead)
+            make = partial(LibraryProgram, library)
+        program = make(
+            model, filters, noise=noise, delay=self.delay, runs=runs,
+            bounds=self._bounds(0.0 if schedule is None else schedule.trust),
+            shares=None if schedule is None else schedule.shares,
+            mechanics=settings.known_mechanics(self.arms.count),
+        )  # fmt: skip
+        compiled = isinstance(settings.estimator, EkfSettings)
+        estimator = None if compiled else make_estimator(filters, model, noise=noise)
+        kind = settings.estimator.kind
+        ticker = Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=kind)
+        if library is not None and schedule is not None:
+            program.check(schedule, law=controller.kind)
+        return ticker
+
+    def _bounds(self, trust: float) -> dict[str, float]:
+        """Return the numbers that a tick judges by (`tick.BOUNDS`)."""
+        settings, limits, s = self.settings, self.limits, self.settings.supervisor
+        delay = settings.drive.delay
+        return {
+            "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": limits.position,
+            "reaction": (delay + 1) / settings.rate + settings.known_lag,
+            # The state ahead is that at which a command acts: the delay is in it.
+            "onset": (delay - whole_periods(delay)[1] + 1) / settings.rate + settings.known_lag,
+            "brake": 2 * s.braking * limits.acceleration,
+            "margin": s.margin, "lost_tracking": s.lost_tracking, "lost_estimate": s.lost_estimate,
+            "resynchronise": s.resynchronise, "restarts": s.restarts, "missing": s.missing,
+            "can_hold": s.hold != "none",
+            "trust": trust, "mode": Mode.TRACKING, "scale": settings.sensors.cart_resolution,
+        }  # fmt: skip
+
+    def loop(
+        self,
+        *,
+        sink: LoopSink | None = None,
+        rate_noise: StreamReader | None = None,
+        recovery: RecoveryPlan | None = None,
+        until: int = 0,
+        keep: bool = True,
+        library: Path | None = None,
+        progress: Progress = no_progress,
+    ) -> ControlLoop:
+        """Return a loop for any rig, simulated or real.
+
+        rate_noise, (n, 1) rad/s by tick, until, keep: see `ControlLoop`; until: the itinerary is repeated up to then.
+        recovery: in place of the assembly's own. library: see `ticker`.
+
+        Raises:
+            InputError: the delay is impossible, or the controller is not for these arms; or the library not for this.
+        """
+        recovery, fallback = recovery or self.recovery, self.fallback
+        if library is not None and (rate_noise is not None or fallback is not None or recovery is not None):
+            what = "noise on measured rates" if fallback is None else 'hold = "nearest"'
+            what = what if recovery is None else "on_fall"
+            raise InputError(f"run: a controller's library knows nothing of {what}; run it without")
+        ticker = self.ticker(library=library)
+        falls = None if recovery is None else FallRecovery(recovery, self.controller, laps=until > 0)
+        return ControlLoop(
+            ticker, limits=self.limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, recovery=falls,
+            until=until, keep=keep, progress=progress,
+        )  # fmt: skip
+
+    def draw(self, *, seed: int | None = None, mismatch: float | None = None) -> BenchDraw:
+        """Return what is drawn for a run, by another seed or mismatch than the settings' if one is given."""
+        given = {"seed": seed, "mismatch": mismatch}
+        return self.settings.draw(
+            self.arms, ticks=self.controller.ticks + 1, uncertainty=self.uncertainty,
+            **{name: value for name, value in given.items() if value is not None},
+        )  # fmt: skip
+
+    def simulate(
+        self,
+        *,
+        seed: int | None = None,
+        mismatch: float | None = None,
+        sink: LoopSink | None = None,
+        recovery: RecoveryPlan | None = None,
+        until: int = 0,
+        keep: bool = True,
+        library: Path | None = None,
+        progress: Progress = no_progress,
+    ) -> LoopResult:
+        """Track the reference on a simulated bench, with the arms as the model of controller and estimator.
+
+        seed, mismatch: in place of the settings' own. recovery, until, keep, library: see `loop`; until: the tick up to
+        which it is done again and again, where it recovers from falls; 0: it is done once.
+
+        Raises:
+            InputError: the reference did not converge, or is not one of these arms; an uncertainty is asked for and not
+                known.
+            GoalMissed: no controller can be made for it, or no plant drawn.
+        """
+        recovers = (recovery or self.recovery) is not None
+        draw = self.draw(seed=seed, mismatch=mismatch)
+        if recovers:
+            draw = draw.endless()
+        loop = self.loop(
+            sink=sink, rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), recovery=recovery,
+            until=until, keep=keep, library=library, progress=progress,
+        )  # fmt: skip
+        rig = SimulatedRig(
+            draw, self.settings.bench, limits=self.limits, start=self.controller.first_state, queued=loop.queued
+        )
+        return replace(loop.run(rig), plant=draw.plant.arms, hardest=rig.hardest)
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether runs can go side by side."""
+        many = hasattr(self.controller, "schedule") or hasattr(self.controller, "begin_many")
+        return self.settings.lockstep and many
+
+    def batch(self, seeds: Sequence[int], *, mismatches: Sequence[float] | None = None) -> list[BatchRun]:
+        """Run the seeds side by side and return them in their order; mismatches: of each, in place of the settings'.
+
+        Raises:
+            InputError: the settings ask for what `lockstep` rejects.
+        """
+        if not self.lockstep:
+            raise InputError("these runs cannot go in lockstep; run them tick by tick, --path ticks")
+        if not seeds:
+            return []
+        # Full vectors of the processor only: those left over would be rounded differently, and a run with its company.
+        own = [self.settings.mismatch] * len(seeds) if mismatches is None else mismatches
+        lanes = [*zip(seeds, own, strict=True)]
+        lanes += [lanes[-1]] * (-len(lanes) % VECTOR)
+        draws = [self.draw(seed=seed, mismatch=mismatch) for seed, mismatch in lanes]
+        ticker = self.ticker(runs=len(lanes))
+        bench = BatchBench(
+            draws, self.settings.bench, limits=self.limits, start=self.controller.first_state,
+            queued=list(ticker.queued), lanes=MANY,
+        )  # fmt: skip
+        return Lockstep(ticker, bench, draws).run()[: len(seeds)]
+
+    def margins(self) -> Margins:
+        """Return what gain, further delay and further lag the loop bears along the reference.
+
+        The arms are as the model says. Another filter than the extended one counts as that of its settings.
+
+        Raises:
+            InputError: the law has no margins, for it acts by pulses or not at all, or the reference is not of these
+                arms.
+            GoalMissed: no controller can be made for it, or the loop does not stay on its reference.
+        """
+        settings = replace(self.settings, travel=0.0)
+        if isinstance(settings.controller, OwnLaw) or isinstance(settings.estimator, OwnEstimator):
+            raise InputError("margins need the loop's equations, which no Python object has; leave it out")
+        if not isinstance(settings.estimator, EkfSettings):
+            known = {f.name: getattr(settings.estimator, f.name) for f in fields(FilterSettings) if f.name != "kind"}
+            settings = replace(settings, estimator=EkfSettings(**known))
+        # To first order a known belt with its shaping is a lag, and play is nothing.
+        unshaped = replace(settings.mechanics, known_belt=0.0, known_play=0.0)
+        settings = replace(settings, drive_lag=settings.known_lag, mechanics=unshaped)
+        unbound = replace(self.reference, limits=_UNBOUND)
+
+        def program_of(law: Controller) -> TickProgram:
+            return Assembly(unbound, self.arms, settings, law=law).ticker().program
+
+        notes = self.reference.notes
+        found = law_margins(
+            self.controller, program_of, rate=settings.rate,
+            wobble=max((orbit["period"] for orbit in notes.get("orbits", ())), default=_WOBBLE),
+            repeats="stay" in notes, lags=settings.known_lag > 0,
+        )  # fmt: skip
+        law: Any = self.controller
+        held = replace(law, ticks=round(_HELD * settings.rate)) if isinstance(law, HoldController) else law
+        schedule = schedule_of(held, whole_periods(self.delay)[1])
+        if schedule is None:
+            return found
+        nominal = replace(self, settings=replace(settings, travel=self.settings.travel), law=held)
+        plant = sampled_model(self.arms, settings.rate, settings.known_lag)
+        loop = NominalLoop(plant, lambda n: nominal.ticker(runs=n).program, schedule, self.delay, self.limits)
+        return replace(found, simulated=simulated_margins(loop))

@@ -1,0 +1,82 @@
+"""The closed loop of many simulated runs side by side: one tick of all of them is one call."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.control.tick import Outcome
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.loop.bench import BenchDraw
+from dpcontrol.loop.result import BatchRun, Ending, JudgedTicks, ending, explained
+from dpcontrol.loop.simulated import BatchBench
+from dpcontrol.loop.ticker import Ticker
+
+
+class Lockstep:
+    """The loop of many runs."""
+
+    def __init__(self, ticker: Ticker, bench: BatchBench, draws: Sequence[BenchDraw]) -> None:
+        self._ticker, self._bench, self._runs = ticker, bench, len(draws)
+        self._period, self._arms = ticker.program.period, ticker.program.model.arms
+        noise = [draw.rate_noise for draw in draws if draw.rate_noise is not None]
+        self._rate_noise = np.stack(noise, axis=2) if noise else None
+        self._alive, self._over = np.ones(self._runs, dtype=bool), False
+        self._counts, self._stopped_at = [ticker.count] * self._runs, [ticker.count] * self._runs
+        self._endings = [Ending.FINISHED] * self._runs
+        self._reasons = ["came to the reference's end"] * self._runs
+
+    def run(self) -> list[BatchRun]:
+        """Run to the last tick, or until every run has ended."""
+        ticker, bench, noise = self._ticker, self._bench, self._rate_noise
+        rows = JudgedTicks(ticker.count, self._runs, self._arms)
+        command, notable, done = (ticker.at[name] for name in ("command", "notable", "done"))
+        with np.errstate(all="ignore"):
+            for k in range(ticker.count):
+                reading = bench.read()
+                report = ticker(k, reading, None if noise is None else noise[k])
+                bench.command(report[command])
+                rows.take(k, report, ticker.at, bench.truth)
+                if (failed := bench.failed) is not None:
+                    why = f"plant failed at t = {k * self._period:.3f} s: its state is no longer finite"
+                    self._end(failed, k, Ending.PLANT_FAILED, why)
+                if np.add.reduce(report[notable]):
+                    self._heed(k, report, rows)
+                    for lane in np.flatnonzero(report[done] * self._alive).tolist():
+                        self._end([lane], k + 1, self._endings[lane], self._reasons[lane])
+                for lane, fault in bench.faults.items():
+                    if self._endings[lane] is not Ending.CART_STOP:
+                        self._end([lane], k + 1, Ending.CART_STOP, fault)
+                if self._over:
+                    break
+        references = ticker.references
+        angles = references[:, : self._arms, None] if references.ndim == 2 else references
+        runs = [
+            rows.run(
+                lane, self._counts[lane], angles[:, :, lane % angles.shape[2]], stands_from=self._stopped_at[lane],
+                period=self._period, ending=self._endings[lane], reason=self._reasons[lane],
+            )
+            for lane in range(self._runs)
+        ]  # fmt: skip
+        return [replace(run, hardest=float(most)) for run, most in zip(runs, bench.hardest, strict=True)]
+
+    def _heed(self, k: int, report: Array, rows: JudgedTicks) -> None:
+        """Do what the outcomes of tick k ask for."""
+        outcomes = report[self._ticker.at["outcome"]] * self._alive
+        for lane in np.flatnonzero(outcomes).tolist():
+            outcome = Outcome(int(outcomes[lane]))
+            if outcome is Outcome.RESTART:
+                rows.without_nis(k, lane)
+                continue
+            figures = self._ticker.figures(k, lane)
+            why = explained(outcome, k * self._period, figures, arms=self._arms, period=self._period)
+            self._endings[lane], self._reasons[lane], self._stopped_at[lane] = ending(outcome), why, k
+            self._bench.stop([lane])
+
+    def _end(self, lanes: Any, count: int, ending: Ending, reason: str) -> None:
+        for lane in np.arange(self._runs)[lanes].tolist():
+            if self._alive[lane]:
+                self._endings[lane], self._reasons[lane], self._counts[lane] = ending, reason, count
+                self._alive[lane] = False
+        self._over = not self._alive.any()

@@ -1,0 +1,173 @@
+"""Users' own laws, estimators, plants and rigs: they fly, are logged and scored; a failure ends the run by name."""
+
+import json
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from own_objects import Arms, Filter, Gains, Judged, Mute, Rig, Wrong
+
+import dpcontrol as dp
+
+SAME, STEPS = 1e-6, 1e-4
+"""rad and rad/s: sums in another order; steps of another method. Later an encoder's count flips, and the runs part."""
+BEGINNING = 300
+"""Ticks before that."""
+FILE = Path(__file__).parent / "own_objects.py"
+
+
+def test_the_gains_of_tvlqr_as_an_own_law_fly_as_tvlqr_does() -> None:
+    law = Gains()
+    own = dp.closed_loop("outer-turn", controller=law).run(seed=3)
+    built_in = dp.closed_loop("outer-turn", controller="tvlqr").run(seed=3)
+    assert own.converged
+    assert np.abs(own.log.states["truth"] - built_in.log.states["truth"])[:BEGINNING].max() < SAME
+    # Delay: the first command is the reference's own. Nothing is asked of the law before.
+    assert (law.resets, law.asked) == (1, len(own.log.time))
+    assert own.log.events[0].text.startswith("Gains, ekf")
+    assert json.loads(own.log.metadata["run_settings"])["controller"]["kind"] == "Gains"
+
+
+def test_an_own_estimator_flies_and_the_log_says_what_is_off() -> None:
+    run = dp.closed_loop("outer-turn", controller="tvlqr", estimator=Filter()).run(seed=3)
+    assert run.converged
+    assert np.isnan(run.log.controls["nis"]).all()
+    assert "Filter has no sigmas: NIS and the check of the estimate are off" in [e.text for e in run.log.events]
+
+
+def test_with_its_sigmas_the_estimate_is_judged() -> None:
+    run = dp.closed_loop("outer-turn", controller="tvlqr", estimator=Judged()).run(seed=3)
+    assert run.converged
+    nis = run.log.controls["nis"][1:]
+    assert (nis >= 0).all()
+    assert nis.any()
+
+
+def test_an_own_plant_of_the_same_equations_moves_as_the_benchs_own() -> None:
+    options: dict[str, Any] = {"controller": "tvlqr", "mismatch": 0.0, "initial_error": 0.0}
+    own = dp.closed_loop("outer-turn", plant=Arms(), **options).run(seed=3)
+    built_in = dp.closed_loop("outer-turn", **options).run(seed=3)
+    assert own.converged
+    assert np.abs(own.log.states["truth"] - built_in.log.states["truth"])[:BEGINNING].max() < STEPS
+    assert own.plant is None
+
+
+def test_an_own_rig_is_flown_logged_and_scored_by_the_truth_it_knows(tmp_path: Path) -> None:
+    rig = Rig()
+    run = dp.closed_loop("outer-turn", controller="tvlqr").run(rig=rig, log=tmp_path / "rig.mcap")
+    assert run.converged
+    assert rig.stopped == 1
+    assert run.log.metadata["rig"] == "Rig"
+
+
+@pytest.mark.parametrize("value", [float("nan"), None, np.zeros(2), 1e9, -1e9, "1.0", True, [1.0], 1j, 10**400])
+def test_a_command_that_is_no_sensible_number_ends_the_run_by_name(value: object) -> None:
+    class Law:
+        def control(self, time, state, reference):
+            return value if time >= 0.05 else reference.feedforward
+
+    run = dp.closed_loop("outer-turn", controller=Law()).run()
+    assert not run.converged
+    assert f"Law.control returned {' '.join(repr(value).split())[:60]}" in run.status
+    # The command for 0.05 s is computed a period before, and that tick is the last.
+    assert len(run.log.time) == 50
+    assert run.log.metadata["ending"] == "object failed"
+    assert run.log.events[-1].level == "error"
+
+
+@pytest.mark.parametrize("where", ["control", "reset"])
+def test_what_an_object_raises_is_named_and_no_traceback(where: str) -> None:
+    class Law:
+        def reset(self):
+            assert where != "reset", "not\n ready"
+
+        def control(self, time, state, reference):
+            raise SystemExit("not\n ready")
+
+    run = dp.closed_loop("outer-turn", controller=Law()).run()
+    kind = "AssertionError" if where == "reset" else "SystemExit"
+    assert f"Law.{where} raised {kind}: not ready" in run.status
+    assert len(run.log.time) == 1
+
+
+@pytest.mark.parametrize("sleeps", [True, False])
+def test_a_call_that_lasts_too_long_is_interrupted(sleeps: bool) -> None:
+    class Law:
+        longest = 0.2
+
+        def control(self, at, state, reference):
+            while at >= 0.05:
+                # As careless as users are.
+                with suppress(Exception):
+                    time.sleep(60 if sleeps else 0)
+            return 0.0
+
+    began = time.monotonic()
+    run = dp.closed_loop("outer-turn", controller=Law()).run()
+    assert "Law.control took longer than 0.2 s" in run.status
+    assert time.monotonic() - began < 60
+
+
+def test_estimators_plants_and_rigs_end_a_run_by_name_as_laws_do() -> None:
+    class Half(Filter):
+        def update(self, reading, acceleration):
+            return super().update(reading, acceleration)[:3] if reading.time > 0.02 else super().update(reading, 0.0)
+
+    class Torn(Arms):
+        def step(self, state, acceleration, seconds):
+            return state * np.nan
+
+    status = dp.closed_loop("outer-turn", controller="tvlqr", estimator=Half()).run().status
+    assert "Half.update returned array(" in status
+    status = dp.closed_loop("outer-turn", plant=Torn()).run().status
+    assert "Torn.step returned array([nan, nan, nan, nan, nan, nan]): it must return 6 finite numbers" in status
+    rig = Rig(fails_at=30, value=[0.0, None, 0.0])
+    run = dp.closed_loop("outer-turn").run(rig=rig)
+    assert "Rig.read returned [0.0, None, 0.0]: it must return 3 finite numbers" in run.status
+    assert (len(run.log.time), rig.stopped) == (29, 1)
+    with pytest.raises(dp.GoalMissed, match=r"Rig\.read returned None"):
+        dp.closed_loop("outer-turn").run(rig=Rig(fails_at=1))
+
+
+@pytest.mark.parametrize("role", ["controller", "estimator", "plant"])
+def test_a_missing_method_is_an_input_error_before_anything_runs(role: str) -> None:
+    with pytest.raises(dp.InputError, match=f"{role} = Mute: it has no method"):
+        dp.closed_loop("outer-turn", **{role: Mute()})
+    with pytest.raises(dp.InputError, match=r"this is a class; give an object, Gains\(\)"):
+        dp.closed_loop("outer-turn", **{role: Gains})
+    with pytest.raises(dp.InputError, match="rig = Mute: it has no method"):
+        dp.closed_loop("outer-turn").run(rig=Mute())
+
+
+def test_a_campaign_compares_laws_counts_failures_and_goes_on() -> None:
+    found = dp.closed_loop("outer-turn").campaign(runs=2, over={"controller": ["tvlqr", Gains(), Wrong()]})
+    assert [one.completed.successes for one in found.results] == [2, 2, 0]
+    assert [one.case.label for one in found.results][1:] == ["controller=Gains", "controller=Wrong"]
+    reasons = [row["reason"] for row in found.results[2].failed.to_pylist()]
+    assert all("Wrong.control returned nan" in reason for reason in reasons)
+
+
+def test_margins_and_export_need_equations() -> None:
+    loop = dp.closed_loop("outer-turn", controller=Gains())
+    for ask in (loop.margins, loop.export):
+        with pytest.raises(dp.InputError, match="Python"):
+            ask()
+
+
+def test_on_the_command_line_a_law_is_a_file_and_a_class(tmp_path: Path) -> None:
+    log = tmp_path / "own.mcap"
+    done = dpcontrol("run", "outer-turn", "--controller", f"{FILE}:Wrong", "--out", str(log))
+    assert done.code == 1
+    assert "Wrong.control returned nan" in done.stderr + done.stdout
+    assert "Traceback" not in done.stderr
+    again = dpcontrol("run", "--from", str(log))
+    assert again.code == 2
+    assert "controller = Wrong is a user's object" in again.stderr
+    for given, said in ((f"{FILE}:Mute", "no method control"), (f"{FILE}:No", "no class No"), ("no.py:A", "no file")):
+        refused = dpcontrol("run", "outer-turn", "--controller", given)
+        assert refused.code == 2
+        assert said in refused.stderr
