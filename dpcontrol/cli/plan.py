@@ -13,6 +13,7 @@ from dpcontrol.foundation.progress import progress_bar
 if TYPE_CHECKING:
     from dpcontrol.bench.chart import PrecisionChart
     from dpcontrol.scenes.plan import Plan
+    from dpcontrol.scenes.polish import Polished
 
 
 @verb(
@@ -26,6 +27,10 @@ def plan_command(
     fresh: bool = option(help="Plan anew even if the plan is cached."),
     out: Path | None = file_option(suffix=".npz", help="Also write the reference to this .npz."),
     margins: bool = option(help="Also show what gain, delay and lag the loop bears along it; takes some seconds."),
+    polish: bool = option(
+        help="Also re-optimise a motion from rest to rest as one problem, and show it beside the robust plan; takes a "
+        "minute or two. --out then writes the polished plan."
+    ),
     explore_energy: Path | None = file_option(
         suffix=".png", help="Also chart its effort with feedback at ±5 % over energies to this PNG; takes a minute."
     ),
@@ -55,16 +60,23 @@ def plan_command(
         only_walk(load_itinerary(itinerary))
     plan = api.plan(itinerary, fresh=fresh, workers=workers, scheduler=scheduler, yes=yes, progress=True)
     document = plan.document()
-    if out is not None and plan.converged:
-        write_whole(out, plan.archive)
-        document["file"] = out
+    polished = None
+    if polish and plan.converged:
+        polished = api.polish(plan, fresh=fresh, workers=workers, yes=yes, progress=True)
+        document["polish"] = polished.document()
+    wanted = plan if polished is None else polished.polished
+    if out is not None and wanted.converged:
+        write_whole(out, wanted.archive)
+        (document if polished is None else document["polish"]["plan"])["file"] = out
     for line in (*plan_remarks(plan.itinerary), *off_tubes_remarks(plan.itinerary)):
         say(line)
     found = plan.margins() if margins and plan.converged else None
     if found is not None:
         document["margins"] = found.document()
-    missed = "" if plan.converged else f"{plan.itinerary.name}: {plan.status}"
-    text = [] if missed else [*_plan_text(plan, document["file"])]
+    missed = "" if wanted.converged else f"{plan.itinerary.name}: {wanted.status}"
+    text = [*_plan_text(plan, document["file"])] if plan.converged else []
+    if polished is not None and polished.converged:
+        text += _polish_text(polished, document["polish"]["plan"]["file"])
     if found is not None:
         text.append(f"  margins          {found.status}")
     if explore_energy is not None and not missed:
@@ -112,6 +124,20 @@ def _plan_text(plan: "Plan", file: Path | None) -> Iterator[str | TextTable]:
             near = f"{{0[closest][{k}][distance]:.2f}} at {{0[closest][{k}][energy]:.3g}} J"
             columns[f"closest to {family['orbit']}"] = near
         yield table("", taken, columns)
+
+
+def _polish_text(found: "Polished", file: Path | None) -> Iterator[str | TextTable]:
+    yield f"  polished         {found.status}"
+    yield f"  file             {file or 'none: the cache cannot be written'}"
+    shares = {
+        f"completed at ±{mismatch:.0%}": lambda side, m=mismatch: "{0.successes} of {0.runs}".format(side.completed[m])
+        for mismatch in found.sides[0].completed
+    }
+    yield table("", found.sides, {
+        "plan": "{0.name}", "∫u² (m²/s³)": "{0.effort:.3g}", "peak (m/s²)": "{0.peak:.3g}",
+        "travel (m)": "{0.travel:.3g}", "from the orbits": "{0.nearest:.2g}", **shares,
+    })  # fmt: skip
+    yield "  The polished plan keeps crossings, windings and wraps; it need not come near the orbits."
 
 
 _ORIGIN = ("program", "code", "scene_hash", "model_hash")

@@ -543,7 +543,8 @@ class StartNote(TypedDict):
 class PlanNotes(TypedDict):
     """All of a plan's notes. wraps: one for each interior stop, None beside a transfer, where they are not counted;
     transfers: s between which the pendulum is on its way from piece to piece, and taken: what each of them takes;
-    energy J: of the first orbit.
+    energy J: of the first orbit. polished: of a plan that was re-optimised as a whole, the least scaled distance to
+    each stop's orbit; such a plan keeps crossings, windings and wraps, and need not come near the orbits.
     """
 
     itinerary: str
@@ -566,6 +567,7 @@ class PlanNotes(TypedDict):
     stay: NotRequired[StayNote]
     program: NotRequired[list[SegmentNote]]
     starts: NotRequired[list[StartNote]]
+    polished: NotRequired[list[float]]
 
 
 def transitions_in(notes: PlanNotes) -> list[tuple[int, int]]:

@@ -38,6 +38,11 @@ class Trajectory:
         return float(self.mesh[-1] - self.mesh[0])
 
     @property
+    def effort(self) -> float:
+        """Return ∫u² of the first input by the method's own quadrature, of an acceleration in m²/s³."""
+        return float((self.inputs[..., 0] ** 2 @ self.method.weights) @ np.diff(self.mesh))
+
+    @property
     def input_times(self) -> Array:
         """Return the times (N, K) of `inputs`."""
         return times_on(self.mesh, self.method.points)

@@ -49,8 +49,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dpcontrol
-from dpcontrol.control.handover import NearestKeeper
-from dpcontrol.control.interface import Controller
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file
@@ -59,15 +57,8 @@ from dpcontrol.foundation.processes import in_processes, on_cluster, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
-from dpcontrol.loop.loop import (
-    LoopSettings,
-    can_batch,
-    loop_controller,
-    loop_fallback,
-    loop_recovery,
-    run_batch,
-    run_loop,
-)
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, transitions_in
 from dpcontrol.review.score import Flown, verdict_on
@@ -144,11 +135,10 @@ class Job:
 
 
 @lru_cache(maxsize=8)
-def _prepared(
-    archive: bytes, arms: ArmChainParameters, loop: LoopSettings
-) -> tuple[Reference, Controller, NearestKeeper | None]:
-    reference = load_reference(io.BytesIO(archive))
-    return reference, loop_controller(reference, arms, loop), loop_fallback(reference, arms, loop)
+def _prepared(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> Assembly:
+    assembly = Assembly(load_reference(io.BytesIO(archive)), arms, loop)
+    _ = assembly.controller, assembly.fallback
+    return assembly
 
 
 def run_job(job: Job) -> list[Row]:
@@ -170,24 +160,17 @@ def _rows(job: Job) -> list[Row]:
         estimator=loop.estimator,
         supervisor=loop.supervisor,
     )  # fmt: skip
-    reference, controller, fallback = _prepared(job.reference, arms, decisive)
-    recovery = loop_recovery(reference, arms, loop, controller)
-
+    assembly = replace(_prepared(job.reference, arms, decisive).under(loop), uncertainty=job.uncertainty)
+    reference = assembly.reference
     mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
 
     def tick_by_tick(seed: int, mismatch: float) -> Row:
-        result = run_loop(
-            reference, arms, settings=replace(loop, seed=seed, mismatch=mismatch), controller=controller,
-            fallback=fallback, recovery=recovery, uncertainty=job.uncertainty,
-        )  # fmt: skip
+        result = assembly.simulate(seed=seed, mismatch=mismatch)
         return _row(job, reference, seed, BatchRun.of(result), path="ticks")
 
-    if job.path == "ticks" or not can_batch(loop, controller):
+    if job.path == "ticks" or not assembly.lockstep:
         return [tick_by_tick(seed, mismatch) for seed, mismatch in zip(job.seeds, mismatches, strict=True)]
-    runs = run_batch(
-        arms, settings=loop, seeds=job.seeds, controller=controller, limits=loop.limits(reference),
-        uncertainty=job.uncertainty, mismatches=mismatches,
-    )  # fmt: skip
+    runs = assembly.batch(job.seeds, mismatches=mismatches)
     rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
     failed = [pair for pair in zip(rows, mismatches, strict=True) if not pair[0]["completed"]]
     for row, mismatch in failed[: job.replayed]:
@@ -482,6 +465,7 @@ def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Sequ
     for values in itertools.product(*over.values()):
         chosen = dict(zip(names, values, strict=True))
         scene = itinerary.with_run(fixed.over(chosen))
+        chosen = {k: v if isinstance(v, int | float | str) else type(v).__name__ for k, v in chosen.items()}
         label = ", ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
         cases.append(Case(label or "as the scene", tuple(chosen.items()), scene.loop))
     return tuple(cases)
@@ -565,7 +549,8 @@ def run_campaign(
         kept = {job.key: rows for job in jobs if (rows := _kept(parts / f"{job.key}.parquet", extra)) is not None}
     if left := [job for job in jobs if job.key not in kept]:
         local = not settings.scheduler
-        workers = settings.workers or processors()
+        # Objects of a script or a notebook cannot be sent to other processes.
+        workers = 1 if any(case.loop.own for case in cases) else settings.workers or processors()
         for job, rows in run_locally(left, workers) if local else on_cluster(run_job, left, settings.scheduler):
             kept[job.key] = _table(({**row, **_numbers(job.case)} for row in rows), extra)
             if parts is not None:
@@ -627,7 +612,7 @@ def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list
     jobs = []
     for case in cases:
         ticks = max(round(plan.reference.duration * case.loop.rate), 1)
-        lockstep = settings.path == "compiled" and can_batch(case.loop)
+        lockstep = settings.path == "compiled" and case.loop.lockstep
         size = max(min(settings.batch, (MOST_TICKS if lockstep else MOST_TICKS_OF_LOOPS) // ticks), 1)
         uncertainty = plan.itinerary.model.known_to if case.loop.model_uncertainty else None
         jobs += [

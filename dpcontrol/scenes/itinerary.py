@@ -18,17 +18,16 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.control.estimator_settings import Augment, EstimatorSettings
-from dpcontrol.control.lqr import HoldSettings
-from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
-from dpcontrol.control.tracking import AdaptiveSettings, FeedforwardSettings, TvlqrSettings
+from dpcontrol.control.estimator_settings import Augment, FilterSettings
+from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
 from dpcontrol.foundation.shipped import find
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
-from dpcontrol.loop.controllers import ESTIMATORS, KEEPERS, ControllerSettings, estimators_of
+from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, KEEPERS, estimators_of
 from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.own import OwnEstimator, OwnLaw, OwnPlant, own_object
 from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.references.method import method_named
@@ -166,11 +165,6 @@ def _walk(table: Table, saddles: Sequence[str]) -> tuple[tuple[str, ...], tuple[
     return walk * repeat, (wraps * repeat)[: len(walk) * repeat - 1], repeat
 
 
-CONTROLLERS: Mapping[str, type[ControllerSettings]] = {
-    "tvlqr": TvlqrSettings, "adaptive": AdaptiveSettings, "ogy": OgySettings, "ogy-classic": ClassicOgySettings,
-    "lqr": HoldSettings, "feedforward": FeedforwardSettings,
-}  # fmt: skip
-"""Kinds of controller and what holds the settings of each."""
 _PARTS: Mapping[str, type] = {
     "sensors": SensorSettings,
     "drive": DriveSettings,
@@ -239,14 +233,24 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
             changes.setdefault(_OPTION_HOMES[name], {})[name] = value
         elif name not in kinds:
             own[name] = value
+        elif not isinstance(value, str) or ".py:" in value:
+            made = own_object(name, value)
+            own[name] = OwnLaw(made.name, made) if name == "controller" else OwnEstimator(kind=made.name, own=made)
         elif value not in kinds[name]:
             raise InputError(f"{name} = {value!r}: {suggest(str(value), kinds[name])}")
         elif value != getattr(loop, name).kind:
-            own[name] = kinds[name][value]()
+            default: Any = kinds[name][value]
+            own[name] = default()
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
     adaptive, knows = isinstance(law, AdaptiveSettings), Augment.PARAMETERS in filters.augments
-    defaults = estimators_of(law)[filters.kind]
-    if own.keys() & kinds and (type(filters) is not defaults or (adaptive and not knows)):
+    defaults = estimators_of(law).get(filters.kind, OwnEstimator)
+    if adaptive and isinstance(filters, OwnEstimator):
+        raise InputError(
+            f'controller: kind = "adaptive" needs the errors of the model, which {filters.kind} does not estimate; use '
+            '"tvlqr"'
+        )
+    others = not isinstance(filters, OwnEstimator) and own.keys() & kinds
+    if others and (type(filters) is not defaults or (adaptive and not knows)):
         # The adaptive law needs the parameters' errors.
         needed = {"augment": defaults.augment} if adaptive and not knows else {}
         own["estimator"] = defaults(**{**_changed(filters), **needed})
@@ -265,7 +269,7 @@ def setting_of(loop: LoopSettings, name: str) -> Any:
     return value.kind if name in ("controller", "estimator") else value
 
 
-def _changed(filters: EstimatorSettings) -> dict[str, Any]:
+def _changed(filters: FilterSettings) -> dict[str, Any]:
     """Return what a filter's settings do not have by default: what the file asks for, whatever the controller."""
     default = type(filters)()
     return {name: value for name, value in vars(filters).items() if value != getattr(default, name)}
@@ -342,7 +346,10 @@ class Itinerary:
         """
         loop = self.loop
         if options.plant is not None:
-            loop = replace(loop, plant=own_plant(options.plant, self.model.arms, where="plant"))
+            named = isinstance(options.plant, str) and ".py:" not in options.plant
+            made = None if named else own_object("plant", options.plant)
+            arms = None if made else own_plant(str(options.plant), self.model.arms, where="plant")
+            loop = replace(loop, plant=arms if made is None else OwnPlant(made.name, made))
         loop = overridden(loop, options)
         scene = replace(self, loop=loop if seed is None else replace(loop, seed=seed))
         _ = scene.uncertainty

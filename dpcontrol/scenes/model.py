@@ -23,6 +23,7 @@ from dpcontrol.dynamics.chain import (
     unit_name,
 )
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
+from dpcontrol.foundation.arguments import path as path_of
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import in_the_way, write_whole
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml
@@ -130,7 +131,7 @@ def load_model(name: str) -> Model:
     Raises:
         InputError: no such model, or a mistake in its file: names file, table, key, value and what is allowed.
     """
-    path = find("models", name)
+    path = find("models", path_of("name", name))
     table, text = read_toml(path)
     model = _model(table, text, path)
     for sentence in model.remarks:

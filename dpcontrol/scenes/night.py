@@ -26,7 +26,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from dpcontrol.control.estimator_settings import extra_names
-from dpcontrol.control.interface import Controller, GainSchedule
+from dpcontrol.control.interface import GainSchedule
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
@@ -35,15 +35,9 @@ from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.logs import LogWriter, partials_of, recover
 from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import StreamReader
-from dpcontrol.loop.loop import (
-    ControlLoop,
-    LoopSettings,
-    control_loop,
-    loop_controller,
-    loop_recovery,
-    start_controller,
-)
+from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.recovery import LAST_SECONDS, RecoveryPlan, meeting_tick
 from dpcontrol.loop.result import LogSink, LoopSink, SinkBeside
 from dpcontrol.loop.simulated import SimulatedRig
@@ -51,7 +45,16 @@ from dpcontrol.references.reference import Reference, StartNote, load_reference,
 from dpcontrol.review.night import Night, read_night
 from dpcontrol.scenes.itinerary import Itinerary, stored_itinerary
 from dpcontrol.scenes.plan import Plan, expected_seconds, make_plan, recoverable, with_kept_starts
-from dpcontrol.scenes.run import RigLink, bench_recipe, drawn_metadata, log_writer, outcome, run_metadata, watched
+from dpcontrol.scenes.run import (
+    RigLink,
+    assembled,
+    bench_recipe,
+    drawn_metadata,
+    log_writer,
+    outcome,
+    run_metadata,
+    watched,
+)
 
 _BYTES_A_TICK = 430
 """Of a log of two arms on a cart, packed."""
@@ -229,12 +232,10 @@ def _plan_starts(
     reference = load_reference(BytesIO(archive))
     # The plan has the texts of itinerary and model; the objects made of them cannot be sent to another process.
     itinerary = replace(stored_itinerary(path, reference), loop=loop)
-    arms = itinerary.model.arms
-
-    sent: list[int] = []
+    assembly, sent = Assembly(reference, itinerary.model.arms, loop), list[int]()
 
     def found(note: StartNote, lead_in: Reference | None) -> None:
-        pipe.send(start_controller(note, lead_in, reference, arms, loop, main))
+        pipe.send(assembly.start(note, lead_in, main))
         sent.append(note["stop"])
 
     warnings.showwarning = lambda message, *_, **__: pipe.send(str(message))
@@ -289,14 +290,14 @@ def run_night(
     made_by = drawn_metadata(scene) if link is None else {"rig": link.address}
     place = _place(folder, {**run_metadata(scene), **made_by}, night, settings.rate, resume=resume, force=force)
     since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
-    controller = loop_controller(plan.reference, arms, settings)
-    recovery = loop_recovery(plan.reference, arms, settings, controller, later=True)
+    assembly = assembled(plan)
+    recovery = assembly.planned_recovery(later=True)
     if recovery is None:
         raise InputError(
             f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, by ways from rest where '
             'need be; use on_fall = "resume" or "restart"'
         )
-    limits = settings.limits(plan.reference)
+    limits = assembly.limits
 
     def make(path: Path, more: Mapping[str, str]) -> LogWriter:
         return log_writer(plan, path, **made_by, **more)
@@ -309,22 +310,20 @@ def run_night(
     )  # fmt: skip
 
     def loop(sink: LoopSink, noise: StreamReader | None = None) -> ControlLoop:
-        return control_loop(
-            arms, settings, controller, limits=limits, rate_noise=noise, sink=sink,
-            recovery=recovery, keep=False, until=until - since, progress=progress,
-        )  # fmt: skip
+        return assembly.loop(
+            sink=sink, rate_noise=noise, recovery=recovery, keep=False, until=until - since, progress=progress
+        )
 
     beside = nullcontext(recovery) if recovery.starts else _starts_beside(plan, recovery, waits=link is None)
     with rolling, beside as recovery:
         try:
             if link is None:
-                pace = _pace(plan, controller, recovery)
+                pace = _pace(plan, assembly, recovery)
                 waits = 0.0 if recovery.starts else _waits(settings, recovery.gains.references, until - since) / pace
                 remark(night_cost(scene, night, folder, pace=pace, waits=waits, yes=True))
-                draw = settings.draw(arms, ticks=controller.ticks + 1, uncertainty=scene.uncertainty)
-                draw = draw.endless(since=since)
+                draw = assembly.draw().endless(since=since)
                 bench = _since(settings, place.begin).bench
-                start = controller.first_state
+                start = assembly.controller.first_state
                 with watched(plan, LogSink(rolling), live=live) as sink:
                     simulated = loop(sink, draw.reader("rate_noise", lambda rows: rows[:, :, None]))
                     rig = SimulatedRig(draw, bench, limits=limits, start=start, queued=simulated.queued)
@@ -332,7 +331,7 @@ def run_night(
             else:
                 remark(night_cost(scene, night, folder, real_time=True, yes=True))
                 ticks = until - since + round(_BRAKING * settings.rate)
-                recipe = replace(bench_recipe(plan, controller), recovering=ticks)
+                recipe = replace(bench_recipe(plan, assembly), recovering=ticks)
                 with _switching_soon(), SinkBeside(LogSink(rolling)) as log, watched(plan, log, live=live) as sink:
                     on_rig = loop(sink)
                     with link.connected(scene, recipe, ticks=ticks, what="the night", loop=on_rig) as (rig, _):
@@ -346,18 +345,11 @@ def run_night(
     return read_night(folder)
 
 
-def _pace(plan: Plan, controller: Controller, recovery: RecoveryPlan) -> float:
+def _pace(plan: Plan, assembly: Assembly, recovery: RecoveryPlan) -> float:
     """Return how many ticks a second are simulated and logged here, by a trial of some of them."""
-    scene, settings = plan.itinerary, plan.itinerary.loop
-    limits, until = settings.limits(plan.reference), round(_TRIAL * settings.rate)
-    draw = settings.draw(scene.model.arms, ticks=controller.ticks + 1, uncertainty=scene.uncertainty).endless()
+    until = round(_TRIAL * assembly.settings.rate)
     with TemporaryDirectory() as folder, log_writer(plan, Path(folder) / "trial.mcap") as writer:
-        loop = control_loop(
-            scene.model.arms, settings, controller, limits=limits, sink=LogSink(writer), recovery=recovery, keep=False,
-            until=until,
-        )  # fmt: skip
-        rig = SimulatedRig(draw, settings.bench, limits=limits, start=controller.first_state, queued=loop.queued)
-        return until / loop.run(rig).elapsed
+        return until / assembly.simulate(sink=LogSink(writer), recovery=recovery, keep=False, until=until).elapsed
 
 
 _TRIAL = 1.5

@@ -101,10 +101,9 @@ class Plan(ByReference):
             InputError: an impossible setting, or the law has no margins.
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
-        from dpcontrol.loop.loop import loop_margins
-
-        scene = self.followed().itinerary.with_run(options or RunOptions())
-        return loop_margins(self.reference, scene.model.arms, scene.loop)
+        scene = self.itinerary.with_run(options or RunOptions())
+        # By name, as above.
+        return import_module("dpcontrol.scenes.run").assembled(replace(self, itinerary=scene)).margins()
 
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol plan --json` prints."""
@@ -247,13 +246,16 @@ def with_kept_starts(plan: Plan) -> Plan:
     scene = plan.itinerary
     if scene.loop.supervisor.on_fall == "stop" or "starts" in plan.notes or not plan.converged:
         return plan
-    file = _starts_file(scene)
+    file = _starts_file(plan)
     content = kept(file)
     return plan if content is None else Plan(scene, load_reference(BytesIO(content)), file, plan.cached)
 
 
-def _starts_file(scene: Itinerary) -> Path:
+def _starts_file(plan: Plan) -> Path:
+    scene = plan.itinerary
     content = [plan_key(scene), scene.loop.travel, code_hash("dpcontrol.scenes.starts")]
+    if "polished" in plan.notes:
+        content.append(content_hash(plan.archive))
     return cache_file("plans", f"{scene.name}-starts", content_hash(json.dumps(content)))
 
 
@@ -279,7 +281,7 @@ def recoverable(plan: Plan, *, fresh: bool = False, progress: Progress = no_prog
         notes={**plan.reference.notes, "starts": starts},
         extra={**plan.reference.extra, **arrays},
     )
-    plan = Plan(scene, reference, _starts_file(scene), cached=False)
+    plan = Plan(scene, reference, _starts_file(plan), cached=False)
     keep(plan.file, plan.archive)
     return plan
 

@@ -25,7 +25,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit, resting_place
+from dpcontrol.orbits.lyapunov import equilibria, equilibrium, lyapunov_orbit, resting_place
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import PlanNotes, Reference, SegmentNote, joined
@@ -158,10 +158,50 @@ def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tu
     system = itinerary.model.system
     symbols = parse_walk(part.walk, system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
-    edges = find_edges(system, part.energy, pairs=pairs, symbols=symbols, progress=progress)
-    if edges.absent:
-        raise GoalMissed("; ".join(reason for _, reason in edges.absent))
-    return resolve(part.walk, edges), WalkSolver(edges.known)
+    try:
+        edges = find_edges(system, part.energy, pairs=pairs, symbols=symbols, progress=progress)
+        if edges.absent:
+            raise GoalMissed("; ".join(reason for _, reason in edges.absent))
+        return resolve(part.walk, edges), WalkSolver(edges.known)
+    except (InputError, GoalMissed) as error:
+        # The name of a connection is that of one energy.
+        if any(simple.name is not None for symbol in symbols for simple in symbol.simple):
+            raise
+        raise type(error)(f"{error}; {_other_energies(system, part)}") from error
+
+
+_SHARES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7)
+"""Of the way from the highest saddle of a walk to the highest equilibrium: where its connections are sought."""
+_LOST = 1e11
+"""Unstable multiplier from which on a period loses an orbit's tubes to rounding."""
+
+
+def _other_energies(system: System, part: WalkPart) -> str:
+    """Return a sentence on energies near the part's at which all connections of its walk exist."""
+    symbols = parse_walk(part.walk, system.saddles)
+    pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
+    heights = {name: one.energy for name, one in equilibria(system).items()}
+    stops = list(dict.fromkeys(name for pair in pairs for name in pair))
+    low, top = max(heights[name] for name in stops), max(heights.values())
+    energies = sorted((low + share * (top - low) for share in _SHARES), key=lambda e: abs(e - part.energy))
+    lost: list[tuple[float, str]] = []
+    for energy in energies:
+        orbits = [lyapunov_orbit(system, name, energy=energy) for name in stops]
+        worst = max((abs(orbit.unstable_multiplier), orbit.saddle) for orbit in orbits)
+        if worst[0] > _LOST:
+            lost.append(worst)
+            continue
+        try:
+            resolve(part.walk, find_edges(system, energy, pairs=pairs))
+        except (InputError, GoalMissed):
+            continue
+        return f"at {energy:.4g} J there are connections for each symbol"
+    text = f"nor were any found at {len(energies)} energies from {min(energies):.4g} to {max(energies):.4g} J"
+    if len(lost) < len(energies):
+        return f"{text}; take other symbols"
+    growth, saddle = min(lost)
+    why = f"there a period near the orbit about {saddle} multiplies errors by {growth:.0e} or more"
+    return f"{text}: {why}, beyond double precision; take a walk without {saddle}, or one that needs less energy"
 
 
 _SAMPLES = 401

@@ -36,7 +36,7 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress,
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.loop.bench import MechanicsSettings
-from dpcontrol.loop.loop import LoopSettings, can_batch
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.review.campaign import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt, plain_reason
 from dpcontrol.scenes.campaign import MOST_TICKS, Case, Job, run_job
 from dpcontrol.scenes.itinerary import Itinerary, overridden, setting_of
@@ -389,7 +389,7 @@ _AHEAD = 0.15
 
 def seconds_of(loop: LoopSettings) -> float:
     """Return the time that one tick of a run with these settings takes on one processor, s."""
-    return _TICK * (1 + _AHEAD * loop.drive.delay) if can_batch(loop) else _TICK_ALONE
+    return _TICK * (1 + _AHEAD * loop.drive.delay) if loop.lockstep else _TICK_ALONE
 
 
 _AFFORD, _AFFORD_DELAY = 180.0, 40.0
@@ -452,7 +452,7 @@ def preflight(
     scene, known = as_known(plan.followed().itinerary, options)
     loop, name = scene.loop, scene.name
     ticks = max(round(plan.reference.duration * loop.rate), 1)
-    lockstep, tick = can_batch(loop), seconds_of(loop)
+    lockstep, tick = loop.lockstep, seconds_of(loop)
     amounts = _amounts(settings.runs, ticks * tick, lockstep=lockstep)
     searches = lockstep or settings.runs > 0
     workers, count = settings.workers or processors(), amounts.runs if searches else amounts.rate

@@ -21,7 +21,6 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.statistics import paired
-from dpcontrol.loop.loop import can_batch
 from dpcontrol.review.score import Score
 from dpcontrol.scenes.campaign import Case, Job
 from dpcontrol.scenes.plan import Plan, recoverable
@@ -149,7 +148,7 @@ def why(
     if failed.completed:
         return Why(failed.log, failed.seed, failed.reason, ())
     scene, groups = plan.itinerary, [*changes(plan.itinerary)]
-    lockstep = can_batch(scene.loop)
+    lockstep = scene.loop.lockstep
     size = SAME if lockstep else SAME_ALONE
     ticks = max(round(plan.reference.duration * scene.loop.rate), 1)
     workers = workers or processors()
@@ -206,7 +205,7 @@ def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
     for _, job in tried:
         alone = replace(job, seeds=job.seeds[first], mismatches=job.mismatches[first])
         try:
-            ended = outcomes(alone if before and not can_batch(job.case.loop) else job, len(job.seeds))
+            ended = outcomes(alone if before and not job.case.loop.lockstep else job, len(job.seeds))
             if ended[0].completed and len(ended) == 1:
                 ended = outcomes(job, len(job.seeds))
         except (GoalMissed, InputError) as missed:

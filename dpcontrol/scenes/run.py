@@ -26,8 +26,7 @@ from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSetting
 from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
 from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.margins import Margins
-from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
-from dpcontrol.control.tick import TickProgram, whole_periods
+from dpcontrol.control.tick import TickProgram
 from dpcontrol.control.tracking import AdaptiveSettings
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.cache import commit
@@ -57,17 +56,10 @@ from dpcontrol.logs import (
     read_log,
     slow_numbers,
 )
-from dpcontrol.loop.controllers import ESTIMATORS
-from dpcontrol.loop.loop import (
-    ControlLoop,
-    LoopSettings,
-    control_loop,
-    loop_controller,
-    loop_fallback,
-    loop_recovery,
-    make_ticker,
-    run_loop,
-)
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, filter_of, law_of
+from dpcontrol.loop.loop import ControlLoop, LoopSettings
+from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
 from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink, Ticks
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
@@ -81,7 +73,7 @@ from dpcontrol.review.score import (
     Score,
     score,
 )
-from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from, setting_of
+from dpcontrol.scenes.itinerary import Itinerary, itinerary_from, setting_of
 from dpcontrol.scenes.model import model_from
 from dpcontrol.scenes.plan import Plan, plan_key, recoverable
 from dpcontrol.scenes.run_options import RunOptions
@@ -196,19 +188,33 @@ class Run:
         return draw(run_view(self.log))
 
 
+def assembled(plan: Plan) -> Assembly:
+    """Return what the runs of a plan are made of.
+
+    Raises:
+        InputError: the plant is to be drawn from an uncertainty that the model's file does not give.
+        GoalMissed: the plan did not converge.
+    """
+    scene = plan.itinerary
+    return Assembly(plan.followed().reference, scene.model.arms, scene.loop, scene.uncertainty)
+
+
 def run_plan(
     plan: Plan,
     out: Path | None = None,
     *,
+    assembly: Assembly | None = None,
     library: Path | None = None,
+    rig: OwnObject | None = None,
     force: bool = False,
     live: bool = False,
     progress: Progress = no_progress,
 ) -> Run:
     """Run the closed loop of a planned itinerary; write its log to `out`, if one is wanted.
 
-    library: one made of what `export_plan` wrote for this itinerary, which does the ticks. force: replace a log of
-    another run at `out`. live: show it in the viewer while it happens.
+    assembly: made of the plan before, to be shared by many runs. library: one made of what `export_plan` wrote for this
+    itinerary, which does the ticks. rig: a user's, in place of the simulated bench. force: replace a log of another run
+    at `out`. live: show it in the viewer while it happens.
 
     Raises:
         InputError: the log cannot be written, or there is that of another run; the plant is to be drawn from an
@@ -218,15 +224,22 @@ def run_plan(
     """
     plan = recoverable(plan.followed())
     scene, sink = plan.itinerary, _Events()
-    run = partial(
-        run_loop, plan.reference, scene.model.arms, settings=scene.loop, uncertainty=scene.uncertainty,
-        library=library, progress=progress,
-    )  # fmt: skip
+    assembly = assembly or assembled(plan)
+
+    def run(sink: LoopSink) -> LoopResult:
+        if rig is None:
+            return assembly.simulate(sink=sink, library=library, progress=progress)
+        arms, period = scene.model.arms.count, 1 / scene.loop.rate
+        flown = assembly.loop(sink=sink, progress=progress).run(OwnRig(rig, arms=arms, period=period))
+        if not len(flown.ticks.times):
+            raise GoalMissed(flown.reason)
+        return flown
+
+    made_by = drawn_metadata(scene) if rig is None else {"rig": rig.name}
     if out is None:
         with watched(plan, sink, live=live) as sinks:
             result = run(sink=sinks)
-        return Run(_log_in_memory(plan, result.ticks, sink.kept, **drawn_metadata(scene), **outcome(result)))
-    made_by = drawn_metadata(scene)
+        return Run(_log_in_memory(plan, result.ticks, sink.kept, **made_by, **outcome(result)))
     if library is not None:
         check_exportable(scene)
         made_by[_LIBRARY] = content_hash(checked_source(library).read_bytes()) if library.is_file() else str(library)
@@ -268,7 +281,9 @@ def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
     """Return what a log says of the plant that is simulated, and of what else is drawn once for a run."""
     draw = itinerary.loop.draw(itinerary.model.arms, ticks=1, uncertainty=itinerary.uncertainty)
     once = {"initial_error": draw.initial_error.tolist(), "zeros": draw.zeros.tolist()}
-    return {PLANT_METADATA: json.dumps(asdict(draw.plant.arms), sort_keys=True), DRAWN_METADATA: json.dumps(once)}
+    # What a user's own plant is, its name in the settings says.
+    arms = {} if draw.own else {PLANT_METADATA: json.dumps(asdict(draw.plant.arms), sort_keys=True)}
+    return {**arms, DRAWN_METADATA: json.dumps(once)}
 
 
 class _Events(NoSink):
@@ -354,7 +369,7 @@ def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
         "plan": plan_key(itinerary),
         "scene_hash": content_hash(itinerary.text),
         "model_hash": content_hash(itinerary.model.text),
-        "run_settings": json.dumps(asdict(itinerary.loop), sort_keys=True),
+        "run_settings": json.dumps(asdict(itinerary.loop), sort_keys=True, default=str),
         MODEL_METADATA: json.dumps(asdict(itinerary.model.arms), sort_keys=True),
     }
 
@@ -492,6 +507,8 @@ def _value(name: str, hint: Any, value: Any) -> Any:
     if not isinstance(value, Mapping):
         return value
     if name in _KINDS:
+        if value["kind"] not in _KINDS[name]:
+            raise LookupError(f"{name} = {value['kind']} is a user's object, which is not in the log")
         return _settings(_KINDS[name][value["kind"]], value)
     options = get_args(hint) if get_origin(hint) is types.UnionType else (hint,)
     return _settings(next(option for option in options if is_dataclass(option) and isinstance(option, type)), value)
@@ -521,10 +538,12 @@ def check_exportable(itinerary: Itinerary) -> None:
             'as C; export with on_fall = "stop"'
         )
     kind, by = loop.controller.kind, getattr(loop.controller, "schedule", "time")
-    if isinstance(loop.controller, OgySettings | ClassicOgySettings) or by != "time":
+    if isinstance(loop.controller, OwnLaw):
+        raise InputError(f"controller = {kind}: Python cannot leave as C; give the law as an expression")
+    if not law_of(loop.controller).symbolic or by != "time":
         what = f'schedule = "{by}"' if by != "time" else f'kind = "{kind}"'
         raise InputError(f"controller: {what} keeps a clock of its own and cannot leave as C; {LEAVING}")
-    if not isinstance(loop.estimator, EkfSettings):
+    if not filter_of(loop.estimator).symbolic:
         raise InputError(f'estimator: kind = "{loop.estimator.kind}" cannot leave as C; use "ekf"')
 
 
@@ -532,6 +551,7 @@ def export_plan(
     plan: Plan,
     out: Path | None = None,
     *,
+    assembly: Assembly | None = None,
     single: bool = False,
     clock: float | None = None,
     force: bool = False,
@@ -539,15 +559,15 @@ def export_plan(
 ) -> ControllerSource:
     """Return the controller of a planned itinerary as C, and write it to a folder if one is given, whole or not at all.
 
-    single: in single precision. clock MHz: of a Cortex-M4 that is to keep the rate. force: replace what is in the
-    folder under the same names.
+    assembly: made of the plan before. single: in single precision. clock MHz: of a Cortex-M4 that is to keep the rate.
+    force: replace what is in the folder under the same names.
 
     Raises:
         InputError: its law or estimator cannot leave as C, the target cannot keep the rate, or the folder holds
             something else.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    source, _, _ = _exported(plan, single, progress, clock=clock)
+    source, _, _ = _exported(plan, assembly or assembled(plan), single, progress, clock=clock)
     if out is not None:
         write_folder(out, source.files, force=force)
     return source
@@ -563,7 +583,7 @@ def export_unit(
     """
     from dpcontrol.control.export import controller_unit
 
-    source, program, schedule = _exported(plan, single, progress)
+    source, program, schedule = _exported(plan, assembled(plan), single, progress)
     made = controller_unit(
         source, program, schedule, name=out.stem, title=plan.itinerary.title, delay=plan.itinerary.loop.drive.delay
     )
@@ -574,34 +594,28 @@ def export_unit(
 
 
 def _exported(
-    plan: Plan, single: bool, progress: Progress, *, clock: float | None = None
+    plan: Plan, assembly: Assembly, single: bool, progress: Progress, *, clock: float | None = None
 ) -> tuple[ControllerSource, TickProgram, GainSchedule]:
     """Return a controller as C, with the readings of a simulated run to replay, and what it was made of."""
-    itinerary, reference = plan.itinerary, plan.followed().reference
-    arms, loop = itinerary.model.arms, itinerary.loop
+    itinerary = plan.itinerary
     check_exportable(itinerary)
     if any(itinerary.zeros):
         remark(
             f"{itinerary.path}: [run] zeros = {list(itinerary.zeros)} is not in the exported program, which takes "
             "readings as they come; set the encoders to zero, or take the zeros off before a step"
         )
-    controller = loop_controller(reference, arms, loop)
-    limits, delay = loop.limits(reference), loop.drive.delay
-    lead = whole_periods(delay)[1]
-    schedule = checked_exportable(controller, lead=lead)
-    ticker = make_ticker(arms, loop, controller, limits=limits, delay=delay)
-    ran = run_loop(
-        reference, arms, settings=replace(loop, sensors=replace(loop.sensors, rate_noise=0.0)),
-        controller=_beginning(controller, _CHECKED_TICKS), uncertainty=itinerary.uncertainty, progress=progress,
-    )  # fmt: skip
-    names = [f"measured.{name}" for name in joint_names(arms.count, has_cart=True)]
+    controller, program, loop = assembly.controller, assembly.ticker().program, itinerary.loop
+    schedule = checked_exportable(controller, lead=program.lead)
+    checked = replace(loop, sensors=replace(loop.sensors, rate_noise=0.0))
+    ran = replace(assembly, settings=checked, law=_beginning(controller, _CHECKED_TICKS)).simulate(progress=progress)
+    names = [f"measured.{name}" for name in joint_names(itinerary.model.arms.count, has_cart=True)]
     rows = np.column_stack([ran.ticks.measured, ran.ticks.control[:, 0]]).tolist()
     readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
     source = controller_source(
-        ticker.program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
+        program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
         clock=clock, readings=f"{','.join([*names, 'control.command'])}\n{readings}",
     )  # fmt: skip
-    return source, ticker.program, schedule
+    return source, program, schedule
 
 
 def _beginning(controller: Controller, count: int) -> Any:
@@ -631,20 +645,19 @@ class RigRun:
     difference: float | None = None
 
 
-def bench_recipe(plan: Plan, controller: Controller | None = None) -> "BenchRecipe":
-    """Return the simulated bench that a planned itinerary is run on by its controller, which is made where not given.
+def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> "BenchRecipe":
+    """Return the simulated bench that a planned itinerary is run on; assembly: of the plan, made where not given.
 
     Raises:
         InputError: the plant is to be drawn from an uncertainty that the model's file does not give.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    itinerary, reference = plan.itinerary, plan.followed().reference
-    loop = itinerary.loop
-    controller = controller or loop_controller(reference, itinerary.model.arms, loop)
+    itinerary, assembly = plan.itinerary, assembly or assembled(plan)
+    loop, controller = itinerary.loop, assembly.controller
     from dpcontrol.rig.bench import BenchRecipe
 
     return BenchRecipe(
-        itinerary.model.arms, loop, loop.limits(reference), controller.first_state,
+        itinerary.model.arms, loop, assembly.limits, controller.first_state,
         ticks=controller.ticks + round(_SPARE * loop.rate) + 1, uncertainty=itinerary.uncertainty,
         zeros=itinerary.zeros,
         recovering=0 if loop.supervisor.on_fall == "stop" else round(_RECOVERING * loop.rate),
@@ -826,19 +839,13 @@ def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, liv
             is no display for a live view.
         GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
     """
-    itinerary, reference = plan.itinerary, plan.followed().reference
-    arms, settings = itinerary.model.arms, itinerary.loop
+    itinerary, assembly = plan.itinerary, assembled(plan)
     # What a rig does is not what any log there says, whatever its settings.
     check_replaced(out, {**run_metadata(itinerary), "rig": link.address}, force=force)
-    controller = loop_controller(reference, arms, settings)
-    fallback = loop_fallback(reference, arms, settings)
-    recovery = loop_recovery(reference, arms, settings, controller)
+    # All is made before the log is begun.
+    _ = assembly.controller, assembly.fallback, assembly.recovery
     with log_writer(plan, out) as writer, watched(plan, LogSink(writer), live=live) as sink:
-        loop = control_loop(
-            arms, settings, controller, limits=settings.limits(reference), sink=sink, fallback=fallback,
-            recovery=recovery,
-        )  # fmt: skip
-        recipe = bench_recipe(plan, controller)
+        loop, recipe = assembly.loop(sink=sink), bench_recipe(plan, assembly)
         with link.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, process):
             result = loop.run(rig)
         if not len(result.ticks.times):
@@ -868,33 +875,31 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
     from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
 
     check_replaced(out, {**run_metadata(plan.itinerary), "rig": OWN_BENCH}, force=force)
-    controller = loop_controller(plan.followed().reference, plan.itinerary.model.arms, plan.itinerary.loop)
-    settings = BenchServerSettings(real_time=real_time, watchdog=PROGRAM_WATCHDOG)
-    # A program takes no zeros off its readings.
-    process, deadlines = BenchProcess(replace(bench_recipe(plan, controller), zeros=()), settings), None
+    loop = plan.itinerary.loop
+    # A program does not get up after a fall, and takes no zeros off its readings.
+    stops = replace(loop, supervisor=replace(loop.supervisor, on_fall="stop"))
+    assembly, settings = assembled(plan), BenchServerSettings(real_time=real_time, watchdog=PROGRAM_WATCHDOG)
+    process, deadlines = BenchProcess(replace(bench_recipe(plan, assembly), zeros=()), settings), None
+    assembly = assembly.under(stops)
     try:
         with process:
             deadlines = process.controlled_by(program, *(["--real-time"] if real_time else []))
     except KeyboardInterrupt:
         if process.record is not None:
-            _log_recorded(plan, out, program, controller, process, deadlines)
+            _log_recorded(plan, out, program, assembly, process, deadlines)
         raise
-    return _log_recorded(plan, out, program, controller, process, deadlines)
+    return _log_recorded(plan, out, program, assembly, process, deadlines)
 
 
 def _log_recorded(
-    plan: Plan, out: Path, program: Path, controller: Controller, process: "BenchProcess", kept: "Deadlines | None"
+    plan: Plan, out: Path, program: Path, assembly: Assembly, process: "BenchProcess", kept: "Deadlines | None"
 ) -> RigRun:
     from dpcontrol.rig.bench import RecordedRig
 
-    arms, settings, reference = plan.itinerary.model.arms, plan.itinerary.loop, plan.followed().reference
     if process.record is None:
         raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.said)}")
     with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:
-        loop = control_loop(
-            arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer),
-            fallback=loop_fallback(reference, arms, settings),
-        )  # fmt: skip
+        loop = assembly.loop(sink=LogSink(writer))
         rig = RecordedRig(process.record, loop.ticker.program)
         result = loop.run(rig)
         if not len(result.ticks.times):

@@ -31,14 +31,18 @@ def settings_to_vary() -> list[str]:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Settings of a run that take the place of its scene's; None keeps. Each field's metadata has its help text."""
+    """Settings of a run that take the place of its scene's; None keeps. Each field's metadata has its help text.
+
+    controller, estimator and plant may be users' own objects; see `dpcontrol.loop.own`.
+    """
 
     mismatch: float | None = _option(PLANT, "Share by which the plant's parameters may be off.")
     model_uncertainty: float | None = _option(
         PLANT, "Draw the plant from an identified model's uncertainty, its errors times this."
     )
-    plant: str | None = _option(
-        PLANT, "Model file or name of the plant's own arms and friction; the mismatch is drawn about them."
+    plant: str | object | None = _option(
+        PLANT,
+        "Model file or name of the plant's own arms and friction; the mismatch is drawn about them. Or FILE.py:CLASS.",
     )
     friction: float | None = _option(PLANT, "Factor on the plant's friction, unknown to the model.")
     initial_error: float | None = _option(PLANT, "Largest error of each arm's first angle, rad.")
@@ -90,9 +94,13 @@ class RunOptions:
     )
     known_belt: float | None = _option(DRIVE, "Frequency of the belt that the controller knows of, Hz [as --belt].")
     known_play: float | None = _option(ESTIMATOR, "Play that the estimator knows of, rad [as --play].")
-    estimator: str | None = _option(ESTIMATOR, f"Kind of estimator: {', '.join(FILTERS)}.", FILTERS)
+    estimator: str | object | None = _option(
+        ESTIMATOR, f"Kind of estimator: {', '.join(FILTERS)}; or FILE.py:CLASS.", FILTERS
+    )
     rate_noise: float | None = _option(ESTIMATOR, "Standard deviation of noise added to estimated rates, rad/s.")
-    controller: str | None = _option(CONTROLLER, f"Kind of controller: {', '.join(LAWS)}.", LAWS)
+    controller: str | object | None = _option(
+        CONTROLLER, f"Kind of controller: {', '.join(LAWS)}; or FILE.py:CLASS.", LAWS
+    )
     keep: str | None = _option(
         CONTROLLER,
         "What keeps the stops of a walk planned with keep: none, ogy, ogy-classic, tvlqr.",

@@ -139,4 +139,4 @@ def test_another_estimator_asks_for_what_the_adaptive_law_counts_on(kind: str) -
     loop = load_itinerary("outer-turn").with_run(RunOptions(estimator=kind)).loop
     assert loop.controller.kind == "adaptive"
     assert loop.estimator.kind == kind
-    assert set(loop.estimator.augment) == {"zeros", "drive", "friction", "parameters"}
+    assert set(loop.estimator.augment) == {"zeros", "drive", "friction", "dry", "parameters"}

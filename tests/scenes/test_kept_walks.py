@@ -16,7 +16,7 @@ from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog, read_log
-from dpcontrol.loop.loop import can_batch, loop_controller
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.references.problem import state_scale
 from dpcontrol.references.trajectory import power_coefficients
 from dpcontrol.review.decoding import decode_run
@@ -186,21 +186,20 @@ def test_other_controllers_follow_the_same_reference(scene: Writer, tmp_path: Pa
 def test_programs_and_fallbacks_are_left_to_the_loop(scene: Writer) -> None:
     plan = make_plan(load_itinerary(str(scene())))
     itinerary, arms = plan.itinerary, plan.itinerary.model.arms
-    program = loop_controller(plan.reference, arms, itinerary.loop)
-    assert isinstance(program, Program)
-    assert program.kind == "tvlqr, stays by ogy"
-    assert not can_batch(itinerary.loop, program)
-    whole = itinerary.with_run(RunOptions(keep="none")).loop
-    tracking = loop_controller(plan.reference, arms, whole)
-    assert can_batch(whole, tracking)
-    assert not can_batch(itinerary.with_run(RunOptions(keep="none", hold="nearest")).loop, tracking)
+    kept = Assembly(plan.reference, arms, itinerary.loop)
+    assert isinstance(kept.controller, Program)
+    assert kept.controller.kind == "tvlqr, stays by ogy"
+    assert not kept.lockstep
+    tracking = Assembly(plan.reference, arms, itinerary.with_run(RunOptions(keep="none")).loop)
+    assert tracking.lockstep
+    assert not tracking.under(itinerary.with_run(RunOptions(keep="none", hold="nearest")).loop).lockstep
 
 
 def test_a_reference_without_stays_has_nothing_to_keep() -> None:
     plan = make_plan(load_itinerary("outer-turn"))
     loop = plan.itinerary.with_run(RunOptions(controller="tvlqr", keep="ogy")).loop
     with pytest.raises(InputError, match="the reference was planned without stays"):
-        loop_controller(plan.reference, plan.itinerary.model.arms, loop)
+        _ = Assembly(plan.reference, plan.itinerary.model.arms, loop).controller
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ import pytest
 
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 from dpcontrol.logs import read_log
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DisturbanceSettings, Push, SensorSettings
-from dpcontrol.loop.loop import loop_controller, loop_recovery, run_loop
 from dpcontrol.loop.recovery import FRESH_SECONDS, REST_ANGLE, REST_RATE, REST_SECONDS, StartController
 from dpcontrol.loop.result import Ending
 from dpcontrol.scenes.itinerary import load_itinerary
@@ -115,8 +115,8 @@ def test_what_sticks_comes_back_also_in_a_night_that_is_resumed() -> None:
 def test_ways_from_rest_that_are_planned_beside_a_night_are_those_of_its_plan() -> None:
     plan = make_plan(night_itinerary(TURN.with_run(BENCH, seed=5), asked={}))
     arms, loop = plan.itinerary.model.arms, plan.itinerary.loop
-    controller = loop_controller(plan.reference, arms, loop)
-    known = loop_recovery(plan.reference, arms, loop, controller)
+    controller = Assembly(plan.reference, arms, loop).controller
+    known = Assembly(plan.reference, arms, loop, law=controller).recovery
     assert known is not None
     here, there = multiprocessing.Pipe(duplex=False)
     sent = []
@@ -144,8 +144,8 @@ def test_arms_rest_until_there_is_a_way_to_start_again(patient: bool) -> None:
     scene = replace(scene, loop=replace(scene.loop, disturbances=DisturbanceSettings(explicit=blow)))
     plan = make_plan(scene)
     arms, loop = scene.model.arms, scene.loop
-    controller = loop_controller(plan.reference, arms, loop)
-    known = loop_recovery(plan.reference, arms, loop, controller)
+    controller = Assembly(plan.reference, arms, loop).controller
+    known = Assembly(plan.reference, arms, loop, law=controller).recovery
     assert known is not None
     starts, asked = list[StartController](), []
 
@@ -159,7 +159,7 @@ def test_arms_rest_until_there_is_a_way_to_start_again(patient: bool) -> None:
         return True
 
     later = replace(known, starts=starts, ready=ready)
-    fly = partial(run_loop, plan.reference, arms, settings=loop, controller=controller, recovery=later, until=16_000)
+    fly = partial(Assembly(plan.reference, arms, loop, law=controller).simulate, recovery=later, until=16_000)
     if not patient:
         with pytest.raises(GoalMissed, match="from rest to stop 1"):
             fly()

@@ -94,6 +94,7 @@ def test_borders_where_less_is_worse_are_sought_downward(turn: Plan, monkeypatch
     # What nothing disturbs has no border where it is sought.
     assert border(found, "lag").border is None
     assert border(found, "lag").sentence.startswith("beyond")
+    assert (border(found, "belt").own, border(found, "counts").own) == ("none", "40,000 a turn")
 
 
 def test_a_change_is_worth_what_it_rescues_less_what_it_loses(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,8 +7,8 @@ import pytest
 
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import Push
-from dpcontrol.loop.loop import loop_controller, loop_recovery
 from dpcontrol.references.reference import plan_notes, start_reference
 from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary
@@ -95,9 +95,9 @@ def test_what_gets_up_after_a_fall_cannot_leave_as_c(plan) -> None:
 def test_a_law_with_a_clock_of_its_own_cannot_be_taken_up_anywhere(plan) -> None:
     scene = plan.itinerary
     loop = replace(scene.loop, controller=TvlqrSettings(schedule="phase"))
-    controller = loop_controller(plan.reference, scene.model.arms, loop)
+    controller = Assembly(plan.reference, scene.model.arms, loop).controller
     with pytest.raises(InputError, match="keeps a clock of its own"):
-        loop_recovery(plan.reference, scene.model.arms, loop, controller)
+        _ = Assembly(plan.reference, scene.model.arms, loop, law=controller).recovery
 
 
 @pytest.mark.slow
