@@ -31,10 +31,11 @@ class Toy:
     stopped_at: int | None = None
     queued: tuple[float, ...] = ()
     truth: None = None
+    age: float | None = None
 
     def read(self) -> Reading:
         self.tick += 1
-        return Reading(self.tick * self.period, np.full(3, float(self.tick)))
+        return Reading(self.tick * self.period, np.full(3, float(self.tick)), age=self.age)
 
     def command(self, acceleration: float) -> None:
         self.commands.append((self.tick, acceleration))

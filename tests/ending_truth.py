@@ -21,14 +21,15 @@ that came to the reference's end is judged by its score: see `untrue_score`.
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 from unittest import mock
 
 import numpy as np
 
-import dpcontrol.loop.loop as loop_module
-from dpcontrol.loop.loop import LoopSettings, loop_controller, run_batch, run_loop
+import dpcontrol.loop.lockstep as lockstep
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import BatchRun, Ending, JudgedTicks
 from dpcontrol.references.reference import Reference
 from dpcontrol.review.score import Flown, Verdict, verdict_on
@@ -86,15 +87,13 @@ class _WithEstimates(JudgedTicks):
 def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) -> list[Flight]:
     """Run these seeds in lockstep where that goes, else one by one."""
     loop, arms = itinerary.loop, itinerary.model.arms
-    controller, limits = loop_controller(reference, arms, loop), loop.limits(reference)
-    if loop_module.can_batch(loop, controller):
-        with mock.patch.object(loop_module, "JudgedTicks", _WithEstimates):
-            runs = run_batch(arms, settings=loop, seeds=seeds, controller=controller, limits=limits)
+    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference)
+    if assembly.lockstep:
+        with mock.patch.object(lockstep, "JudgedTicks", _WithEstimates):
+            runs = assembly.batch(seeds)
         estimates = [_WithEstimates.made.estimates[: len(run.times), :, k] for k, run in enumerate(runs)]
     else:
-        results = [
-            run_loop(reference, arms, settings=replace(loop, seed=seed), controller=controller) for seed in seeds
-        ]
+        results = [assembly.simulate(seed=seed) for seed in seeds]
         runs, estimates = [BatchRun.of(result) for result in results], [result.ticks.estimates for result in results]
     bounds = (limits.position, limits.velocity, limits.acceleration)
     due = tuple(symbol["time"] for symbol in reference.notes["symbols"])

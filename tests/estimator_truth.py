@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.interface import MANY, Controller
 from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.loop.loop import LoopSettings, _Lockstep, make_ticker
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.lockstep import Lockstep
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.loop.simulated import BatchBench
 from dpcontrol.references.reference import Reference
@@ -27,8 +29,12 @@ def true_extras(names: Sequence[str], plant: ArmChainParameters, model: ArmChain
     order = [f"M{i}{j}" for i in joints for j in range(i, n + 1)]
     order += [f"{kind}{i}" for kind in ("G", "S", "friction_") for i in joints]
     unit = order.index("M12" if n > 1 else "M11")
-    true, assumed = plant.base(), model.base()
+    true, assumed = plant.viscous_only().base(), model.viscous_only().base()
     share = dict(zip(order, (true / true[unit]) / (assumed / assumed[unit]) - 1, strict=False))
+    dry = [np.array(arms.coulomb or (0.0,) * n) / base[unit] for arms, base in ((plant, true), (model, assumed))]
+    for i in joints:
+        told = dry[1][i - 1] * (1 + share[f"friction_{i}"])
+        share[f"dry_{i}"] = (dry[0][i - 1] - told) * assumed[unit] / assumed[order.index(f"G{i}")]
     share |= {f"zero_{i}": zero for i, zero in zip(joints, np.cumsum(zeros), strict=True)}
     return np.array([share.get(name, np.nan) for name in names])
 
@@ -100,11 +106,11 @@ def beliefs(
     limits = settings.limits(reference)
     lanes = [*seeds, *[seeds[-1]] * (-len(seeds) % 8)]
     draws = [settings.draw(model, ticks=count, seed=seed) for seed in lanes]
-    ticker = make_ticker(model, settings, controller, limits=limits, delay=settings.drive.delay, runs=len(lanes))
+    ticker = Assembly(reference, model, settings, law=controller).ticker(runs=len(lanes))
     start, queued = controller.first_state, list(ticker.queued)
     bench = BatchBench(draws, settings.bench, limits=limits, start=start, queued=queued, lanes=MANY)
     recorder = _Recorder(ticker, bench, ticks)
-    runs = _Lockstep(recorder, bench, draws).run()[: len(seeds)]
+    runs = Lockstep(recorder, bench, draws).run()[: len(seeds)]
     n = model.count
     names = [f"angle_{i + 1}" for i in range(n)] + [f"rate_{i + 1}" for i in range(n)] + ["cart", "velocity"]
     names += ticker.extra_names

@@ -65,6 +65,7 @@ def test_the_wheel_carries_every_module_its_tables_and_pages_and_nothing_of_the_
         names = {n for n in archive.namelist() if not n.startswith("dpcontrol/data/") and ".dist-info/" not in n}
     ends = ("*.py", "*.toml", "*.json", "*.md", "*.[ch]")
     package = {file for end in ends for file in (ROOT / "dpcontrol").rglob(end)}
+    package |= set((ROOT / "dpcontrol/planner/static").iterdir())
     package |= {ROOT / "dpcontrol/control/target" / name for name in ("Makefile", "CMakeLists.txt")}
     assert names == {str(file.relative_to(ROOT)) for file in package}
     pages = {f"dpcontrol/guide/{name}.md" for name in ("README", "rig", "payoff")}

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from dpcontrol.cli.main import main
 from dpcontrol.logs import read_log, recover
-from dpcontrol.loop import loop
+from dpcontrol.loop import assembly
 from dpcontrol.loop.result import Reading
 
 
-class TellingRig(loop.SimulatedRig):
+class TellingRig(assembly.SimulatedRig):
     """A rig that writes the number of each tick that is read, four bytes at a time."""
 
     told = 0
@@ -45,5 +45,5 @@ def killed(path: Path, *, after: float) -> tuple[int, int]:
 
 
 if __name__ == "__main__":
-    loop.SimulatedRig = TellingRig
+    assembly.SimulatedRig = TellingRig
     main(sys.argv[1:])

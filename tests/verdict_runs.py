@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from independent_decoder import LAST, Plan, faults, last_gap, plan_of
 
-from dpcontrol.loop.loop import can_batch, loop_controller, loop_recovery, run_batch, run_loop
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.references.reference import Reference
 from dpcontrol.review.score import Flown, verdict_on
@@ -55,17 +55,9 @@ def runs(itinerary: Itinerary, reference: Reference, options: RunOptions, seeds:
     """Fly these seeds."""
     scene = itinerary.with_run(options)
     loop, arms = scene.loop, scene.model.arms
-    controller, limits = loop_controller(reference, arms, loop), loop.limits(reference)
-    if can_batch(loop, controller):
-        flights = run_batch(arms, settings=loop, seeds=seeds, controller=controller, limits=limits)
-    else:
-        recovery = loop_recovery(reference, arms, loop, controller)
-        flights = [
-            BatchRun.of(
-                run_loop(reference, arms, settings=replace(loop, seed=s), controller=controller, recovery=recovery)
-            )
-            for s in seeds
-        ]
+    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference)
+    lockstep = assembly.lockstep
+    flights = assembly.batch(seeds) if lockstep else [BatchRun.of(assembly.simulate(seed=seed)) for seed in seeds]
     bounds = (limits.position, limits.velocity, limits.acceleration)
     for seed, run in zip(seeds, flights, strict=True):
         ended = "" if run.ending is Ending.FINISHED else run.reason

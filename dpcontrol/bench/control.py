@@ -45,16 +45,10 @@ from dpcontrol.control.tracking import (
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, ESTIMATORS, make_estimator
-from dpcontrol.loop.loop import (
-    LoopSettings,
-    can_batch,
-    make_ticker,
-    run_batch,
-    run_loop,
-    sampled_model,
-)
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import BatchRun, Ending, Reading
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.method import method_named
@@ -143,14 +137,11 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
     the small one.
     """
     lanes = [(seed, mismatch) for mismatch in (SMALL, LARGE) for seed in range(seeds)]
-    if can_batch(settings, controller):
-        runs = run_batch(
-            task.arms, settings=settings, seeds=[seed for seed, _ in lanes], mismatches=[m for _, m in lanes],
-            controller=controller, limits=settings.limits(task.reference),
-        )  # fmt: skip
+    assembly = Assembly(task.reference, task.arms, settings, law=controller)
+    if assembly.lockstep:
+        runs = assembly.batch([seed for seed, _ in lanes], mismatches=[mismatch for _, mismatch in lanes])
     else:
-        alone = [replace(settings, seed=seed, mismatch=mismatch) for seed, mismatch in lanes]
-        runs = [BatchRun.of(run_loop(task.reference, task.arms, settings=one, controller=controller)) for one in alone]
+        runs = [BatchRun.of(assembly.simulate(seed=seed, mismatch=mismatch)) for seed, mismatch in lanes]
     small, large = runs[:seeds], runs[seeds:]
     good = [run for run in small if task.judge(run)]
     if not good:
@@ -199,8 +190,7 @@ def _completed(reference: Reference) -> Judge:
 
 def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -> Callable[[], None]:
     """Return what a tick of the loop costs but for its bench, as a function to be timed, walking along the path."""
-    limits = settings.limits(task.reference)
-    ticker = make_ticker(task.arms, settings, controller, limits=limits, delay=settings.drive.delay)
+    ticker = Assembly(task.reference, task.arms, settings, law=controller).ticker()
     where = ticker.program.model.position_indices
     seen, ticks = controller.first_state[where], cycle(range(ticker.count))
 

@@ -54,8 +54,9 @@ from dpcontrol.dynamics.plant import PlantParameters, longest_step
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
-from dpcontrol.loop.loop import LoopSettings, loop_controller, loop_margins, run_batch, run_loop, sampled_model
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.references.find import find_reference
@@ -439,6 +440,7 @@ class Stand:
     over its last tenth.
     """
 
+    reference: Reference
     arms: ArmChainParameters
     model: SampledModel
     controller: Controller
@@ -452,8 +454,8 @@ class Stand:
         # Half a period of wrong timing is another error, which a slow loop pays for dearly.
         drive = DriveSettings(delay=round(delay * self.settings.rate))
         settings = replace(self.settings, mismatch=mismatch, initial_error=error, drive=drive)
-        limits = Limits(position=ROOM, velocity=ROOM, acceleration=acceleration)
-        (run,) = run_batch(self.arms, settings=settings, seeds=[0], controller=self.controller, limits=limits)
+        reference = replace(self.reference, limits=Limits(position=ROOM, velocity=ROOM, acceleration=acceleration))
+        (run,) = Assembly(reference, self.arms, settings, law=self.controller).batch([0])
         if run.ending is not Ending.FINISHED:
             return Attempt(False, run.reason)
         last = farthest_at_last(run)
@@ -488,7 +490,8 @@ def held_at_rest(rate: float, *, saddle: str = SADDLE, seconds: float = 8.0) -> 
     model = sampled_model(lab.arms, rate)
     controller = hold_controller(lab.system.equilibrium(saddle), model, HoldSettings(), seconds=seconds)
     settings = LoopSettings(seed=0, rate=rate, controller=HoldSettings())
-    return Stand(lab.arms, model, controller, settings, near=0.1)
+    reference = still(controller.state, seconds, method=method_named("radau-7"), limits=Limits(), interval=1.0)
+    return Stand(reference, lab.arms, model, controller, settings, near=0.1)
 
 
 @cache
@@ -496,8 +499,9 @@ def moving(rate: float) -> Stand:
     """Return the planned turn of the outer arm, followed by TVLQR."""
     scene = load_itinerary(WALK)
     model = sampled_model(scene.model.arms, rate)
-    controller = tracking_controller(make_plan(scene).reference, model, TvlqrSettings())
-    return Stand(scene.model.arms, model, controller, LoopSettings(seed=0, rate=rate), near=0.3)
+    reference = make_plan(scene).reference
+    controller = tracking_controller(reference, model, TvlqrSettings())
+    return Stand(reference, scene.model.arms, model, controller, LoopSettings(seed=0, rate=rate), near=0.3)
 
 
 LATE = EdgeMap("Known delay, by rate", "rate of the loop, Hz", "delay, s", far="lost")
@@ -683,8 +687,8 @@ def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, se
         seed=0, rate=RATE, sensors=sensors, estimator=EkfSettings(augment=()), initial_error=1e-5
     )  # fmt: skip
     arms, period = load_model("lab").arms, orbit.period
-    runs = run_batch(arms, settings=settings, seeds=range(seeds), controller=controller,
-                     limits=Limits(position=5.0, acceleration=30.0))  # fmt: skip
+    wide = replace(orbit.reference, limits=Limits(position=5.0, acceleration=30.0))
+    runs = Assembly(wide, arms, settings, law=controller).batch(range(seeds))
     judge = held(orbit.state(np.linspace(0, period, 1000))[:, : arms.count], period=period)
     away = "finished, but away from the orbit in its last period"
     return half_of(
@@ -768,8 +772,9 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
     reference = still(controller.state, SECONDS, method=method_named("radau-7"), limits=Limits(), interval=1.0)
 
     def probe(kept: float) -> Attempt:
-        drawn = [replace(settings, seed=k, sensors=SensorSettings(dropout=1 - kept / rate)) for k in range(seeds)]
-        runs = [run_loop(reference, arms, settings=one, controller=controller) for one in drawn]
+        lossy = replace(settings, sensors=SensorSettings(dropout=1 - kept / rate))
+        assembly = Assembly(reference, arms, lossy, law=controller)
+        runs = [assembly.simulate(seed=k) for k in range(seeds)]
         return half_of([Attempt(run.ending is Ending.FINISHED, run.reason) for run in runs], "runs lost")
 
     predicted = arriving(rate, missing=settings.supervisor.missing, seconds=SECONDS)
@@ -795,7 +800,7 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
 
     def probe(after: float) -> Attempt:
         controller = orbit_controller(orbit, model, TvlqrSettings(), seconds=at + after)
-        run = run_loop(orbit.reference, arms, settings=settings, controller=controller)
+        run = Assembly(orbit.reference, arms, settings, law=controller).simulate()
         return Attempt(run.ending is Ending.FINISHED, "" if run.ending is Ending.FINISHED else run.reason)
 
     # What must pass at least: the filter's doubt comes on top.
@@ -825,23 +830,18 @@ SHORT = 1.0
 
 @dataclass(frozen=True, eq=False)
 class FollowedReference:
-    """A reference with the law that follows it, in runs of `seeds` seeds."""
+    """What follows a reference, with its margins, in runs of `seeds` seeds."""
 
-    reference: Reference
-    arms: ArmChainParameters
-    settings: LoopSettings
-    controller: Controller
+    assembly: Assembly
     margins: Mapping[str, float]
     seeds: int
 
     def run(self, *, gain: float = 1.0, delay: float = 0.0, lag: float = 0.0) -> Attempt:
         """Return whether half of the seeds hold on to the reference with a drive that is so unlike the one believed."""
-        believed, rate = self.settings.drive.delay, self.settings.rate
-        drive = replace(self.settings.drive, response=gain, lag=lag, delay=believed + delay * rate)
-        runs = run_batch(
-            self.arms, settings=replace(self.settings, drive=drive), seeds=range(self.seeds),
-            controller=self.controller, limits=self.settings.limits(self.reference), believed_delay=believed,
-        )  # fmt: skip
+        believed, rate = self.assembly.delay, self.assembly.settings.rate
+        drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=believed + delay * rate)
+        other = self.assembly.under(replace(self.assembly.settings, drive=drive))
+        runs = replace(other, law=self.assembly.controller, believed_delay=believed).batch(range(self.seeds))
         failed = [why for run in runs if (why := _astray(run))]
         return Attempt(2 * len(failed) < self.seeds, failed[0] if failed else "")
 
@@ -864,12 +864,12 @@ def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
     settings = LoopSettings(
         seed=0, controller=scene.loop.controller, estimator=scene.loop.estimator, initial_error=MARGIN_ERROR, travel=0.8
     )
-    controller: Any = loop_controller(reference, arms, settings)
+    assembly = Assembly(reference, arms, settings)
+    controller: Any = assembly.controller
     if isinstance(controller, OrbitController | HoldController):
-        controller = replace(controller, ticks=round(STAYED * settings.rate))
-    least = loop_margins(reference, arms, settings, controller).least()
-    margins = {name: value for name, (value, _) in least.items()}
-    return FollowedReference(reference, arms, settings, controller, margins, seeds)
+        assembly = replace(assembly, law=replace(controller, ticks=round(STAYED * settings.rate)))
+    margins = {name: value for name, (value, _) in assembly.margins().least().items()}
+    return FollowedReference(assembly, margins, seeds)
 
 
 def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float) -> Border:

@@ -1,7 +1,8 @@
 """Chart of an itinerary's effort over energies: is its own a good choice?
 
-A walk of the same symbols exists at many energies. Each is planned, and flown by the itinerary's own law on plants that
-are off by 5 %; what counts is ∫u² of the whole loop, reference and correction, of the runs that complete it.
+A walk of the same connections exists at many energies: they are followed from the itinerary's own, since its symbols
+may stand for other ones there. Each is planned, and flown by the itinerary's own law on plants that are off by 5 %;
+what counts is ∫u² of the whole loop, reference and correction, of the runs that complete it.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from dpcontrol.scenes.campaign import Case, Job, run_job
 from dpcontrol.scenes.itinerary import Itinerary, WalkPart
 from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.planning import planned
+from dpcontrol.walks.following import SymbolBranches
 from dpcontrol.walks.symbols import parse_walk
 
 MISMATCH = 0.05
@@ -40,11 +42,27 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
     names = {saddle for symbol in symbols for one in symbol.simple for saddle in (one.source, one.target)}
     floor = max(equilibrium(system, name).energy for name in names)
     points, missing = [], []
+    branches = {s.text: SymbolBranches(system, s) for s in symbols if not s.parts and s.name is None}
+    own_choice = {text: branch.chosen(walk.energy) for text, branch in branches.items()}
+    moved: list[str] = []
     for k, factor in enumerate(ENERGIES):
         energy = floor + factor * (walk.energy - floor)
         progress(f"{energy:.3g} J", k / len(ENERGIES))
         try:
-            found = at_energy(itinerary, replace(walk, energy=energy), RUNS)
+            texts = []
+            for text in walk.walk:
+                chosen = own_choice.get(text)
+                if chosen is None or factor == 1.0:
+                    texts.append(text)
+                    continue
+                there = branches[text].followed(chosen, energy)
+                if there is None:
+                    raise GoalMissed(f"{text}: its connection at {walk.energy:.4g} J cannot be followed to this energy")
+                other = branches[text].chosen(energy)
+                if other is not None and other.name != there.name and f"{text!r} at {energy:.3g} J" not in moved:
+                    moved.append(f"{text!r} at {energy:.3g} J")
+                texts.append(there.name)
+            found = at_energy(itinerary, replace(walk, energy=energy, walk=tuple(texts)), RUNS)
         except (InputError, GoalMissed) as error:
             missing.append(Missing("loop", f"{energy:.3g} J", str(error)))
             continue
@@ -61,13 +79,17 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
         itinerary.title, "energy above the highest saddle's, J", "∫u², m²/s³", tuple(points), missing=tuple(missing),
         judged=False, timed=False,
     )  # fmt: skip
+    followed = f"The connections of {walk.energy:.4g} J are followed to the other energies."
+    if moved:
+        others = f"There symbols alone stand for other ones: {', '.join(moved)}"
+        followed += f" {others}; `dpcontrol walk --compare` reports from where on."
     return PrecisionChart(
         name=f"{itinerary.name}-energies",
         title=f"{itinerary.name}: effort over energies",
         reading=(
             "A mark is the whole itinerary planned at one energy, the ring its own.",
             "reference: the effort of the plan alone, on a plant that is the model.",
-            f"loop: mean effort of the runs that complete it, of {RUNS} plants off by {MISMATCH:.0%}.",
+            f"loop: mean effort of the runs that complete it, of {RUNS} plants off by {MISMATCH:.0%}. {followed}",
         ),
         chosen=energy_text(walk.energy, points),
         parts=(panel,),

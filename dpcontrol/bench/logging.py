@@ -29,7 +29,7 @@ from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.logs import LogWriter, recover
 from dpcontrol.logs.container import Messages, MessageWriter, messages_of, ticks_left
-from dpcontrol.loop.loop import run_loop
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import LogSink, Ticks
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
@@ -293,7 +293,7 @@ def recording(folder: Path, ticks: int) -> LoggedRun:
     """Return the first ticks of a run of the outer turn, with its messages."""
     scene = load_itinerary("outer-turn").with_run(RunOptions(mismatch=0.02, initial_error=0.02), seed=3)
     arms = scene.model.arms
-    flown = run_loop(make_plan(scene).reference, arms, settings=scene.loop).ticks.between(0, ticks)
+    flown = Assembly(make_plan(scene).reference, arms, scene.loop).simulate().ticks.between(0, ticks)
     run = LoggedRun(flown, folder / "source.mcap", arms.length, scene.loop.rate)
     write(Blocks(), run.log, run)
     return run

@@ -7,14 +7,16 @@ Every flight is one program, whoever solves it:
 at the cart level with friction, by one transcription, solver, tolerance and limit of iterations. The methods differ in
 where the search starts: on the orbit that shadows the tubes' connection; on a smooth curve from end to end; on that
 curve with random waves; on what random inputs do from the start; on what the cross-entropy method (CEM) finds, which
-shoots forward with held inputs. The end state holds the winding, so what converges turns each arm as often as asked.
+shoots forward with held inputs; on where a homotopy leads from waves (`dpcontrol.bench.homotopy`). The end state holds
+the winding, so what converges turns each arm as often as asked.
 
 What is charted is computed again from the equations of motion as any textbook has them, by scipy alone: every interval
 from its own first state, and the effort as one more state. A flight counts if no interval ends farther than `GAP`
 (scaled) from where the next begins. Each is then followed by the shipped law on plants that are off by 5 %.
 
-The others' settings were tuned on flights that are not charted: waves (0.5, 1, 2 rad) and inputs (0.3, 1 m/s²) on an
-outer turn at 0 J, eight tries each; CEM there and on a crossing at 0.25 J, four tries of each setting.
+The others' settings were tuned on flights that are not charted: waves (0.15 to 2 rad, 3, 6 and 12 harmonics) and inputs
+(0.3, 1 m/s²) on an outer turn at 0 J, eight tries each or more; CEM, waves and the homotopy's prices there and on a
+crossing at 0.25 J, four tries of each setting or more.
 
 Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4; Rubinstein & Kroese,
 The Cross-Entropy Method (2004), ch. 5.
@@ -34,6 +36,7 @@ from scipy.interpolate import BarycentricInterpolator
 from dpcontrol.bench.chart import AT_ONCE, Border, Missing, Panel, Point, PrecisionChart, find_border, half_of
 from dpcontrol.bench.chart import Attempt as Answer
 from dpcontrol.bench.control import held
+from dpcontrol.bench.homotopy import by_homotopy
 from dpcontrol.control.interface import whole_turns
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled, compiled_step
@@ -41,8 +44,9 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DisturbanceSettings
-from dpcontrol.loop.loop import LoopSettings, loop_controller, run_batch
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import BatchRun
 from dpcontrol.references.find import find_reference, on_mesh, smooth_guess
 from dpcontrol.references.method import method_named
@@ -66,8 +70,8 @@ SETTINGS = ReferenceSettings(pendulum_weight=0.0, cart_weight=0.0)
 """Of every search: the product's own, but for the cost, which is the effort alone."""
 GAP = 1e-4
 """Scaled: what may lie between an interval's end and the next one's start."""
-TUBES, STRAIGHT, WAVES, INPUTS, CEM = (
-    "along tubes", "smooth curve", "curve with waves", "random inputs", "CEM, then collocation",
+TUBES, STRAIGHT, WAVES, INPUTS, CEM, HOMOTOPY = (
+    "along tubes", "smooth curve", "curve with waves", "random inputs", "CEM, then collocation", "homotopy from waves",
 )  # fmt: skip
 MISMATCH, SEEDS, BLOWN = 0.05, 24, 16
 """Of the plants that flights are followed on; how many there are, and how many when they are struck."""
@@ -218,12 +222,7 @@ class Try:
     @property
     def effort(self) -> float:
         """∫u² in m²/s³; infinite where it did not converge."""
-        return float("inf") if self.motion is None else effort_of(self.motion)
-
-
-def effort_of(motion: Trajectory) -> float:
-    """Return ∫u² in m²/s³ by the method's own quadrature."""
-    return float((motion.inputs[..., 0] ** 2 @ motion.method.weights) @ np.diff(motion.mesh))
+        return float("inf") if self.motion is None else self.motion.effort
 
 
 def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = None, *, spent: float = 0.0) -> Try:
@@ -234,6 +233,13 @@ def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = 
     solved = solve(problem, first, settings=SETTINGS, limits=problem.limits)
     spent += time.process_time() - began
     return Try(method, spent, solved.trajectory if solved.succeeded else None)
+
+
+def led(method: str, problem: ReferenceProblem, generator: np.random.Generator) -> Try:
+    """Return what collocation makes of where the homotopy leads from the problem's guess with random waves."""
+    began = time.process_time()
+    states, inputs, step = by_homotopy(replace(problem, guess=with_waves(problem, generator)))
+    return searched(method, problem, flown(problem, states, inputs, step), spent=time.process_time() - began)
 
 
 def along_tubes(one: ChartedFlight) -> Try:
@@ -404,10 +410,11 @@ def followed(one: ChartedFlight, motion: Reference, *, seeds: int, blows: bool =
     scene = load_itinerary("outer-turn").loop
     whole = between_orbits(one, motion)
     settings = replace(scene, seed=0, mismatch=MISMATCH, initial_error=0.0)
-    controller = loop_controller(whole, arms, settings)
+    assembly = Assembly(whole, arms, settings)
+    _ = assembly.controller
 
     def runs(loop: LoopSettings, count: int) -> list[BatchRun]:
-        return run_batch(arms, settings=loop, seeds=range(count), controller=controller, limits=loop.limits(whole))
+        return assembly.under(loop).batch(range(count))
 
     every = runs(settings, seeds)
     done = [run for run in every if _did(one, run)]
@@ -441,14 +448,15 @@ _LOOKED_AT = 3
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is done: tries from curves with waves, from random inputs and by CEM; those at each time of a front and
-    for each walk; runs of the loop; whether it is struck; times of a front as multiples of that along tubes. quick:
-    fronts without the loop.
+    """How much is done: tries from curves with waves, from random inputs, by CEM and by homotopy; those at each time of
+    a front and for each walk; runs of the loop; whether it is struck; times of a front as multiples of that along
+    tubes. quick: fronts without the loop.
     """
 
     waves: int
     inputs: int
     cem: int
+    homotopies: int
     front: int
     walk: int
     seeds: int
@@ -459,8 +467,8 @@ class Effort:
     quick: bool = False
 
 
-WHOLE = Effort(80, 15, 5, 3, 2, SEEDS, True, FACTORS, FLIGHTS, WALKS)
-QUICK = Effort(2, 1, 1, 0, 0, 6, False, (0.5, 1.0, 2.0), FLIGHTS[:1] + FLIGHTS[4:], WALKS[:2], quick=True)
+WHOLE = Effort(80, 15, 5, 16, 3, 2, SEEDS, True, FACTORS, FLIGHTS, WALKS)
+QUICK = Effort(2, 1, 1, 2, 0, 0, 6, False, (0.5, 1.0, 2.0), FLIGHTS[:1] + FLIGHTS[4:], WALKS[:2], quick=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -505,6 +513,8 @@ def tries_of(one: ChartedFlight, effort: Effort, generator: np.random.Generator)
         began = time.process_time()
         first, _ = by_cem(smooth, arms, generator, CemSettings())
         yield searched(CEM, smooth, first, spent=time.process_time() - began)
+    for _ in range(effort.homotopies):
+        yield led(HOMOTOPY, smooth, generator)
 
 
 def charted(

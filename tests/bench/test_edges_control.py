@@ -20,10 +20,8 @@ from dpcontrol.bench.edges import (
     mismatch_border,
     moving,
 )
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings
-from dpcontrol.loop.loop import run_batch, run_loop
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
 
 APART = 0.25  # the bar
 RATE = 50.0
@@ -91,10 +89,8 @@ def test_commands_on_their_way_at_the_start_belong_to_where_the_motion_leads():
 def test_lockstep_and_loop_queue_the_same_commands():
     stand = moving(RATE)
     late = replace(stand.settings, seed=3, initial_error=0.01, drive=DriveSettings(delay=10))
-    reference = make_plan(load_itinerary("outer-turn")).reference
-    limits = late.limits(reference)
-    together = run_batch(stand.arms, settings=late, seeds=[3], controller=stand.controller, limits=limits)[0]
-    alone = run_loop(reference, stand.arms, settings=late, controller=stand.controller)
+    assembly = Assembly(stand.reference, stand.arms, late, law=stand.controller)
+    together, alone = assembly.batch([3])[0], assembly.simulate()
     assert alone.ticks.truth is not None
     assert np.abs(together.truth[:40] - alone.ticks.truth[:40]).max() < 1e-9
 

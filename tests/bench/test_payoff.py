@@ -23,7 +23,6 @@ from dpcontrol.bench.payoff import (
     as_cheap,
     by_cem,
     cheaper_text,
-    effort_of,
     even_mesh,
     lasting,
     motion_rate,
@@ -87,7 +86,7 @@ def test_a_motion_is_recognised_with_its_effort() -> None:
     assert found.turns == (0, 0)
     exact = 0.15 + np.sin(3.0) / 20
     assert found.effort == pytest.approx(exact, rel=1e-9)
-    assert effort_of(motion) == pytest.approx(exact, rel=1e-9)
+    assert motion.effort == pytest.approx(exact, rel=1e-9)
     assert found.peak == pytest.approx(1.0, abs=1e-6)
 
 
@@ -180,7 +179,7 @@ def test_an_energy_is_poor_where_another_takes_less_or_more_runs_come_through() 
 @pytest.mark.benchmark
 def test_the_quick_chart_holds_flights_that_scipy_confirms(tmp_path, monkeypatch) -> None:
     """Slow: searches, although in this process and no more than one of each kind."""
-    few = replace(payoff.QUICK, waves=1, inputs=0, cem=1, seeds=2, factors=(1.0,), walks=(1,))
+    few = replace(payoff.QUICK, waves=1, homotopies=1, inputs=0, cem=1, seeds=2, factors=(1.0,), walks=(1,))
     monkeypatch.setattr(payoff, "QUICK", few)
     monkeypatch.setattr(payoff, "processors", lambda: 1)
     ended = dpcontrol("bench", "payoff", "--quick", "--out", str(tmp_path))

@@ -24,6 +24,11 @@ Ranges, and the reasons for them:
     rig           200 Hz to 2 kHz, delay of 0 to 3 periods, lag of 0 to 20 ms (known to the controller in half of the
                   scenes), 1,000 to 40,000 counts, 1 to 200 µm, jitter up to a period or 2 ms in a third, reading
                   noise in a third, zeros off by up to 0.03 rad, command noise up to 0.5 m/s², plants off by ±5 %.
+    mechanics     a belt of 20 to 100 Hz in a fifth, damping 0.03 to 0.1, measured to ±10 %, the scale on the motor in
+                  two thirds. Encoder play in a third: 5 to 20 mrad from a gear or 0.5 to 4 mrad from a coupling,
+                  measured to ±30 % if it is above 4 mrad and else unknown. A cable in a quarter: up to 0.5 % of
+                  gravity's torque at rest, and as much for each turn. Stiction in a quarter: up to 0.3 % of gravity's
+                  torque at each joint, 0.6 to 0.9 of it while the joint slides; no model has it.
 """
 
 import argparse
@@ -116,6 +121,8 @@ def sampled_scene(seed: int) -> Scene:
     frictional = any(arms.coulomb)
     name = f"scene-{seed:04d}"
     rig, factors = _rig(np.random.default_rng([seed, RIG]))
+    mechanics, mechanics_factors = _mechanics(np.random.default_rng([seed, MECHANICS]), arms)
+    rig += mechanics
     lines, itinerary_factors = _itinerary(np.random.default_rng([seed, ITINERARY]), arms)
     rig.append(f"travel = {itinerary_factors['half track']:.3f}")
     if frictional and not known:
@@ -130,6 +137,7 @@ def sampled_scene(seed: int) -> Scene:
         {
             "arms": len(arms.mass), **itinerary_factors, "Coulomb share": share, "smoothing": arms.smoothing,
             "Coulomb known": ("yes" if known else "no") if frictional else "-", **factors,
+            **mechanics_factors,
         },
     )  # fmt: skip
 
@@ -269,6 +277,34 @@ def _rig(rng: np.random.Generator) -> tuple[list[str], dict[str, float | str]]:
     factors: dict[str, float | str] = {
         "rate": rate, "delay": delay, "lag": lag, "lag known": ("yes" if known else "no") if lag else "-",
         "counts": counts, "cart resolution": resolution, "jitter": jitter * rate, "noise": noise,
+    }  # fmt: skip
+    return lines, factors
+
+
+def _mechanics(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[str, float | str]]:
+    """Return the lines of [run] that describe belt, play, cable and stiction, and their factors."""
+    lines: list[str] = []
+    with_belt, with_play, with_cable, with_stiction = rng.random(4) < [0.2, 1 / 3, 0.25, 0.25]
+    belt, damping, measured = _log_uniform(rng, 20, 100), rng.uniform(0.03, 0.1), rng.uniform(0.9, 1.1)
+    scale = str(rng.choice(["motor", "cart"], p=[2 / 3, 1 / 3]))
+    if with_belt:
+        lines += [f"belt = {belt:.1f}", f"belt_damping = {damping:.3f}", f'belt_scale = "{scale}"']
+        lines += [f"known_belt = {belt * measured:.1f}"]
+    low, high = (5e-3, 2e-2) if rng.random() < 0.5 else (5e-4, 4e-3)
+    play, measured = _log_uniform(rng, low, high), rng.uniform(0.7, 1.3)
+    if with_play:
+        lines += [f"play = {play:.3g}", f"known_play = {play * measured if play > 4e-3 else 0:.3g}"]
+    torque, turning = rng.uniform(-1, 1) * 0.005, rng.uniform(0, 1) * 0.005
+    if with_cable:
+        lines += [f"cable_torque = {torque * arms.torques[0]:.3g}"]
+        lines += [f"cable_stiffness = {turning * arms.torques[0] / (2 * np.pi):.3g}"]
+    share, kinetic = rng.uniform(0, 0.003), rng.uniform(0.6, 0.9)
+    if with_stiction:
+        lines += [f"stiction = {_list([share * one for one in arms.torques])}", f"kinetic = {kinetic:.2f}"]
+    factors: dict[str, float | str] = {
+        "belt": belt if with_belt else 0.0, "belt scale": scale if with_belt else "-",
+        "play": play if with_play else 0.0, "cable": max(abs(torque), turning) if with_cable else 0.0,
+        "stiction": share if with_stiction else 0.0,
     }  # fmt: skip
     return lines, factors
 

@@ -9,6 +9,7 @@ Source: Kelly, An introduction to trajectory optimization, SIAM Review 59 (2017)
 """
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
@@ -38,12 +39,12 @@ class Motion:
     gap: float
 
 
-def acceleration(model: dict) -> ca.Function:
-    """Return (state, input) -> rate of change, for arms on a cart with prescribed acceleration."""
-    arms, friction = model["arms"], model["friction"]
+def _energies(model: dict) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Return the symbols of angles, rates, cart and its speed, and the kinetic and potential energy."""
+    arms = model["arms"]
     n = len(arms["mass"])
     angles, rates = ca.SX.sym("q", n), ca.SX.sym("w", n)
-    cart, speed, push = ca.SX.sym("x"), ca.SX.sym("v"), ca.SX.sym("u")
+    cart, speed = ca.SX.sym("x"), ca.SX.sym("v")
     joint, joint_speed = [cart, ca.SX(0)], [speed, ca.SX(0)]
     kinetic, potential = ca.SX(0), ca.SX(0)
     for i in range(n):
@@ -56,6 +57,21 @@ def acceleration(model: dict) -> ca.Function:
         potential += arms["mass"][i] * model["gravity"]["acceleration"] * centre[1]
         joint = [j + arms["length"][i] * a for j, a in zip(joint, along, strict=True)]
         joint_speed = [j + arms["length"][i] * t for j, t in zip(joint_speed, turning, strict=True)]
+    return angles, rates, cart, speed, kinetic, potential
+
+
+def mechanical_energy(model: dict) -> Callable[[Array], float]:
+    """Return angles and rates (2n,) -> energy of the arms on a cart that stands, J, zero at the pivot's height."""
+    angles, rates, cart, speed, kinetic, potential = _energies(model)
+    energy = ca.Function("energy", [ca.vertcat(angles, rates, cart, speed)], [kinetic + potential])
+    return lambda state: float(energy(np.append(state, [0.0, 0.0])))
+
+
+def acceleration(model: dict) -> ca.Function:
+    """Return (state, input) -> rate of change, for arms on a cart with prescribed acceleration."""
+    friction = model["friction"]
+    angles, rates, cart, speed, kinetic, potential = _energies(model)
+    push, n = ca.SX.sym("u"), angles.shape[0]
     momenta = ca.gradient(kinetic, rates)
     mass = ca.jacobian(momenta, rates)
     relative = [rates[0], *(rates[i] - rates[i - 1] for i in range(1, n))]

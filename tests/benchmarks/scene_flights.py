@@ -21,6 +21,7 @@ from pathlib import Path
 from generated_scenes import Scene
 from independent_decoder import plan_of
 from independent_planner import missing_transfers
+from independent_tubes import missing_connections
 from verdict_runs import disagreement, runs
 
 from dpcontrol.foundation.statistics import wilson
@@ -129,6 +130,10 @@ BINS: dict[str, Sequence[float]] = {
     "cart resolution": (0, 1e-5, 5e-5, 1),
     "jitter": (0, 1e-9, 0.5, 1.1),
     "noise": (0, 1e-9, 3e-4, 1),
+    "belt": (0, 1e-9, 30, 50, 1000),
+    "play": (0, 1e-9, 4e-3, 1e-2, 1),
+    "cable": (0, 1e-9, 2.5e-3, 1),
+    "stiction": (0, 1e-9, 1.5e-3, 1),
 }
 """Lower edges of the rows of the table, and the last upper one; other factors have a row for each value."""
 
@@ -172,15 +177,16 @@ def _number(level: str) -> tuple[float, str]:
 def failures(flights: Iterable[Flown], folder: Path) -> str:
     """Return lines for each scene that was refused or did not complete all its runs, with the reasons.
 
-    Each refusal is followed by the transfers that the independent planner does not find either.
+    Each refusal is followed by the transfers and connections that independent searches do not find either.
     """
     lines = []
     for one in flights:
         head = f"{one.scene.name} ({one.scene.factors['arms']} arms, {one.scene.factors['itinerary']})"
         if one.planned.outcome != "planned":
             lines.append(f"{head}: {one.planned.outcome} after {one.planned.seconds:.0f} s: {one.planned.reason}")
-            missing = missing_transfers(folder / "files" / f"{one.scene.name}.toml", attempts=ATTEMPTS)
-            lines.append(f"    the independent planner does not find: {', '.join(missing) or 'nothing amiss'}")
+            file = folder / "files" / f"{one.scene.name}.toml"
+            missing = [*missing_connections(file), *missing_transfers(file, attempts=ATTEMPTS)]
+            lines.append(f"    independent searches do not find: {', '.join(missing) or 'nothing amiss'}")
         elif one.error:
             lines.append(f"{head}: not flown: {one.error}")
         elif one.completed < len(one.runs):

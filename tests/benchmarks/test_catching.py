@@ -14,7 +14,7 @@ import pytest
 
 from dpcontrol.logs import CATCH, RESUME, RETURN
 from dpcontrol.loop import recovery
-from dpcontrol.loop.loop import loop_controller, loop_recovery, run_loop
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import BatchRun, Ending, NoSink
 from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import load_itinerary
@@ -56,12 +56,12 @@ class Told(NoSink):
 def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
     scene = load_itinerary(name).with_run(replace(TWICE, push_impulse=impulse))
     plan = make_plan(scene)
-    law = loop_controller(plan.reference, scene.model.arms, scene.loop)
-    how = loop_recovery(plan.reference, scene.model.arms, scene.loop, law)
+    law = Assembly(plan.reference, scene.model.arms, scene.loop).controller
+    how = Assembly(plan.reference, scene.model.arms, scene.loop, law=law).recovery
     done, falls, catches, back = 0, 0, 0, list[float]()
     for seed in range(70_000, 70_100):
         told, settings = Told(), replace(scene.loop, seed=seed)
-        result = run_loop(plan.reference, scene.model.arms, settings=settings, controller=law, recovery=how, sink=told)
+        result = Assembly(plan.reference, scene.model.arms, settings, law=law).simulate(recovery=how, sink=told)
         run, limits = BatchRun.of(result), settings.limits(plan.reference)
         flown = Flown(
             time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied,
@@ -84,8 +84,7 @@ def test_catching_spares_falls(monkeypatch) -> None:
     scene = night_itinerary(load_itinerary("round-trip").with_run(BENCH), asked={})
     plan = make_plan(scene)
     scene = plan.followed().itinerary
-    law = loop_controller(plan.reference, scene.model.arms, scene.loop)
-    how = loop_recovery(plan.reference, scene.model.arms, scene.loop, law)
+    assembly = Assembly(plan.reference, scene.model.arms, scene.loop)
     falls, costs, fell = {}, [], []
     for catches in (False, True):
         with monkeypatch.context() as patch:
@@ -94,10 +93,8 @@ def test_catching_spares_falls(monkeypatch) -> None:
             falls[catches] = caught = 0
             for seed in SEEDS:
                 told = Told()
-                run_loop(
-                    plan.reference, scene.model.arms, settings=replace(scene.loop, seed=seed), controller=law,
-                    recovery=how, sink=told, until=round(SECONDS * scene.loop.rate), keep=False,
-                )  # fmt: skip
+                until = round(SECONDS * scene.loop.rate)
+                assembly.simulate(seed=seed, sink=told, until=until, keep=False)
                 ends = np.array(told.times(RETURN))
                 for time, name, text in told.events:
                     if name == CATCH:

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import MEANS_OF, mean_band
 from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.loop.loop import LoopSettings, loop_controller, run_loop, sampled_model
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.campaign import cases_of
 from dpcontrol.scenes.itinerary import load_itinerary
@@ -51,7 +52,7 @@ def test_the_first_estimates_come_near_to_the_best_possible(name: str) -> None:
     plan = make_plan(load_itinerary(name))
     arms, reference = plan.itinerary.model.arms, plan.reference
     (case,) = cases_of(plan.itinerary, fixed=BENCH, over={})
-    controller = loop_controller(reference, arms, case.loop)
+    controller = Assembly(reference, arms, case.loop).controller
     known_to = case.loop.estimator.first_rate
     kinds = {
         "one reading": (1, 0.0, 0.0), "arms and rates known": (TICKS + 1, 0.0, 0.0),
@@ -66,7 +67,7 @@ def test_the_first_estimates_come_near_to_the_best_possible(name: str) -> None:
     best: dict[str, list[float]] = {kind: [] for kind in kinds}
     for seed in range(FIRST_SEED, FIRST_SEED + RUNS):
         loop = replace(case.loop, seed=seed)
-        ticks = run_loop(reference, arms, settings=loop, controller=controller).ticks
+        ticks = Assembly(reference, arms, loop, law=controller).simulate().ticks
         assert ticks.truth is not None
         angles = np.abs(ticks.estimates - ticks.truth)[:, : arms.count].max(axis=1)
         errors.append(float(angles[TICKS:].max()))

@@ -14,21 +14,24 @@ from pathlib import Path
 
 import pytest
 from generated_scenes import sampled_scene
+from independent_decoder import last_gap, plan_of
+from independent_tubes import missing_connections
 from scene_flights import Flown, failures, flown_scene, planned_scene, plans_folder, table_by_factor
 
 from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.model import load_model
+from dpcontrol.scenes.plan import make_plan
 
 PLANNED, COMPLETED = 0.8, 0.97
 """Shares of the scenes that are planned, and of their runs that are completed, at least."""
 SLOW_SCENES, SLOW_RUNS, SLOW_LIMIT = 10, 2, 40.0
 KNOWN = {
-    1: "told Coulomb friction of 1.2 % of gravity's torque: tracking is lost in the first transfer",
-    3: "told Coulomb friction of 1.1 %, smoothed over 0.01 rad/s, at 200 Hz: tracking is lost on the way down",
-    4: "three arms on plants off by 5 %: the swing-up has no room left on the track",
-    6: "a walk of 16 s with strong friction: planning takes longer than the slow tests allow",
-    8: "the decoder of the score misses the stop after 'up-down -', so the plan is refused",
+    1: "dry friction of the inner joint is half of gravity's torque on the outer arm: Down-Up is not held",
+    4: "three arms: neither planner finds a way from Up-Up-Down to rest on 0.79 m of track",
 }
 """Scenes of the slow test that fail, with the cause. They are planned, flown and listed, but not counted."""
+ENDS = 0.07
+"""rad: how far a reference may be off its last orbit. Runs are allowed 0.1 rad, and track within some 0.02 rad."""
 LIMIT = 240.0
 """Processor time for planning one scene, s."""
 FIRST_RUN = 1000
@@ -77,6 +80,25 @@ def test_the_files_of_forty_scenes_are_accepted(tmp_path: Path) -> None:
 def test_ten_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
     folder = plans_folder(tmp_path)
     _check(_flown(folder, range(SLOW_SCENES), runs=SLOW_RUNS, limit=SLOW_LIMIT), folder, known=KNOWN)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("energy", "missing"), [(-0.07, []), (-0.165, ["'down-up +' at -0.165 J"])])
+def test_the_second_search_finds_the_turns_that_there_are(energy: float, missing: list[str], tmp_path: Path) -> None:
+    """At -0.07 J eight connections are known; just above the saddle there are none."""
+    (tmp_path / "lab.toml").write_text(load_model("lab").text)
+    file = tmp_path / "turn.toml"
+    file.write_text(f'model = "lab.toml"\nenergy = {energy}\nwalk = ["down-up +"]\n')
+    assert missing_connections(file) == missing
+
+
+@pytest.mark.slow
+def test_a_reference_ends_near_the_orbit_that_its_runs_are_judged_by(tmp_path: Path) -> None:
+    """With the usual weight this one was 0.09 rad off, which left the feedback no room."""
+    plan = make_plan(load_itinerary(str(sampled_scene(20).write(tmp_path))))
+    assert plan.converged
+    read = plan_of(plan.reference, 1000.0, (1.0, 1.0, 1.0))
+    assert last_gap(read, read.states) < ENDS
 
 
 @pytest.mark.benchmark

@@ -20,7 +20,7 @@ from log_endurance import endure
 from log_samples import sample, write_sample
 
 from dpcontrol.logs import LogWriter, read_log
-from dpcontrol.loop.loop import run_loop
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import LogSink, NoSink
 from dpcontrol.references.reference import Reference
 from dpcontrol.review.score import MODEL_METADATA
@@ -57,15 +57,15 @@ def writer(path: Path, scene) -> LogWriter:
 def test_the_log_takes_less_than_two_fifths_of_a_run(planned, tmp_path, one_core, hold, record_property):
     scene, plan = planned
     reference: Reference = plan.reference
-    run_loop(reference, scene.model.arms, settings=scene.loop, sink=NoSink())
+    Assembly(reference, scene.model.arms, scene.loop).simulate(sink=NoSink())
     bare, logged = [], []
     for _ in range(5):
         begin = time.process_time()
-        run_loop(reference, scene.model.arms, settings=scene.loop, sink=NoSink())
+        Assembly(reference, scene.model.arms, scene.loop).simulate(sink=NoSink())
         bare.append(time.process_time() - begin)
         begin = time.process_time()
         with writer(tmp_path / "run.mcap", scene) as log:
-            run_loop(reference, scene.model.arms, settings=scene.loop, sink=LogSink(log))
+            Assembly(reference, scene.model.arms, scene.loop).simulate(sink=LogSink(log))
         logged.append(time.process_time() - begin)
     seconds = len(read_log(tmp_path / "run.mcap").time) / scene.loop.rate
     share = 1 - min(bare) / min(logged)
@@ -85,7 +85,7 @@ def ten_minutes(planned, tmp_path_factory):
     rng = np.random.default_rng(1)
     attached = {"reference.npz": plan.file.read_bytes()}
     described = {MODEL_METADATA: json.dumps(asdict(scene.model.arms))}
-    result = run_loop(plan.reference, scene.model.arms, settings=scene.loop, sink=NoSink()).ticks
+    result = Assembly(plan.reference, scene.model.arms, scene.loop).simulate(sink=NoSink()).ticks
     rows = np.arange(TEN_MINUTES) % len(result.times)
     with LogWriter(
         path, arm_lengths=scene.model.arms.length, rate_hz=1000.0, attachments=attached, metadata=described

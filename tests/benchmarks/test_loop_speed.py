@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.loop.loop import loop_controller, make_ticker, run_batch, run_loop
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import LogSink, Reading
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
@@ -27,19 +27,19 @@ MEDIAN, NEARLY_ALL = 12e-6, 50e-6
 def planned():
     scene = load_itinerary("outer-turn").with_run(BENCH, seed=3)
     plan = make_plan(scene)
-    return scene, plan, loop_controller(plan.reference, scene.model.arms, scene.loop)
+    return scene, plan, Assembly(plan.reference, scene.model.arms, scene.loop).controller
 
 
 def test_the_loop_is_sixty_times_quicker_than_time_and_twenty_five_with_its_log(planned, tmp_path, one_core):
     scene, plan, controller = planned
     arms, bare, logged = scene.model.arms, [], []
     for _ in range(7):
-        result = run_loop(plan.reference, arms, settings=scene.loop, controller=controller)
+        result = Assembly(plan.reference, arms, scene.loop, law=controller).simulate()
         bare.append(result.real_time_factor)
         with log_writer(plan, tmp_path / "run.mcap") as log:
             sink = LogSink(log)
             logged.append(
-                run_loop(plan.reference, arms, settings=scene.loop, controller=controller, sink=sink).real_time_factor
+                Assembly(plan.reference, arms, scene.loop, law=controller).simulate(sink=sink).real_time_factor
             )
     sys.stdout.write(f"\nonce {max(bare):.1f} × real time, with its log {max(logged):.1f} ×\n")
     assert max(bare) >= PACE
@@ -51,10 +51,7 @@ def test_sixty_four_runs_together_are_seven_hundred_times_quicker_than_time(plan
     best = 0.0
     for _ in range(5):
         began = time.process_time()
-        runs = run_batch(
-            scene.model.arms, settings=scene.loop, seeds=range(64), controller=controller,
-            limits=scene.loop.limits(plan.reference),
-        )  # fmt: skip
+        runs = Assembly(plan.reference, scene.model.arms, scene.loop, law=controller).batch(range(64))
         best = max(best, sum(run.times[-1] for run in runs) / (time.process_time() - began))
     sys.stdout.write(f"\n64 runs: {best:.0f} × real time\n")
     assert best >= PACE_TOGETHER
@@ -64,8 +61,7 @@ def test_sixty_four_runs_together_are_seven_hundred_times_quicker_than_time(plan
 def test_a_tick_takes_a_hundredth_of_its_period_and_the_first_no_longer(planned, one_core, augment):
     scene, plan, controller = planned
     settings = replace(scene.loop, estimator=replace(scene.loop.estimator, augment=augment))
-    limits = settings.limits(plan.reference)
-    ticker = make_ticker(scene.model.arms, settings, controller, limits=limits, delay=1.0)
+    ticker = Assembly(plan.reference, scene.model.arms, settings, law=controller, believed_delay=1.0).ticker()
     where = ticker.program.model.position_indices
     readings = [Reading(0.0, state[where]) for state in ticker.references]
     ticker.rehearse()
@@ -92,9 +88,9 @@ def test_a_tick_of_three_arms_takes_at_most_twice_that_of_two(one_core, tmp_path
         itinerary = load_itinerary(name).with_run(RunOptions(delay=1, lag=0.005))
         plan = make_plan(itinerary)
         arms, loop = itinerary.model.arms, itinerary.loop
-        controller = loop_controller(plan.reference, arms, loop)
+        controller = Assembly(plan.reference, arms, loop).controller
         for _ in range(5):
-            ticker = make_ticker(arms, loop, controller, limits=loop.limits(plan.reference), delay=1.0)
+            ticker = Assembly(plan.reference, arms, loop, law=controller, believed_delay=1.0).ticker()
             readings = [Reading(0.0, state[ticker.program.model.position_indices]) for state in ticker.references]
             ticker.rehearse()
             spent = np.full(len(readings), np.nan)

@@ -34,7 +34,11 @@ def test_printed_remedies_help_when_they_are_typed(itineraries: tuple[str, ...],
         files[plan.itinerary.name] = tmp_path / f"{plan.itinerary.name}.npz"
         files[plan.itinerary.name].write_bytes(plan.archive)
     tried = (typed_remedies(run, files[run.itinerary], tmp_path) for run in failing_runs(plans, seed=31))
-    found = [*islice((one for one in tried if one is not None), runs)]
+    found = []
+    for one in islice((one for one in tried if one is not None), runs):
+        found.append(one)
+        sys.stdout.write(f"{len(found):3d} {one.run.itinerary} {one.run.cause}: {one.helps or one.sentence}\n")
+        sys.stdout.flush()
     by_cause: dict[str, list[Typed]] = defaultdict(list)
     for one in found:
         by_cause[one.run.cause].append(one)
