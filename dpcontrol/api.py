@@ -8,20 +8,22 @@
 
 Bad input is an `InputError`; a result that a step needs and that was not found is a `GoalMissed`. A search
 that fails says so in its result, by `converged` and `status`. Long calls take `progress`: a function of a
-text and a share from 0 to 1, or True for a bar on stderr.
+text and a share from 0 to 1, or True for a bar on stderr. Without it a line is written to stderr every twenty seconds.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, overload
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arguments import path as path_of
+from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
-from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of, progress_bar
+from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.model import Model, ModelSystem, model_of
 from dpcontrol.scenes.model import load_model as load_model
@@ -35,9 +37,13 @@ if TYPE_CHECKING:
     from dpcontrol.foundation.cache import CacheContents
     from dpcontrol.identification.identify import Identification
     from dpcontrol.orbits.lyapunov import LyapunovOrbit
+    from dpcontrol.planner.server import Planner
+    from dpcontrol.proofs.prove import Proof, ProofSettings
     from dpcontrol.recordings.recording import Recording
+    from dpcontrol.runs.closed_loop import ClosedLoop
     from dpcontrol.scenes.campaign import Campaign
     from dpcontrol.scenes.plan import Plan
+    from dpcontrol.scenes.polish import Polished
     from dpcontrol.scenes.run import Run
     from dpcontrol.tubes.connections import ConnectionSearch
     from dpcontrol.tubes.symmetric import SymmetricSearch
@@ -45,8 +51,6 @@ if TYPE_CHECKING:
     from dpcontrol.walks.edges import Edges
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
-Reporting = Progress | Literal[True] | None
-"""Where progress goes: a function, True for a bar on stderr, None for nowhere."""
 Place = Path | str
 _SWEPT, _SWEPT_BYTES = 2.0, 1e6
 """What each energy of a sweep for bifurcations takes, in s and bytes, for each crossing of the section."""
@@ -75,6 +79,7 @@ def connections(
     section: str | None = None,
     longest: float | None = None,
     thorough: bool = False,
+    seconds: float | None = None,
     progress: Reporting = None,
 ) -> "ConnectionSearch": ...
 @overload
@@ -83,6 +88,7 @@ def connections(
     *,
     energies: tuple[float, float],
     hits: tuple[int, int] = (1, 1),
+    seconds: float | None = None,
     progress: Reporting = None,
 ) -> "SymmetricSearch": ...
 def connections(
@@ -94,13 +100,15 @@ def connections(
     section: str | None = None,
     longest: float | None = None,
     thorough: bool = False,
+    seconds: float | None = None,
     progress: Reporting = None,
 ) -> "ConnectionSearch | SymmetricSearch":
     """Find every connection from one orbit to another of the same energy, or back to itself where there is no other.
 
     hits: which crossings of the section count, of the unstable and the stable tube. section: by its short name, the
     saddles' own by default. longest: time that trajectories are given to the section, in periods of their orbit.
-    thorough: go on where a search says "at least", for up to a minute.
+    thorough: go on where a search says "at least", for up to a minute. seconds: of processor time that the search may
+    take, a minute by default; when they are over, what was found is returned and marked `partial`.
 
     energies: of three arms, whose orbits have connections at isolated energies only, the range in J in which the
     source's family is searched for symmetric ones.
@@ -113,28 +121,31 @@ def connections(
             `energies`, or two with them.
         GoalMissed: an orbit did not converge.
     """
+    from dpcontrol.tubes.intersections import search_settings
+
     if energies is not None:
+        from dpcontrol.foundation.budget import Budget
         from dpcontrol.tubes.symmetric import find_symmetric_connections
 
         if hits[0] != hits[1]:
             raise InputError(f"hits = {hits}: a symmetric connection meets the section of both tubes at the same one")
-        with _reporting(progress, "symmetric connections") as report:
+        with reporting(progress, "symmetric connections") as report:
             return find_symmetric_connections(
-                source.system, source.saddle, energies=energies, family=source.family, hit=hits[0], progress=report
-            )
+                source.system, source.saddle, energies=energies, family=source.family, hit=hits[0],
+                budget=Budget(search_settings(seconds=seconds).seconds), progress=report,
+            )  # fmt: skip
     from dpcontrol.tubes.connections import find_connections
-    from dpcontrol.tubes.intersections import search_settings
 
     target = source if target is None else target
     for one in (source, target):
         _found(one.converged, f"the orbit about {one.saddle}", one.status)
-    with _reporting(progress, "connections") as report:
+    with reporting(progress, "connections") as report:
         return find_connections(
             source,
             target,
             hits=hits,
             section=source.system.section_between(source.saddle, target.saddle, section),
-            settings=search_settings(longest=longest, thorough=thorough),
+            settings=search_settings(longest=longest, thorough=thorough, seconds=seconds),
             progress=report,
         )
 
@@ -156,7 +167,7 @@ def graph(model: Model | System, *, energy: float, symbols: Sequence[str] = (), 
 
     system = _system(model)
     asked = parse_walk(symbols, vertex_names(system)) if symbols else ()
-    with _reporting(progress, "connections") as report:
+    with reporting(progress, "connections") as report:
         return find_edges(system, energy, symbols=asked, progress=report)
 
 
@@ -187,7 +198,7 @@ def find_bifurcations(
     cost = Cost(f"{samples:,} energies", _SWEPT * samples * hits, _SWEPT_BYTES * samples, f"samples = {samples}")
     announce(cost, yes=yes)
     settings = SweepSettings(energies=samples)
-    with _reporting(progress, "bifurcations") as report:
+    with reporting(progress, "bifurcations") as report:
         return find(
             _system(model), source, target, energies=energies, crossings=hits, settings=settings, progress=report
         )
@@ -199,6 +210,7 @@ def atlas(
     energy: float,
     hits: tuple[int, int] | None = None,
     thorough: bool = False,
+    seconds: float | None = None,
     fresh: bool = False,
     yes: bool = False,
     progress: Reporting = None,
@@ -206,7 +218,8 @@ def atlas(
     """Return the atlas of an energy in J: every orbit, tube and connection; kept by content unless `fresh`.
 
     hits: of the unstable and the stable tube; by default the first at which they meet, up to the second. thorough: go
-    on where a search says "at least", for up to a minute each. yes: however long all that takes.
+    on where a search says "at least", for up to a minute each. seconds: of processor time that each search may take, a
+    minute by default; an atlas that is partial for lack of time is not kept. yes: however long all that takes.
 
     >>> len(dp.atlas(lab, energy=-0.07).connections)
     8
@@ -217,8 +230,8 @@ def atlas(
     from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
     from dpcontrol.tubes.intersections import search_settings
 
-    settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough))
-    with _reporting(progress, "atlas") as report:
+    settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough, seconds=seconds))
+    with reporting(progress, "atlas") as report:
         return make_atlas(model, energy, settings=settings, fresh=fresh, yes=yes, progress=report).atlas
 
 
@@ -248,7 +261,7 @@ def shadow(
     from dpcontrol.tubes.connections import ConnectionSearch
     from dpcontrol.tubes.symmetric import SymmetricSearch
     from dpcontrol.walks.edges import Edges
-    from dpcontrol.walks.shadowing import WalkSolver
+    from dpcontrol.walks.shadowing import MOST_WRAPS, WalkSolver
     from dpcontrol.walks.walks import resolve, symmetric_walk, walks_cost
 
     if isinstance(found, SymmetricSearch):
@@ -257,10 +270,52 @@ def shadow(
     edges = found if isinstance(found, Edges) else _edges([found] if isinstance(found, ConnectionSearch) else found)
     solver = WalkSolver(edges.known)
     key = "wraps" if wraps else "walk"
+    wraps = None if wraps is None else tuple(whole("wraps", one, least=0, most=MOST_WRAPS) for one in wraps)
     announce(walks_cost(1, symbols=len(walk), wraps=sum(wraps or ()), solve=True, key=key), yes=yes)
     chain = resolve(walk, edges)
     counts = solver.least(chain, periodic=periodic) if wraps is None else tuple(wraps)
     return solver.solve(chain, counts, periodic=periodic, lead_in=lead_in, lead_out=lead_out)
+
+
+def prove(
+    found: "LyapunovOrbit | ShadowingOrbit | ConnectionSearch",
+    *,
+    energy: Decimal | Fraction | float | None = None,
+    rivals: "Edges | None" = None,
+    settings: "ProofSettings | None" = None,
+    progress: Reporting = None,
+) -> "Proof":
+    """Prove in ball arithmetic that a computed orbit, closed walk or connections exist; needs the extra `proof`.
+
+    Homoclinics of one orbit are proved together with the horseshoe that they make. energy in J, exact; by default the
+    shortest decimal that reads as the orbit's. rivals: the graph whose other
+    connections the walk must not follow instead of its own.
+
+    >>> dp.prove(dp.orbit(lab, "down-up", energy=-0.07)).proved
+    True
+
+    Raises:
+        InputError: an open walk, or a system that cannot be enclosed.
+        GoalMissed: the orbit did not converge.
+        PartMissing: python-flint is not installed.
+    """
+    from dpcontrol.foundation.parts import part
+
+    part("flint")
+    from dpcontrol.orbits.lyapunov import LyapunovOrbit
+    from dpcontrol.proofs.prove import exact_energy, prove_connections, prove_orbit, prove_walk
+    from dpcontrol.walks.shadowing import ShadowingOrbit
+
+    own = found if isinstance(found, LyapunovOrbit) else found.connections[0].source
+    height = exact_energy(own.energy if energy is None else energy)
+    with reporting(progress, "proof") as report:
+        if not isinstance(found, LyapunovOrbit | ShadowingOrbit):
+            whole = own is found.connections[0].target
+            return prove_connections(found.connections, energy=height, settings=settings, whole=whole, progress=report)
+        if isinstance(found, ShadowingOrbit):
+            known = () if rivals is None else rivals.known
+            return prove_walk(found, energy=height, rivals=known, settings=settings, progress=report)
+        return prove_orbit(found, energy=height, settings=settings, progress=report)
 
 
 def reference(
@@ -309,7 +364,7 @@ def reference(
         limits=limits or Limits(),
         reference=settings or ReferenceSettings(),
     )
-    with _reporting(progress, "reference") as report:
+    with reporting(progress, "reference") as report:
         return make_plan(scene, orbits=orbits, progress=report, yes=yes)
 
 
@@ -337,10 +392,66 @@ def plan(
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
 
-    with _reporting(progress, "plan") as report:
+    with reporting(progress, "plan") as report:
         return make_plan(
             load_itinerary(itinerary), progress=report, fresh=fresh, workers=workers, scheduler=scheduler, yes=yes
         )
+
+
+def closed_loop(
+    planned: "Plan | str",
+    *,
+    options: RunOptions | None = None,
+    yes: bool = False,
+    progress: Reporting = None,
+    **settings: object,
+) -> "ClosedLoop":
+    """Return the closed loop of a plan, or of an itinerary by name: one object that runs, counts, measures and exports.
+
+    options, settings: run settings that take the place of the scene's, by name; settings come last. controller,
+    estimator and plant may be objects of your own (`dpcontrol guide extend`). yes: however long its plan takes.
+
+    >>> dp.closed_loop("outer-turn", mismatch=0.02).run(seed=3).converged
+    True
+
+    Raises:
+        InputError: an unknown or impossible setting, or the plan would take too long.
+        GoalMissed: an orbit did not converge, or there is no transfer.
+    """
+    with reporting(progress, "plan") as report:
+        return _closed(planned, (options or RunOptions()).over(settings), yes=yes, progress=report)
+
+
+def polish(
+    planned: "Plan | str",
+    *,
+    fresh: bool = False,
+    runs: int = 48,
+    workers: int = 0,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> "Polished":
+    """Return a plan from rest to rest, or that of an itinerary by name, beside its motion re-optimised as a whole.
+
+    The polished plan keeps crossings, windings and wraps for a fraction of the effort, and need not come near the
+    orbits: `sides` has what each takes, and how many of `runs` complete it at a mismatch of 5 and of 20 %. workers:
+    processes that fly them, 0 for one on each processor. yes: however long it takes.
+
+    >>> found = dp.polish("one-arm", runs=8)
+    >>> [side.name for side in found.sides]
+    ['robust', 'polished']
+    >>> found.sides[1].effort < found.sides[0].effort
+    True
+
+    Raises:
+        InputError: the plan is not from rest to rest, or polished already, or it would take too long.
+        GoalMissed: the plan did not converge, or no controller can be made for it.
+    """
+    from dpcontrol.scenes.polish import polish as polish_plan
+
+    with reporting(progress, "polish") as report:
+        found = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.2)) if isinstance(planned, str) else planned
+        return polish_plan(found, fresh=fresh, runs=runs, workers=workers, yes=yes, progress=part_of(report, 0.2, 1.0))
 
 
 def run(
@@ -371,15 +482,10 @@ def run(
             display for a live view.
         GoalMissed: there is no reference to follow, or no controller can be made for it.
     """
-    from dpcontrol.scenes.run import run_plan
-
-    with _reporting(progress, "run") as report:
-        planned = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.5)) if isinstance(planned, str) else planned
-        scene = planned.itinerary.with_run(_options(options, mismatch, plant), seed=seed)
-        out = None if log is None else Path(log)
-        return run_plan(
-            replace(planned, itinerary=scene), out, force=force, live=live, progress=part_of(report, 0.5, 1.0)
-        )
+    chosen = _options(options, mismatch, plant)
+    with reporting(progress, "run") as report:
+        loop = _closed(planned, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
+        return loop.run(seed=seed, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
 
 
 def export(
@@ -404,14 +510,9 @@ def export(
         InputError: the law or the estimator cannot leave as C, or the folder holds something else.
         GoalMissed: there is no reference to follow, or no controller can be made for it.
     """
-    from dpcontrol.scenes.run import check_exportable, export_plan
-
-    with _reporting(progress, "export") as report:
-        planned = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.5)) if isinstance(planned, str) else planned
-        scene = planned.itinerary.with_run(_options(options))
-        check_exportable(scene)
-        out, rest = None if folder is None else Path(folder), part_of(report, 0.5, 1.0)
-        return export_plan(replace(planned, itinerary=scene), out, single=single, force=force, progress=rest)
+    with reporting(progress, "export") as report:
+        loop = _closed(planned, _options(options), yes=yes, progress=part_of(report, 0.0, 0.5))
+        return loop.export(folder, single=single, force=force, progress=part_of(report, 0.5, 1.0))
 
 
 def campaign(
@@ -444,15 +545,13 @@ def campaign(
         InputError: an unknown option or impossible value, or the file cannot be written.
         GoalMissed: there is no reference to follow, or workers died again and again.
     """
-    from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
+    from dpcontrol.scenes.campaign import CampaignSettings
 
-    with _reporting(progress, "campaign") as report:
-        planned = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.1)) if isinstance(planned, str) else planned
-        cases = cases_of(planned.itinerary, fixed=_options(options, mismatch, plant), over=over or {})
-        settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
-        file = None if out is None else Path(out)
-        return run_campaign(
-            planned, cases, file, settings=settings, transitions=transitions, force=force, yes=yes,
+    settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
+    with reporting(progress, "campaign") as report:
+        loop = _closed(planned, _options(options, mismatch, plant), yes=yes, progress=part_of(report, 0.0, 0.1))
+        return loop.campaign(
+            over=over, settings=settings, transitions=transitions, out=out, force=force, yes=yes,
             progress=part_of(report, 0.1, 1.0),
         )  # fmt: skip
 
@@ -501,7 +600,7 @@ def identify(
 
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     choice = {None: "chosen", True: "free", False: "none"}[zeros]
-    with _reporting(progress, "identify") as report:
+    with reporting(progress, "identify") as report:
         found = found_in(given, model.arms, settings=IdentificationSettings(zeros=choice), progress=report)
     for one in given:
         if against := contradiction(one, model.arms, model=model.name):
@@ -525,7 +624,7 @@ def open_log(file: Place) -> "Run":
     from dpcontrol.logs import read_log
     from dpcontrol.scenes.run import Run
 
-    return Run(read_log(file))
+    return Run(read_log(path_of("file", file)))
 
 
 def open_plan(file: Place) -> "Plan":
@@ -539,7 +638,7 @@ def open_plan(file: Place) -> "Plan":
     """
     from dpcontrol.scenes.plan import load_plan
 
-    return load_plan(Path(file))
+    return load_plan(Path(path_of("file", file)))
 
 
 def open_atlas(file: Place) -> "Atlas":
@@ -553,7 +652,29 @@ def open_atlas(file: Place) -> "Atlas":
     """
     from dpcontrol.scenes.atlas import load_atlas
 
-    return load_atlas(Path(file))
+    return load_atlas(Path(path_of("file", file)))
+
+
+def open_planner(model: str = "lab", *, browser: bool = True, port: int = 0) -> "Planner":
+    """Start the planner, a page in the browser from energy to run, and return it; it serves until it is closed.
+
+    model: of two arms, by name or path. browser: open it; else only `address` is there to open. port: on 127.0.0.1, 0
+    for any that is free.
+
+    >>> with dp.open_planner("lab", browser=False) as planner:
+    ...     planner.address
+    'http://127.0.0.1:...'
+
+    Raises:
+        InputError: the model cannot be used, or the port is taken.
+        PartMissing: the extra `planner` is not installed.
+    """
+    from dpcontrol.planner.server import Planner
+
+    planner = Planner(model, port=port)
+    if browser:
+        planner.open()
+    return planner
 
 
 def open_recording(
@@ -572,10 +693,10 @@ def open_recording(
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import load_recording
 
-    path = Path(file)
+    path = Path(path_of("file", file))
     if path.suffix.lower() == ".mcap" and mapping is None:
         return load_recording(path)
-    with _reporting(progress, "import") as report:
+    with reporting(progress, "import") as report:
         return import_recording(path, mapping, repairs=list(repairs), progress=report)
 
 
@@ -605,6 +726,7 @@ def picture(
     from dpcontrol.review.walks import WalkStory, draw_walk
     from dpcontrol.scenes.plan import Plan
     from dpcontrol.scenes.run import Run
+    from dpcontrol.walks.atlas import Atlas
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
     view = None
@@ -618,8 +740,10 @@ def picture(
         lengths = arms.length if isinstance(arms, ArmChainParameters) else None
         figure = draw_walk(result, arm_lengths=lengths, model=system.name)
         view = WalkStory(result, lengths).view(system.name)
-    else:
+    elif isinstance(result, Atlas):
         figure = draw_atlas(result)
+    else:
+        raise InputError(f"{type(result).__name__}: a picture is of a run, a plan, a walk's orbit or an atlas")
     if transitions:
         if not isinstance(result, Plan):
             raise InputError("transitions = True draws the transfers of a plan: give one")
@@ -681,15 +805,12 @@ def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
     )
 
 
+def _closed(planned: "Plan | str", options: RunOptions, *, yes: bool, progress: Reporting) -> "ClosedLoop":
+    from dpcontrol.runs.closed_loop import ClosedLoop
+
+    return ClosedLoop(plan(planned, yes=yes, progress=progress) if isinstance(planned, str) else planned, options)
+
+
 def _options(options: RunOptions | None, mismatch: float | None = None, plant: Place | None = None) -> RunOptions:
     given = {"mismatch": mismatch, "plant": None if plant is None else str(plant)}
     return (options or RunOptions()).over({name: value for name, value in given.items() if value is not None})
-
-
-@contextmanager
-def _reporting(progress: Reporting, label: str) -> Iterator[Progress]:
-    if progress is True:
-        with progress_bar(label) as report:
-            yield report
-    else:
-        yield progress or no_progress

@@ -36,8 +36,10 @@ GROUPS = {
         "bifurcations": ("connections", "Find the energies at which connections appear, split or change their hits."),
         "atlas": ("connections", "Compute all of an energy: orbits, tubes, connections, their graph."),
         "walk": ("walk", "List, count and make walks on the connection graph, and their orbits."),
+        "prove": ("prove", "Prove in ball arithmetic that an orbit or a closed walk exists; check a certificate."),
         "plan": ("plan", "Plan an itinerary: shadowing orbit and reference."),
         "reference": ("plan", "Show a reference that a plan made: limits, effort, mesh, error, picture."),
+        "planner": ("planner", "Plan by looking: a page in the browser from energy to run."),
     },
     "Run": {
         "run": ("run", "Run an itinerary in closed loop and write its log."),

@@ -619,8 +619,6 @@ def preflight_command(
 
 
 def _preflight_text(found: "Preflight") -> Iterator[str | TextTable]:
-    from dpcontrol.review.campaign import shown_number
-
     yield f"{found.itinerary}: {found.status}"
     yield f"  {found.advice}"
     for one in found.notes:
@@ -634,7 +632,7 @@ def _preflight_text(found: "Preflight") -> Iterator[str | TextTable]:
         })  # fmt: skip
     if found.borders:
         yield table("", found.borders, {
-            "half as often at": "{.name}", "set": lambda b: f"{shown_number(b.set)} {b.unit}", "border": "{.sentence}",
+            "half as often at": "{.name}", "set": "{.own}", "border": "{.sentence}",
             "95 %": lambda b: b.interval, "margin": lambda b: "" if b.margin is None else f"{b.margin:.1f} ×",
         })  # fmt: skip
     if helping := [one for one in found.changes if one.gain > 2 * one.error]:

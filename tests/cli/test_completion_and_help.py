@@ -10,9 +10,8 @@ from command_line import dpcontrol
 
 from dpcontrol.cli.main import VERBS, cli
 from dpcontrol.cli.start import GUIDE
-from dpcontrol.loop.controllers import ESTIMATORS
+from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS
 from dpcontrol.rig.bench import FAULTS
-from dpcontrol.scenes.itinerary import CONTROLLERS
 
 ROOT = Path(__file__).parents[2]
 VARIABLE = "_DPCONTROL_COMPLETE"
@@ -43,7 +42,7 @@ def offered(line: str) -> list[str]:
         ("dpcontrol orbit triple --saddle down-up", {"down-up-down", "down-up-up"}),
         ("dpcontrol import x.csv --mapping multi-arm-raw-s", {"multi-arm-raw-single"}),
         ("dpcontrol campaign outer-turn --over mism", {"mismatch="}),
-        ("dpcontrol figures col", {"colour-wheels"}),
+        ("dpcontrol figures col", {"colour-wheels", "colour-wheels-up-down"}),
         ("dpcontrol bench propa", {"propagation"}),
         ("dpcontrol he", {"help"}),
         ("dpcontrol plan ./my", {""}),

@@ -104,10 +104,9 @@ def test_the_version_is_the_packages(tmp_path: Path) -> None:
 def test_help_of_a_run_setting_names_the_unit_of_its_bounds_and_every_choice() -> None:
     from dpcontrol.foundation.settings import Bounds, bounds_of
     from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, SensorSettings
-    from dpcontrol.loop.controllers import ESTIMATORS
+    from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS
     from dpcontrol.loop.loop import LoopSettings
     from dpcontrol.loop.result import SupervisorSettings
-    from dpcontrol.scenes.itinerary import CONTROLLERS
 
     kinds = (LoopSettings, SensorSettings, DriveSettings, DisturbanceSettings, MechanicsSettings, SupervisorSettings)
     bounds = {name: one for kind in kinds for name, one in bounds_of(kind).items()}

@@ -8,7 +8,7 @@ from command_line import dpcontrol
 HARD = ("--mismatch", "0.2", "--lag", "0.005", "--controller", "tvlqr")
 
 
-@pytest.mark.benchmark  # finds seven borders, as the guide's own example does with the slow tests
+@pytest.mark.benchmark  # finds ten borders, as the guide's own example does with the slow tests
 def test_the_document_says_how_likely_what_ends_it_how_far_and_what_helps(tmp_path: Path) -> None:
     page = tmp_path / "page.png"
     ended = dpcontrol("preflight", "outer-turn", *HARD, "--runs", "32", "--workers", "1", "--picture", page, "--json")
@@ -18,7 +18,9 @@ def test_the_document_says_how_likely_what_ends_it_how_far_and_what_helps(tmp_pa
     low, high = shown["wilson"]
     assert 0 <= low <= shown["success_rate"] <= high <= 1
     assert sum(ending["runs"] for ending in shown["endings"]) == 32 - shown["completed"]
-    settings = {"delay", "lag", "mismatch", "push_impulse", "zero_error", "counts", "travel"}
+    settings = {
+        "delay", "lag", "mismatch", "push_impulse", "zero_error", "counts", "travel", "belt", "play", "stiction"
+    }  # fmt: skip
     assert {border["setting"] for border in shown["borders"]} == settings
     gains = [change["gain"] for change in shown["changes"]]
     assert gains == sorted(gains, reverse=True)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from dpcontrol.control.export import LibraryProgram
-from dpcontrol.loop.loop import LoopSettings, loop_controller, make_ticker
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Reading
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.scenes.plan import Plan
@@ -55,10 +56,8 @@ class SideBySide:
     def __init__(self, plan: Plan, made: Path, *, settings: LoopSettings | None = None, told: bool = True) -> None:
         scene, reference = plan.itinerary, plan.reference
         arms, loop = scene.model.arms, settings or scene.loop
-        controller = loop_controller(reference, arms, loop)
-        limits, delay = loop.limits(reference), loop.drive.delay
-        self.own = make_ticker(arms, loop, controller, limits=limits, delay=delay)
-        self.other = make_ticker(arms, loop, controller, limits=limits, delay=delay, library=made)
+        assembly = Assembly(reference, arms, loop)
+        self.own, self.other = assembly.ticker(), assembly.ticker(library=made)
         self.references, self.count = self.own.references, self.own.count
         self._told, self._k = told, 0
 

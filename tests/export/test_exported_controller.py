@@ -15,7 +15,7 @@ from dpcontrol.control.export import ControllerSource, LibraryProgram
 from dpcontrol.control.tick import SETTLING, Outcome
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_folder
-from dpcontrol.loop.loop import loop_controller
+from dpcontrol.loop.assembly import Assembly
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.run import export_plan, run_plan
@@ -53,8 +53,8 @@ def test_the_folder_holds_all_that_a_target_needs_and_says_what_it_takes(exporte
     assert len(page.splitlines()) < 80
     assert all(f"`{name}" in page for name in ("dpc_init", "dpc_step", "dpc_status", "dpc_queued", "dpc_reference"))
     figures, width = source.figures, 4 if precision(exported) == "float" else 8
-    # Feedforward, six gains on the state, seven on what is found of drive and arms, and the reference's state.
-    assert figures.tables_per_second == pytest.approx((1 + 6 + 7 + 10 + 6) * width * 1000, rel=0.01)
+    # Feedforward, six gains on the state, nine on what is found of drive and arms, and the reference's state.
+    assert figures.tables_per_second == pytest.approx((1 + 6 + 9 + 10 + 6) * width * 1000, rel=0.01)
     assert figures.code is None or figures.code < 128 * 1024
 
 
@@ -193,7 +193,7 @@ def test_what_the_supervisor_decides_brings_the_cart_to_rest(
 
 def test_after_the_last_tick_the_last_row_goes_on_holding(plan: Plan, double: Exported) -> None:
     both = SideBySide(plan, library(double[0]), told=False)
-    rows = loop_controller(plan.reference, plan.itinerary.model.arms, plan.itinerary.loop).schedule(1).rows
+    rows = Assembly(plan.reference, plan.itinerary.model.arms, plan.itinerary.loop).controller.schedule(1).rows
     # Its clock is set to just before the end: what comes is decided by the rows alone.
     set_clock(both.c, both.count - 3)
     told, states = [], []

@@ -23,7 +23,8 @@ from shadowing_stand_in import LAB, StandIn
 
 import dpcontrol as dp
 from dpcontrol.control.tracking import tracking_controller
-from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, sampled_model
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.loop import ControlLoop, LoopSettings, sampled_model
 from dpcontrol.loop.result import Ending, Reading
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference
@@ -212,7 +213,7 @@ def controlled(turn: tuple[StandIn, Reference], ticks: int) -> tuple[ControlLoop
         whole, reference_states=whole.reference_states[: ticks + 1], feedforward=whole.feedforward[:ticks],
         gains=whole.gains[:ticks],
     )  # fmt: skip
-    loop = control_loop(LAB, settings, short, limits=limits)
+    loop = Assembly(turn[1], LAB, settings, law=short).loop()
     draw = settings.draw(LAB, ticks=ticks + 1)
     return loop, SimulatedRig(draw, settings.bench, limits=limits, start=short.first_state, queued=loop.queued)
 

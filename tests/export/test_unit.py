@@ -16,7 +16,8 @@ from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.export import ControllerSource, LibraryProgram, Unit, controller_source, controller_unit
 from dpcontrol.control.tracking import TrackingController, tracking_controller
-from dpcontrol.loop.loop import LoopSettings, make_ticker, sampled_model
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference
 
@@ -61,7 +62,7 @@ def exported(turn: tuple[StandIn, Reference], tmp_path_factory: pytest.TempPathF
         whole, reference_states=whole.reference_states[: TICKS + 1], feedforward=whole.feedforward[:TICKS],
         gains=whole.gains[:TICKS],
     )  # fmt: skip
-    ticker = make_ticker(LAB, SETTINGS, short, limits=reference.limits, delay=SETTINGS.drive.delay)
+    ticker = Assembly(reference, LAB, SETTINGS, law=short).ticker()
     schedule = short.schedule(ticker.lead)
     source = controller_source(
         ticker.program, short, schedule, itinerary="turn", title="A turn", single=False, readings=""
@@ -152,10 +153,7 @@ def test_its_functions_are_those_of_the_standards_headers(exported: Exported, tm
 
 
 def test_on_the_plant_it_is_the_exported_c_to_the_last_bit(exported: Exported, tmp_path: Path) -> None:
-    ticker = make_ticker(
-        LAB, SETTINGS, exported.controller, limits=exported.reference.limits, delay=SETTINGS.drive.delay,
-        library=exported.library,
-    )  # fmt: skip
+    ticker = Assembly(exported.reference, LAB, SETTINGS, law=exported.controller).ticker(library=exported.library)
     program, queued = ticker.program, ticker.queued[:, 0].tolist()
     assert isinstance(program, LibraryProgram)
     rig = bench(exported, queued)
@@ -231,7 +229,7 @@ def test_after_a_reset_it_begins_again(exported: Exported, tmp_path: Path) -> No
 
 
 def test_without_a_compiler_it_has_its_sources_and_says_so(exported: Exported, monkeypatch: pytest.MonkeyPatch) -> None:
-    ticker = make_ticker(LAB, SETTINGS, exported.controller, limits=exported.reference.limits, delay=1.0)
+    ticker = Assembly(exported.reference, LAB, SETTINGS, law=exported.controller, believed_delay=1.0).ticker()
     monkeypatch.setattr("dpcontrol.control.export.shutil.which", lambda name: None)
     made = controller_unit(
         exported.source, ticker.program, exported.controller.schedule(1), name="2-turn", title="A turn", delay=1.0
@@ -245,7 +243,7 @@ def test_without_a_compiler_it_has_its_sources_and_says_so(exported: Exported, m
 
 
 def test_the_same_controller_gives_the_same_bytes(exported: Exported) -> None:
-    ticker = make_ticker(LAB, SETTINGS, exported.controller, limits=exported.reference.limits, delay=1.0)
+    ticker = Assembly(exported.reference, LAB, SETTINGS, law=exported.controller, believed_delay=1.0).ticker()
     again = controller_unit(
         exported.source, ticker.program, exported.controller.schedule(1), name="2-turn", title="A turn", delay=1.0
     )

@@ -23,10 +23,14 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from dpcontrol.cli.main import VERBS, cli
+from dpcontrol.cli import main
+from dpcontrol.cli.main import cli
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.logs.container import sealed
+
+VERBS = [verb for verb in main.VERBS if verb != "planner"]
+"""All but the one that serves until it is interrupted."""
 
 NUMBERS = (
     "nan", "sNaN", "-nan", "inf", "-inf", "1e400", "-1e400", "1e300", "-1", "0", "-0", "1e-320", "1e-9", "2", "0.5",
@@ -93,6 +97,7 @@ BASES: dict[str, tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = {
         (("lab",), ("--energy=-0.07", "--through=down-up", "--through=down-up")),
         (("lab",), ("--energy=-0.07", "--length=2")),
     ),
+    "prove": ((("orbit", "lab.toml"), ("--saddle=down-up", "--energy=-0.07")), (("check", "rest.toml"), ())),
     "plan": ((("rest.toml",), ()),),
     "reference": ((("reference.npz",), ()),),
     "run": ((("rest.toml",), ()), ((), ("--from=run.mcap",))),

@@ -16,13 +16,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hostile import KINDS, Trial, all_trials, file_trials, option_trials
+from hostile import KINDS, VERBS, Trial, all_trials, file_trials, option_trials
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from laboratory import Laboratory, make_laboratory
 from trials import Watched, attempt, complaints, explained, without_programs
-
-from dpcontrol.cli.main import VERBS
 
 OPTIONS, FILES = 6, 6
 """Inputs of each verb and of each kind of file in the quick tests."""
@@ -60,7 +58,7 @@ def tried(trials: st.SearchStrategy[Trial], laboratory: Laboratory, *, count: in
     check()
 
 
-LONG = {"demo", "atlas", "export", "identify"}
+LONG = {"demo", "atlas", "export", "identify", "prove"}
 """Verbs whose work takes seconds: left to the slow tests."""
 
 

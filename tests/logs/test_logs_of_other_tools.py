@@ -1,5 +1,7 @@
 """Logs that other tools wrote again are read by their topics; of those that hold no run, one sentence says why."""
 
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -254,3 +256,25 @@ def test_a_log_of_another_tool_gets_a_sentence_on_what_is_missing(
     assert "(written by another program) is not a log of `dpcontrol run`" in said
     assert missing in said
     assert "or bring a recording of the bench in by `dpcontrol import`" in said
+
+
+@pytest.mark.parametrize("compressed", [(), ("--compress", "zstd", "--compress-mode", "storage")], ids=str)
+def test_a_log_that_rosbags_converts_is_read_with_a_remark(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compressed: tuple[str, ...]
+) -> None:
+    """The converter itself, which drops metadata and attachments."""
+    pytest.importorskip("rosbags")
+    monkeypatch.chdir(tmp_path)
+    first = read_log(write_sample(tmp_path / "run.mcap", sample()))
+    convert = [sys.executable, "-m", "rosbags.convert"]
+    command = [*convert, "--src", "run.mcap", "--dst", "converted", "--dst-storage", "mcap", *compressed]
+    subprocess.run(command, check=True, capture_output=True)
+    log = tmp_path / "converted" / "converted.mcap"
+    with pytest.warns(Remark, match="written again by rosbags.*integrity cannot be checked"):
+        same_run(read_log(log), first)
+    ended = dpcontrol("info", log)
+    assert ended.code == 0
+    assert "integrity not checked" in ended.stdout
+    scored = dpcontrol("score", log)
+    assert scored.code == 2
+    assert "carries no reference.npz" in scored.message
