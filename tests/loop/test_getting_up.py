@@ -186,7 +186,7 @@ def test_a_cart_that_waits_for_a_stuck_encoder_stays_where_it_is(ready) -> None:
 
 
 def test_a_run_that_errs_is_caught_where_an_earlier_place_is_nearer(ready) -> None:
-    result, told = ready(Push(1.6, 0, -0.01))
+    result, told = ready(Push(1.6, 0, -0.007))
     assert result.ending is Ending.FINISHED
     assert result.falls == 0
     (caught,) = (text for _, name, text in told.events if name == "catch")
