@@ -138,7 +138,8 @@ def _half_way(plan: Plan, states: Array, spans: list[tuple[int, int]], flight: i
     if last <= first or not np.abs(way).max() > 1.0:
         return (first + last) // 2
     done = (states[first : last + 1, : plan.arms] - here) @ way / (way @ way)
-    return first + int(np.argmin(np.abs(done - 0.5)))
+    # The ticks spent on the near half: unlike the place of a crossing, the count does not jump where arms swing across.
+    return first + int(np.count_nonzero(done < 0.5))
 
 
 def phase_turns(plan: Plan, states: Array, spans: list[tuple[int, int]], stop: int) -> float:

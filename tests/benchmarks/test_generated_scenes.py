@@ -17,6 +17,7 @@ from generated_scenes import sampled_scene
 from independent_decoder import last_gap, plan_of
 from independent_tubes import missing_connections
 from scene_flights import Flown, failures, flown_scene, planned_scene, plans_folder, table_by_factor
+from scipy.stats import binom
 
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model
@@ -51,7 +52,8 @@ def _flown(folder: Path, seeds: range, *, runs: int, limit: float) -> list[Flown
     return flights
 
 
-def _check(flights: list[Flown], folder: Path, *, known: Mapping[int, str]) -> None:
+def _check(flights: list[Flown], folder: Path, *, known: Mapping[int, str], risk: float = 0.0) -> None:
+    """Check shares; risk: how often runs of which COMPLETED are completed may fail the check for being so few."""
     sys.stdout.write(f"\n{table_by_factor(flights)}\n\n{failures(flights, folder)}\n")
     flights = [one for one in flights if one.scene.seed not in known]
     ready = sum(one.planned.outcome == "planned" for one in flights)
@@ -59,7 +61,8 @@ def _check(flights: list[Flown], folder: Path, *, known: Mapping[int, str]) -> N
     assert not [one.error for one in flights if one.error]
     assert not [run.disagreement for one in flights for run in one.runs if run.disagreement]
     assert ready >= PLANNED * len(flights), f"{ready} of {len(flights)} scenes were planned"
-    assert done >= COMPLETED * runs, f"{done} of {runs} runs were completed"
+    least = binom.ppf(risk, runs, COMPLETED) if risk else COMPLETED * runs
+    assert done >= least, f"{done} of {runs} runs were completed"
 
 
 def test_a_seed_gives_the_same_files_and_scenes_differ() -> None:
@@ -79,7 +82,7 @@ def test_the_files_of_forty_scenes_are_accepted(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_ten_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
     folder = plans_folder(tmp_path)
-    _check(_flown(folder, range(SLOW_SCENES), runs=SLOW_RUNS, limit=SLOW_LIMIT), folder, known=KNOWN)
+    _check(_flown(folder, range(SLOW_SCENES), runs=SLOW_RUNS, limit=SLOW_LIMIT), folder, known=KNOWN, risk=0.01)
 
 
 @pytest.mark.slow

@@ -68,3 +68,37 @@ def test_functions_refuse_arguments_of_the_wrong_kind(orbit, call, words):
     with pytest.raises(InputError) as refused:
         call(orbit)
     assert words in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: dp.plan(3), "itinerary = 3"),
+        (lambda: dp.plan("one-arm", workers="x"), "workers = 'x'"),
+        (lambda: dp.run(None), "planned = None"),
+        (lambda: dp.run("one-arm", options=3), "options = 3"),
+        (lambda: dp.run("one-arm", log=3), "log = 3"),
+        (lambda: dp.campaign([]), "planned = []"),
+        (lambda: dp.campaign("one-arm", over=3), "over = 3"),
+        (lambda: dp.campaign("one-arm", over={"lag": 3}), "over: lag = 3"),
+        (lambda: dp.campaign("one-arm", first_seed=None), "first_seed = None"),
+        (lambda: dp.closed_loop(3), "planned = 3"),
+        (lambda: dp.closed_loop("one-arm", options=()), "options = ()"),
+        (lambda: dp.export("one-arm", 3), "folder = 3"),
+        (lambda: dp.polish(3), "planned = 3"),
+        (lambda: dp.polish("one-arm", runs="x"), "runs = 'x'"),
+        (lambda: dp.reference(3), "walks = 3"),
+        (lambda: dp.reference([None]), "walks = None"),
+        (lambda: dp.shadow(3, ["down-up +"]), "found = 3"),
+        (lambda: dp.shadow([3], ["down-up +"]), "found = 3"),
+        (lambda: dp.orbit(3, "down-up", energy=0.1), "model = 3"),
+        (lambda: dp.swings(3), "model = 3"),
+        (lambda: dp.swings(dp.load_model("lab"), count="x"), "count = 'x'"),
+        (lambda: dp.swings(dp.load_model("lab"), seconds=None), "seconds = None"),
+        (lambda: dp.identify([3], model=dp.load_model("lab")), "recordings = 3"),
+    ],
+)
+def test_objects_of_another_kind_are_refused_by_name(call, words):
+    with pytest.raises(InputError) as refused:
+        call()
+    assert str(refused.value).startswith(words)
