@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Literal, overload
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arguments import instance, number, whole
 from dpcontrol.foundation.arguments import path as path_of
-from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
 from dpcontrol.references.problem import Limits, ReferenceSettings
@@ -266,8 +266,9 @@ def shadow(
 
     if isinstance(found, SymmetricSearch):
         return symmetric_walk(walk, found, lead_in=lead_in, lead_out=lead_out)
-
-    edges = found if isinstance(found, Edges) else _edges([found] if isinstance(found, ConnectionSearch) else found)
+    what = "a graph, or searches for connections"
+    searches = [found] if isinstance(found, ConnectionSearch) else instance("found", found, (Edges, Sequence), what)
+    edges = searches if isinstance(searches, Edges) else _edges(searches)
     solver = WalkSolver(edges.known)
     key = "wraps" if wraps else "walk"
     wraps = None if wraps is None else tuple(whole("wraps", one, least=0, most=MOST_WRAPS) for one in wraps)
@@ -345,10 +346,11 @@ def reference(
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
-    orbits = [walks] if isinstance(walks, ShadowingOrbit) else list(walks)
+    orbits = [walks] if isinstance(walks, ShadowingOrbit) else list(instance("walks", walks, Sequence, _WALKS))
     if not orbits:
         raise InputError("walks = []: give one at least")
     for one in orbits:
+        instance("walks", one, ShadowingOrbit, _WALKS)
         _found(one.converged, "the walk's orbit", one.status)
         if one.periodic:
             raise InputError("a periodic walk has no ends that a reference could start and finish at; shadow it open")
@@ -392,9 +394,11 @@ def plan(
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
 
+    workers = whole("workers", workers, least=0, most=4096)
+    instance("itinerary", itinerary, (str, Path), "the name or path of an itinerary")
     with reporting(progress, "plan") as report:
         return make_plan(
-            load_itinerary(itinerary), progress=report, fresh=fresh, workers=workers, scheduler=scheduler, yes=yes
+            load_itinerary(str(itinerary)), progress=report, fresh=fresh, workers=workers, scheduler=scheduler, yes=yes
         )
 
 
@@ -419,7 +423,7 @@ def closed_loop(
         GoalMissed: an orbit did not converge, or there is no transfer.
     """
     with reporting(progress, "plan") as report:
-        return _closed(planned, (options or RunOptions()).over(settings), yes=yes, progress=report)
+        return _closed(planned, _options(options).over(settings), yes=yes, progress=report)
 
 
 def polish(
@@ -447,8 +451,11 @@ def polish(
         InputError: the plan is not from rest to rest, or polished already, or it would take too long.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
+    from dpcontrol.scenes.plan import Plan
     from dpcontrol.scenes.polish import polish as polish_plan
 
+    instance("planned", planned, (Plan, str), _PLAN)
+    runs = whole("runs", runs, least=1, most=1_000_000)
     with reporting(progress, "polish") as report:
         found = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.2)) if isinstance(planned, str) else planned
         return polish_plan(found, fresh=fresh, runs=runs, workers=workers, yes=yes, progress=part_of(report, 0.2, 1.0))
@@ -547,6 +554,9 @@ def campaign(
     """
     from dpcontrol.scenes.campaign import CampaignSettings
 
+    first_seed = whole("first_seed", first_seed, least=0, most=2**62)
+    for name, values in instance("over", over or {}, Mapping, "values of options by name").items():
+        instance(f"over: {name}", values, Sequence, "a list of values")
     settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
     with reporting(progress, "campaign") as report:
         loop = _closed(planned, _options(options, mismatch, plant), yes=yes, progress=part_of(report, 0.0, 0.1))
@@ -569,6 +579,9 @@ def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 
     """
     from dpcontrol.recordings.recording import random_swings, swings_cost
 
+    instance("model", model, Model, _MODEL)
+    count, seed = whole("count", count, least=1, most=1_000_000), whole("seed", seed, least=0, most=2**63)
+    seconds = number("seconds", seconds)
     announce(swings_cost(count, seconds, written=False), yes=yes)
     return random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}")
 
@@ -598,7 +611,11 @@ def identify(
     from dpcontrol.recordings.recording import Recording
     from dpcontrol.scenes.model import write_model
 
-    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    what = "a recording, or a list of recordings"
+    given = [recordings] if isinstance(recordings, Recording) else [*instance("recordings", recordings, Sequence, what)]
+    for one in given:
+        instance("recordings", one, Recording, what)
+    instance("model", model, Model, _MODEL)
     choice = {None: "chosen", True: "free", False: "none"}[zeros]
     with reporting(progress, "identify") as report:
         found = found_in(given, model.arms, settings=IdentificationSettings(zeros=choice), progress=report)
@@ -776,8 +793,13 @@ def cache(*, clear: bool = False) -> "CacheContents":
     return cache_contents(clear=clear)
 
 
+_WALKS = "the result of dp.shadow, or a list of such results"
+_PLAN = "a plan, or the name or path of an itinerary"
+_MODEL = "a model, as dp.load_model returns it"
+
+
 def _system(model: Model | System) -> System:
-    return model.system if isinstance(model, Model) else model
+    return model.system if isinstance(model, Model) else instance("model", model, System, f"{_MODEL}, or a System")
 
 
 def _found(converged: bool, what: str, status: str) -> None:
@@ -787,10 +809,12 @@ def _found(converged: bool, what: str, status: str) -> None:
 
 def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
     """Return the part of the graph that some searches found."""
-    from dpcontrol.walks.edges import Edges
+    from dpcontrol.tubes.connections import ConnectionSearch
 
     if not searches:
         raise InputError("found = []: give a graph, or one search for connections at least")
+    for one in searches:
+        instance("found", one, ConnectionSearch, "a search for connections")
     first = searches[0].source
     if len({one.energy for search in searches for one in (search.source, search.target)}) > 1:
         raise InputError("the connections are of different energies: a walk keeps one")
@@ -807,10 +831,13 @@ def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
 
 def _closed(planned: "Plan | str", options: RunOptions, *, yes: bool, progress: Reporting) -> "ClosedLoop":
     from dpcontrol.runs.closed_loop import ClosedLoop
+    from dpcontrol.scenes.plan import Plan
 
+    instance("planned", planned, (Plan, str), _PLAN)
     return ClosedLoop(plan(planned, yes=yes, progress=progress) if isinstance(planned, str) else planned, options)
 
 
 def _options(options: RunOptions | None, mismatch: float | None = None, plant: Place | None = None) -> RunOptions:
     given = {"mismatch": mismatch, "plant": None if plant is None else str(plant)}
-    return (options or RunOptions()).over({name: value for name, value in given.items() if value is not None})
+    chosen = RunOptions() if options is None else instance("options", options, RunOptions, "dp.RunOptions")
+    return chosen.over({name: value for name, value in given.items() if value is not None})

@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Sequence
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
 from dpcontrol.foundation.errors import InputError
@@ -57,6 +58,26 @@ def path(name: str, value: Any) -> str:
     if not isinstance(value, str | os.PathLike) or isinstance(os.fspath(value), bytes):
         raise InputError(f"{name} = {_short(value)}: must be the path of a file, as text or a pathlib.Path")
     return str(os.fspath(value))
+
+
+def place(name: str, value: Any) -> Path | None:
+    """Return a path of a file or folder, or None for none.
+
+    Raises:
+        InputError: it is neither.
+    """
+    return None if value is None else Path(path(name, value))
+
+
+def instance(name: str, value: Any, kinds: type | tuple[type, ...], what: str) -> Any:
+    """Return a value that is of one of these kinds; what: their description.
+
+    Raises:
+        InputError: it is of another kind.
+    """
+    if not isinstance(value, kinds):
+        raise InputError(f"{name} = {_short(value)}: must be {what}")
+    return value
 
 
 def _allowed(kind: str, least: float, most: float) -> str:

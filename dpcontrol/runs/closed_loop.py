@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dpcontrol.control.export import ControllerSource
 from dpcontrol.control.margins import Margins
+from dpcontrol.foundation.arguments import place
 from dpcontrol.foundation.progress import Reporting, reporting
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.own import OwnObject
@@ -86,7 +87,7 @@ class ClosedLoop:
         scene = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
         with reporting(progress, "run") as report:
             return run_plan(
-                replace(plan, itinerary=scene), None if log is None else Path(log),
+                replace(plan, itinerary=scene), place("log", log),
                 assembly=assembly.under(scene.loop), rig=own, force=force, live=live, progress=report,
             )  # fmt: skip
 
@@ -121,7 +122,7 @@ class ClosedLoop:
         cases = cases_of(self.planned.itinerary, fixed=self.options, over=over or {})
         with reporting(progress, "campaign") as report:
             return run_campaign(
-                self.planned, cases, None if out is None else Path(out), settings=settings or CampaignSettings(runs),
+                self.planned, cases, place("out", out), settings=settings or CampaignSettings(runs),
                 transitions=transitions, force=force, yes=yes, progress=report,
             )  # fmt: skip
 
@@ -175,5 +176,5 @@ class ClosedLoop:
         """
         check_exportable(self.plan.itinerary)
         with reporting(progress, "export") as report:
-            out = None if folder is None else Path(folder)
+            out = place("folder", folder)
             return export_plan(self.plan, out, assembly=self.assembly, single=single, force=force, progress=report)
