@@ -580,7 +580,7 @@ def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 
     from dpcontrol.recordings.recording import random_swings, swings_cost
 
     instance("model", model, Model, _MODEL)
-    count, seed = whole("count", count, least=1, most=1_000_000), whole("seed", seed, least=0, most=2**63)
+    count, seed = whole("count", count, least=1, most=2**63), whole("seed", seed, least=0, most=2**63)
     seconds = number("seconds", seconds)
     announce(swings_cost(count, seconds, written=False), yes=yes)
     return random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}")
@@ -810,6 +810,7 @@ def _found(converged: bool, what: str, status: str) -> None:
 def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
     """Return the part of the graph that some searches found."""
     from dpcontrol.tubes.connections import ConnectionSearch
+    from dpcontrol.walks.edges import Edges
 
     if not searches:
         raise InputError("found = []: give a graph, or one search for connections at least")
