@@ -11,7 +11,7 @@ that fails says so in its result, by `converged` and `status`. Long calls take `
 text and a share from 0 to 1, or True for a bar on stderr. Without it a line is written to stderr every twenty seconds.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
@@ -289,8 +289,7 @@ def prove(
     """Prove in ball arithmetic that a computed orbit, closed walk or connections exist; needs the extra `proof`.
 
     Homoclinics of one orbit are proved together with the horseshoe that they make. energy in J, exact; by default the
-    shortest decimal that reads as the orbit's. rivals: the graph whose other
-    connections the walk must not follow instead of its own.
+    shortest decimal that reads as the orbit's. rivals: the graph whose other connections the walk must not follow.
 
     >>> dp.prove(dp.orbit(lab, "down-up", energy=-0.07)).proved
     True
@@ -556,7 +555,7 @@ def campaign(
 
     first_seed = whole("first_seed", first_seed, least=0, most=2**62)
     for name, values in instance("over", over or {}, Mapping, "values of options by name").items():
-        instance(f"over: {name}", values, Sequence, "a list of values")
+        instance(f"over: {name}", values, Collection, "a list of values")
     settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
     with reporting(progress, "campaign") as report:
         loop = _closed(planned, _options(options, mismatch, plant), yes=yes, progress=part_of(report, 0.0, 0.1))

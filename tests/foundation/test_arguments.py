@@ -2,6 +2,7 @@
 
 from math import inf, nan
 
+import numpy as np
 import pytest
 
 import dpcontrol as dp
@@ -102,3 +103,8 @@ def test_objects_of_another_kind_are_refused_by_name(call, words):
     with pytest.raises(InputError) as refused:
         call()
     assert str(refused.value).startswith(words)
+
+
+def test_values_of_an_option_may_be_an_array():
+    campaign = dp.campaign("outer-turn", runs=1, over={"lag": np.array([0.0, 0.002])}, workers=1)
+    assert campaign.completed.runs == 2
