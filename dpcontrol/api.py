@@ -475,10 +475,17 @@ def run(
 ) -> "Run":
     """Run the closed loop of a plan, or of an itinerary by name, on the simulated bench.
 
-    mismatch: share by which the plant's parameters may be off; plant: model file or name of arms of its own; options:
-    other settings that take the place of the scene's. seed: of all that is random. log: where to write the run's log,
-    if anywhere; force: also where there is that of another run. live: show it in the viewer while it happens. yes:
-    however long its plan takes.
+    Args:
+        planned: a plan, or an itinerary's name.
+        mismatch: largest relative error of the plant's parameters.
+        plant: model file or name, for a plant with arms of its own.
+        seed: seed of the random numbers.
+        options: settings that replace the scene's.
+        log: file to write the run's log to.
+        force: replace the log of another run there.
+        live: show the run in the viewer while it happens.
+        yes: plan it however long that takes.
+        progress: where progress goes; see the head of this module.
 
     >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
     True
@@ -778,7 +785,7 @@ def picture(
 
 
 def cache(*, clear: bool = False) -> "CacheContents":
-    """Return what is kept of earlier work, plans and the like, and delete it if asked; nothing else is lost by it.
+    """List the cached results of earlier work by kind, and delete them if `clear`. They can be computed again.
 
     >>> entries, size = dp.cache().kinds["plans"]
     >>> entries > 0

@@ -137,7 +137,9 @@ def lasting(problem: ReferenceProblem, duration: float) -> ReferenceProblem:
 
 @dataclass(frozen=True)
 class Recomputed:
-    """What a flight is by scipy alone. effort ∫u² m²/s³; peak m/s²; gap, miss: the largest scaled distances between
+    """A flight recomputed by scipy alone.
+
+    effort ∫u² m²/s³; peak m/s²; gap, miss: the largest scaled distances between
     intervals and from the ends; position m, velocity m/s: the cart's largest; turns: of each arm, end to end.
     """
 

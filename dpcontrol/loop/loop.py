@@ -306,13 +306,18 @@ _SHAPED = 0.25
 
 @dataclass(frozen=True)
 class LoopSettings(Settings, table="run"):
-    """A run: rate Hz; initial_error rad, uniform ± on each angle of the true first state; mismatch of the plant's
-    parameters (share); model_uncertainty: factor on the standard errors that the model's file gives, by which the plant
-    is drawn besides; friction: factor on that of the plant drawn; plant: its arms where they are others than the
-    model's, mismatch and friction about these. seed of all that is random. travel m: the cart's greatest distance from
-    the centre, zero for the reference's own limit. drive_lag s: the time constant of the drive's velocity loop that
-    filter, prediction and gains know of, whatever the drive has. keep: what keeps the stops of a walk planned so
-    (`KEEPERS`), while TVLQR flies.
+    """The settings of a run.
+
+    seed: seed of the random numbers.
+    rate: of the loop, Hz.
+    initial_error: largest error of each angle of the true first state, rad.
+    mismatch: largest relative error of the plant's parameters.
+    model_uncertainty: factor on the standard errors in the model's file; the plant is drawn with these as well.
+    friction: factor on the friction of the plant.
+    plant: arms of the plant, if they differ from the model's; mismatch and friction apply to them.
+    travel: the cart's greatest distance from the centre, m; zero for the reference's own limit.
+    drive_lag: time constant of the drive that filter, prediction and gains assume, s.
+    keep: the law that keeps the stops of a walk (`KEEPERS`), while TVLQR flies.
     """
 
     seed: int = setting(least=0)

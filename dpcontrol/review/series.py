@@ -171,7 +171,7 @@ EXTRA_CHARTS = (
     ("disturbance_", "disturbances", "Disturbances", "rad/s²", 1.0),
     ("drive", "drive", "Drive's error", "m/s²", 1.0),
     ("friction_", "friction", "Friction's errors", "%", 100.0),
-    ("dry_", "dry", "Dry friction beyond the model, over gravity's torque", "%", 100.0),
+    ("dry_", "dry", "Dry friction not in the model", "% of gravity", 100.0),
     ("", "parameters", "Model's errors", "%", 100.0),
 )
 """Extras that share a chart: how their names begin, the chart's key and title, and the unit and scale of a page."""

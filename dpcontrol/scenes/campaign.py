@@ -349,9 +349,13 @@ class Transition:
 
 @dataclass(frozen=True)
 class Campaign:
-    """What came out. completed: of all cases; pairs: (first case, second case, comparison) for each two of a few cases.
-    table: of all runs, in columns (Arrow); file: where it is kept, if it is; alone: what was flown alone, by its name:
-    from, to and how long, s.
+    """The outcome of a campaign.
+
+    completed: share of all runs.
+    pairs: first case, second case and their comparison, for every two cases of a few.
+    table: all runs, as Arrow columns.
+    file: Parquet file of the table, if it was written.
+    alone: the parts that were flown alone, by name: from, to and duration, s.
     """
 
     itinerary: str
