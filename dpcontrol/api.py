@@ -17,6 +17,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, overload
 
+from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System

@@ -124,6 +124,8 @@ def identity(program: TickProgram, schedule: GainSchedule) -> str:
     equations = program.equations
     parts = [*equations.numbers.slices, *equations.memory.slices, *equations.row.slices, *equations.filter.extra_names]
     shape = repr((_VERSION, equations.whole, equations.lead, equations.shares, program.period, parts))
+    if equations.own is not None:
+        shape += equations.function().serialize()
     arrays = (program.numbers, program.memory[:, 0], schedule.rows, schedule.references, schedule.queued)
     return content_hash(shape, *(np.ascontiguousarray(one, dtype="<f8").tobytes() for one in arrays))
 
@@ -155,6 +157,7 @@ def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
         extras = equations.filter.extra_names
         pairs = combinations_with_replacement(compress(extras, equations.shares), 2)
         names += [f"gain on {name}" for name in (*extras, *(f"{one} {other}" for one, other in pairs))]
+    names += [] if equations.own is None else ["own"]
     moving = law[:, varying] if varying.any() else np.zeros((1, 1))
     return _Tables(
         _without_end(moving), varying, law[0], _without_end(states), tuple(np.array(names)[varying]) or ("nothing",)
@@ -163,7 +166,8 @@ def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
 
 def _law_parts(equations: TickEquations) -> list[str]:
     lag = ["drive", "drive_gain"] if equations.lags else []
-    return ["feedforward", "gains", *lag, *([] if equations.shares is None else ["extra_gains", "pair_gains"])]
+    own = [] if equations.own is None else ["own"]
+    return ["feedforward", "gains", *lag, *([] if equations.shares is None else ["extra_gains", "pair_gains"]), *own]
 
 
 def _without_end(rows: Array) -> Array:
@@ -232,7 +236,7 @@ def _start(program: TickProgram, *, single: bool) -> Array:
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\d+\]\[(\d+)\] : 0")
 _WRITTEN = re.compile(r"if \(res\[0\]!=0\) res\[0\]\[(\d+)\]=")
 _NUMBER = re.compile(r"(?<![\w.])\d+\.\d*(?:e[+-]?\d+)?")
-_CALLS = re.compile(r"\b(fabs|sqrt|sin|cos|atan2|exp|pow)\(")
+_CALLS = re.compile(r"\b(fabs|sqrt|a?sinh?|a?cosh?|a?tanh?|atan2|exp|log|pow)\(")
 
 
 def _body(function: ca.Function, *, single: bool) -> str:
@@ -462,6 +466,8 @@ class LibraryProgram(TickProgram):
 
     def __init__(self, library: Path, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
+        # What C does not report is nothing.
+        self._out[:] = 0.0
         self.library = checked_source(library)
         if not self.library.exists():
             raise InputError(f"there is no library {library}; `dpcontrol export` and `make` make one")

@@ -212,6 +212,7 @@ class GainSchedule:
     rows (K, ·): see `TickEquations.row`; references (K, N); queued (lead,) m/s²: what acts before the first
     tick's command can; shares, names (E,): of the extras that it has gains
     on, which are relative errors that are trusted up to `trust`, and all names; None and () without such gains.
+    law: a user's (`dpcontrol.control.symbolic`), which acts besides the gains.
     """
 
     rows: Array
@@ -221,6 +222,7 @@ class GainSchedule:
     shares: tuple[bool, ...] | None = None
     names: tuple[str, ...] = ()
     trust: float = 0.0
+    law: Any = None
 
     def turned(self, turns: Array) -> "GainSchedule":
         """Return the same with `turns` (n,) rad added to all its angles."""

@@ -36,6 +36,7 @@ from dpcontrol.control.handover import Fly, Keep, Program
 from dpcontrol.control.interface import MANY, Controller
 from dpcontrol.control.lqr import HoldController
 from dpcontrol.control.periodic import OrbitController
+from dpcontrol.control.symbolic import SymbolicController
 from dpcontrol.control.tick import UNROLLED, TickEquations, TickProgram
 from dpcontrol.control.tracking import PhaseController, TimedController, TrackingController
 from dpcontrol.foundation.arrays import Array
@@ -291,7 +292,7 @@ def _by_the_clock(law: Any, *, ticks: int, lags: bool) -> TimedController | Phas
             f'controller: kind = "{law.kind}" acts by pulses, which no gain, delay or lag margin describes; use '
             '"tvlqr", "adaptive" or "lqr" for margins'
         )
-    if not law.gains.any():
+    if not law.gains.any() and not isinstance(law, SymbolicController):
         raise InputError(f'controller: kind = "{law.kind}" feeds nothing back, so that it has no margins')
     return law
 

@@ -61,7 +61,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property, lru_cache, partial, reduce
 from itertools import combinations_with_replacement
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -78,11 +78,14 @@ from dpcontrol.control.ekf import (
     unpack,
 )
 from dpcontrol.control.estimator_settings import Augment, FilterSettings
-from dpcontrol.control.interface import Mode, Present, SampledModel
+from dpcontrol.control.interface import GainSchedule, Mode, Present, SampledModel
 from dpcontrol.dynamics.compiled import VECTOR, Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+
+if TYPE_CHECKING:
+    from dpcontrol.control.symbolic import SymbolicLaw
 
 
 class Outcome(IntEnum):
@@ -283,7 +286,7 @@ class TickEquations:
     are relative errors that the law trusts only so far; None for a law without gains on them. unrolled: whether the
     memory holds the commands on their way; else whoever keeps it keeps them, too, for delays of any length. lags:
     whether the drive's velocity loop takes its time, as far as is known. plays: whether encoders have a known play;
-    shapes: whether commands are shaped for a known belt.
+    shapes: whether commands are shaped for a known belt. own: a user's law of expressions.
 
     For coarser arithmetic: same rad and m, how near to each other readings of a joint and of the cart are the same
     count; split, whether the filter's positions are kept as a sum of two numbers: single precision rounds an angle of
@@ -298,6 +301,7 @@ class TickEquations:
     lags: bool = False
     plays: bool = False
     shapes: bool = False
+    own: "SymbolicLaw | None" = None
     same: tuple[float, float] = (SAME, SAME)
     split: bool = False
 
@@ -323,8 +327,8 @@ class TickEquations:
         timing s²: the variance of the readings' age; timed: the information in it, for time in periods; lateness: the
         recent mean of the age that innovations look like, in periods; strain: the mean NIS as if ages did not vary.
         With play: mark (n,) rad, angle of each encoder when its joint last moved it. With a belt: shaped (2,) m/s²,
-        memory of what shapes commands. Split: origin, which the positions in z are relative to; whoever keeps the
-        memory may move from one to the other.
+        memory of what shapes commands. own: memory of a user's law. Split: origin, which the positions in z are
+        relative to; whoever keeps the memory may move from one to the other.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
         sent = {"sent": self.whole + 2} if self.unrolled else {}
@@ -336,7 +340,7 @@ class TickEquations:
             commanded_speed=1, scale_speed=1, scale_drift=1, scale_error=1, heading=1, turns=m - 1, timing=1, timed=1,
             lateness=1, strain=1,
             **({"mark": m - 1} if self.plays else {}), **({"shaped": 2} if self.shapes else {}),
-            **({"origin": m} if self.split else {}),
+            **({} if self.own is None else {"own": len(self.own.first)}), **({"origin": m} if self.split else {}),
         )  # fmt: skip
 
     @cached_property
@@ -357,14 +361,15 @@ class TickEquations:
 
         Of the tick at which the command acts: feedforward m/s², gains (N,), state (N,), with a lag the cart's
         acceleration m/s² and the gain on it, and for a law that has them extra_gains (E,), and pair_gains on the
-        products of shares, in the order of `combinations_with_replacement`. Of this tick:
-        wanted (n,), the reference's angles.
+        products of shares, in the order of `combinations_with_replacement`; own: 1 where a user's law acts. Of this
+        tick: wanted (n,), the reference's angles.
         """
         size = self.filter.equations.dimension
         m = sum(self.shares or ())
         extras = {} if self.shares is None else {"extra_gains": len(self.shares), "pair_gains": m * (m + 1) // 2}
         lag = {"drive": 1, "drive_gain": 1} if self.lags else {}
-        return Layout(feedforward=1, gains=size, state=size, **lag, **extras, wanted=self.filter.arms)
+        own = {} if self.own is None else {"own": 1}
+        return Layout(feedforward=1, gains=size, state=size, **lag, **extras, **own, wanted=self.filter.arms)
 
     @cached_property
     def numbers(self) -> Layout:
@@ -405,14 +410,14 @@ class TickEquations:
         number of the extra that is found beyond trust for the first time, from 1, else 0; sensor: number of the stuck
         one, from 1; repeats: for how many ticks. error rad, mean_nis, silent s: what was judged. used positions; ahead
         (N,): the state for which the command was computed; notable, news: not 0 where there is an outcome or the cart
-        is being stopped, or else something to tell.
+        is being stopped, or else something to tell. own m/s²: what a user's law returned.
         """
         n, size = self.filter.equations.dimension, self.filter.dimension
         return Layout(
             state=n, wish=1, feedforward=1, feedback=1, acting=1, saturated=1, nis=1, mode=1, sigmas=size,
             extra=size - n, command=1,
             outcome=1, stop=1, done=1, newly_cut=1, doubted=1, sensor=1, repeats=1, error=1, mean_nis=1,
-            silent=1, used=1, ahead=n, notable=1, news=1,
+            silent=1, used=1, ahead=n, notable=1, news=1, **({} if self.own is None else {"own": 1}),
         )  # fmt: skip
 
     # The parts.
@@ -589,6 +594,17 @@ class TickEquations:
             feedback -= row["pair_gains"][k] * one * other
         return feedback, doubted
 
+    def _by_own(
+        self, m: Mapping[str, ca.SX], row: Mapping[str, ca.SX], ahead: ca.SX, parameters: ca.SX
+    ) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """Return the feedback of a user's law, m/s², and its memory."""
+        if self.own is None:
+            return ca.SX(0), {}
+        law = self.own.expression(ahead.shape[0], parameters.shape[0])
+        out = law(ahead, row["state"], row["feedforward"], m["own"], parameters)
+        command, memory = ca.vertsplit(out, [0, 1, out.shape[0]])
+        return ca.if_else(row["own"], command - row["feedforward"], 0), {"own": memory}
+
     def _stuck(
         self,
         m: Mapping[str, ca.SX],
@@ -714,7 +730,8 @@ class TickEquations:
         n, size, period = self.filter.arms, self.filter.equations.dimension, self.filter.period
         forward = row["feedforward"]
         by_row, doubted = self.law(row, ahead, drive, e["z"][size:], c["trust"])
-        feedback = back + by_row
+        by_own, own = self._by_own(m, row, ahead, c["parameters"])
+        feedback = back + by_row + by_own
         was = m["stopped"] > 0
 
         # The means.
@@ -814,7 +831,7 @@ class TickEquations:
             "held": ca.if_else(falls, 1, m["held"]),
             "moved": ca.if_else(moved, 0, m["moved"] + period), "restart": ca.logic_or(again, blind),
             "stopped": stopped, "still": still, "acted": acting, "cut": saturated,
-            "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch, **self._expected_cart(watch, acting),
+            "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch, **self._expected_cart(watch, acting), **own,
         }  # fmt: skip
         if predicts:
             start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
@@ -843,7 +860,7 @@ class TickEquations:
             "doubted": newly_doubted, "sensor": sensor, "repeats": repeats,
             "error": error, "mean_nis": nis,
             "silent": silent, "used": e["used"], "ahead": ahead, "notable": outcome + stop,
-            "news": newly_cut + newly_doubted,
+            "news": newly_cut + newly_doubted, "own": by_own + row["feedforward"],
         }  # fmt: skip
         return memory, report
 
@@ -927,12 +944,12 @@ def _function(name: str, inputs: Mapping[str, ca.SX], out: ca.SX) -> ca.Function
 @lru_cache(maxsize=32)
 def _tick_equations(
     equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int] | None,
-    shares: tuple[bool, ...] | None, lags: bool, mechanics: tuple[bool, bool],
+    shares: tuple[bool, ...] | None, lags: bool, mechanics: tuple[bool, bool], own: "SymbolicLaw | None",
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
     """Return a tick's equations and the machine code made of them so far: once for all runs of a process."""
     filters = FilterEquations(equations, period, augments, as_measured=True)
     whole, lead = path or (0, 0)
-    return TickEquations(filters, whole, lead, shares, path is not None, lags, *mechanics), {}
+    return TickEquations(filters, whole, lead, shares, path is not None, lags, *mechanics, own), {}
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
@@ -964,7 +981,7 @@ class TickProgram:
         noise: Array,
         delay: float,
         bounds: Mapping[str, float],
-        shares: tuple[bool, ...] | None = None,
+        law: GainSchedule | None = None,
         runs: int = 1,
         mechanics: KnownMechanics | None = None,
     ) -> None:
@@ -977,9 +994,10 @@ class TickProgram:
             model.period,
             settings.augments,
             path,
-            shares,
+            None if law is None else law.shares,
             model.lag > 0,
             (mechanics is not None and any(mechanics.play), mechanics is not None and mechanics.belt > 0),
+            None if law is None else law.law,
         )
         self.model, self.settings, self.runs = model, settings, runs
         equations, arms = self.equations, model.arms
@@ -1052,6 +1070,8 @@ class TickProgram:
         }  # fmt: skip
         if self.equations.plays:
             start["mark"] = np.inf
+        if self.equations.own is not None:
+            start["own"] = self.equations.own.first
         if self.equations.lags:
             # What acted last.
             start["drive"] = sent[1][None]

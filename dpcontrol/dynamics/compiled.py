@@ -146,6 +146,17 @@ def to_heyoka(
     return out
 
 
+def check_operations(function: ca.Function) -> None:
+    """Reject a function that machine code cannot do.
+
+    Raises:
+        NotImplementedError: names the operation.
+    """
+    if _HEYOKA:
+        sizes = [function.size1_in(i) for i in range(function.n_in())]
+        to_heyoka(function, [[hy.expression(0.0)] * size for size in sizes], switches=True)
+
+
 _HEYOKA = installed("heyoka")
 VECTOR = 8 if _HEYOKA else 1
 """Doubles that one instruction works on: the widest vector of today's processors, which halve it if they must.

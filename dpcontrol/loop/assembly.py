@@ -134,9 +134,9 @@ class Assembly:
         if s.on_fall == "stop":
             return None
         main = schedule_of(self.controller, whole_periods(settings.drive.delay)[1])
-        if main is None:
+        if main is None or main.law is not None:
             raise InputError(
-                f'supervisor: on_fall = "{s.on_fall}": {self.controller.kind} keeps a clock of its own, and cannot be '
+                f'supervisor: on_fall = "{s.on_fall}": {self.controller.kind} has no gains by time, and cannot be '
                 'taken up anywhere; use kind = "adaptive", "tvlqr" or "lqr" without keep'
             )
         notes = plan_notes(reference)
@@ -212,8 +212,7 @@ class Assembly:
         program = make(
             model, filters, noise=noise, delay=self.delay, runs=runs,
             bounds=self._bounds(0.0 if schedule is None else schedule.trust),
-            shares=None if schedule is None else schedule.shares,
-            mechanics=settings.known_mechanics(self.arms.count),
+            law=schedule, mechanics=settings.known_mechanics(self.arms.count),
         )  # fmt: skip
         compiled = isinstance(settings.estimator, EkfSettings)
         estimator = None if compiled else make_estimator(filters, model, noise=noise)

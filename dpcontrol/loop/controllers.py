@@ -31,6 +31,7 @@ from dpcontrol.control.interface import Controller, Estimator, SampledModel
 from dpcontrol.control.lqr import ExtraEffects, HoldSettings, hold_controller
 from dpcontrol.control.ogy import ClassicOgySettings, OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import OrbitController, orbit_controller
+from dpcontrol.control.symbolic import symbolic_controller
 from dpcontrol.control.tracking import (
     AdaptiveSettings,
     FeedforwardSettings,
@@ -42,7 +43,7 @@ from dpcontrol.control.tracking import (
 from dpcontrol.dynamics.chain import ArmChainParameters, damping_scales, pendulum_system
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.loop.own import OwnController, OwnEstimates, OwnEstimator, OwnLaw
+from dpcontrol.loop.own import OwnController, OwnEstimates, OwnEstimator, OwnExpressions, OwnLaw
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.references.reference import Reference, plan_notes
 
@@ -250,7 +251,14 @@ _MOST_DRY = 0.055
 """Most of it, as a share like a hold's damping: more costs robustness against wrong masses."""
 
 ControllerSettings = (
-    TvlqrSettings | FeedforwardSettings | AdaptiveSettings | HoldSettings | OgySettings | ClassicOgySettings | OwnLaw
+    TvlqrSettings
+    | FeedforwardSettings
+    | AdaptiveSettings
+    | HoldSettings
+    | OgySettings
+    | ClassicOgySettings
+    | OwnLaw
+    | OwnExpressions
 )
 
 
@@ -330,9 +338,10 @@ LAWS = (
     Law(HoldSettings, _hold),
     Law(FeedforwardSettings, lambda m: tracking_controller(m.reference, m.model, m.settings)),
     Law(OwnLaw, _own, symbolic=False),
+    Law(OwnExpressions, lambda m: symbolic_controller(m.settings.own.thing, m.reference, m.model)),
 )
 """Every kind of controller."""
-CONTROLLERS: dict[str, type[ControllerSettings]] = {one.settings.kind: one.settings for one in LAWS[:-1]}
+CONTROLLERS: dict[str, type[ControllerSettings]] = {one.settings.kind: one.settings for one in LAWS[:-2]}
 """The settings of each built-in kind, by its name in an itinerary."""
 
 

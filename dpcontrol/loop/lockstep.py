@@ -9,6 +9,7 @@ import numpy as np
 from dpcontrol.control.tick import Outcome
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.loop.bench import BenchDraw
+from dpcontrol.loop.own import LARGEST, wrong_command
 from dpcontrol.loop.result import BatchRun, Ending, JudgedTicks, ending, explained
 from dpcontrol.loop.simulated import BatchBench
 from dpcontrol.loop.ticker import Ticker
@@ -32,6 +33,7 @@ class Lockstep:
         ticker, bench, noise = self._ticker, self._bench, self._rate_noise
         rows = JudgedTicks(ticker.count, self._runs, self._arms)
         command, notable, done = (ticker.at[name] for name in ("command", "notable", "done"))
+        own = ticker.at.get("own")
         with np.errstate(all="ignore"):
             for k in range(ticker.count):
                 reading = bench.read()
@@ -41,6 +43,8 @@ class Lockstep:
                 if (failed := bench.failed) is not None:
                     why = f"plant failed at t = {k * self._period:.3f} s: its state is no longer finite"
                     self._end(failed, k, Ending.PLANT_FAILED, why)
+                if own is not None:
+                    self._check(k, report[own])
                 if np.add.reduce(report[notable]):
                     self._heed(k, report, rows)
                     for lane in np.flatnonzero(report[done] * self._alive).tolist():
@@ -60,6 +64,12 @@ class Lockstep:
             for lane in range(self._runs)
         ]  # fmt: skip
         return [replace(run, hardest=float(most)) for run, most in zip(runs, bench.hardest, strict=True)]
+
+    def _check(self, k: int, commands: Array) -> None:
+        """End runs whose symbolic law returned no sensible command, m/s²."""
+        for lane in np.flatnonzero(~(np.abs(commands) <= LARGEST)).tolist():
+            why = f"{wrong_command(self._ticker.kind, commands.item(lane))}, at t = {k * self._period:.3f} s"
+            self._end([lane], k + 1, Ending.OBJECT_FAILED, why)
 
     def _heed(self, k: int, report: Array, rows: JudgedTicks) -> None:
         """Do what the outcomes of tick k ask for."""

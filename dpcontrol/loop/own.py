@@ -22,13 +22,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
 
 from dpcontrol.control.estimator_settings import FilterSettings
 from dpcontrol.control.interface import Action, Estimate, Mode, Present, SampledModel
+from dpcontrol.control.symbolic import SymbolicLaw, Wanted
 from dpcontrol.control.tracking import ReferenceController
 from dpcontrol.dynamics.plant import PlantParameters, after_blow
 from dpcontrol.foundation.arrays import Array
@@ -95,10 +96,12 @@ class OwnObject:
 
     def __init__(self, role: str, thing: Any, source: str = "") -> None:
         self.role, self.thing, self.source = role, thing, source
-        self.name = (thing if isinstance(thing, type) else type(thing)).__name__
+        self.symbolic = role == "controller" and isinstance(thing, SymbolicLaw)
+        named = thing.name if self.symbolic else (thing if isinstance(thing, type) else type(thing)).__name__
+        self.name: str = named
         if isinstance(thing, type):
             raise InputError(f"{role} = {self.name}: this is a class; give an object, {self.name}()")
-        for usage in NEEDED[role]:
+        for usage in () if self.symbolic else NEEDED[role]:
             if not callable(self.attribute(usage.partition("(")[0])):
                 raise InputError(f"{role} = {self.name}: it has no method {usage}; see `dpcontrol guide extend`")
 
@@ -118,7 +121,8 @@ class OwnObject:
     def _fingerprint(self) -> str:
         """Identifies code and state; unique if these cannot be read."""
         try:
-            return content_hash(inspect.getsource(type(self.thing)), pickle.dumps(self.thing))
+            text = self.thing.source if self.symbolic else inspect.getsource(type(self.thing))
+            return content_hash(text, pickle.dumps(self.thing))
         except Exception:  # noqa: BLE001 - pickling runs the user's code
             return uuid4().hex
 
@@ -191,6 +195,13 @@ class OwnObject:
         return OwnFailure(f"{self.name}.{method} returned {text}: it must return {needed}")
 
 
+def wrong_command(law: str, value: float) -> OwnFailure | None:
+    """Return what is wrong with the command of a symbolic law, m/s²; None for nothing."""
+    if abs(value) <= LARGEST:
+        return None
+    return OwnFailure(f"{law} returned {value}: it must return a number from -{LARGEST:g} to {LARGEST:g} m/s²")
+
+
 def _told(error: BaseException) -> str:
     try:
         text = " ".join(str(error).split())
@@ -209,7 +220,7 @@ def own_object(role: str, value: Any) -> OwnObject:
 
 
 def load_own(role: str, source: str) -> OwnObject:
-    """Return an object of the class that FILE.py:CLASS names, made without arguments.
+    """Return an object of the class that FILE.py:CLASS names, made without arguments, or the object of that name.
 
     Raises:
         InputError: there is no such file or class, it cannot be made, or it lacks a method.
@@ -228,7 +239,7 @@ def load_own(role: str, source: str) -> OwnObject:
     try:
         spec.loader.exec_module(module)
         kind = getattr(module, name, None)
-        thing = None if kind is None else kind()
+        thing = kind() if isinstance(kind, type) else kind
     except (Exception, SystemExit) as error:
         raise InputError(f"{role} = {source}: {_told(error)}") from error
     if thing is None:
@@ -239,6 +250,14 @@ def load_own(role: str, source: str) -> OwnObject:
 @dataclass(frozen=True)
 class OwnLaw:
     """The settings of a user's law."""
+
+    kind: str
+    own: OwnObject
+
+
+@dataclass(frozen=True)
+class OwnExpressions:
+    """The settings of a user's symbolic law."""
 
     kind: str
     own: OwnObject
@@ -259,13 +278,6 @@ class OwnPlant:
 
     kind: str
     own: OwnObject
-
-
-class Wanted(NamedTuple):
-    """The target of a law: state (N,), and feedforward, the cart's acceleration along the reference in m/s²."""
-
-    state: Array
-    feedforward: float
 
 
 @dataclass(frozen=True, eq=False)

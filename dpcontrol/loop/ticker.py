@@ -16,7 +16,7 @@ from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSch
 from dpcontrol.control.tick import UNROLLED, Outcome, TickProgram
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.own import OwnController, OwnEstimates, OwnFailure, OwnSession
+from dpcontrol.loop.own import OwnController, OwnEstimates, OwnFailure, OwnSession, wrong_command
 from dpcontrol.loop.result import Reading
 
 _SCALE_SECONDS = 0.01
@@ -45,7 +45,8 @@ class Ticker:
     ) -> None:
         self.program, self.controller, self.estimator = program, controller, estimator
         self._own = estimator if isinstance(estimator, OwnEstimates) else None
-        self.watched = self._own is not None or isinstance(controller, OwnController)
+        self._asks = self._own is not None or isinstance(controller, OwnController)
+        self.watched = self._asks or "own" in program.at
         """Whether a user's law or estimator takes part; it may fail."""
         self.kind, self.estimator_kind = controller.kind, estimator_kind
         self.lead, self.at = program.lead, program.at
@@ -74,6 +75,8 @@ class Ticker:
     @property
     def failure(self) -> OwnFailure | None:
         """What was wrong with a user's law or estimator in the last tick."""
+        if "own" in self.at and (wrong := wrong_command(self.kind, self.program.report.item(self.at["own"], 0))):
+            return wrong
         session = self._session.failure if isinstance(self._session, OwnSession) else None
         return session or (None if self._own is None else self._own.failure)
 
@@ -316,7 +319,7 @@ class Ticker:
 
     def rehearse(self) -> None:
         """Do ticks that nobody sees, so that all is in memory before the first deadline; not with users' objects."""
-        if self.watched:
+        if self._asks:
             return
         state = self.controller.first_state
         reading = Reading(0.0, state[self.program.model.position_indices])

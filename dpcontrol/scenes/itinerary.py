@@ -27,7 +27,7 @@ from dpcontrol.foundation.shipped import find
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, KEEPERS, estimators_of
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.own import OwnEstimator, OwnLaw, OwnPlant, own_object
+from dpcontrol.loop.own import OwnEstimator, OwnExpressions, OwnLaw, OwnPlant, own_object
 from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.references.method import method_named
@@ -235,7 +235,8 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
             own[name] = value
         elif not isinstance(value, str) or ".py:" in value:
             made = own_object(name, value)
-            own[name] = OwnLaw(made.name, made) if name == "controller" else OwnEstimator(kind=made.name, own=made)
+            law_of = OwnExpressions if made.symbolic else OwnLaw
+            own[name] = law_of(made.name, made) if name == "controller" else OwnEstimator(kind=made.name, own=made)
         elif value not in kinds[name]:
             raise InputError(f"{name} = {value!r}: {suggest(str(value), kinds[name])}")
         elif value != getattr(loop, name).kind:

@@ -539,7 +539,7 @@ def check_exportable(itinerary: Itinerary) -> None:
         )
     kind, by = loop.controller.kind, getattr(loop.controller, "schedule", "time")
     if isinstance(loop.controller, OwnLaw):
-        raise InputError(f"controller = {kind}: Python cannot leave as C; give the law as an expression")
+        raise InputError(f"controller = {kind}: Python cannot leave as C; give a dp.SymbolicLaw")
     if not law_of(loop.controller).symbolic or by != "time":
         what = f'schedule = "{by}"' if by != "time" else f'kind = "{kind}"'
         raise InputError(f"controller: {what} keeps a clock of its own and cannot leave as C; {LEAVING}")

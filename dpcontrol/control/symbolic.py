@@ -1,0 +1,108 @@
+"""A user's law as casadi expressions: part of the compiled tick, so of lockstep runs, margins, C and FMU as well.
+
+    command, m⁺ = function(x̂, reference, m, parameters)
+
+x̂ (N,) is the state ahead, m (M,) the law's own memory. The reference is that of the same time. The feedback of a tick
+is the command less the reference's feedforward.
+"""
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from dpcontrol.control.interface import GainSchedule, SampledModel
+from dpcontrol.control.tracking import FeedforwardSettings, TimedController, tracking_controller
+from dpcontrol.dynamics.compiled import check_operations
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.references.reference import Reference
+
+
+class Wanted(NamedTuple):
+    """The target of a law: state (N,), and feedforward, the cart's acceleration along the reference in m/s²."""
+
+    state: Any
+    feedforward: Any
+
+
+class SymbolicLaw:
+    """A law of casadi expressions, to be given as `controller=`.
+
+    Args:
+        function: `function(state, reference, memory, parameters)` returns the cart's acceleration in m/s², and the next
+            memory, as expressions of casadi's SX. `state` (N,) is the estimate when the command acts. `reference` has
+            `state` (N,) and `feedforward` in m/s². `memory` has M entries. `parameters` are the base parameters.
+        memory: entries M of the law's memory.
+        first: first values (M,) of the memory, zero by default.
+
+    Raises:
+        InputError: `function` cannot be called, or `first` has another length.
+    """
+
+    def __init__(self, function: Callable[..., Any], *, memory: int = 0, first: Sequence[float] | None = None) -> None:
+        self.name = getattr(function, "__name__", type(function).__name__)
+        if not callable(function):
+            raise InputError(f"controller: {function!r} is no function(state, reference, memory, parameters)")
+        self.function, self.first = function, np.zeros(memory) if first is None else np.array(first, dtype=float)
+        if self.first.shape != (memory,) or not np.isfinite(self.first).all():
+            raise InputError(f"controller = {self.name}: first = {first!r}: must be {memory} finite numbers, as memory")
+
+    def __repr__(self) -> str:
+        return f"<law {self.name}: expressions with {len(self.first)} numbers of memory>"
+
+    @property
+    def source(self) -> str:
+        """The function's text."""
+        return inspect.getsource(self.function)
+
+    def expression(self, states: int, parameters: int) -> ca.Function:
+        """Return (state, wanted, feedforward, memory, parameters) -> command and next memory, (1+M,).
+
+        Raises:
+            InputError: the function raises, or returns anything but such expressions.
+        """
+        names, memory = ("state", "wanted", "feedforward", "memory", "parameters"), len(self.first)
+        sizes = (states, states, 1, memory, parameters)
+        state, wanted, forward, kept, known = symbols = [ca.SX.sym(*one) for one in zip(names, sizes, strict=True)]
+        try:
+            command, following = self.function(state, Wanted(wanted, forward), kept, known)
+            after = ca.vertcat(*following) if isinstance(following, list | tuple) else ca.SX(following)
+            out = ca.densify(ca.vertcat(ca.SX(command), after))
+            made = ca.Function("law", symbols, [out], [*names], ["out"])
+            check_operations(made)
+        except Exception as error:
+            text = " ".join(str(error).split())
+            raise InputError(f"controller = {self.name}: {type(error).__name__}: {text}") from error
+        if out.shape != (1 + memory, 1):
+            raise InputError(
+                f"controller = {self.name}: it returned {out.shape[0]} by {out.shape[1]} numbers; it must return one "
+                f"command, and {memory} of memory"
+            )
+        return made
+
+
+@dataclass(frozen=True, eq=False)
+class SymbolicController(TimedController):
+    """A symbolic law on a reference, for the model with which its commands are computed."""
+
+    law: SymbolicLaw = field(kw_only=True)
+
+    def schedule(self, lead: int) -> GainSchedule:
+        """Return the reference's schedule, with the law in it."""
+        made, arms = super().schedule(lead), len(self.first_state) // 2 - 1
+        return replace(made, rows=np.insert(made.rows, -arms, 1.0, axis=1), law=self.law)
+
+
+def symbolic_controller(law: SymbolicLaw, reference: Reference, model: SampledModel) -> SymbolicController:
+    """Return a law on a reference.
+
+    Raises:
+        InputError: the reference did not converge, or is not of these arms, or the law returns no such expressions.
+    """
+    law.expression(model.dimension, len(model.parameters))
+    flown = tracking_controller(reference, model, FeedforwardSettings())
+    parts = {one.name: getattr(flown, one.name) for one in fields(flown)}
+    return SymbolicController(**{**parts, "kind": law.name}, law=law)

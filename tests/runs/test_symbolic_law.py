@@ -1,0 +1,155 @@
+"""A user's law of expressions: one with built-in gains, in every path, against the built-in law; and its C."""
+
+import runpy
+import shutil
+import subprocess
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from command_line import dpcontrol
+
+import dpcontrol as dp
+from dpcontrol.control.lqr import HoldController
+
+SAME, BEGINNING = 1e-9, 300
+"""rad, before an encoder's count flips: sums in another order. Ticks before that."""
+PLAN = dp.plan("hold-up-up")
+HELD = dp.closed_loop(PLAN, estimator="ekf").assembly.controller
+FILE = """
+import casadi as ca
+import dpcontrol as dp
+
+def still(state, reference, memory, parameters):
+    return reference.feedforward + 1e-3 * ca.sqrt(memory), memory - 1e-2
+
+law = dp.SymbolicLaw(still, memory=1, first=[0.505])
+"""
+
+
+def same_gains() -> dp.SymbolicLaw:
+    """Return the regulator that holds both arms upright, without what it feeds back of the estimator's extras."""
+    assert isinstance(HELD, HoldController)
+    gain = HELD.gain
+
+    def own(state, reference, memory, parameters):
+        return reference.feedforward + ca.dot(gain, reference.state - state), memory + 1.0
+
+    return dp.SymbolicLaw(own, memory=1)
+
+
+def test_expressions_fly_as_the_same_law_in_python_does() -> None:
+    gain = HELD.gain
+
+    class Own:
+        def control(self, time, state, reference):
+            return reference.feedforward + gain @ (reference.state - state)
+
+    made, python = (dp.closed_loop(PLAN, controller=law).run(seed=2) for law in (same_gains(), Own()))
+    assert made.converged
+    assert np.abs(made.log.states["truth"] - python.log.states["truth"])[:BEGINNING].max() < SAME
+    assert made.log.events[0].text.startswith("own, ekf")
+
+
+def test_lockstep_flies_what_single_runs_do() -> None:
+    loop = dp.closed_loop(PLAN, controller=same_gains())
+    batch = loop.assembly.batch([3, 4])
+    assert loop.assembly.lockstep
+    for seed, run in zip((3, 4), batch, strict=True):
+        alone = loop.run(seed=seed)
+        assert run.reason == "came to the reference's end"
+        assert np.array_equal(run.truth, alone.log.states["truth"])
+
+
+def test_the_memory_begins_at_first_and_goes_on_from_tick_to_tick() -> None:
+    def counts(state, reference, memory, parameters):
+        return memory[0] + memory[1], ca.vertcat(memory[0] + 0.001, memory[1])
+
+    log = dp.closed_loop(PLAN, controller=dp.SymbolicLaw(counts, memory=2, first=[0.0, -0.25])).run().log
+    commands = log.controls["feedforward"] + log.controls["feedback"]
+    assert commands[:40] == pytest.approx(0.001 * np.arange(40) - 0.25, abs=1e-12)
+
+
+def test_the_parameters_are_those_of_the_model() -> None:
+    def weighs(state, reference, memory, parameters):
+        return 1e-3 * parameters[0], ()
+
+    loop = dp.closed_loop(PLAN, controller=dp.SymbolicLaw(weighs))
+    log = loop.run().log
+    assert log.controls["feedback"][0] == pytest.approx(1e-3 * loop.assembly.model.parameters[0], rel=1e-12)
+
+
+@pytest.mark.slow
+def test_its_margins_are_those_of_the_built_in_law_with_the_same_gains() -> None:
+    own = dp.closed_loop(PLAN, controller=same_gains()).margins()
+    assert own.simulated is not None
+    low, high = (own.simulated[name][0] for name in ("gain_low", "gain_high"))
+    assert low < 1 < high
+    assert own.simulated["delay"][0] > 0.002
+
+
+# Slow: C is made and compiled.
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc")
+def test_the_example_flies_counts_and_leaves_as_c_that_replays_its_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    made = runpy.run_module("dpcontrol.examples.integral_action", run_name="__main__")
+    assert "16 of 16 runs completed" in capsys.readouterr().out
+    alone, integral = (run.log.states["truth"][-500:, 4].mean() for run in made["runs"].values())
+    # At rest the command is zero: K₁ b + K₂ b + K_x x = 0, both arms off by the tilt b.
+    gain = made["gains"](1e-9)
+    assert alone == pytest.approx(-made["TILT"] * gain[:2].sum() / gain[4], rel=0.1)
+    assert abs(integral) < 0.02 * abs(alone)
+    done = subprocess.run(
+        ["make", "check", "CC=gcc"], cwd=tmp_path / "controller", capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "1e-09 allowed" in done.stderr
+
+
+def test_another_expression_is_another_controller() -> None:
+    def exported(gain: float) -> str:
+        def law(state, reference, memory, parameters):
+            return gain * (reference.state[0] - state[0]), ()
+
+        return dp.closed_loop("up-up", controller=dp.SymbolicLaw(law)).export().identity
+
+    assert exported(10.0) != exported(11.0)
+
+
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        (lambda s, r, m, p: (s[9], m), "out of bounds"),
+        (lambda s, r, m, p: (s, m), "it returned 7 by 1 numbers"),
+        (lambda s, r, m, p: s[0], "TypeError"),
+        (lambda s, r, m, p: (ca.erf(s[0]), m), "has no heyoka counterpart"),
+        (lambda s, r, m, p: (ca.SX.sym("free"), m), "free"),
+    ],
+)
+def test_what_is_no_law_is_refused_before_the_run(function, said: str) -> None:
+    with pytest.raises(dp.InputError, match=f"(?s)controller = <lambda>: .*{said}"):
+        dp.closed_loop(PLAN, controller=dp.SymbolicLaw(function, memory=1)).run()
+
+
+def test_a_memory_of_another_length_is_refused() -> None:
+    with pytest.raises(dp.InputError, match=r"first = \[1\.0\]: must be 2 finite numbers"):
+        dp.SymbolicLaw(lambda s, r, m, p: (0, m), memory=2, first=[1.0])
+
+
+def test_a_command_that_is_not_finite_ends_the_run_and_not_the_campaign(tmp_path: Path) -> None:
+    (tmp_path / "laws.py").write_text(FILE)
+    law = f"{tmp_path / 'laws.py'}:law"
+    run = dp.closed_loop(PLAN, controller=law).run()
+    assert "still returned" in run.status
+    assert run.log.metadata["ending"] == "object failed"
+    found = dp.closed_loop(PLAN, controller=law).campaign(runs=2)
+    assert found.results[0].completed.successes == 0
+    assert all("still returned" in row["reason"] for row in found.results[0].failed.to_pylist())
+    done = dpcontrol("run", "hold-up-up", "--controller", law, "--out", str(tmp_path / "own.mcap"))
+    assert done.code == 1
+    assert "still returned" in done.stdout + done.stderr
