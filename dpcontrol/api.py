@@ -19,6 +19,9 @@ from typing import TYPE_CHECKING, Literal, overload
 
 from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
 from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.dynamics.components import Sizes as Sizes
+from dpcontrol.dynamics.components import SymbolicPlant as SymbolicPlant
+from dpcontrol.dynamics.components import Terms as Terms
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import instance, number, whole

@@ -8,7 +8,18 @@ import pytest
 import dpcontrol
 
 EXAMPLES = sorted(file.stem for file in (Path(dpcontrol.__file__).parent / "examples").glob("[a-z]*.py"))
-SLOW = {"mismatch", "identify", "walk", "connections", "export", "night", "from_rest", "integral_action"}
+SLOW = {
+    "mismatch",
+    "identify",
+    "walk",
+    "connections",
+    "export",
+    "night",
+    "from_rest",
+    "integral_action",
+    "air_drag",
+    "eddy_brake",
+}
 """Those that plan, search or draw for more than some seconds."""
 
 

@@ -6,7 +6,6 @@ x̂ (N,) is the state ahead, m (M,) the law's own memory. The reference is that 
 is the command less the reference's feedforward.
 """
 
-import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
@@ -43,20 +42,17 @@ class SymbolicLaw:
     """
 
     def __init__(self, function: Callable[..., Any], *, memory: int = 0, first: Sequence[float] | None = None) -> None:
-        self.name = getattr(function, "__name__", type(function).__name__)
+        self.__name__ = getattr(function, "__name__", type(function).__name__)
         if not callable(function):
             raise InputError(f"controller: {function!r} is no function(state, reference, memory, parameters)")
         self.function, self.first = function, np.zeros(memory) if first is None else np.array(first, dtype=float)
         if self.first.shape != (memory,) or not np.isfinite(self.first).all():
-            raise InputError(f"controller = {self.name}: first = {first!r}: must be {memory} finite numbers, as memory")
+            raise InputError(
+                f"controller = {self.__name__}: first = {first!r}: must be {memory} finite numbers, as memory"
+            )
 
     def __repr__(self) -> str:
-        return f"<law {self.name}: expressions with {len(self.first)} numbers of memory>"
-
-    @property
-    def source(self) -> str:
-        """The function's text."""
-        return inspect.getsource(self.function)
+        return f"<law {self.__name__}: expressions with {len(self.first)} numbers of memory>"
 
     def expression(self, states: int, parameters: int) -> ca.Function:
         """Return (state, wanted, feedforward, memory, parameters) -> command and next memory, (1+M,).
@@ -75,11 +71,11 @@ class SymbolicLaw:
             check_operations(made)
         except Exception as error:
             text = " ".join(str(error).split())
-            raise InputError(f"controller = {self.name}: {type(error).__name__}: {text}") from error
+            raise InputError(f"controller = {self.__name__}: {type(error).__name__}: {text}") from error
         if out.shape != (1 + memory, 1):
             raise InputError(
-                f"controller = {self.name}: it returned {out.shape[0]} by {out.shape[1]} numbers; it must return one "
-                f"command, and {memory} of memory"
+                f"controller = {self.__name__}: it returned {out.shape[0]} by {out.shape[1]} numbers; it must return "
+                f"one command, and {memory} of memory"
             )
         return made
 
@@ -105,4 +101,4 @@ def symbolic_controller(law: SymbolicLaw, reference: Reference, model: SampledMo
     law.expression(model.dimension, len(model.parameters))
     flown = tracking_controller(reference, model, FeedforwardSettings())
     parts = {one.name: getattr(flown, one.name) for one in fields(flown)}
-    return SymbolicController(**{**parts, "kind": law.name}, law=law)
+    return SymbolicController(**{**parts, "kind": law.__name__}, law=law)

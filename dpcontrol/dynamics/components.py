@@ -1,4 +1,4 @@
-"""Components that a plant can have in addition to arms, cart and drive: the interface, and four of ordinary rigs.
+"""What a plant can have in addition to arms, cart and drive, as casadi expressions: four components of ordinary rigs.
 
 A component adds terms to the Lagrangian and the Rayleigh function of the plant, and can have its own states. If smooth
 equations are not enough, it has modes: numbers that are chosen at the beginning of a step and constant within it.
@@ -14,7 +14,7 @@ Differential models of hysteresis (1994), section III.2, for the play operator.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import reduce
 from typing import ClassVar, NamedTuple
 
@@ -73,8 +73,8 @@ class Terms(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Component:
-    """One component: a frozen dataclass of numbers whose class methods give the equations.
+class SymbolicPlant:
+    """One component, built in or a user's: a frozen dataclass of numbers whose class methods give the equations.
 
     Plants whose components are of the same classes share one compiled step; `numbers` are its parameters. A class
     overrides what it needs; the defaults add nothing.
@@ -114,8 +114,8 @@ class Component:
         return frame.velocity, frame.states
 
     def numbers(self) -> tuple[float, ...]:
-        """Return the parameters."""
-        return ()
+        """Return the parameters: all fields, one after the other."""
+        return tuple(float(value) for one in fields(self) for value in np.atleast_1d(getattr(self, one.name)))
 
     def start(self, state: Array) -> Array:
         """Return the first values of the component's states; state (2n+2,): of arms and cart."""
@@ -136,7 +136,7 @@ _SHARE_OF_BELT = 0.2
 
 
 @dataclass(frozen=True)
-class Belt(Component):
+class Belt(SymbolicPlant):
     """An elastic belt between motor and cart: frequency Hz of the cart on it with the motor held, damping ratio.
 
     motor_scale: whether the cart's scale sits on the motor. The drive holds its motor against the belt's force.
@@ -173,7 +173,7 @@ class Belt(Component):
 
 
 @dataclass(frozen=True)
-class EncoderPlay(Component):
+class EncoderPlay(SymbolicPlant):
     """Play between each joint and its encoder, which reverses only once the joint has crossed the play.
 
     widths (n,) rad; offsets (n,) rad: of the encoders from the middle of their play at the start.
@@ -206,7 +206,7 @@ class EncoderPlay(Component):
 
 
 @dataclass(frozen=True)
-class Cable(Component):
+class Cable(SymbolicPlant):
     """A cable that the inner arm twists: torque N m where the arm hangs, stiffness N m/rad against its turning."""
 
     torque: float
@@ -221,9 +221,6 @@ class Cable(Component):
         (torque, stiffness), angle = ca.vertsplit(frame.parameters), frame.position[0]
         return Terms(lagrangian=torque * angle - stiffness * angle**2 / 2)
 
-    def numbers(self) -> tuple[float, ...]:
-        return self.torque, self.stiffness
-
 
 def _sign(values: ca.SX) -> ca.SX:
     return ca.if_else(values > 0, 1, 0) - ca.if_else(values < 0, 1, 0)
@@ -234,7 +231,7 @@ _STICTION_STEP = 5e-4
 
 
 @dataclass(frozen=True)
-class Stiction(Component):
+class Stiction(SymbolicPlant):
     """Dry friction in each joint: break-away torques (n,) at rest and kinetic torques (n,) while it slides, N m.
 
     A mode is the sign of the rate at which a joint slides, 0 for a joint at rest.
@@ -291,9 +288,6 @@ class Stiction(Component):
             before, own = rates[-1] if rates else ca.SX(0), frame.velocity[k]
             rates.append(ca.if_else(frame.modes[k] * frame.joint_rates[k] <= 0, before, own))
         return ca.vertcat(*rates, frame.velocity[-1]), frame.states
-
-    def numbers(self) -> tuple[float, ...]:
-        return (*self.breakaway, *self.kinetic)
 
     @property
     def longest_step(self) -> float:

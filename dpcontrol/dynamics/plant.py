@@ -25,8 +25,8 @@ import casadi as ca
 import numpy as np
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Level, arm_chain_equations, chain_energies
-from dpcontrol.dynamics.compiled import Compiled, compiled_step, fixed_step
-from dpcontrol.dynamics.components import Component, ComponentFrame, Terms
+from dpcontrol.dynamics.compiled import Compiled, check_operations, compiled_step, fixed_step
+from dpcontrol.dynamics.components import ComponentFrame, SymbolicPlant, Terms
 from dpcontrol.dynamics.equations import Equations, Mechanics, mechanics, solve_symmetric
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
@@ -38,7 +38,7 @@ _SHARE_OF_LAG = 0.25
 _COULOMB_STEP = 2.5e-4
 
 
-Kinds = tuple[type[Component], ...]
+Kinds = tuple[type[SymbolicPlant], ...]
 
 
 class PlantLevel(StrEnum):
@@ -64,7 +64,7 @@ class PlantParameters(Settings):
     cart_mass: float = setting(0.0, least=0, most=1e6, unit="kg")
     cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m")
     tilt: float = setting(0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad")
-    components: tuple[Component, ...] = ()
+    components: tuple[SymbolicPlant, ...] = ()
 
     def _check_together(self) -> None:
         """Check what a cart with mass or friction needs."""
@@ -99,7 +99,7 @@ class PlantParameters(Settings):
         return 2 * self.arms.count + 2 + (self.level is not PlantLevel.CART)
 
     @property
-    def places(self) -> list[tuple[Component, int]]:
+    def places(self) -> list[tuple[SymbolicPlant, int]]:
         """The components, each with the place in the state where its own states begin."""
         sizes = [one.sizes(self.arms.count).states for one in self.components]
         return [(one, self.plain_size + sum(sizes[:k])) for k, one in enumerate(self.components)]
@@ -257,6 +257,28 @@ def plant_equations(
     inputs = ca.vertcat(s.command, *(frame.modes for frame in motion.frames))
     parameters, rate = _parameters(count, level, friction, components), ca.cse(ca.vertcat(rate, motion.rates))
     return Equations(state, inputs, parameters, rate, hamiltonian, momentum, mass)
+
+
+def check_component(component: SymbolicPlant, arms: int) -> None:
+    """Reject a user's component whose expressions do not fit so many arms.
+
+    Raises:
+        InputError: says what is wrong.
+    """
+    name, sizes = type(component).__name__, component.sizes(arms)
+    try:
+        equations = plant_equations(arms, PlantLevel.CART, components=(type(component),))
+        check_operations(equations.function())
+        lengths = len(component.start(np.zeros(2 * arms + 2))), len(component.numbers())
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise InputError(f"plant = {name}: {type(error).__name__}: {text}") from error
+    rates = equations.rate.shape[0] - 2 * arms - 2
+    if lengths != sizes[:2] or rates != sizes.states:
+        raise InputError(
+            f"plant = {name}: sizes({arms}) gives {sizes.states} states and {sizes.parameters} parameters, but start "
+            f"has {lengths[0]}, terms has {rates} rates, and numbers has {lengths[1]}"
+        )
 
 
 @cache

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.interface import clip_number
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
-from dpcontrol.dynamics.components import Belt, Cable, Component, EncoderPlay, Stiction
+from dpcontrol.dynamics.components import Belt, Cable, EncoderPlay, Stiction, SymbolicPlant
 from dpcontrol.dynamics.plant import PlantParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
@@ -256,9 +256,9 @@ class MechanicsSettings(Settings, table="mechanics"):
             raise self.refusal(name, f"must be one number, or {arms}, one for each arm")
         return values
 
-    def components(self, arms: int, offsets: Array) -> tuple[Component, ...]:
+    def components(self, arms: int, offsets: Array) -> tuple[SymbolicPlant, ...]:
         """Return the components of a plant of so many arms; offsets (n,): of encoders in their play, -0.5 to 0.5."""
-        found: list[Component] = []
+        found: list[SymbolicPlant] = []
         play, stiction = self.of_each("play", arms), self.of_each("stiction", arms)
         if self.belt:
             found.append(Belt(self.belt, self.belt_damping, motor_scale=self.belt_scale == "motor"))

@@ -346,10 +346,10 @@ class LoopSettings(Settings, table="run"):
             )
         mechanics = replace(self.mechanics, initial_rate=0.0, initial_cart=0.0)
         built_in = self.drive.lag or self.drive.cart_mass or self.disturbances.tilt or mechanics != MechanicsSettings()
-        if isinstance(self.plant, OwnPlant) and (built_in or self.model_uncertainty):
+        if self._own_plant and (built_in or self.model_uncertainty):
             raise InputError(
-                f"run: plant = {self.plant.kind}: its `step` is all there is of arms, cart and drive; leave out lag, "
-                "cart_mass, tilt, model_uncertainty, belts, play, cables and stiction"
+                f"run: plant = {self._own_plant.name}: its `step` is all there is of arms, cart and drive; leave out "
+                "lag, cart_mass, tilt, model_uncertainty, belts, play, cables and stiction"
             )
         if self.keep != "none" and not isinstance(self.controller, TvlqrSettings):
             raise self.refusal("keep", f'what flies between the stops is "tvlqr", not "{self.controller.kind}"')
@@ -394,13 +394,22 @@ class LoopSettings(Settings, table="run"):
 
         instead: seed or mismatch in place of the settings' own.
         """
-        given, own = {"seed": self.seed, "mismatch": self.mismatch, **instead}, self.plant
+        given, plant = {"seed": self.seed, "mismatch": self.mismatch, **instead}, self.plant
+        own = plant.own if isinstance(plant, OwnPlant) else None
         drawn = draw_bench(
             arms, self.bench, ticks=ticks, period=1 / self.rate, model_uncertainty=self.model_uncertainty,
             uncertainty=uncertainty, initial_error=self.initial_error, friction=self.friction,
-            plant=None if isinstance(own, OwnPlant) else own, **given,
+            plant=None if isinstance(plant, OwnPlant) else plant, **given,
         )  # fmt: skip
-        return replace(drawn, own=own.own) if isinstance(own, OwnPlant) else drawn
+        if own is None or not own.symbolic:
+            return replace(drawn, own=own)
+        return replace(drawn, plant=replace(drawn.plant, components=(*drawn.plant.components, own.thing)))
+
+    @property
+    def _own_plant(self) -> OwnObject | None:
+        """A user's plant in Python, in place of arms, cart and drive."""
+        own = self.plant.own if isinstance(self.plant, OwnPlant) else None
+        return None if own is None or own.symbolic else own
 
     @property
     def lockstep(self) -> bool:
@@ -409,8 +418,7 @@ class LoopSettings(Settings, table="run"):
         faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
         hands_over = self.keep != "none" or supervisor.hold != "none" or supervisor.resynchronise
         compiled = isinstance(self.estimator, EkfSettings) and not isinstance(self.controller, OwnLaw)
-        compiled = compiled and not isinstance(self.plant, OwnPlant)
-        return compiled and not faults and not hands_over and supervisor.on_fall == "stop"
+        return compiled and self._own_plant is None and not faults and not hands_over and supervisor.on_fall == "stop"
 
     @property
     def own(self) -> tuple[OwnObject, ...]:

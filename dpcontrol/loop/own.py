@@ -31,6 +31,7 @@ from dpcontrol.control.estimator_settings import FilterSettings
 from dpcontrol.control.interface import Action, Estimate, Mode, Present, SampledModel
 from dpcontrol.control.symbolic import SymbolicLaw, Wanted
 from dpcontrol.control.tracking import ReferenceController
+from dpcontrol.dynamics.components import SymbolicPlant
 from dpcontrol.dynamics.plant import PlantParameters, after_blow
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
@@ -96,9 +97,8 @@ class OwnObject:
 
     def __init__(self, role: str, thing: Any, source: str = "") -> None:
         self.role, self.thing, self.source = role, thing, source
-        self.symbolic = role == "controller" and isinstance(thing, SymbolicLaw)
-        named = thing.name if self.symbolic else (thing if isinstance(thing, type) else type(thing)).__name__
-        self.name: str = named
+        self.symbolic = isinstance(thing, {"controller": SymbolicLaw, "plant": SymbolicPlant}.get(role, ()))
+        self.name: str = (thing if isinstance(thing, type | SymbolicLaw) else type(thing)).__name__
         if isinstance(thing, type):
             raise InputError(f"{role} = {self.name}: this is a class; give an object, {self.name}()")
         for usage in () if self.symbolic else NEEDED[role]:
@@ -121,8 +121,8 @@ class OwnObject:
     def _fingerprint(self) -> str:
         """Identifies code and state; unique if these cannot be read."""
         try:
-            text = self.thing.source if self.symbolic else inspect.getsource(type(self.thing))
-            return content_hash(text, pickle.dumps(self.thing))
+            code = self.thing.function if isinstance(self.thing, SymbolicLaw) else type(self.thing)
+            return content_hash(inspect.getsource(code), pickle.dumps(self.thing))
         except Exception:  # noqa: BLE001 - pickling runs the user's code
             return uuid4().hex
 
@@ -274,7 +274,7 @@ class OwnEstimator(FilterSettings):
 
 @dataclass(frozen=True)
 class OwnPlant:
-    """The settings of a user's plant."""
+    """The settings of a user's plant: in place of arms, cart and drive, or a component of them (`SymbolicPlant`)."""
 
     kind: str
     own: OwnObject

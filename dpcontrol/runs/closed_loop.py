@@ -95,7 +95,7 @@ class ClosedLoop:
         self,
         *,
         runs: int = 100,
-        over: Mapping[str, Sequence[float | int | str]] | None = None,
+        over: Mapping[str, Sequence[object]] | None = None,
         settings: CampaignSettings | None = None,
         transitions: bool = False,
         out: Path | str | None = None,

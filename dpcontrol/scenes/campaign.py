@@ -466,13 +466,23 @@ def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Sequ
     if count > MOST_CASES:
         raise InputError(f"over: {count:,} cases, every combination of the values; at most {MOST_CASES:,} are compared")
     cases = []
-    for values in itertools.product(*over.values()):
-        chosen = dict(zip(names, values, strict=True))
-        scene = itinerary.with_run(fixed.over(chosen))
-        chosen = {k: v if isinstance(v, int | float | str) else type(v).__name__ for k, v in chosen.items()}
+    for values in itertools.product(*(zip(given, _shown(given), strict=True) for given in over.values())):
+        scene = itinerary.with_run(fixed.over({name: value for name, (value, _) in zip(names, values, strict=True)}))
+        chosen = {name: shown for name, (_, shown) in zip(names, values, strict=True)}
         label = ", ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
         cases.append(Case(label or "as the scene", tuple(chosen.items()), scene.loop))
     return tuple(cases)
+
+
+def _shown(values: Sequence[Any]) -> list[Any]:
+    """Return the values, users' own objects by their names; of the same name numbered from the second on."""
+    out: list[Any] = []
+    for value in values:
+        plain = isinstance(value, int | float | str)
+        name = value if plain else getattr(value, "__name__", type(value).__name__)
+        same = 0 if plain else sum(str(one).partition(" ")[0] == name for one in out)
+        out.append(f"{name} {same + 1}" if same else name)
+    return out
 
 
 def transitions_of(plan: Plan) -> tuple[Plan, ...]:

@@ -21,6 +21,7 @@ from typing import Any
 from dpcontrol.control.estimator_settings import Augment, FilterSettings
 from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
+from dpcontrol.dynamics.plant import check_component
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
 from dpcontrol.foundation.shipped import find
@@ -349,6 +350,8 @@ class Itinerary:
         if options.plant is not None:
             named = isinstance(options.plant, str) and ".py:" not in options.plant
             made = None if named else own_object("plant", options.plant)
+            if made is not None and made.symbolic:
+                check_component(made.thing, self.model.arms.count)
             arms = None if made else own_plant(str(options.plant), self.model.arms, where="plant")
             loop = replace(loop, plant=arms if made is None else OwnPlant(made.name, made))
         loop = overridden(loop, options)

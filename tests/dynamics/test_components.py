@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB
 
-from dpcontrol.dynamics.components import Belt, Cable, Component, EncoderPlay, Stiction
+from dpcontrol.dynamics.components import Belt, Cable, EncoderPlay, Stiction, SymbolicPlant
 from dpcontrol.dynamics.plant import PlantParameters
 from dpcontrol.loop.bench import Blow
 from dpcontrol.loop.simulated import SimulatedPlant
@@ -193,7 +193,7 @@ ALL = (
 
 
 @pytest.mark.parametrize("components", [(), ALL[:1], ALL[1:2], ALL[2:3], ALL[3:], ALL], ids=str)
-def test_a_plant_alone_moves_as_among_others_to_the_last_bit(components: tuple[Component, ...]) -> None:
+def test_a_plant_alone_moves_as_among_others_to_the_last_bit(components: tuple[SymbolicPlant, ...]) -> None:
     plant = PlantParameters(LAB, lag=0.005, components=components)
     start, given = np.array([0.2, -0.1, 0.5, 1.0, 0.0, 0.0]), commands(300, 6.0)
     alone = flown(plant, start, given)

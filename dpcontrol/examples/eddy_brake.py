@@ -1,0 +1,62 @@
+# %% [markdown]
+# # A plant of your own as an expression: a brake that is switched
+# An eddy-current brake on the inner joint comes on in mid-run. Its clock is a state of the plant. A mode says whether
+# the brake is on. It is chosen when a step begins, and the step in which it changes is split at that time.
+
+# %%
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from matplotlib.figure import Figure
+
+import dpcontrol as dp
+
+
+@dataclass(frozen=True)
+class EddyBrake(dp.SymbolicPlant):
+    """A brake on the inner joint, N m s/rad, from `since` s on."""
+
+    strength: float
+    since: float
+
+    @classmethod
+    def sizes(cls, arms):
+        return dp.Sizes(states=1, parameters=2, modes=1)
+
+    @classmethod
+    def terms(cls, frame):
+        strength = frame.parameters[0] * frame.modes[0]
+        return dp.Terms(dissipation=strength * frame.velocity[0] ** 2 / 2, rates=ca.SX(1))
+
+    @classmethod
+    def chosen(cls, frame, mass, acceleration):
+        return ca.if_else(frame.states >= frame.parameters[1] - 1e-9, 1, 0)
+
+    @classmethod
+    def guards(cls, frame):
+        return ca.if_else(frame.modes, 1, frame.parameters[1] - frame.states)
+
+    def start(self, state):
+        return np.zeros(1)
+
+
+# %%
+SINCE = 0.5
+plants = {f"{strength:g} N m s/rad": EddyBrake(strength, SINCE) for strength in (0.0, 2e-3, 5e-3)}
+runs = {text: dp.closed_loop("outer-turn", plant=plant).run(seed=1) for text, plant in plants.items()}
+counted = dp.closed_loop("outer-turn").campaign(runs=16, over={"plant": [*plants.values()]})
+shares = [one.completed.successes for one in counted.results]
+print("completed of 16:", ", ".join(map(str, shares)))
+
+# %%
+figure = Figure(figsize=(7, 4), layout="constrained")
+axes = figure.subplots()
+for text, run in runs.items():
+    axes.plot(run.log.time, run.log.controls["feedback"], label=text)
+axes.axvline(SINCE, color="black", linewidth=0.8)
+axes.set(xlabel="time (s)", ylabel="feedback (m/s²)", title="A brake on the inner joint that comes on in mid-run")
+axes.legend()
+
+# %%
+figure.savefig("eddy-brake.png", dpi=110)

@@ -1,0 +1,152 @@
+"""Users' plants of expressions: the shipped examples against equations written down by hand, in runs and campaigns."""
+
+import itertools
+import runpy
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from scipy.integrate import solve_ivp
+
+import dpcontrol as dp
+from dpcontrol.dynamics.components import Belt, Cable, EncoderPlay, Stiction
+from dpcontrol.dynamics.plant import PlantParameters
+from dpcontrol.loop.simulated import SimulatedPlant
+from dpcontrol.scenes.model import load_model
+
+LAB = load_model("lab").arms
+EXACT = 1e-9
+"""rad: DOP853 at 1e-11 over half a second of motion."""
+NAMES = {"air_drag": "AirDrag", "eddy_brake": "EddyBrake"}
+
+
+def example(name: str, monkeypatch: pytest.MonkeyPatch) -> type[dp.SymbolicPlant]:
+    """Return the class of an example, without its runs."""
+    import dpcontrol.examples
+
+    text = (Path(dpcontrol.examples.__file__).parent / f"{name}.py").read_text()
+    space: dict = {"__name__": name}
+    exec(text.split("# %%\n")[1], space)
+    return space[NAMES[name]]
+
+
+def test_the_components_that_ship_are_symbolic_plants() -> None:
+    assert all(issubclass(one, dp.SymbolicPlant) for one in (Belt, EncoderPlay, Cable, Stiction))
+
+
+def moved(plant: dp.SymbolicPlant, state: np.ndarray, seconds: float) -> np.ndarray:
+    """Return the state after so many seconds with the cart accelerated by 1 m/s²."""
+    whole = PlantParameters(replace(LAB, viscous=(0.0, 0.0)), components=(plant,))
+    moving = SimulatedPlant([whole], np.concatenate([state, whole.own_states(state)]), track=10.0)
+    for k in range(round(1000 * seconds)):
+        moving.move(1.0, 1e-3, time=1e-3 * k)
+    return moving.state[:6].copy()
+
+
+def by_hand(torques, state: np.ndarray, seconds: float, *, breaks: tuple[float, ...] = ()) -> np.ndarray:
+    """Return the same by Lagrange's equations with torques (time, angles, rates, cart velocity) on the two arms."""
+    m, a, long, j, g = LAB.mass, LAB.centre_of_mass, LAB.length, LAB.inertia, LAB.gravity
+    s1, s2 = m[0] * a[0] + m[1] * long[0], m[1] * a[1]
+    m11, m22, m12 = j[0] + m[0] * a[0] ** 2 + m[1] * long[0] ** 2, j[1] + m[1] * a[1] ** 2, m[1] * a[1] * long[0]
+
+    def slope(time: float, y: np.ndarray) -> list[float]:
+        (p, q, w, v), cart = y[:4], y[5]
+        c, s = np.cos(p - q), np.sin(p - q)
+        one, two = torques(time, y[:2], y[2:4], cart)
+        force = [-m12 * s * v**2 - s1 * (g * np.sin(p) + np.cos(p)) + one,
+                 m12 * s * w**2 - s2 * (g * np.sin(q) + np.cos(q)) + two]  # fmt: skip
+        return [w, v, *np.linalg.solve([[m11, m12 * c], [m12 * c, m22]], force), cart, 1.0]
+
+    times = [0.0, *breaks, seconds]
+    for begin, end in itertools.pairwise(times):
+        # The later piece begins after the switch.
+        shift = 1e-12 if begin else 0.0
+        made = solve_ivp(lambda t, y, d=shift: slope(t + d, y), (begin, end), state, "DOP853", rtol=1e-11, atol=1e-12)
+        state = made.y[:, -1]
+    return state
+
+
+START = np.array([0.4, -0.9, 3.0, -5.0, 0.05, 0.3])
+
+
+def test_air_drag_is_a_force_against_the_motion_of_each_arms_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    drag, length = (0.02, 0.01), LAB.length
+
+    def torques(time: float, angles: np.ndarray, rates: np.ndarray, cart: float) -> tuple[float, float]:
+        end, on = np.array([cart, 0.0]), np.zeros(2)
+        arms = [np.array([np.cos(x), np.sin(x)]) * own for x, own in zip(angles, length, strict=True)]
+        for k in range(2):
+            end = end + arms[k] * rates[k]
+            for i in range(k + 1):
+                on[i] -= drag[k] * np.linalg.norm(end) * (end @ arms[i])
+        return on[0], on[1]
+
+    plant = example("air_drag", monkeypatch)(drag, length)
+    assert np.abs(moved(plant, START, 0.5) - by_hand(torques, START, 0.5)).max() < EXACT
+
+
+def test_the_brake_acts_from_its_time_on_to_the_microsecond(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Within a period, so that a step has to be split there.
+    since = 0.2003
+    plant = example("eddy_brake", monkeypatch)(0.05, since)
+    expected = by_hand(lambda t, _, w, __: (-0.05 * w[0] * (t >= since), 0.0), START, 0.5, breaks=(since,))
+    assert np.abs(moved(plant, START, 0.5) - expected).max() < 1e-7
+
+
+# Slow: two campaigns.
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["air_drag", "eddy_brake"])
+def test_the_examples_run_and_count(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    made = runpy.run_module(f"dpcontrol.examples.{name}")
+    assert made["shares"][0] == 16
+    first, *_, last = made["runs"].values()
+    assert first.converged
+    # What the model lacks costs feedback.
+    assert np.abs(last.log.controls["feedback"]).mean() > 1.2 * np.abs(first.log.controls["feedback"]).mean()
+
+
+def test_a_plant_of_expressions_flies_in_lockstep_as_alone_and_keeps_its_arms(tmp_path: Path) -> None:
+    file = tmp_path / "plants.py"
+    file.write_text(
+        "import dpcontrol as dp\nfrom dataclasses import dataclass\n\n@dataclass(frozen=True)\n"
+        "class Spring(dp.SymbolicPlant):\n    stiffness: float = 1e-3\n\n    @classmethod\n"
+        "    def sizes(cls, arms):\n        return dp.Sizes(parameters=1)\n\n    @classmethod\n"
+        "    def terms(cls, frame):\n"
+        "        return dp.Terms(lagrangian=-frame.parameters[0] * frame.joints[1] ** 2 / 2)\n"
+    )
+    loop = dp.closed_loop("outer-turn", plant=f"{file}:Spring", belt=40.0, stiction=1e-4)
+    assert loop.assembly.lockstep
+    alone = loop.run(seed=5)
+    (batched,) = loop.assembly.batch([5])
+    assert np.array_equal(batched.truth, alone.log.states["truth"][: len(batched.truth)])
+    assert alone.plant is not None
+    kinds = [type(one).__name__ for one in loop.assembly.draw().plant.components]
+    assert kinds == ["Belt", "Stiction", "Spring"]
+    done = dpcontrol("run", "hold-up-up", "--plant", f"{file}:Spring", "--out", str(tmp_path / "run.mcap"))
+    assert done.code == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("sizes", "terms", "said"),
+    [
+        (dp.Sizes(states=1), lambda frame: dp.Terms(), "terms has 0 rates"),
+        (dp.Sizes(parameters=2), lambda frame: dp.Terms(), "numbers has 1"),
+        (dp.Sizes(parameters=1), lambda frame: dp.Terms(dissipation=frame.parameters[7]), "out of bounds"),
+        (dp.Sizes(states=1, parameters=1), lambda frame: dp.Terms(rates=ca.erf(frame.velocity[0])), "heyoka"),
+    ],
+)
+def test_a_plant_that_does_not_fit_is_refused_by_name(sizes, terms, said: str) -> None:
+    @dataclass(frozen=True)
+    class Odd(dp.SymbolicPlant):
+        number: float = 1.0
+
+    Odd.sizes = classmethod(lambda cls, arms: sizes)  # type: ignore[method-assign]
+    Odd.terms = classmethod(lambda cls, frame: terms(frame))  # type: ignore[method-assign]
+    with pytest.raises(dp.InputError, match=f"plant = Odd: .*{said}"):
+        dp.closed_loop("outer-turn", plant=Odd())
