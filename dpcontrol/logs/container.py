@@ -1,18 +1,17 @@
-"""An MCAP file written chunk by chunk, from blocks of ready-made message records.
+"""Write an MCAP file chunk by chunk, from blocks of prepared message records.
 
-The mcap package's own writer takes one message at a time, 3–4 µs each: more than the control loop itself costs.
-Here a chunk is handed over whole, with the times and offsets of its messages as arrays; all other records are the
-mcap package's.
+The writer of the mcap package takes one message at a time, 3–4 µs each: more than the control loop costs. Here a chunk
+is passed as a whole, with the times and offsets of its messages as arrays. All other records come from that package.
 
-While a log grows it is `NAME.mcap.partial`, beside the log that it will become. A run that was killed leaves this file.
-It is never overwritten nor removed: a later run of the same log grows under another name beside it, and `dpcontrol
-recover` makes a log of what the killed one left.
+A growing log is named `NAME.mcap.partial` and lies beside its final path. A killed run leaves this file, which is never
+overwritten or removed. A later run of the same log uses a different name, and `dpcontrol recover` rebuilds a log from
+the file that was left.
 
-MCAP gives a checksum to chunks and attachments, but metadata is covered by that of the whole data section only: in a
-file that is cut or damaged nothing would vouch for it. So each record carries the CRC-32 of its own name and values.
+MCAP has checksums for chunks and attachments, but metadata is covered only by the checksum of the data section. In a
+cut or damaged file metadata could not be verified. Each metadata record therefore carries a CRC-32 of name and values.
 
-A log can be written again by the mcap package's own writer, one message at a time: what ours is compared with. Messages
-come ready-made, so that what is timed is the writer alone.
+For comparison, a log can be rewritten message by message with the writer of the mcap package. The messages are prepared
+beforehand, so the timing covers the writer alone.
 Source: the MCAP format specification, version 0.
 """
 
@@ -56,7 +55,7 @@ from numpy.typing import NDArray
 from dpcontrol.logs.layout import MEASURED
 
 COMPRESSION = 1
-"""zstd's level: higher ones take far longer and save little, for noise does not compress."""
+"""Level of zstd. Higher levels take far longer and save little, because noise does not compress."""
 MAGIC = b"\x89MCAP0\r\n"
 _LATCHED_QOS = """\
 - history: 1
@@ -75,18 +74,20 @@ _LATCHED_QOS = """\
     nsec: 854775807
   avoid_ros_namespace_conventions: false
 """
-"""Of a topic whose last message is kept for everyone who comes later, in the numbers of ROS 2's rmw_qos_profile_t: some
-readers refuse a profile that is not complete."""
+"""Quality of service of a latched topic, in the numbers of ROS 2's rmw_qos_profile_t. Some readers reject an
+incomplete profile."""
 CHUNK_HEAD = struct.Struct("<QQQI8sQ")
-"""Of a chunk: first and last time, size and checksum unpacked, compression, bytes packed."""
+"""Head of a chunk: first and last time, unpacked size and checksum, compression, packed bytes."""
 ZSTD = b"\x04\x00\x00\x00zstd"
 _ENTRY_BYTES = 16
 """Of a message index: time in ns and offset, 8 bytes each."""
 
+"""Entry of a message index: time in ns and offset, 8 bytes each."""
+
 
 @dataclass(frozen=True)
 class ChunkMessages:
-    """The messages of one channel in a chunk: times in ns and offsets of their records, both (K,)."""
+    """Messages of one channel in a chunk: times in ns and offsets of their records, both (K,)."""
 
     channel: int
     times: NDArray[np.int64]
@@ -100,7 +101,7 @@ def _bytes_of(record: McapRecord) -> bytes:
 
 
 def _chunk_index_bytes(index: ChunkIndex) -> bytes:
-    """Return the record in a tenth of the time that the package's own writer takes: there is one for each chunk."""
+    """Return the record, ten times faster than the mcap package does: every chunk has one."""
     places = index.message_index_offsets
     flat = [number for place in places.items() for number in place]
     name = index.compression.encode()
@@ -116,7 +117,12 @@ def _chunk_index_bytes(index: ChunkIndex) -> bytes:
 class McapFile:
     """Writes one MCAP file to an unbuffered binary stream: header, metadata and attachments, chunks, summary.
 
-    Both checksums, of each chunk and of the whole data section, are always written. level: zstd's, of compression.
+    Checksums of each chunk and of the whole data section are always written.
+
+    Args:
+        stream: unbuffered binary stream.
+        library: name of the writing program.
+        level: compression level of zstd.
     """
 
     def __init__(self, stream: RawIOBase, *, library: str, level: int = COMPRESSION):
@@ -137,7 +143,7 @@ class McapFile:
     def _write(self, data: bytes) -> None:
         self._crc = zlib.crc32(data, self._crc)
         rest = memoryview(data)
-        # An unbuffered stream may take a part only, as on a disk that is about to be full.
+        # An unbuffered stream may accept only a part, for example on a nearly full disk.
         while rest:
             rest = rest[self._stream.write(rest) or 0 :]
         self._position += len(data)
@@ -149,7 +155,7 @@ class McapFile:
         self._write(record)
 
     def add_attachment(self, name: str, data: bytes) -> None:
-        """Write an attachment; its times are zero, for simulated time has no date."""
+        """Write an attachment; its times are zero because simulated time has no date."""
         guessed = "application/toml" if name.endswith(".toml") else mimetypes.guess_type(name)[0]
         media_type = guessed or "application/octet-stream"
         about = {"create_time": 0, "log_time": 0, "name": name, "media_type": media_type}
@@ -162,8 +168,8 @@ class McapFile:
         """Register the channels of CDR messages, numbered from 1 in the order of `topics`.
 
         Args:
-            topics: name and definition of each topic's message; written with the next chunk.
-            latched: topics whose last message is for everyone who comes later.
+            topics: schema name and definition by topic; written with the next chunk.
+            latched: topics whose last message is delivered to late subscribers.
         """
         for number, (topic, (name, definition)) in enumerate(topics.items(), start=1):
             known = next((record for record in self._schemas if record.name == name), None)
@@ -178,13 +184,13 @@ class McapFile:
             self._unwritten.append(_bytes_of(channel))
 
     def add_chunk(self, data: bytes, messages: Iterable[ChunkMessages]) -> None:
-        """Write one compressed chunk with its message indexes, and hand it to the operating system."""
+        """Write one compressed chunk with its message indexes, and flush it to the operating system."""
         messages = [part for part in messages if len(part.times)]
         head = b"".join(self._unwritten)
         self._unwritten.clear()
         content = head + data
         packed = self._compressor.compress(content)
-        # All channels' entries at once, and then cut into theirs.
+        # The entries of all channels are built together and then split.
         times = np.concatenate([part.times for part in messages])
         entries = np.empty((len(times), 2), "<u8")
         entries[:, 0] = times
@@ -256,10 +262,10 @@ SUFFIX = ".partial"
 
 
 def open_partial(path: Path) -> tuple[Path, FileIO]:
-    """Create the file in which the log `path` grows, unbuffered; its name and the open file.
+    """Create the unbuffered file in which the log `path` grows; return its name and the open file.
 
     Raises:
-        OSError: it cannot be created.
+        OSError: the file cannot be created.
     """
     names = [path.with_name(path.name + SUFFIX)]
     names += [path.with_name(f"{path.name}.{os.getpid()}-{k}{SUFFIX}") for k in range(1, 100)]
@@ -270,7 +276,7 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
 
 
 def partials_of(path: Path) -> tuple[Path, ...]:
-    """Return the partial files that runs of the log `path` have left or are writing, oldest first."""
+    """Return the partial files of the log `path`, abandoned or still growing, oldest first."""
     with suppress(OSError):
         names = [file for file in path.parent.iterdir() if file.suffix == SUFFIX and file.name.startswith(path.name)]
         return tuple(sorted(names, key=lambda file: file.stat().st_mtime))
@@ -278,7 +284,7 @@ def partials_of(path: Path) -> tuple[Path, ...]:
 
 
 def moved_away(path: Path, stream: FileIO) -> bool:
-    """Tell whether `path` is no longer the file that is open as `stream`."""
+    """True if `path` is no longer the file open as `stream`."""
     try:
         found, own = os.stat(path), os.fstat(stream.fileno())
     except OSError:
@@ -287,7 +293,7 @@ def moved_away(path: Path, stream: FileIO) -> bool:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the system put a rename in `folder` on the disk, where it can be asked to."""
+    """Flush a rename in `folder` to the disk, if the system supports it."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -303,7 +309,7 @@ def sealed(name: str, values: Mapping[str, str]) -> dict[str, str]:
     """Return `values` with the checksum of the record `name`.
 
     Raises:
-        ValueError: a value is called as the checksum is.
+        ValueError: a key equals the checksum's key.
     """
     if _KEY in values:
         raise ValueError(f"metadata may not hold the key {_KEY!r}: the log keeps its checksum there")
@@ -311,7 +317,7 @@ def sealed(name: str, values: Mapping[str, str]) -> dict[str, str]:
 
 
 def unsealed(name: str, record: Mapping[str, str]) -> dict[str, str] | None:
-    """Return the values of a record without its checksum, or None where it has none or another."""
+    """Return the values of a record without its checksum, or None if that is missing or wrong."""
     values = {key: value for key, value in record.items() if key != _KEY}
     return values if record.get(_KEY) == _checksum(name, values) else None
 
@@ -323,7 +329,7 @@ def _checksum(name: str, values: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True)
 class Messages:
-    """The messages of a log in their order, with the schemas and channels that they need."""
+    """Messages of a log in order, with their schemas and channels."""
 
     schemas: tuple[Schema, ...]
     channels: tuple[Channel, ...]
@@ -331,27 +337,33 @@ class Messages:
 
     @property
     def ends(self) -> tuple[int, ...]:
-        """For each tick, how many messages there are up to its last one."""
+        """Number of messages up to the end of each tick."""
         measured = next(c.id for c in self.channels if c.topic == MEASURED)
         starts = [k for k, message in enumerate(self.messages) if message.channel_id == measured]
         return (*starts[1:], len(self.messages))
 
 
 def messages_of(path: Path) -> Messages:
-    """Return the messages of a whole log."""
+    """Return the messages of a complete log."""
     with path.open("rb") as stream:
         reader = make_reader(stream)
         summary = reader.get_summary()
         messages = tuple(message for _, _, message in reader.iter_messages(log_time_order=False))
     if summary is None:
-        raise ValueError(f"{path} has no summary: it is not whole")
+        raise ValueError(f"{path} has no summary: the file is incomplete")
     return Messages(tuple(summary.schemas.values()), tuple(summary.channels.values()), messages)
 
 
 class MessageWriter:
-    """The package's writer on an unbuffered stream, with chunks of `chunk_bytes`; "zstd" or "none".
+    """Writes messages with the mcap package to an unbuffered stream.
 
-    It buffers what it writes to a bare stream, so that it is given a buffer that can be emptied.
+    The mcap package buffers its output to a bare stream, so it gets a buffer that can be flushed.
+
+    Args:
+        stream: unbuffered binary stream.
+        known: messages that provide the schemas and channels.
+        chunk_bytes: size of a chunk, bytes.
+        compression: "zstd" or "none".
     """
 
     def __init__(self, stream: RawIOBase, known: Messages, *, chunk_bytes: int, compression: str = "zstd") -> None:
@@ -366,7 +378,7 @@ class MessageWriter:
         }
 
     def add(self, messages: Sequence[Message]) -> None:
-        """Write messages, one after the other, and hand whole chunks to the system."""
+        """Write messages one by one, and flush complete chunks to the operating system."""
         for m in messages:
             self._writer.add_message(self._channels[m.channel_id], m.log_time, m.data, m.publish_time, m.sequence)
         self._buffer.flush()
@@ -378,7 +390,7 @@ class MessageWriter:
 
 
 def ticks_left(path: Path) -> int:
-    """Return how many ticks can be read of a file that may be cut anywhere."""
+    """Return the number of readable ticks in a file that may be cut anywhere."""
     count, measured = 0, set()
     with path.open("rb") as stream:
         try:

@@ -1,19 +1,19 @@
-"""What a log holds and how its messages are laid out in bytes.
+"""Contents of a log and the byte layout of its messages.
 
-What a log holds: topics, joint names, the control message's fields.
+The contents are topics, joint names and the fields of the control message.
 
-One tick is one block of bytes: the MCAP message records of all topics at loop rate, one after the other, as a
-numpy structured type. Writer and reader share it, so that neither handles single messages. Numbers and order of the
-channels follow from the layout alone, so that a log that lost them can be rebuilt.
+One tick is one block of bytes: the MCAP message records of all topics at loop rate, stored in sequence as a numpy
+structured type. Writer and reader share this type, so neither handles single messages. The layout alone determines
+numbers and order of the channels, so a log that lost them can be rebuilt.
 
-Schemas are ROS 2 message definitions ("ros2msg" in MCAP's registry): the message's own, followed by those of every
-message that it contains, each under a line of equals signs and `MSG: package/Name`. Source: MCAP's registry of
-well-known encodings, and the definitions of ROS 2's `common_interfaces`, `geometry2` and `rcl_interfaces`.
+Schemas are ROS 2 message definitions ("ros2msg" in MCAP's registry). The definition of the message comes first,
+followed by those of all messages it contains, each under a line of equals signs and `MSG: package/Name`. Source: MCAP's
+registry of well-known encodings, and the definitions of ROS 2's `common_interfaces`, `geometry2` and `rcl_interfaces`.
 
-Messages in CDR, the serialisation of ROS 2, built once as templates and then patched.
+Messages use CDR, the serialisation of ROS 2. They are built once as templates and then patched.
 
-Every message here has a fixed length as long as its names and counts do not change, so a template of bytes and
-the offsets of its numbers describe it completely; numpy writes and reads whole blocks of messages through them.
+Each message has a fixed length as long as its names and counts do not change. A template of bytes and the offsets of
+its numbers describe it completely, and numpy reads and writes whole blocks of messages through them.
 Numbers are little-endian and aligned to their own size, counted from the end of the four-byte header.
 Source: OMG DDS-RTPS 2.3, section 10 (CDR, representation identifier CDR_LE).
 """
@@ -33,11 +33,11 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 
 @dataclass
 class Message:
-    """A message of fixed length, to which values are appended in order, with CDR's alignment.
+    """Message of fixed length. Values are appended in order, with CDR's alignment.
 
     Attributes:
-        data: the whole message, numbers that change zero.
-        fields: for each number that changes, its numpy format and its offset in bytes.
+        data: the whole message, with zeros in place of the varying numbers.
+        fields: numpy format and byte offset of each varying number.
     """
 
     data: bytearray = field(default_factory=lambda: bytearray(ENCAPSULATION))
@@ -47,7 +47,7 @@ class Message:
         self.data.extend(bytes(-(len(self.data) - len(ENCAPSULATION)) % size))
 
     def number(self, kind: str, value: int = 0, *, name: str | None = None) -> None:
-        """Append an integer of numpy format `kind` ("<u4", "<i4", "u1"), noted as a field if `name` is given."""
+        """Append an integer of numpy format `kind` ("<u4", "<i4", "u1"); `name` makes it a field."""
         size = int(kind[-1])
         self._aligned(size)
         if name is not None:
@@ -55,13 +55,13 @@ class Message:
         self.data += value.to_bytes(size, "little", signed=kind[-2] == "i")
 
     def doubles(self, count: int, *, name: str) -> None:
-        """Append `count` float64 zeros as one field, without a count in front."""
+        """Append `count` float64 zeros as one field, without a length prefix."""
         self._aligned(8)
         self.fields[name] = (f"({count},)<f8", len(self.data))
         self.data += bytes(8 * count)
 
     def double_sequence(self, count: int, *, name: str) -> None:
-        """Append a sequence of `count` float64 zeros; an empty one is only its count."""
+        """Append a sequence of `count` float64 zeros; an empty sequence is its length prefix only."""
         self.number("<u4", count)
         if count:
             self.doubles(count, name=name)
@@ -80,7 +80,7 @@ class Message:
 
 
 def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
-    """Return sensor_msgs/JointState: fields `stamp.*`, `position` and, if asked, `velocity`."""
+    """Return sensor_msgs/JointState: fields `stamp.*`, `position` and, if requested, `velocity`."""
     message = Message()
     message.stamp("stamp")
     message.string("")
@@ -130,7 +130,7 @@ def read_log_message(data: bytes) -> tuple[int, str, str]:
     """Return level, name and text of an rcl_interfaces/Log message.
 
     Raises:
-        ValueError: the message is not of that layout.
+        ValueError: the message has a different layout.
     """
     offset = len(ENCAPSULATION) + 9
     if len(data) < offset:
@@ -157,7 +157,7 @@ _PARTS = {
     "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
     "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
 }
-"""Definitions of what messages contain, by name."""
+"""Definitions of nested message types, by name."""
 
 
 def _with_parts(definition: str, *names: str) -> bytes:
@@ -199,12 +199,12 @@ ROBOT = "/robot_description"
 GHOST = "/reference/robot_description"
 EVENTS = "/rosout"
 MEASURED_CHANNEL = 1
-"""The number of the channel of /joint_states, which every log has and which comes first."""
+"""Channel number of /joint_states, which is the first topic of every log."""
 LATCHED = frozenset({ROBOT, GHOST})
-"""Topics with one message at the start, for everyone who comes later."""
+"""Topics with one message at the start, delivered to late subscribers."""
 
 SLOW_RATE = 50.0
-"""Rate of /tf and of /estimate/extras in Hz: enough for the eye, a twentieth of the loop's."""
+"""Rate of /tf and of /estimate/extras in Hz: sufficient for viewing, a twentieth of the loop's."""
 
 UNITS = {
     **dict.fromkeys((MEASURED, ESTIMATE, REFERENCE, TRUTH), "rad, rad/s; cart m, m/s"),
@@ -214,30 +214,30 @@ UNITS = {
     **dict.fromkeys((ROBOT, GHOST), "URDF"),
     EVENTS: "text",
 }
-"""Units of each topic's numbers."""
+"""Units of the numbers in each topic."""
 
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Levels of an event, with their numbers in rcl_interfaces/Log."""
 
 FORMAT = "2"
-"""Version of the layout: raised whenever topics, messages or metadata change their meaning."""
+"""Version of the layout: increased when topics, messages or metadata change their meaning."""
 
 LAYOUT_RECORD = "dpcontrol.layout"
 RUN_RECORD = "dpcontrol.run"
 RESULT_RECORD = "dpcontrol.result"
 RECOVERY_RECORD = "dpcontrol.recovery"
-"""Names of the metadata records: the layout (ours), what the caller passed, how the run went (at the end), and what a
-recovered log has lost."""
+"""Names of the metadata records: layout, the caller's metadata, result of the run (at the end), and losses of a
+recovered log."""
 
 EXTRAS_KEY = "extras"
-"""In the layout: the names of the extras, where the log has some."""
+"""Key of the layout record: names of the estimated parameters, if the log has any."""
 TICKS = "ticks"
-"""In the result: how many ticks the run had."""
+"""Key of the result record: number of ticks of the run."""
 LOST = "lost"
-"""In the recovery's record: what was not saved, a sentence; empty where nothing was lost."""
+"""Key of the recovery record: a sentence on the losses; empty if nothing was lost."""
 
 PARTS = ("rates", "estimate", "reference", "truth", "control")
-"""What a tick may hold besides the measured positions; a log has each in every tick or in none."""
+"""Optional parts of a tick; a log has each part in every tick or in none."""
 STATE_TOPICS = {"estimate": ESTIMATE, "reference": REFERENCE, "truth": TRUTH}
 
 RECORD_HEADER = np.dtype(
@@ -249,22 +249,22 @@ RECORD_HEADER = np.dtype(
 """An MCAP message record up to its data: packed, little-endian (MCAP specification, "Message")."""
 MESSAGE_OPCODE = 5
 LENGTH_FROM = 9
-"""Bytes of a record before those that its length counts."""
+"""Bytes of a record that its length does not include."""
 
 _CONTROL_HEAD = ("command", "feedforward", "feedback", "applied", "saturated", "nis", "mode")
 
 
 def joint_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
-    """Return `arm_1 … arm_n` and, where there is one, `cart`."""
+    """Return `arm_1 … arm_n`, followed by `cart` if the rig has one."""
     return tuple(f"arm_{i + 1}" for i in range(arms)) + (("cart",) if has_cart else ())
 
 
 def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
     """Return the names of /control's float64 fields in order.
 
-    `command`, `feedforward`, `feedback` and `applied` are cart accelerations in m/s²: the controller's sum and
-    its two parts before limits, and what acts from this tick to the next as far as the loop knows: by its own
-    limits and delay. What a drive does besides is in the truth's cart velocity. `saturated` is 0 or 1, `nis` the
+    `command`, `feedforward` and `feedback` are cart accelerations in m/s²: the controller's sum and its two parts
+    before limits. `applied`, in m/s², is the acceleration from this tick to the next after the loop's limits and delay.
+    Deviations of the drive from it appear in the cart velocity of the truth. `saturated` is 0 or 1, `nis` the
     normalised innovation squared (nan in a tick without a measurement), `mode` a number of `Mode`. `sigma_1 …` are
     the standard deviations of the estimate in state order, in rad, rad/s, m and m/s.
     """
@@ -273,20 +273,20 @@ def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
 
 
 def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
-    """Return the names of a state's entries in order: `angle_1 …`, `rate_1 …`, then the cart's."""
+    """Return the names of the state's entries in order: `angle_1 …`, `rate_1 …`, then the cart's."""
     arms_part = tuple(f"{what}_{i + 1}" for what in ("angle", "rate") for i in range(arms))
     return arms_part + (("cart_position", "cart_velocity") if has_cart else ())
 
 
 @dataclass(frozen=True)
 class TickLayout:
-    """The messages of one tick, in the order in which they are written, and the channels of a log.
+    """Messages of one tick in the order of writing, and the channels of a log.
 
     Attributes:
         arms: number of arms.
-        has_cart: whether the pivot is on a cart.
-        parts: those of `PARTS` that the log has.
-        extras: names of what is estimated besides the state, in the estimator's order.
+        has_cart: True if the pivot is on a cart.
+        parts: members of `PARTS` that the log has.
+        extras: names of the estimated parameters, in the estimator's order.
     """
 
     arms: int
@@ -306,7 +306,7 @@ class TickLayout:
 
     @cached_property
     def widths(self) -> dict[str, int]:
-        """Numbers in a row of the measured positions, of each part, in the order of `PARTS`, and of extras."""
+        """Row width of the measured positions, of each part in the order of `PARTS`, and of the extras."""
         joints = len(self.names)
         widths = dict.fromkeys(("measured", *PARTS), 2 * joints)
         widths |= {"measured": joints, "rates": joints, "control": len(self.fields)}
@@ -314,9 +314,9 @@ class TickLayout:
 
     @cached_property
     def rooms(self) -> tuple[tuple[str, str, slice, str, slice], ...]:
-        """Where numbers stand: topic, field of its message and joints there; part ("measured" or of `PARTS`), columns.
+        """Places of the numbers: topic, field and joints of its message; part ("measured" or of `PARTS`), columns.
 
-        All are slices: for the few ticks of a chunk, columns picked by number cost more than they hold.
+        All are slices, because indexing by number is too slow for the few ticks of a chunk.
         """
         n, every = self.arms, slice(None)
         arms_and_cart = [(slice(n), slice(n), slice(n, 2 * n))]
@@ -335,7 +335,7 @@ class TickLayout:
 
     @cached_property
     def messages(self) -> dict[str, Message]:
-        """Each topic's message, in order of writing."""
+        """Message of each topic, in the order of writing."""
         state = joint_state(self.names, velocities=True)
         found = {MEASURED: joint_state(self.names, velocities="rates" in self.parts)}
         found |= {topic: state for part, topic in STATE_TOPICS.items() if part in self.parts}
@@ -346,14 +346,14 @@ class TickLayout:
 
     @cached_property
     def extras_message(self) -> Message:
-        """The message of /estimate/extras, as field "row": the standard deviation of each, then its value."""
+        """Message of /estimate/extras, as field "row": all standard deviations, then all values."""
         message = Message()
         message.doubles(2 * len(self.extras), name="row")
         return message
 
     @cached_property
     def schemas(self) -> dict[str, tuple[str, bytes]]:
-        """Name and definition of each topic's message, in the order of the channels."""
+        """Name and definition of each topic's message, in channel order."""
         found: dict[str, tuple[str, bytes]] = dict.fromkeys(self.messages, JOINT_STATE)
         if CONTROL in found:
             found[CONTROL] = (CONTROL_NAME, "".join(f"float64 {name}\n" for name in self.fields).encode())
@@ -361,14 +361,14 @@ class TickLayout:
         if "reference" in self.parts:
             found[GHOST] = STRING
         if self.extras:
-            # Fields of ROS 2 are in lower case.
+            # ROS 2 requires field names in lower case.
             fields = (f"float64 {of}{name.lower()}\n" for of in ("sigma_", "") for name in self.extras)
             found[EXTRAS] = (EXTRAS_NAME, "".join(fields).encode())
         return found
 
     @cached_property
     def channels(self) -> dict[str, int]:
-        """The number of each topic's channel."""
+        """Channel number of each topic."""
         return {topic: number for number, topic in enumerate(self.schemas, start=1)}
 
     @cached_property
@@ -381,13 +381,13 @@ class TickLayout:
 
     @cached_property
     def block_offsets(self) -> dict[str, int]:
-        """Where each topic's message begins in a whole tick."""
+        """Byte offset of each topic's message within a tick."""
         sizes = [record_type(message).itemsize for message in self.messages.values()]
         return dict(zip(self.messages, (0, *accumulate(sizes)), strict=False))
 
     @cached_property
     def block_template(self) -> bytes:
-        """The message records of a tick, times and numbers zero."""
+        """Message records of a tick, with times and numbers zero."""
         records = []
         for topic, message in self.messages.items():
             header = np.zeros(1, RECORD_HEADER)
@@ -399,7 +399,7 @@ class TickLayout:
 
 
 def record_type(message: Message) -> np.dtype:
-    """Return the structured type of a record that holds `message`."""
+    """Return the structured type of the record of `message`."""
     places = {name: (kind, offset) for name, (kind, offset, *_) in RECORD_HEADER.fields.items()}  # type: ignore[union-attr]
     places |= {name: (kind, RECORD_HEADER.itemsize + offset) for name, (kind, offset) in message.fields.items()}
     formats, offsets = zip(*places.values(), strict=True)
@@ -408,13 +408,13 @@ def record_type(message: Message) -> np.dtype:
 
 
 RETURN, REST, START, RESUME, LAP, CATCH = "return", "at rest", "start", "resume", "lap", "catch"
-"""Names of the events by which a run leaves its itinerary, and comes back to it. The first event of a log has the name
-of a start, too, and tells of the controller.
+"""Names of the events at which a run leaves its itinerary and returns to it. The first event of a log is also a start
+and describes the controller.
 """
 
 
 class Flight(NamedTuple):
-    """Ticks of a run on its itinerary, from `first` up to `end`, from the time `at` s of the plan's reference on."""
+    """Ticks `first` to `end` of a run on its itinerary, starting at time `at` s of the planned reference."""
 
     first: int
     end: int
@@ -426,14 +426,14 @@ _JOINS = re.compile(r"on the itinerary from t = (\d+\.\d+) s of the reference: (
 
 
 def joined_text(at: float, what: str) -> str:
-    """Return what a log says where a run joins its itinerary at the time `at` s of the reference, and for what."""
+    """Return the log text for joining the itinerary at time `at` s of the reference."""
     return _JOINED.format(at, what)
 
 
 def joined_at(text: str) -> tuple[float, int, int] | None:
-    """Return the time s of the reference that an event says is joined, and which symbol's attempt, each from 1.
+    """Return the reference time s, the symbol and the attempt in the text of a joining event; None for other texts.
 
-    Symbol and attempt are 0 where it says none; None of any other text.
+    Symbol and attempt count from 1, and are 0 if the text lacks them.
     """
     found = _JOINS.match(text)
     return None if found is None else (float(found[1]), int(found[2] or 0), int(found[3] or 0))

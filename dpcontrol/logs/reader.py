@@ -1,12 +1,12 @@
-"""Read a run's log into arrays, say topic by topic what is in it, or compare it with another message by message.
+"""Read a log into arrays, summarise it by topic, or compare it with another message by message.
 
-No record is trusted before the checksums agree. Indexes and single chunks are not enough: an index can point elsewhere
-and two chunks can change places without any checksum of their own failing. So the file is walked from front to back,
-and the checksum of the whole data section and that of the summary are compared first.
+No record is trusted before the checksums agree. Checking indexes and single chunks is not enough: an index can point
+elsewhere, and two chunks can be swapped without invalidating their checksums. The file is therefore read from front to
+back, and the checksums of the whole data section and of the summary are compared first.
 
-Messages are then found by walking the chunks' records. A tick's messages stand one after the other and their lengths
-are known from the layout, which the log's own metadata describe, so that one look per tick finds them all and one copy
-takes the numbers of thousands of ticks out. Source: the MCAP format specification, version 0.
+Messages are found by walking the chunks' records. The messages of a tick are contiguous, and the layout in the log's
+metadata gives their lengths. One look per tick finds them all, and one copy extracts the numbers of thousands of ticks.
+Source: the MCAP format specification, version 0.
 """
 
 import struct
@@ -43,12 +43,12 @@ if TYPE_CHECKING:
 
 
 _RECORD = struct.Struct("<BQH")
-"""Of a record: opcode and length, and of a message its channel."""
+"""Head of a record: opcode, length and, for a message, its channel."""
 _BATCH_BYTES = 4_000_000
 LARGEST_CHUNK, LARGEST_LOG = 1 << 28, 1 << 33
-"""Bytes to which a chunk, and all of a log, may unpack: five hours at 1 kHz."""
+"""Greatest unpacked size of a chunk and of a log, bytes: five hours at 1 kHz."""
 _FOREIGN_CHUNKS = 20
-"""Chunks of another program's file in which topics are looked for."""
+"""Chunks of a foreign file that are searched for topics."""
 _SHOWN_TOPICS = 5
 _AGAIN = "make it again with `dpcontrol run`"
 MALFORMED = (
@@ -62,7 +62,7 @@ MALFORMED = (
     MemoryError,
     LookupError,
 )
-"""What parsing a record that is not as specified may raise (lz4 raises RuntimeError)."""
+"""Exceptions raised when a malformed record is parsed (lz4 raises RuntimeError)."""
 
 
 @dataclass
@@ -70,12 +70,15 @@ class VerifiedFile:
     """The records of an MCAP file whose checksums agree.
 
     Attributes:
-        has_checksum: whether the data section carried one.
+        path: file that was read.
+        has_checksum: True if the data section has a checksum.
         library: the program that wrote it.
-        metadata: text by name, by the record's name.
+        metadata: text by key, by record name.
         attachments: content by name.
-        schemas, channels: by number; those found within chunks are added while `batches` runs.
-        chunks: the chunks' records, still packed. loose: messages outside of chunks.
+        schemas: by number; those within chunks are added while `batches` runs.
+        channels: by number, like `schemas`.
+        chunks: the chunks' records, still packed.
+        loose: messages outside of chunks.
     """
 
     path: Path
@@ -89,7 +92,7 @@ class VerifiedFile:
     loose: list[memoryview] = field(default_factory=list)
 
     def note(self, opcode: int, body: memoryview | bytes) -> None:
-        """Take up a record; those that nobody asks for are passed over."""
+        """Store a record; kinds that are not needed are skipped."""
         match parsed(opcode, body):
             case Header(library=library):
                 self.library = library
@@ -108,32 +111,32 @@ class VerifiedFile:
 
     @contextmanager
     def decoding(self) -> Iterator[None]:
-        """Report what does not decode as damage of this file."""
+        """Report decoding errors as damage of this file."""
         try:
             yield
         except MALFORMED as error:
             damaged(self.path, f"its messages do not decode: {error}", cause=error)
 
     def values(self, name: str) -> dict[str, str]:
-        """Return what the metadata record of this name says, empty where it is missing or its checksum differs."""
+        """Return the values of a metadata record, empty if it is missing or its checksum differs."""
         return unsealed(name, self.metadata.get(name, {})) or {}
 
     @cached_property
     def tick(self) -> TickLayout:
-        """What a tick of the log holds, by its own description."""
+        """Tick layout from the log's own description."""
         described = self.metadata.get(layout.LAYOUT_RECORD)
         if described is None:
             raise InputError(
                 f"{self.path}{self._writer} is not a log of `dpcontrol run`: it lacks the metadata record "
-                f"{layout.LAYOUT_RECORD}{self._no_measurements()}; give a log of `dpcontrol run`, or bring a "
-                "recording of the bench in by `dpcontrol import`, from CSV, Parquet or MATLAB"
+                f"{layout.LAYOUT_RECORD}{self._no_measurements()}; give a log of `dpcontrol run`, or import a "
+                "bench recording with `dpcontrol import`"
             )
         if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
             raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
         return described_layout(self.path, described)
 
     def messages(self) -> Iterator[tuple[int, int, bytes]]:
-        """Yield channel, time in ns and body of every message; schemas and channels are noted on the way.
+        """Yield channel, time in ns and body of every message, and store the schemas and channels found.
 
         Raises:
             Exception: one of `MALFORMED`.
@@ -151,11 +154,11 @@ class VerifiedFile:
             yield _message(bytes(body))
 
     def batches(self) -> "Iterator[Batch]":
-        """Yield the messages in order, those of several chunks at a time.
+        """Yield the messages in order, several chunks at a time.
 
         Raises:
-            InputError: a chunk does not unpack, or the channels are not those of the layout; names what differs.
-            ValueError: a chunk's records do not follow one another.
+            InputError: a chunk does not unpack, or the channels differ from the layout.
+            ValueError: the records of a chunk are not contiguous.
         """
         decompressor = zstandard.ZstdDecompressor()
         pending, size = [], 0
@@ -175,7 +178,7 @@ class VerifiedFile:
         try:
             batch = Batch(data, self.tick)
         except ValueError:
-            # Ticks that are not as described mislead the walk over them; the channels may say why they are not.
+            # Ticks that differ from the layout mislead the walk; the channels may show the reason.
             self._declare(Batch(data))
             self._check_channels()
             raise
@@ -191,7 +194,7 @@ class VerifiedFile:
 
     @property
     def ours(self) -> bool:
-        """Whether this program wrote the file, as far as its header tells."""
+        """True if the header names this program as the writer."""
         return self.library.startswith("dpcontrol ")
 
     @property
@@ -199,9 +202,9 @@ class VerifiedFile:
         return f" (written by {self.library})" if self.library else ""
 
     def _no_measurements(self) -> str:
-        """Return what keeps /joint_states of a foreign file from being a log's; empty where nothing does."""
+        """Return the reason why /joint_states of a foreign file is unusable; "" if it is usable."""
         decompressor = zstandard.ZstdDecompressor()
-        # A file that is another program's may be anything: what does not read has no channels.
+        # A foreign file can hold anything; unreadable chunks count as having no channels.
         with suppress(*MALFORMED):
             for chunk in self.chunks[:_FOREIGN_CHUNKS]:
                 self._declare(Batch(unpacked(chunk, decompressor)))
@@ -215,7 +218,7 @@ class VerifiedFile:
 
 
 _MESSAGE = struct.Struct("<HIQQ")
-"""Of a message's body: channel, sequence, time of logging and of publishing; the data follow."""
+"""Head of a message's body: channel, sequence, log time and publish time; the data follow."""
 
 
 def _message(body: bytes) -> tuple[int, int, bytes]:
@@ -224,7 +227,7 @@ def _message(body: bytes) -> tuple[int, int, bytes]:
 
 
 def _other_messages(channel: Channel, schemas: Mapping[int, Schema], name: str, definition: bytes) -> str:
-    """Return what a channel holds instead of messages `name` in CDR; empty where it holds these."""
+    """Describe the messages in a channel that are not `name` in CDR; "" if they are."""
     schema = schemas.get(channel.schema_id)
     encoding = channel.message_encoding or "no encoding"
     if schema is None or schema.name != name or encoding != "cdr":
@@ -235,17 +238,17 @@ def _other_messages(channel: Channel, schemas: Mapping[int, Schema], name: str, 
 def check_channels(
     path: Path, tick: TickLayout, *, schemas: Mapping[int, Schema], channels: Mapping[int, Channel], writer: str = ""
 ) -> None:
-    """Reject a log whose channels are not those that its layout describes, as another program may have left them.
+    """Reject a log whose channels differ from its layout, as after rewriting by another program.
 
     Raises:
-        InputError: a topic is missing, holds other messages or has another number; says which.
+        InputError: a topic is missing, holds other messages or has another number.
     """
     by_topic = {channel.topic: channel for channel in channels.values()}
     remedy = "give the log as `dpcontrol run` wrote it"
     if missing := [topic for topic in tick.schemas if topic not in by_topic]:
         raise InputError(
-            f"{path}{writer} lacks {', '.join(missing)}, which its own description names: another program has taken "
-            f"topics out; {remedy}"
+            f"{path}{writer} lacks {', '.join(missing)}, listed in its description: another program has removed "
+            f"topics; {remedy}"
         )
     for topic, (name, definition) in tick.schemas.items():
         if found := _other_messages(by_topic[topic], schemas, name, definition):
@@ -253,16 +256,16 @@ def check_channels(
     for topic, due in tick.channels.items():
         if by_topic[topic].id != due:
             raise InputError(
-                f"{path}{writer}: another program has numbered the channels anew ({topic} is channel "
+                f"{path}{writer}: another program has renumbered the channels ({topic} is channel "
                 f"{by_topic[topic].id} instead of {due}); {remedy}"
             )
 
 
 def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> bytes:
-    """Return the records in a chunk, compared with its checksum; the decompressor serves any number of chunks.
+    """Return the records in a chunk after checking its checksum; one decompressor serves any number of chunks.
 
     Raises:
-        Exception: one of `MALFORMED`: it does not unpack, or not to what its checksum says.
+        Exception: one of `MALFORMED`: the chunk does not unpack, or its checksum differs.
     """
     _, _, size, checksum, kind, packed = CHUNK_HEAD.unpack_from(chunk)
     checked_size(size, most=LARGEST_CHUNK)
@@ -273,10 +276,10 @@ def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> byt
         if other.compression != "lz4":
             stream, length = get_chunk_data_stream(other, validate_crc=True)
             return stream.read(length)
-        # The package itself would unpack all that there is, whatever the chunk says.
+        # The lz4 package would unpack everything, regardless of the declared size.
         content = LZ4FrameDecompressor().decompress(other.data, max_length=size + 1)
         packed = len(chunk) - CHUNK_HEAD.size
-    # Other programs may leave out the checksum, which is zero then.
+    # Other programs may omit the checksum, which is then zero.
     other = checksum and zlib.crc32(content) != checksum
     if len(content) != size or packed != len(chunk) - CHUNK_HEAD.size or other:
         raise ValueError("its checksum or its size differs")
@@ -284,7 +287,7 @@ def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> byt
 
 
 def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> NoReturn:
-    """Raise the InputError for a file whose bytes are not those that were written."""
+    """Raise the InputError for a file whose bytes have changed."""
     raise InputError(f"{path} is damaged ({reason}); copy it again from its source, or {_recover(path)}") from cause
 
 
@@ -295,16 +298,16 @@ _PARSED: dict[int, type[Header | Metadata | Attachment | Schema | Channel]] = {
 
 
 def parsed(opcode: int, body: memoryview | bytes) -> Header | Metadata | Attachment | Schema | Channel | None:
-    """Return a record by its body, None of other kinds."""
+    """Return the parsed record, or None for other kinds."""
     kind = _PARSED.get(opcode)
     return kind.read(ReadDataStream(BytesIO(body))) if kind else None
 
 
 def recorded_bytes(path: Path) -> bytes:
-    """Return the bytes of a file, whatever they are.
+    """Return the bytes of a file of any kind.
 
     Raises:
-        InputError: there is no such file, or it cannot be read or is empty.
+        InputError: the file is missing, unreadable or empty.
     """
     try:
         data = checked_source(path).read_bytes()
@@ -320,7 +323,7 @@ def recorded_bytes(path: Path) -> bytes:
 
 
 def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
-    """Return opcode, start and end of the body of each record up to the footer."""
+    """Return opcode and the body's start and end of each record up to the footer."""
     found: list[tuple[int, int, int]] = []
     place, closed = len(MAGIC), False
     while place + layout.LENGTH_FROM <= len(data) and not closed:
@@ -337,7 +340,7 @@ def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
         what = "byte that does" if extra == 1 else "bytes that do"
         raise InputError(f"{path} is followed by {extra} {what} not belong to it; {_recover(path)}")
     if data.endswith(MAGIC) and len(data) > len(MAGIC):
-        damaged(path, f"its records do not follow one another at byte {place}")
+        damaged(path, f"its records are not contiguous at byte {place}")
     ends = [
         struct.unpack_from("<Q", data, start + 8)[0]
         for opcode, start, end in found
@@ -348,11 +351,11 @@ def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
 
 
 def _recover(path: Path) -> str:
-    return f"`dpcontrol recover {path}` makes a log of what is there"
+    return f"`dpcontrol recover {path}` rebuilds a log from the rest"
 
 
 def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool:
-    """Compare both checksums; return whether the data section had one."""
+    """Compare both checksums; return True if the data section has one."""
     start, end = next((start, end) for opcode, start, end in records if opcode == Opcode.DATA_END)
     footer_start, footer_end = records[-1][1:]
     if end - start < 4 or footer_end - footer_start < 20:
@@ -369,20 +372,20 @@ def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool
 
 
 def open_verified(path: Path) -> VerifiedFile:
-    """Read `path`, compare its checksums and find what a tick holds.
+    """Read `path`, compare its checksums and find its tick layout.
 
     Raises:
-        InputError: there is no such file, or it is empty, no MCAP file, cut off, damaged or not a log of this program.
+        InputError: the file is missing, empty, no MCAP file, cut off, damaged or not a log of this program.
     """
     file = _open(path)
     with file.decoding():
-        # Read once, so that later uses cannot fail.
+        # Evaluated once here, so that later uses cannot fail.
         _ = file.tick
     return file
 
 
 def _open(path: Path) -> VerifiedFile:
-    """Read `path` and compare its checksums, whatever it holds; errors as in `open_verified`."""
+    """Read `path`, of any contents, and compare its checksums; errors as in `open_verified`."""
     data = recorded_bytes(path)
     if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
         raise InputError(f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`")
@@ -397,12 +400,12 @@ def _open(path: Path) -> VerifiedFile:
                 file.note(opcode, view[start:end])
         checked_size(sum(CHUNK_HEAD.unpack_from(chunk)[2] for chunk in file.chunks), most=LARGEST_LOG)
     except MALFORMED as error:
-        damaged(path, f"a record does not read: {error}", cause=error)
+        damaged(path, f"a record is not readable: {error}", cause=error)
     return file
 
 
 class Batch:
-    """The records of several chunks.
+    """Records of several chunks.
 
     Attributes:
         ticks: offsets (K,) of whole ticks.
@@ -414,7 +417,7 @@ class Batch:
         tick: the ticks' layout; without one no message counts as part of a tick.
 
     Raises:
-        ValueError: the records do not follow one another.
+        ValueError: the records are not contiguous.
     """
 
     def __init__(self, data: bytes, tick: TickLayout | None = None) -> None:
@@ -441,10 +444,10 @@ class Batch:
             raise ValueError("a record runs over the end of its chunk")
 
     def extras(self, tick: TickLayout) -> Array:
-        """Return what the messages of the extras hold: their times (M, 1) in s, standard deviations and values.
+        """Return times (M, 1) in s, standard deviations and values from the messages of the extras.
 
         Raises:
-            ValueError: a message is not that of the layout.
+            ValueError: a message differs from the layout.
         """
         kind = layout.record_type(tick.extras_message)
         found = gathered(self.data, self.others.get(tick.channels[layout.EXTRAS], []), kind)
@@ -456,7 +459,7 @@ class Batch:
         """Return the ticks' times (K,) in s, and the rows (K, width) of each part, by name.
 
         Raises:
-            ValueError: the ticks' messages are not those of the layout.
+            ValueError: the messages of a tick differ from the layout.
         """
         ticks = gathered(self.data, self.ticks, tick.block_type)
         times = ticks[layout.MEASURED]["log_time"]
@@ -474,10 +477,10 @@ class Batch:
 
 
 def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
-    """Return the records of type `kind` at `offsets`, copied.
+    """Return a copy of the records of type `kind` at `offsets`.
 
     Raises:
-        ValueError: one runs over the end.
+        ValueError: a record extends beyond the end.
     """
     if not offsets:
         return np.empty(0, kind)
@@ -489,11 +492,11 @@ def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
 
 
 _SLOWEST, _FASTEST = 1e-6, 1e9
-"""Hz: beyond all that is recorded, and no sample lasts for ages."""
+"""Limits of the tick rate, Hz; no recording comes near them."""
 
 
 def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
-    """Return what a tick holds by a metadata record that describes it; errors as in `VerifiedFile.tick`."""
+    """Return the tick layout in a metadata record; errors as in `VerifiedFile.tick`."""
     if described.get("format") != layout.FORMAT:
         raise InputError(
             f"{path} has layout {described.get('format')!r}, and this version of dpcontrol reads layout "
@@ -503,7 +506,7 @@ def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
     if not parts <= set(layout.PARTS):
         raise ValueError(f"unknown parts {sorted(parts)}")
     if not _SLOWEST <= float(described["rate_hz"]) <= _FASTEST:
-        raise ValueError(f"its ticks are said to come at {described['rate_hz']} Hz")
+        raise ValueError(f"the tick rate in its layout is {described['rate_hz']} Hz")
     extras = tuple(described.get(layout.EXTRAS_KEY, "").split())
     return TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts, extras)
 
@@ -512,7 +515,7 @@ _LEVEL_NAMES = {number: name for name, number in layout.LEVELS.items()}
 
 
 class Event(NamedTuple):
-    """Something that happened: time in s, level (a key of `LEVELS`), the part it came from, a sentence."""
+    """An event of a run: time in s, level (a key of `LEVELS`), originating part, sentence."""
 
     time: float
     level: str
@@ -522,8 +525,13 @@ class Event(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Extras:
-    """What an estimator found besides the state: times (M,) in s, and for each of E names a value and its standard
-    deviation, both (M, E); zeros in rad, disturbances in rad/s², the drive's error in m/s², all others shares.
+    """Parameters estimated in addition to the state.
+
+    Attributes:
+        names: E names.
+        time: (M,) s.
+        values: (M, E); zeros in rad, disturbances in rad/s², the drive's error in m/s², all others shares.
+        sigmas: (M, E) standard deviations of `values`.
     """
 
     names: tuple[str, ...]
@@ -537,23 +545,23 @@ class RunLog:
     """A log in memory; arrays are read-only.
 
     Attributes:
-        path: where it was read from.
+        path: file that was read.
         time: (N,) in s.
-        measured: (N, n+1) positions as the sensors gave them, in the order of `joint_names`; rad, m.
-        rates: (N, n+1) rates as the sensors gave them, rad/s and m/s, or None.
+        measured: (N, n+1) positions from the sensors, in the order of `joint_names`; rad, m.
+        rates: (N, n+1) rates from the sensors, rad/s and m/s, or None.
         states: (N, 2n+2) in state order, rad, rad/s, m, m/s (2n entries without a cart), for each of "estimate",
             "reference" and "truth" that the log has.
-        controls: (N,) for each name of `control_fields`; empty where no controller ran.
-        extras: what was estimated besides the state, at 50 Hz; or None.
-        events: in the order in which they were logged.
-        metadata: what the writer's caller passed at the start and at the end, and `program`, which wrote it.
+        controls: (N,) for each name of `control_fields`; empty if no controller ran.
+        extras: parameters estimated in addition to the state, at 50 Hz; or None.
+        events: in the order of logging.
+        metadata: the caller's text from the start and the end, and `program`, which wrote the log.
         attachments: content by name.
-        joint_names: `arm_1 …`, then `cart` where there is one.
+        joint_names: `arm_1 …`, then `cart` if present.
         arm_lengths: (n,) in m.
-        has_cart: whether the pivot is on a cart.
+        has_cart: True if the pivot is on a cart.
         rate_hz: rate of the loop in Hz.
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s²; or None.
-        recovered: what `dpcontrol recover` could not save of this log, a sentence; None where nothing was recovered.
+        recovered: losses that `dpcontrol recover` reported, a sentence; None without losses.
     """
 
     path: Path
@@ -575,18 +583,18 @@ class RunLog:
 
     @property
     def parts(self) -> frozenset[str]:
-        """Which of "rates", "estimate", "reference", "truth" and "control" the log has; `measured` is always there."""
+        """Members of "rates", "estimate", "reference", "truth" and "control" in the log; `measured` always exists."""
         found = {*self.states} | ({"control"} if self.controls else set())
         return frozenset(found | ({"rates"} if self.rates is not None else set()))
 
     @property
     def truth(self) -> Array | None:
-        """The plant's own states, or None where nobody knows them."""
+        """States of the plant, or None if they are unknown."""
         return self.states.get("truth")
 
     @property
     def estimate(self) -> Array:
-        """The estimator's states.
+        """States of the estimator.
 
         Raises:
             InputError: the log has none.
@@ -595,7 +603,7 @@ class RunLog:
 
     @property
     def reference(self) -> Array:
-        """The states to follow.
+        """States of the reference.
 
         Raises:
             InputError: the log has none.
@@ -604,7 +612,7 @@ class RunLog:
 
     @property
     def control(self) -> dict[str, Array]:
-        """What the controller did, by name of field.
+        """Fields of the control message, by name.
 
         Raises:
             InputError: no controller ran.
@@ -624,9 +632,9 @@ class RunLog:
     def frame(self) -> "DataFrame":
         """Return a pandas table: one row for each tick, indexed by `time` in s.
 
-        Columns: `measured.arm_1` …, `rates.arm_1` …, `estimate.angle_1`, `estimate.rate_1`, `estimate.cart_position`,
-        `estimate.cart_velocity`, likewise `reference` and `truth`, `control.command` …, and `extra.zero_1`,
-        `sigma.zero_1` … as they were logged last; those that the log has.
+        Columns, if the log has them: `measured.arm_1` …, `rates.arm_1` …, `estimate.angle_1`, `estimate.rate_1`,
+        `estimate.cart_position`, `estimate.cart_velocity`, the same for `reference` and `truth`, `control.command` ….
+        `extra.zero_1` and `sigma.zero_1` … hold the last logged values.
 
         Raises:
             InputError: pandas is not installed.
@@ -651,7 +659,7 @@ class RunLog:
 
 
 def read_log(path: Path | str) -> RunLog:
-    """Return the run logged in `path`. If another program has written the log again, it is read by its topics.
+    """Return the run logged in `path`; a log that another program has rewritten is read by its topics.
 
     Raises:
         InputError: the file is missing, empty, cut off, damaged, not an MCAP file or not a log of a run.
@@ -674,38 +682,43 @@ def read_log(path: Path | str) -> RunLog:
 
 
 def _rewritten(file: VerifiedFile) -> Rewritten | None:
-    """Return a log that another program has written again, with a remark; None if the file holds no such log."""
+    """Return a log that another program has rewritten, with a warning; None if the file holds no such log."""
     try:
         topics = by_topic(file.messages(), file.channels, file.schemas)
         found = found_in(topics, file.values(layout.LAYOUT_RECORD))
     except MALFORMED:
-        # The caller knows a better reason.
+        # The caller reports a more specific error.
         return None
     if found is not None and (name := mixed(topics)):
         raise InputError(f"{file.path}: {name} has different messages at one time, as of two runs; give one run's log")
     if found is not None:
         left_out = ", ".join(topic for topic in found.tick.schemas if topic not in found.topics)
         remark(
-            f"{file.path} was written again by {file.library or 'another program'} and is read by its topics; its "
+            f"{file.path} was rewritten by {file.library or 'another program'} and is read by its topics; its "
             f"integrity cannot be checked{f', and it lacks {left_out}' if left_out else ''}"
         )
     return found
 
 
 _INCIDENTAL = ("version", "commit", "plan", "plant_parameters", "drawn")
-"""What a run's record says besides what determines the run."""
+"""Keys of a run's record that do not determine the run."""
 
 
 def check_replaced(
     path: Path | str, metadata: Mapping[str, str], *, recovers: Path | None = None, force: bool = False
 ) -> None:
-    """Reject a file in a new log's place, unless the command that writes the new one made it, and would again.
+    """Reject an existing file at the path of a new log that the same command would not make.
 
-    That it would is told by the record of the run, metadata: settings, seed, hashes. What a bench on a rig did, nothing
-    does again. recovers: the new log is recovered from this file, and replaces only what was recovered from it.
+    The record of the run identifies the command. A log from a rig is always rejected, because it cannot be repeated.
+
+    Args:
+        path: path of the new log.
+        metadata: record of the new run: settings, seed, hashes.
+        recovers: file from which the new log is recovered; only an earlier recovery of it is replaced.
+        force: replace any file.
 
     Raises:
-        InputError: there is another log or file.
+        InputError: another log or file exists.
     """
     path = Path(path)
     if force or not path.is_file():
@@ -713,10 +726,10 @@ def check_replaced(
     try:
         file = open_verified(path)
     except InputError as error:
-        raise in_the_way(path, "is no whole log") from error
+        raise in_the_way(path, "is not a complete log") from error
     there = file.values(layout.RUN_RECORD)
     if "rig" in file.values(layout.RESULT_RECORD) or "rig" in there:
-        raise in_the_way(path, "holds what a rig did")
+        raise in_the_way(path, "is a log from a rig")
     if file.values(layout.RECOVERY_RECORD).get("source") != (recovers and recovers.name):
         raise in_the_way(path, "holds another log")
     if differing := _differing(metadata, there):
@@ -724,16 +737,16 @@ def check_replaced(
 
 
 def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
-    """Return by which names two records tell different runs; also: what does not count besides."""
+    """Return the keys whose values differ between two records, except incidental ones and those in `also`."""
     names = [k for k in {**metadata, **there} if k not in (*_INCIDENTAL, *also)]
     return ", ".join(name for name in names if metadata.get(name) != there.get(name))
 
 
 def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, ...] = ()) -> None:
-    """Reject the log of a run that another command made than one of this record; also: names that do not count.
+    """Reject the log of a run that a different command made; keys in `also` are not compared.
 
     Raises:
-        InputError: it does not read, or says which entries differ.
+        InputError: the log is not readable, or entries differ.
     """
     if differing := _differing(metadata, open_verified(path).values(layout.RUN_RECORD), also=also):
         raise InputError(
@@ -753,17 +766,17 @@ def _decode(file: VerifiedFile) -> RunLog:
             extras.append(batch.extras(tick))
         events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[layout.EVENTS], ())]
     if not file.has_checksum:
-        raise InputError(f"{file.path} carries no checksum of its data, so nothing vouches for it; {_AGAIN}")
+        raise InputError(f"{file.path} has no checksum of its data, so it cannot be verified; {_AGAIN}")
     if not sum(map(len, rows["time"])):
         raise InputError(f"{file.path} holds no ticks: the run ended before its first; {_AGAIN}")
-    # Taken out of the mapping as they are joined: a long log is held once, not twice.
+    # Each part is removed from the mapping as it is joined, so that a long log is held only once.
     whole = {name: _frozen(np.concatenate(rows.pop(name))) for name in list(rows)}
     described = file.metadata[layout.LAYOUT_RECORD]
     return _run_log(file, tick, described, rows=whole, events=events, extras=_extras(tick.extras, extras))
 
 
 def _extras(names: tuple[str, ...], rows: list[Array]) -> Extras | None:
-    """Return the extras of rows (time, standard deviations, values); None of a log without any."""
+    """Return the extras in rows (time, standard deviations, values); None if there are no rows."""
     if not sum(map(len, rows)):
         return None
     whole = _frozen(np.concatenate(rows))
@@ -824,9 +837,16 @@ def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """A topic: its messages' type and units, how many there are, first and last time in s, and rate in Hz.
+    """Messages of one topic.
 
-    rate_hz: messages over the time from first to last; None for fewer than two messages or no time between.
+    Attributes:
+        topic: name of the topic.
+        type: schema of the messages.
+        units: units of their numbers.
+        count: number of messages.
+        first_s: first time, s.
+        last_s: last time, s.
+        rate_hz: mean rate, Hz; None for fewer than two messages or no time between.
     """
 
     topic: str
@@ -840,11 +860,23 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """A log that is whole: duration s from first to last message, size in bytes, attachments' sizes in bytes.
+    """Summary of a complete log.
 
-    format: version of the layout. rewritten: whether another program has written it again, so that its integrity cannot
-    be checked. metadata: what the writer's caller passed. recovered: what `dpcontrol recover` could
-    not save, or None. partials: files beside it that other runs of this log have left or are writing.
+    Attributes:
+        log: path of the log.
+        size: bytes.
+        format: version of the layout.
+        program: program that wrote the log.
+        duration: from first to last message, s.
+        rate_hz: rate of the loop, Hz.
+        joints: names of the joints.
+        parts: members of `layout.PARTS` in the log.
+        topics: summary of each topic.
+        attachments: size by name, bytes.
+        metadata: text passed by the caller.
+        recovered: losses that `dpcontrol recover` reported, or None.
+        partials: files beside it that other runs of this log have left or are writing.
+        rewritten: True if another program has rewritten it, so that integrity cannot be checked.
     """
 
     log: str
@@ -864,7 +896,7 @@ class LogSummary:
 
 
 def summarise(path: Path | str) -> LogSummary:
-    """Return what is in the log `path`, its checksums compared.
+    """Return a summary of the log `path` after checking its checksums.
 
     Raises:
         InputError: the file is missing, cut off, damaged or not a log of this program.
@@ -888,7 +920,7 @@ def summarise(path: Path | str) -> LogSummary:
 
 
 Spans = dict[int, tuple[int, int, int]]
-"""By channel: how many messages there are, the first time and the last, ns."""
+"""By channel: number of messages, first and last time, ns."""
 
 
 def _spans(file: VerifiedFile) -> Spans:
@@ -934,7 +966,7 @@ def _topic(topic: str, kind: str, span: tuple[int, int, int] | None) -> TopicSum
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two logs side by side: how many messages are the same, and the first that is not, as a sentence, or None."""
+    """Comparison of two logs: number of equal messages, and a sentence on the first difference, or None."""
 
     messages: int
     difference: str | None
@@ -943,10 +975,10 @@ class Comparison:
 def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     """Compare two logs message by message: topics, order, times and every byte; metadata may differ.
 
-    What `one` has lost, if it was recovered, or if it ends early, is passed over in `other`.
+    If `one` was recovered or ends early, the messages it lacks are skipped in `other`.
 
     Raises:
-        InputError: one of them is missing, damaged or not a log of this program.
+        InputError: a log is missing, damaged or not of this program.
     """
     sides = [open_verified(Path(path)) for path in (one, other)]
     tick = sides[0].tick
@@ -963,9 +995,9 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
             if not partial or _begins(piece) == _begins(against):
                 return Comparison(same, _differs(piece, against, tick))
         else:
-            return Comparison(same, f"{other} ends after {same} messages, {one} goes on")
+            return Comparison(same, f"{other} ends after {same} messages, {one} continues")
     if not partial and next(second, None) is not None:
-        return Comparison(same, f"{one} ends after {same} messages, {other} goes on")
+        return Comparison(same, f"{one} ends after {same} messages, {other} continues")
     return Comparison(same, None)
 
 
@@ -997,5 +1029,5 @@ def _differs(piece: bytes, against: bytes, tick: TickLayout) -> str:
     channel, sequence, time = int(head["channel"]), int(head["sequence"]), int(head["log_time"]) / 1e9
     topic = next((name for name, number in tick.channels.items() if number == channel), f"channel {channel}")
     if _begins(piece) != _begins(against):
-        return f"at {time:.3f} s another message stands where message {sequence} of {topic} was"
+        return f"at {time:.3f} s a different message replaces message {sequence} of {topic}"
     return f"message {sequence} of {topic} at {time:.3f} s differs"

@@ -1,11 +1,11 @@
-"""Make a log of what a killed run, a cut copy or a damaged file has left.
+"""Rebuild a log from the remains of a killed run, a cut copy or a damaged file.
 
-Chunks are put in the order of their messages' sequence numbers: what was swapped is put right, what is there twice is
-taken once, and what is missing is counted. Messages are copied bit for bit; nothing is filled in.
+Chunks are sorted by the sequence numbers of their messages. Swapped chunks are reordered, duplicates are dropped and
+gaps are counted. Messages are copied bit for bit, and no gap is filled.
 
-A record is believed only if a checksum of its own agrees: chunks and attachments by MCAP's, metadata by ours (see
-`sealed`). Nothing else is trusted, no length and no index, so the file is searched for the bytes with which such
-records begin, wherever they stand. Source: the MCAP format specification, version 0.
+A record is accepted only if its checksum agrees: MCAP's for chunks and attachments, the package's for metadata (see
+`sealed`). Lengths and indexes are not trusted. The file is therefore searched everywhere for the bytes that start such
+records. Source: the MCAP format specification, version 0.
 """
 
 import json
@@ -48,7 +48,7 @@ from dpcontrol.logs.reader import (
 from dpcontrol.logs.writer import CHUNK_SECONDS
 
 _BEGINNING = re.compile(
-    # A chunk up to its compression; an attachment without times, as ours are; metadata of ours.
+    # A chunk up to its compression; an attachment without times, as this package writes; metadata of this package.
     rb"\x06.{36}\x04\x00\x00\x00zstd|\x09.{6}\x00{18}..\x00\x00|\x0c.{12}dpcontrol\.",
     re.DOTALL,
 )
@@ -56,10 +56,16 @@ _BEGINNING = re.compile(
 
 @dataclass(frozen=True)
 class SoundChunk:
-    """A chunk whose checksum agrees: its record's body, size and checksum unpacked, and what messages it holds.
+    """A chunk with a valid checksum.
 
-    sequences: first and last sequence number by channel. times: first and last tick in ns, or None without ticks.
-    schemas, channels: by number, that it declares.
+    Attributes:
+        body: body of the chunk's record.
+        size: unpacked size, bytes.
+        checksum: of the unpacked content.
+        sequences: first and last sequence number by channel.
+        times: first and last tick in ns, or None without ticks.
+        schemas: schemas that the chunk declares, by number.
+        channels: channels that the chunk declares, by number.
     """
 
     body: memoryview
@@ -72,11 +78,11 @@ class SoundChunk:
 
     @property
     def identity(self) -> tuple[int, int, tuple[tuple[int, tuple[int, int]], ...]]:
-        """What tells this chunk from others of its log."""
+        """Key that distinguishes this chunk from others of its log."""
         return self.size, self.checksum, tuple(sorted(self.sequences.items()))
 
     def messages(self) -> tuple[bytes, list[ChunkMessages]]:
-        """Return the records of its messages, without those of schemas and channels, and where each stands."""
+        """Return the message records without schemas and channels, and the offset of each."""
         start, batch = _walked(self.body)
         found = []
         for channel, offsets in batch.others.items():
@@ -87,9 +93,13 @@ class SoundChunk:
 
 @dataclass
 class Salvage:
-    """What is sound in a file, in the order in which it stands there.
+    """The valid records of a file, in file order.
 
-    metadata: all distinct records by name, without their checksums. dropped: beginnings of records that are not sound.
+    Attributes:
+        metadata: all distinct records by name, without their checksums.
+        attachments: content by name.
+        chunks: valid chunks.
+        dropped: number of chunks that start but are not valid.
     """
 
     metadata: dict[str, list[dict[str, str]]] = field(default_factory=dict)
@@ -99,7 +109,7 @@ class Salvage:
 
 
 def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
-    """Return what is sound in the bytes of a log."""
+    """Return the valid records in the bytes of a log."""
     found = Salvage()
     view, place = memoryview(data), 0
     while (match := _BEGINNING.search(data, place)) is not None:
@@ -109,7 +119,7 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
         if end <= len(data) and _take(found, opcode, view[place + 9 : end]):
             place = end
             if len(found.chunks) % 500 == 0:
-                progress("reading what is there", place / len(data))
+                progress("reading valid records", place / len(data))
         else:
             found.dropped += opcode == Opcode.CHUNK
             place += 1
@@ -117,7 +127,7 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
 
 
 def _take(found: Salvage, opcode: int, body: memoryview) -> bool:
-    """Take up a record if its checksum agrees; tell whether it does."""
+    """Add a record if its checksum agrees; return True if it was added."""
     try:
         if opcode == Opcode.CHUNK:
             found.chunks.append(_chunk(body))
@@ -155,7 +165,7 @@ def _chunk(body: memoryview) -> SoundChunk:
 
 
 def _walked(body: memoryview) -> tuple[int, Batch]:
-    """Return where a chunk's messages begin, and its records."""
+    """Return the offset of a chunk's first message, and its records."""
     batch = Batch(unpacked(body, zstandard.ZstdDecompressor()))
     start = max((end for _, _, end in batch.declared), default=0)
     if any(offsets[0] < start for offsets in batch.others.values()):
@@ -168,14 +178,23 @@ _SHOWN_GAPS = 3
 
 @dataclass(frozen=True)
 class Recovery:
-    """A log that was recovered.
+    """Result of a recovery.
 
-    source, log: from which file, to which; the same, and nothing was written, where the log was whole. ticks: that
-    are there; end_s: time of the last. ticks_lost: missing inside, and at the end where the file says how many there
-    were; milliseconds_lost: their time. gaps: (from, to) in s, between which ticks are missing. end_known: whether the
-    file says how the run ended. chunks_dropped: damaged or cut; chunks_repeated: taken once; chunks_moved: whether some
-    stood out of order. attachments: that are there; attachments_lost. lost: all that is missing, a sentence; empty
-    where nothing is.
+    Attributes:
+        source: file that was read.
+        log: recovered log; equal to `source`, with nothing written, if that was complete.
+        ticks: number of ticks recovered.
+        end_s: time of the last tick, s.
+        ticks_lost: ticks missing inside, and at the end if the file records their number.
+        milliseconds_lost: duration of the lost ticks, ms.
+        gaps: (from, to) of each gap, s.
+        end_known: True if the file records how the run ended.
+        chunks_dropped: chunks that are damaged or cut.
+        chunks_repeated: duplicates that were dropped.
+        chunks_moved: True if chunks were out of order.
+        attachments: names of those recovered.
+        attachments_lost: names of those missing.
+        lost: sentence that lists everything missing; empty if the log is complete.
     """
 
     source: Path
@@ -197,13 +216,17 @@ class Recovery:
 def recover(
     path: Path | str, out: Path | None = None, *, force: bool = False, progress: Progress = no_progress
 ) -> Recovery:
-    """Rebuild the log in `path`, and write it to `out`, by default beside it under a name that is free.
+    """Rebuild the log in `path` and write it to `out`.
 
-    force: replace whatever log there is at `out`.
+    Args:
+        path: file to recover.
+        out: new log; by default a free name beside `path`.
+        force: replace any log at `out`.
+        progress: called with a label and the completed share.
 
     Raises:
-        InputError: there is no such file, nothing in it can be recovered, it holds pieces of several logs, or the new
-            log cannot be written, or would take the old one's place.
+        InputError: the file is missing, holds nothing recoverable or pieces of several logs, or the new log cannot be
+            written or would replace another.
     """
     path = Path(path)
     data = recorded_bytes(path)
@@ -219,7 +242,7 @@ def recover(
         chunks = _in_order(path, found.chunks)
         done = _account(path, found, chunks, described=described, tick=tick)
     except MALFORMED as error:
-        raise InputError(f"{path} cannot be recovered: what is sound in it does not fit together: {error}") from error
+        raise InputError(f"{path} cannot be recovered: its valid records contradict each other: {error}") from error
     with suppress(InputError):
         read_log(path)
         return replace(done, lost="")
@@ -230,7 +253,7 @@ def recover(
 
 
 def _check_declared(path: Path, tick: TickLayout, chunks: Sequence[SoundChunk]) -> None:
-    """Reject a log that another program has rewritten; one that lost its declarations is rebuilt without them."""
+    """Reject a log that another program has rewritten; a log without declarations is rebuilt without them."""
     schemas = {number: schema for chunk in chunks for number, schema in chunk.schemas.items()}
     channels = {number: channel for chunk in chunks for number, channel in chunk.channels.items()}
     if channels:
@@ -238,7 +261,7 @@ def _check_declared(path: Path, tick: TickLayout, chunks: Sequence[SoundChunk]) 
 
 
 def _free_name(path: Path) -> Path:
-    """Return where to write by default: under the log's own name if it is free, or one that is like it."""
+    """Return the default target: the log's name if it is free, or a similar free name."""
     named = re.sub(r"(\.\d+-\d+)?\.partial$", "", path.name)
     if path.suffix == SUFFIX and not path.with_name(named).exists():
         return path.with_name(named)
@@ -248,10 +271,10 @@ def _free_name(path: Path) -> Path:
 
 
 def _only(path: Path, found: Salvage, name: str) -> dict[str, str] | None:
-    """Return the one record of this name.
+    """Return the record of this name, or None.
 
     Raises:
-        InputError: there are several.
+        InputError: the file holds several.
     """
     records = found.metadata.get(name, [])
     if len(records) > 1:
@@ -260,19 +283,19 @@ def _only(path: Path, found: Salvage, name: str) -> dict[str, str] | None:
 
 
 def _several(path: Path) -> InputError:
-    return InputError(f"{path} holds pieces of several logs, and which belong together is not known; recover each")
+    return InputError(f"{path} holds pieces of several logs that cannot be told apart; recover each log separately")
 
 
 def _nothing(found: Salvage) -> str:
     if layout.LAYOUT_RECORD in found.metadata:
-        return "not one whole tick is in it"
+        return "it holds no complete tick"
     if not found.chunks:
         return "it ends before its first tick"
     return "the description of its layout is damaged, or it is not a log of `dpcontrol run`"
 
 
 def _in_order(path: Path, chunks: Sequence[SoundChunk]) -> list[SoundChunk]:
-    """Return each chunk once, in the order of their sequence numbers."""
+    """Return each chunk once, sorted by sequence number."""
     once = {chunk.identity: chunk for chunk in chunks}.values()
     after_all_ticks = (1 << 32, 0)
 
@@ -292,7 +315,7 @@ def _in_order(path: Path, chunks: Sequence[SoundChunk]) -> list[SoundChunk]:
 def _account(
     path: Path, found: Salvage, chunks: Sequence[SoundChunk], *, described: dict[str, str], tick: TickLayout
 ) -> Recovery:
-    """Say what is there and what is not."""
+    """List the recovered and the missing parts of the log."""
     ticked = [(*c.sequences[layout.MEASURED_CHANNEL], *c.times) for c in chunks if c.times is not None]
     period = 1 / float(described["rate_hz"])
     result = _only(path, found, layout.RESULT_RECORD)
@@ -317,7 +340,7 @@ def _account(
         lost.append(f"{missing} ticks ({1e3 * missing * period:.0f} ms): {shown}{more}")
     if result is None:
         most = 1e3 * max(CHUNK_SECONDS, period)
-        lost.append(f"what came after {end_s:.3f} s (at most {most:.0f} ms if the run was killed)")
+        lost.append(f"everything after {end_s:.3f} s (at most {most:.0f} ms if the run was killed)")
     events, robots = (
         sorted(c.sequences[channel] for c in chunks if channel in c.sequences)
         for channel in (tick.channels[layout.EVENTS], tick.channels[layout.ROBOT])
@@ -357,7 +380,7 @@ def _write(
     done: Recovery,
     progress: Progress,
 ) -> None:
-    """Write the new log, read it back, and give it its name."""
+    """Write the new log, read it back and move it to its final name."""
     with whole_file(done.log) as temporary:
         with FileIO(temporary, "wb") as stream:
             file = McapFile(stream, library=f"dpcontrol {dpcontrol.__version__}")
@@ -371,7 +394,7 @@ def _write(
             file.add_channels(tick.schemas, latched=layout.LATCHED)
             for k, chunk in enumerate(chunks):
                 file.add_chunk(*chunk.messages())
-                progress("writing what is sound", k / len(chunks))
+                progress("writing valid records", k / len(chunks))
             for values in found.metadata.get(layout.RESULT_RECORD, []):
                 file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
             file.finish()
@@ -379,8 +402,8 @@ def _write(
         try:
             written = read_log(temporary)
         except InputError as error:
-            # The file that it names is gone by then.
-            raise InputError(f"{done.source} cannot be recovered: what was rebuilt from it does not read") from error
+            # The file named in the error no longer exists.
+            raise InputError(f"{done.source} cannot be recovered: the rebuilt log is not readable") from error
         if len(written.time) != done.ticks or tuple(written.attachments) != done.attachments:
-            raise InputError(f"{done.source} cannot be recovered: what was rebuilt from it does not read back the same")
-    progress("writing what is sound", 1.0)
+            raise InputError(f"{done.source} cannot be recovered: the rebuilt log differs when it is read back")
+    progress("writing valid records", 1.0)

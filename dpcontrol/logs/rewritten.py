@@ -1,9 +1,9 @@
-"""Logs that other programs have written again, read topic by topic and by the names of their messages.
+"""Read logs that another program has rewritten, by topic and message name.
 
-Filters, mergers and converters number channels differently, leave out topics, messages, metadata or attachments, or
-pack messages otherwise. The messages themselves stay as they were: CDR with ROS 2's definitions. A tick is a moment at
-which each state topic of the log has a message. What else was in the original cannot be known, so that neither its
-integrity nor its completeness can be checked.
+Filters, mergers and converters renumber channels, repack messages and may drop topics, messages, metadata or
+attachments. The messages themselves do not change: they remain CDR with ROS 2's definitions. A tick is a time at which
+every state topic of the log has a message. The contents of the original file are unknown, so neither integrity nor
+completeness can be checked.
 
 Sources: OMG DDS-RTPS 2.3, section 10 (CDR); sensor_msgs/JointState, std_msgs/String of ROS 2's `common_interfaces`.
 """
@@ -23,13 +23,13 @@ from dpcontrol.logs import layout
 from dpcontrol.logs.layout import TickLayout
 
 _LENGTH = re.compile(r'xyz="0 [-\d.e]+ (-[\d.e-]+)"')
-"""In a link of the robot's description: how far below its joint something is drawn, last its far end."""
+"""Distance below the joint at which a link's shape is drawn in the URDF. The last shape marks the link's far end."""
 _LINK = re.compile(r'<link name="arm_(\d+)_link">(.*?)</link>', re.DOTALL)
 
 
 @dataclass
 class Topic:
-    """The messages of a topic: times in ns, and bodies in CDR, in the order of the file."""
+    """Messages of one topic in file order: times in ns and CDR bodies."""
 
     schema: str
     definition: bytes
@@ -40,7 +40,7 @@ class Topic:
 def by_topic(
     messages: Iterable[tuple[int, int, bytes]], channels: Mapping[int, Channel], schemas: Mapping[int, Schema]
 ) -> dict[str, Topic]:
-    """Return the topics of messages (channel, time in ns, body) that are in CDR; channels may grow meanwhile."""
+    """Return the CDR topics of messages (channel, time in ns, body); channels may be added during iteration."""
     found: dict[str, Topic] = {}
     for number, time, body in messages:
         channel = channels.get(number)
@@ -54,7 +54,7 @@ def by_topic(
 
 
 def mixed(topics: Mapping[str, Topic]) -> str:
-    """Return the name of a topic that has different messages at one time, as of two runs; "" if there is none."""
+    """Return a topic with different messages at one time, a sign of two runs; "" if no topic has any."""
     for name in (one for one in _TICKED if one in topics):
         times, bodies = topics[name].times, topics[name].bodies
         if len(set(zip(times, bodies, strict=True))) > len(set(times)):
@@ -63,18 +63,18 @@ def mixed(topics: Mapping[str, Topic]) -> str:
 
 
 _TICKED = (layout.MEASURED, *layout.STATE_TOPICS.values(), layout.CONTROL)
-"""Topics with one message in each tick."""
+"""Topics that have one message in every tick."""
 
 
 class _Cursor:
-    """Reads values of a CDR message one after the other."""
+    """Reads the values of a CDR message in sequence."""
 
     def __init__(self, data: bytes) -> None:
         self.data, self.place = data, len(layout.ENCAPSULATION)
         self._order = "<" if data[1:2] == b"\x01" else ">"
 
     def take(self, form: str, size: int, count: int = 1) -> tuple[Any, ...]:
-        """Return numbers of one size, from where they are aligned to it."""
+        """Return `count` numbers of `size` bytes, starting at the next aligned offset."""
         self.place += -(self.place - len(layout.ENCAPSULATION)) % size
         values = struct.unpack_from(f"{self._order}{count}{form}", self.data, self.place)
         self.place += size * count
@@ -106,7 +106,7 @@ def _joints(body: bytes) -> tuple[tuple[str, ...], tuple[float, ...], tuple[floa
 
 @dataclass(frozen=True)
 class Rewritten:
-    """A log found topic by topic: its ticks' layout, a description as the layout's record gives it, and its rows."""
+    """A log read topic by topic: tick layout, description in the form of the layout record, and rows."""
 
     tick: TickLayout
     described: dict[str, str]
@@ -117,13 +117,14 @@ class Rewritten:
 
 
 def found_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> Rewritten | None:
-    """Return the log that topics hold; None if these are not joints of a pendulum.
+    """Return the log in these topics; None if they do not hold the joints of a pendulum.
 
-    described: what the layout's record says, empty if the file has none. Then the arms' lengths are those that the
-    robot's description draws.
+    Args:
+        topics: messages by topic.
+        described: values of the layout record. If the file has none, arm lengths come from the robot description.
 
     Raises:
-        ValueError, struct.error: a message is not what its schema says.
+        ValueError, struct.error: a message does not match its schema.
     """
     measured = topics.get(layout.MEASURED)
     if measured is None or measured.schema != layout.JOINT_STATE[0]:
@@ -184,7 +185,7 @@ def _with_times(rows: Mapping[int, tuple[float, ...]]) -> Array:
 
 
 def _drawn_lengths(topics: Mapping[str, Topic]) -> list[float]:
-    """Return the arms' lengths as the robot's description draws them, to six digits; none without a description."""
+    """Return the arm lengths drawn in the robot description, m, to six digits; empty without a description."""
     robot = topics.get(layout.ROBOT)
     if robot is None or robot.schema != layout.STRING[0]:
         return []

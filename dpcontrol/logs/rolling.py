@@ -1,14 +1,14 @@
-"""A log of many files: each is a whole log of some minutes, and beside each stands a digest of what happened in it.
+"""Log a long run to many files, each a complete log of some minutes with a digest beside it.
 
-    logs/NAME-SEED/NAME-SEED-0001.mcap      a log that opens by itself, with all metadata and attachments
-    logs/NAME-SEED/NAME-SEED-0001.json      its digest; it stays where the log was thinned
+    logs/NAME-SEED/NAME-SEED-0001.mcap      a log that can be opened alone, with all metadata and attachments
+    logs/NAME-SEED/NAME-SEED-0001.json      its digest, which remains when the log is thinned out
 
-Times go on from file to file. A digest holds what a night is judged by: when the run was on its itinerary, when not and
-why, how far the cart went, what was estimated besides the state. It is made of ticks and events as they come, by the
-same lines whether they are being written or are read back.
+Times continue from file to file. A digest holds the figures of the night report: the times on and off the itinerary,
+the reasons for leaving it, the cart's travel and the estimated parameters. The same code computes it from ticks and
+events, during the run and when a log is read.
 
-Where a file cannot be written, as on a full disk, the run goes on without a log; with the next file it is tried again.
-What is finished is never opened again.
+If a file cannot be written, for example on a full disk, the run continues without a log and tries again at the next
+file. Finished files are never reopened.
 """
 
 import json
@@ -30,26 +30,37 @@ from dpcontrol.logs.reader import RunLog
 from dpcontrol.logs.writer import LogWriter
 
 NIGHT_METADATA = "night"
-"""Metadata of each file, as JSON: its place in the night, see `RollingLog`."""
+"""Metadata record of each file, in JSON: its position in the night, see `RollingLog`."""
 _TOLD = (RETURN, REST, START, RESUME, LAP)
 _LEAST_LEVEL = LEVELS["error"]
 _DEADLINES = "deadlines_"
 _SOON = 1e-6
-"""s: rounding of times, far less than a period."""
+"""Tolerance for the rounding of times, s; far less than a period."""
 
 
 @dataclass
 class Digest:
-    """What happened in one file of a night.
+    """Figures and events of one file of a night.
 
-    number of the file, from 1; session: how often the night was begun or resumed; first, end: s since the night began,
-    of its first tick and of a period after its last; ticks. on: whether the itinerary was being followed at `first`.
-    events: (time s, level, name, text) of what a run chose to do, and of how it ended; others: how many by name.
-    repetitions: of the itinerary, completed. cart m: its greatest distance from the centre; limit m, zero where not
-    known. squares rad² and followed: summed over the angles of as many ticks on the itinerary, against the reference.
-    extras: what was estimated besides the state: its mean on the itinerary, and the last standard deviation. memory: of
-    the process at the end, bytes. size of the file in bytes, zero of what could not be written. loss: why not.
-    deadlines: on a rig, at the end of a session, how they were kept, by name.
+    Attributes:
+        number: number of the file, from 1.
+        session: how often the night was started or resumed, from 1.
+        first: time of the first tick since the start of the night, s.
+        end: end of the period after the last tick, s since the start of the night.
+        ticks: number of ticks.
+        on: True if the run was on its itinerary at `first`.
+        events: (time s, level, name, text) of the run's decisions and its end.
+        others: number of other events by name.
+        repetitions: completed repetitions of the itinerary.
+        cart: greatest distance of the cart from the centre, m.
+        limit: travel limit of the cart, m; zero if unknown.
+        squares: sum of squared angle errors against the reference on the itinerary, rad².
+        followed: number of ticks in that sum.
+        extras: mean on the itinerary and last standard deviation of each estimated parameter.
+        memory: resident memory of the process at the end, bytes.
+        size: size of the file, bytes; zero if it could not be written.
+        loss: reason for a missing file, or "".
+        deadlines: deadline statistics by name, on a rig at the end of a session.
     """
 
     number: int
@@ -72,21 +83,21 @@ class Digest:
     deadlines: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Begin."""
+        """Initialise the running sums."""
         self._now_on = self.on
         self._sums: Array = np.zeros(0)
         self._counted = 0
 
     def text(self) -> str:
-        """Return it as JSON."""
+        """Return the digest in JSON."""
         return json.dumps(asdict(self), indent=1)
 
     @classmethod
     def of(cls, text: str) -> "Digest":
-        """Return the digest of a JSON text.
+        """Return the digest in a JSON text.
 
         Raises:
-            ValueError, TypeError, KeyError: it is none.
+            ValueError, TypeError, KeyError: the text is not a digest.
         """
         values = json.loads(text)
         values["events"] = [(float(t), str(level), str(name), str(what)) for t, level, name, what in values["events"]]
@@ -98,12 +109,12 @@ class Digest:
         return Digest(number, self.session, on=self._now_on, limit=self.limit)
 
     def take_event(self, time: float, level: str, name: str, text: str) -> None:
-        """Take an event; all ticks before it have been taken."""
+        """Add an event; all earlier ticks must have been added."""
         if name in _TOLD or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
             self.events.append((time, level, name, text))
         else:
             self.others[name] = self.others.get(name, 0) + 1
-        # Where laps meet the next is told at once, else when the itinerary has been left for it.
+        # A lap that joins the next is reported at once, any other repetition when the itinerary is left.
         self.repetitions += self._now_on if name == LAP else name == RETURN and level == "info"
         if name in (RESUME, LAP):
             self._now_on = True
@@ -111,7 +122,15 @@ class Digest:
             self._now_on = False
 
     def take_ticks(self, times: Array, period: float, state: Array, reference: Array, extras: Array | None) -> None:
-        """Take ticks: times (K,) s, state and reference (K, N), extras (K, E) values or (K, 2E), the sigmas first."""
+        """Add ticks.
+
+        Args:
+            times: (K,) s.
+            period: of the loop, s.
+            state: (K, N) true or estimated states.
+            reference: (K, N) states.
+            extras: (K, 2E) standard deviations, then values.
+        """
         if not len(times):
             return
         if not self.ticks:
@@ -122,7 +141,7 @@ class Digest:
             arms = state.shape[1] // 2 - 1
             self.squares += float(((state[:, :arms] - reference[:, :arms]) ** 2).sum())
             self.followed += len(times)
-        # What is estimated after a fall, and before the filter has begun anew, is nonsense.
+        # Estimates between a fall and the restart of the filter are meaningless.
         if self._now_on and extras is not None and extras.size:
             sums = extras.sum(axis=0)
             self._sums = sums if not self._counted else self._sums + sums
@@ -130,12 +149,12 @@ class Digest:
             self._last_sigmas = extras[-1]
 
     def take_result(self, values: Mapping[str, str]) -> None:
-        """Take what is known of a session at its end."""
+        """Add the results of a session at its end."""
         own = {name.removeprefix(_DEADLINES): value for name, value in values.items() if name.startswith(_DEADLINES)}
         self.deadlines = {name: float(value) for name, value in own.items()}
 
     def close(self, names: tuple[str, ...]) -> None:
-        """Note what is known at the end of the file; names: of the extras."""
+        """Complete the digest at the end of the file; `names` are those of the extras."""
         if self._counted and names:
             sigmas, means = self._last_sigmas[: len(names)], self._sums[len(names) :] / self._counted
             self.extras = {
@@ -145,7 +164,7 @@ class Digest:
 
 
 def resident_memory() -> float:
-    """Return how much memory this process has now, bytes; not-a-number where the system does not say."""
+    """Return the resident memory of this process, bytes; NaN if the system does not report it."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
     except (OSError, ValueError, IndexError):
@@ -154,10 +173,10 @@ def resident_memory() -> float:
 
 
 def digest_of_log(log: RunLog, *, size: int) -> Digest:
-    """Return the digest of a file of a night, from what is in the log.
+    """Return the digest of one file of a night, computed from the log.
 
     Raises:
-        InputError: it is no file of a night.
+        InputError: the log is not a file of a night.
     """
     try:
         place = json.loads(log.metadata[NIGHT_METADATA])
@@ -191,11 +210,21 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
 
 
 class RollingLog:
-    """Writes a log of many files; a context manager, and to its caller a `LogWriter`.
+    """Writes a log of many files through the interface of `LogWriter`; a context manager.
 
-    folder, name: of the files. make: opens the writer of a file, given its path and more metadata. seconds: of a file.
-    keep_every: of the older files each so many-th is kept, the others are removed once they are thinned. rate_hz, limit
-    m and extras: of the loop, the cart and the estimator. session, number, begin s: where a night is resumed.
+    Args:
+        folder: folder of the files.
+        name: common beginning of the file names.
+        make: function that opens the writer of a file, given its path and additional metadata.
+        seconds: length of a file, s.
+        rate_hz: rate of the loop, Hz.
+        limit: travel limit of the cart, m.
+        extras: names of the estimated parameters.
+        keep_every: every so many files one is kept; the others are deleted later.
+        session: number of the session, above 1 for a resumed night.
+        number: number of the first file.
+        begin: start of the session, s since the start of the night.
+        end: end of the night, s.
 
     Raises:
         InputError: the first file cannot be written.
@@ -226,7 +255,7 @@ class RollingLog:
         self._file_ends(begin)
 
     def path(self, number: int, suffix: str = ".mcap") -> Path:
-        """Return the place of a file, or with another suffix of what stands beside it."""
+        """Return the path of a file, or of its companion with another suffix."""
         return self.folder / f"{self.name}-{number:04d}{suffix}"
 
     def __enter__(self) -> "RollingLog":
@@ -234,12 +263,12 @@ class RollingLog:
         return self
 
     def __exit__(self, *_: object) -> None:
-        # Also an interrupted night leaves whole files.
+        # An interrupted night also leaves complete files.
         self._finish(self._writer, self._digest)
         self._writer = None
 
     def ticks(self, time_s: Any, **parts: Array | None) -> None:
-        """Log K periods of the loop; see `LogWriter.ticks`. Times count from the beginning of this session."""
+        """Log K periods of the loop; see `LogWriter.ticks`. Times count from the start of this session."""
         times = np.asarray(time_s, dtype=float) + self._begin
         done = 0
         while done < len(times):
@@ -264,7 +293,7 @@ class RollingLog:
         self._try(lambda writer: writer.event(time, level, name, text))
 
     def result(self, **values: str) -> None:
-        """Note how the run went, in the last file."""
+        """Record the results of the run in the last file."""
         self._digest.take_result(values)
         self._try(lambda writer: writer.result(**values))
 
@@ -300,7 +329,7 @@ class RollingLog:
             self._lose(error)
 
     def _lose(self, error: InputError) -> None:
-        """Go on without a log."""
+        """Continue without a log until the next file."""
         writer, self._writer = self._writer, None
         self._digest.loss = str(error)
         if writer is not None:
@@ -313,8 +342,8 @@ class RollingLog:
         """Finish a file and write its digest."""
         path = self.path(digest.number)
         if writer is not None and not digest.ticks:
-            # What ended before its first tick leaves nothing.
-            nothing = InputError(f"{path}: there is nothing to be logged")
+            # A file without ticks is discarded.
+            nothing = InputError(f"{path}: no ticks to log")
             writer.__exit__(InputError, nothing, None)
         elif writer is not None:
             try:
@@ -329,7 +358,7 @@ class RollingLog:
                 write_whole(self.path(digest.number, ".json"), digest.text())
 
     def _thin(self, number: int) -> None:
-        """Remove a file, if it is none of those that are kept and its digest is there."""
+        """Delete a file unless it is one to keep or its digest is missing."""
         if number < 1 or (number - 1) % self._keep_every == 0:
             return
         with suppress(OSError, ValueError, TypeError, KeyError):

@@ -1,23 +1,22 @@
-"""Write a log: `ticks` for periods of the loop, `event` for what happens in between.
+"""Write a log: `ticks` for periods of the loop, `event` for everything between them.
 
-One writer serves simulation, rig, import and replay. A tick needs the measured positions only; rates, estimate,
-reference, truth and control are each given in every tick of a log or in none, which the first tick decides. There is
-one rate in a log: what comes at a lower one is an event, or logged again with each tick. Times may jump forward.
+One writer serves simulation, rig, import and replay. A tick requires only the measured positions. Rates, estimate,
+reference, truth and control are each present in every tick of a log or in none; the first tick decides.
+A log has one rate. Slower signals are events, or are repeated in each tick. Times may jump forward.
 
-Ticks are collected as rows of numbers and turned into messages some twenty milliseconds at a time, so that a run
-that is killed loses no more than that. The file grows as `NAME.mcap.partial` and gets its name when complete and on
-the disk.
+Ticks are collected as rows of numbers and converted to messages about every twenty milliseconds, so a killed run loses
+no more than that. The file grows as `NAME.mcap.partial` and is renamed when it is complete and on the disk.
 
-Before the first tick stand the layout and the arms' descriptions for viewers: both depend on what a tick holds, which
-is known from the first one on (`layout.TickLayout`).
+The layout and the arms' descriptions for viewers precede the first tick. Both depend on the contents of a tick, which
+are known from the first one on (`layout.TickLayout`).
 
-Every message's bytes are known but for its numbers, so a block of K ticks is one numpy structured array of K copies of
-a template, filled column by column.
+Apart from its numbers, every message's bytes are known in advance. A block of K ticks is therefore one numpy structured
+array of K copies of a template, filled column by column.
 
 For viewers of ROS 2 logs the arms are described as a URDF, with the poses of its links. The plane of motion is x to the
 right and z up, seen along +y. A joint's coordinate is the arm's *absolute* angle from hanging, counter-clockwise: at
-each elbow a link turns back by the inner arm's angle (a mimic joint with multiplier -1), so that the next arm hangs at
-zero. Source: the URDF specification (joint, mimic, origin).
+each elbow a link turns back by the inner arm's angle (a mimic joint with multiplier -1), so the next arm hangs at zero.
+Source: the URDF specification (joint, mimic, origin).
 """
 
 import json
@@ -55,7 +54,7 @@ _INK = {
 
 
 def link_frames(arms: int, *, has_cart: bool, prefix: str = "") -> tuple[tuple[str, str], ...]:
-    """Return (parent, child) of every frame that moves, in the order of `link_poses`, after `world` to the base."""
+    """Return (parent, child) of every moving frame, in the order of `link_poses`, starting with `world` to base."""
     names = ["base", *(["cart_link"] if has_cart else [])]
     for i in range(1, arms + 1):
         names += [f"arm_{i}_link", f"elbow_{i}_link"]
@@ -69,7 +68,7 @@ def link_poses(states: NDArray[np.float64], *, arm_lengths: Sequence[float], has
     Args:
         states: (K, 2n+2), or (K, 2n) without a cart; rad, rad/s, m, m/s.
         arm_lengths: (n,), m.
-        has_cart: whether the pivot is on a cart.
+        has_cart: True if the pivot is on a cart.
 
     Returns:
         (K, F, 7): x, y, z in m and the quaternion's x, y, z, w.
@@ -101,10 +100,10 @@ def robot_description(
 
     Args:
         arm_lengths: (n,) in m, pivot to elbow, elbow to elbow, last elbow to tip.
-        has_cart: whether the pivot is on a cart; then the base is a track.
+        has_cart: True if the pivot is on a cart; then the base is a track.
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s².
-        prefix: put before the name of every link and joint.
-        ghost: draw it grey and half transparent, and without the track.
+        prefix: beginning of the name of every link and joint.
+        ghost: True to draw the arms grey, half transparent and without the track.
     """
     reach, speed = (limits[0], limits[1]) if limits else (max(sum(arm_lengths), 0.1), 3.0)
     ink = _INK["ghost" if ghost else "robot"]
@@ -150,7 +149,7 @@ def _visuals(
     if name.startswith("arm_"):
         i = int(name.split("_")[1]) - 1
         length = arm_lengths[i]
-        # Each arm swings in front of the last, as on the rig, and so is drawn whole.
+        # Each arm swings in front of the previous one, as on the rig, so it is drawn in full.
         y = -1.6 * _THICKNESS * i
         return [
             box(1.6 * _THICKNESS, _THICKNESS, length, (0, y, -length / 2), "arm"),
@@ -186,15 +185,15 @@ _STAMP = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
 _TICK_HEAD = np.dtype(
     [("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8"), ("encapsulation", "V4"), *_STAMP.descr]
 )
-"""What all messages of a tick have in common, as it stands in each: from a record's sequence to its message's stamp."""
+"""Bytes that all messages of a tick share, from the record's sequence to the message's stamp."""
 _UNSTAMPED = _TICK_HEAD.fields["encapsulation"][1]  # type: ignore[index]
-"""Bytes of it in messages without a stamp."""
+"""Length of that part in messages without a stamp."""
 
 Row = NDArray[np.float64]
 
 
 class Note(NamedTuple):
-    """A single message, written before the tick in `row` of the chunk: its topic, time in ns and content."""
+    """A single message before the tick in `row` of the chunk: topic, time in ns and content."""
 
     row: int
     topic: str
@@ -203,16 +202,19 @@ class Note(NamedTuple):
 
 
 class ChunkEncoder:
-    """Encodes chunks of a log in order: ticks as laid out in `tick`, of arms of these lengths (n,) in m.
+    """Encodes the chunks of a log in order.
 
-    rows: the greatest number of ticks in a chunk.
+    Args:
+        tick: layout of the ticks.
+        arm_lengths: (n,) in m.
+        rows: greatest number of ticks in a chunk.
     """
 
     def __init__(self, tick: TickLayout, arm_lengths: Sequence[float], *, rows: int):
         self.tick = tick
         self._lengths = tuple(arm_lengths)
         self._counts = dict.fromkeys(tick.channels, 0)
-        # Views are made once: for twenty ticks they cost more than what is copied through them.
+        # The views are created once: for twenty ticks they cost more than copying the data.
         block = self._block = np.frombuffer(bytearray(tick.block_template * rows), tick.block_type)
         self._rooms = [
             (block[topic][field][:, joints], part, columns) for topic, field, joints, part, columns in tick.rooms
@@ -237,9 +239,12 @@ class ChunkEncoder:
     def encode(
         self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]
     ) -> tuple[bytes, list[ChunkMessages]]:
-        """Return the bytes of a chunk and where its messages stand in it, all messages in order of arrival.
+        """Return the bytes of a chunk and the offsets of its messages, in order of arrival.
 
-        times (K,) of the ticks in ns; rows (K, width) of the measured positions and of each part that is logged.
+        Args:
+            times: (K,) of the ticks, ns.
+            rows: (K, width) of the measured positions and of each logged part.
+            notes: single messages to insert.
         """
         count, channels = len(times), self.tick.channels
         block = self._fill(times, rows)
@@ -285,7 +290,7 @@ class ChunkEncoder:
         return self._block[:count]
 
     def _robot(self, rows: Mapping[str, Row]) -> Row:
-        """Return the states that /tf shows: the best known."""
+        """Return the states for /tf: truth, estimate or measured positions, in that order of preference."""
         for part in ("truth", "estimate"):
             if part in rows:
                 return rows[part]
@@ -327,7 +332,7 @@ class ChunkEncoder:
         poses = link_poses(states, arm_lengths=self._lengths, has_cart=self.tick.has_cart)
         stamps = np.empty(len(chosen), _STAMP)
         stamps["sec"], stamps["nanosec"] = np.divmod(times[chosen], _SECOND)
-        # All stamps and all poses at once, byte by byte: thirty columns one at a time cost more than the rest.
+        # All stamps and poses are written byte by byte in one step; thirty single columns cost more than the rest.
         records = np.tile(self._template, (len(chosen), 1))
         records[:, self._stamp_bytes] = stamps.view(np.uint8).reshape(len(chosen), 1, _STAMP.itemsize)
         records[:, self._pose_bytes] = poses.view(np.uint8).reshape(len(chosen), *self._pose_bytes.shape)
@@ -344,12 +349,12 @@ class ChunkEncoder:
 
 
 def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for ticks at times (K,) in ns which message of the slow rate is the last that is due, from 0."""
+    """Return the number, from 0, of the last message of the slow rate due at each of the times (K,) in ns."""
     return np.floor(times * (layout.SLOW_RATE / _SECOND) + 1e-6).astype(np.int64)
 
 
 class TickBuffer:
-    """Room for `size` ticks of a layout with all its parts; which of them a log has, its first tick decides."""
+    """Room for `size` ticks of a layout with all parts; the first tick decides which parts a log has."""
 
     def __init__(self, tick: TickLayout, *, size: int) -> None:
         self.size, self.filled, self.last = size, 0, 0.0
@@ -358,10 +363,10 @@ class TickBuffer:
         self._rooms = {name: np.zeros((size, width)) for name, width in tick.widths.items()}
 
     def checked(self, times: Row, given: Mapping[str, Row | None]) -> dict[str, Row]:
-        """Return those of the rows (K, …), `measured` and parts by name, that there are.
+        """Return the given rows (K, …) of `measured` and the parts, by name.
 
         Raises:
-            ValueError: rows of another shape, times that decrease, or a part in some ticks only.
+            ValueError: rows of another shape, decreasing times, or a part in some ticks only.
         """
         rows = {name: values for name, values in given.items() if values is not None}
         for name, values in rows.items():
@@ -378,7 +383,7 @@ class TickBuffer:
         return rows
 
     def put(self, times: Row, rows: Mapping[str, Row], *, since: int) -> int:
-        """Take rows from `since` on, as many as have room; return how many."""
+        """Copy as many rows from `since` on as fit; return their number."""
         count = min(self.size - self.filled, len(times) - since)
         into, taken = slice(self.filled, self.filled + count), slice(since, since + count)
         self._time[into] = times[taken]
@@ -389,32 +394,33 @@ class TickBuffer:
         return count
 
     def ticks(self) -> tuple[NDArray[np.int64], dict[str, Row]]:
-        """Return the times (K,) in ns and the rows of the log's parts; views, good until the next tick comes."""
+        """Return the times (K,) in ns and the rows of the log's parts; views, valid until the next tick."""
         names = {"measured", *({"extras"} & self._rooms.keys())} | (self.parts or frozenset())
         times = np.rint(self._time[: self.filled] * 1e9).astype(np.int64)
         return times, {name: self._rooms[name][: self.filled] for name in names}
 
 
 CHUNK_SECONDS = 0.02
-"""Of a chunk: what a run that is killed loses at most, and a tick."""
+"""Duration of a chunk, s. A killed run loses at most this much and one tick."""
 
 
 class LogWriter:
     """Writes one log; a context manager.
 
-    Leaving the block normally completes the file and renames it; leaving it by an exception keeps what was written
-    as `NAME.mcap.partial`, which `dpcontrol recover` makes a log of, and adds a note to the exception that says so.
+    Leaving the block normally completes the file and renames it. Leaving it by an exception keeps the written part as
+    `NAME.mcap.partial`, and adds a note to the exception that names `dpcontrol recover`.
 
     Args:
         path: the log, by convention `*.mcap`; an older one is replaced when this one is complete.
         arm_lengths: (n,) in m.
         rate_hz: rate of the loop in Hz.
-        has_cart: whether the pivot is on a cart; without one, states have 2n and measurements n entries.
+        has_cart: True if the pivot is on a cart; without one, states have 2n and measurements n entries.
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s².
-        extras: names of what is estimated besides the state, where `ticks` is given that.
-        metadata: text by name: version, commit, seed, hashes, whatever tells this run from others.
+        extras: names of the estimated parameters, if `ticks` receives them.
+        metadata: text by name that identifies the run: version, commit, seed, hashes.
         attachments: content by file name: scene, model, reference.
-        chunk_seconds, compression: length of a chunk in s, on whose default `recover` counts, and zstd's level.
+        chunk_seconds: duration of a chunk, s; `recover` assumes the default.
+        compression: level of zstd.
 
     Raises:
         InputError: the file cannot be written.
@@ -469,7 +475,7 @@ class LogWriter:
                 self._file.add_attachment(name, data)
         except OSError as error:
             if self._stream is not None:
-                # There is nothing in it yet.
+                # The file is still empty.
                 self._stream.close()
                 self.partial.unlink(missing_ok=True)
                 self._stream = self._file = None
@@ -505,16 +511,16 @@ class LogWriter:
         sync_folder(self.path.parent)
 
     def _give_up(self, error: BaseException) -> None:
-        """Keep what was written and say where it is; a chunk that was cut short is followed by no other."""
+        """Keep the written part and note its path; no chunk follows one that was cut short."""
         if self._encoder is None and not self._buffer.filled:
-            # A run that failed before its first tick leaves nothing worth keeping.
+            # A run that failed before its first tick leaves nothing to keep.
             self.partial.unlink(missing_ok=True)
             if self._made:
                 with suppress(OSError):
                     self.path.parent.rmdir()
             return
         if not self._torn:
-            # Where this fails too, the exception under way says what went wrong first.
+            # If this also fails, the current exception already reports the first error.
             with suppress(InputError):
                 self._write_chunk()
         if self.partial.exists():
@@ -538,14 +544,14 @@ class LogWriter:
         """Log K periods of the loop; all but `measured` in every tick of a log or in none.
 
         Args:
-            time_s: (K,) times since the start in s, none before that of the last tick.
-            measured: (K, n+1) positions as the sensors gave them: rad, and m for the cart.
-            rates: (K, n+1) rates as the sensors gave them, rad/s and m/s, where they give any.
+            time_s: (K,) times since the start in s, not before the last tick's time.
+            measured: (K, n+1) positions from the sensors, rad, and m for the cart.
+            rates: (K, n+1) rates from the sensors, rad/s and m/s, if available.
             estimate: (K, 2n+2) in state order: rad, rad/s, m, m/s.
-            reference: (K, 2n+2) likewise.
-            truth: (K, 2n+2) likewise, the plant's own states.
+            reference: (K, 2n+2) in the same units.
+            truth: (K, 2n+2) states of the plant, in the same units.
             control: (K, 13) for a double pendulum on a cart: rows of `layout.control_fields`.
-            extras: (K, 2E) the standard deviations of the E extras that the log was opened with, then their values.
+            extras: (K, 2E) standard deviations of the E extras given to the constructor, then their values.
 
         Raises:
             ValueError: rows of another shape, times that decrease, or a part in some ticks only.
@@ -571,11 +577,11 @@ class LogWriter:
         self.ticks([time_s], measured=measured[None], **rows)
 
     def result(self, **values: str) -> None:
-        """Note how the run went, as metadata at the end of the log: what need not be the same when it is repeated."""
+        """Add results as metadata at the end of the log; they may differ when the run is repeated."""
         self._result.update(values)
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Log an event: `level` is debug, info, warn, error or fatal, `name` the part it came from."""
+        """Log an event; `level` is debug, info, warn, error or fatal, `name` the originating part."""
         if level not in layout.LEVELS:
             raise ValueError(f"event level {level!r}: must be one of {', '.join(layout.LEVELS)}")
         time_ns = round(time_s * 1e9)
@@ -583,7 +589,7 @@ class LogWriter:
         self._notes.append(Note(self._buffer.filled, layout.EVENTS, time_ns, message))
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:
-        # Done with the first chunk: only then is it known what a tick holds.
+        # This waits for the first chunk, because the contents of a tick are unknown before.
         tick = TickLayout(len(self._lengths), self._has_cart, self._buffer.parts or frozenset(), self.extras)
         described = {
             "format": layout.FORMAT,
@@ -628,6 +634,6 @@ class LogWriter:
         self._torn = False
         if self._stream is not None and moved_away(self.partial, self._stream):
             raise InputError(
-                f"cannot go on writing {self.path}: {self.partial.name} or its folder was moved or removed meanwhile; "
+                f"cannot continue writing {self.path}: {self.partial.name} or its folder was moved or removed; "
                 "run again, and leave the folder alone until the run has ended"
             )

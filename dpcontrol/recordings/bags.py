@@ -1,12 +1,12 @@
 """Columns of ROS bags (version 1, and version 2 as a folder) and of MCAP files with ROS messages.
 
-A column is named by its topic and what follows it:
+A column name starts with its topic:
 
     /joint_states/arm_1/position    of sensor_msgs/JointState: a joint's position, velocity or effort
     /encoders.data[1]               of any other message: a field, and one element of a list
-    log_time, TOPIC.header.stamp    moments in seconds: of recording, or of the message's own header
+    log_time, TOPIC.header.stamp    times in seconds: of recording, or from the message's header
 
-The first column's topic sets the moments. Numbers of other topics are interpolated between theirs.
+The topic of the first column sets the sample times. Values of other topics are interpolated to these times.
 """
 
 import re
@@ -24,13 +24,13 @@ from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.settings import suggest
 
 LOG_TIME = "log_time"
-"""The name of the column of the moments at which messages were recorded."""
+"""Name of the column of recording times."""
 _FIELD = re.compile(r"\.(\w+)|\[(\d+)\]")
 _JOINT = re.compile(r"/([^/]+)/(position|velocity|effort)")
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is that of a bag: a .bag or .mcap file, or a folder with metadata.yaml."""
+    """True if the path is a bag: a .bag or .mcap file, or a folder with metadata.yaml."""
     return path.suffix.lower() in (".bag", ".mcap") or (path.is_dir() and (path / "metadata.yaml").is_file())
 
 
@@ -38,7 +38,7 @@ def read_bag(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     """Return the named columns (K,) of a bag; a message without the number gives nan.
 
     Raises:
-        InputError: the file cannot be read, or lacks a topic, joint or field; names what is there.
+        InputError: the file cannot be read, or lacks a topic, joint or field; lists the existing ones.
         PartMissing: rosbags is not installed.
     """
     with _opened(path) as reader:
@@ -58,7 +58,7 @@ def read_bag(path: Path, columns: Sequence[str]) -> dict[str, Array]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """Open a bag; whatever is wrong with it is an InputError."""
+    """Open a bag; any fault in it becomes an InputError."""
     rosbags, types = part("rosbags.highlevel"), part("rosbags.typesys")
     wrong = (rosbags.AnyReaderError, types.TypesysError, *UNREADABLE)
     try:
@@ -71,7 +71,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _place(name: str, topics: Sequence[str], path: Path) -> tuple[str, str]:
-    """Return the topic of a column, and what follows it in the column's name."""
+    """Return the topic of a column, and the rest of the column's name."""
     fitting = [topic for topic in topics if name.startswith(topic) and name[len(topic) : len(topic) + 1] in ("/", ".")]
     if not fitting:
         raise InputError(f"{path}: no topic holds the column {name!r}; {suggest(name, topics)}; check file and mapping")
@@ -80,14 +80,14 @@ def _place(name: str, topics: Sequence[str], path: Path) -> tuple[str, str]:
 
 
 def _of_topic(reader: Any, topic: str, places: dict[str, tuple[str, str]]) -> dict[str, Array]:
-    """Return the columns of one topic, in the order of its times, with the moments of recording in s."""
+    """Return the columns of one topic in order of time, with the recording times in s."""
     wanted = {name: rest for name, (own, rest) in places.items() if own == topic}
     connections = [connection for connection in reader.connections if connection.topic == topic]
     checked_size(8.0 * sum(connection.msgcount for connection in connections) * (len(wanted) + 1))
     rows = []
     for connection, time, data in reader.messages(connections=connections):
         message = reader.deserialize(data, connection.msgtype)
-        # In double precision a clock of today resolves 0.2 µs, since its start far less than 1 ns.
+        # In double precision today's clock times resolve 0.2 µs; times since the start resolve far less than 1 ns.
         moment = (time - reader.start_time) / 1e9
         rows.append([moment, *(_number(message, rest, reader.start_time) for rest in wanted.values())])
     values = np.array(sorted(rows, key=lambda row: row[0]), float).reshape(-1, len(wanted) + 1)
@@ -95,7 +95,7 @@ def _of_topic(reader: Any, topic: str, places: dict[str, tuple[str, str]]) -> di
 
 
 def _number(message: Any, rest: str, start: int) -> float:
-    """Return a number of a message, nan if it holds none there; of a moment the seconds since `start` ns."""
+    """Return a number of a message, nan if it is missing; times are seconds since `start` ns."""
     joint = _JOINT.fullmatch(rest)
     if joint is not None:
         names, values = list(message.name), getattr(message, joint[2])

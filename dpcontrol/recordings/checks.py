@@ -1,19 +1,19 @@
-"""What can be wrong with samples of time and angles, found and named; repaired only where asked.
+"""Find and name faults in samples of time and angles; repair them only on request.
 
-Samples, in order: time that stands or runs backward (time), values that are not finite (nan), samples left out (gaps),
-angles wrapped into one turn (wrap), rates that stand out (spikes), uneven sampling (sampling). What no repair can mend
-is rejected: jumps, too few samples.
+Checks of the samples, in order: time that repeats or runs backward (time), values that are not finite (nan), missing
+samples (gaps), angles wrapped into one turn (wrap), outlying rates (spikes), uneven sampling (sampling). Jumps and too
+few samples cannot be repaired and are rejected.
 
-Then whether they can be of a pendulum as their mapping says: units, columns, signs and zero. The rates must be the
-angles' derivative. Where they are not, what would make them so reveals the mistake: a factor of 180/π a unit, a factor
-of -1 a sign, another arm's derivative a swapped column. And gravity pulls arms down: over a free swing the mean of θ̈
-sin θ is negative, so a positive one means that the zero is upright.
+The next checks compare the samples with the mapping: units, columns, signs and zero. The rates must be the derivative
+of the angles. If they are not, the correcting factor reveals the mistake: 180/π a unit, -1 a sign, another arm's
+derivative a swapped column. Gravity pulls arms down, so the mean of θ̈ sin θ over a free swing is negative. A positive
+mean shows that the zero is upright.
 
-Last, whether a model's arms can have moved as the recording says: not to a percent, as an identification asks, but at
-all. Over windows of h = 20 ms the recorded angles accelerate by (θ_{k+h} - 2 θ_k + θ_{k-h}) / h², and the model by its
-equations at θ_k and (θ_{k+h} - θ_{k-h}) / 2h, the cart's motion being its input. Encoders of step q blur the former by
-q √(i/2) / h² for arm i. Where both differ by more than a third of their size, the recording is not of these arms:
-columns are exchanged, an encoder stands still, a sign is wrong, or the arms are others.
+The last check compares the recorded motion roughly with the arms of a model. Over windows of h = 20 ms the recorded
+angles accelerate by (θ_{k+h} - 2 θ_k + θ_{k-h}) / h². The model accelerates by its equations at θ_k and
+(θ_{k+h} - θ_{k-h}) / 2h, with the cart's motion as input. Encoders of step q blur the recorded value by q √(i/2) / h²
+for arm i. If both differ by more than a third of their size, the recording is not of these arms: columns are exchanged,
+an encoder is stuck, a sign is wrong, or the model is of other arms.
 """
 
 from collections.abc import Sequence
@@ -31,35 +31,39 @@ from dpcontrol.recordings.recording import Recording, cart_motion
 
 REPAIRS = {
     "nan": "fill up to 10 missing samples in a row, cut the segment at longer holes",
-    "time": "leave out samples whose time does not come after that of the sample before",
-    "gaps": "cut the segment where samples were left out",
+    "time": "drop samples whose time is not later than that of the sample before",
+    "gaps": "cut the segment at missing samples",
     "sampling": "interpolate to even times",
     "wrap": "unwrap angles that jump by a turn",
-    "spikes": "replace a rate that stands out from its neighbours by their median",
+    "spikes": "replace an outlying rate by the median of its neighbours",
 }
-"""Repairs by name, and what each does."""
+"""Description of each repair, by name."""
 
 ANGLE, RATE, CART, COMMAND = "angle", "rate", "the cart's position", "the command"
-"""Names of columns; those of angles and rates are followed by the arm's number."""
+"""Kinds of columns; names of angle and rate columns end with the arm's number."""
 FEWEST_SAMPLES = 20
 _FILLED_IN_A_ROW = 10
 _GAP = 1.5
-"""A step of time this many periods long has left a sample out."""
+"""Periods in a time step from which a sample counts as missing."""
 _UNEVEN = 0.2
-"""Share of a period by which a sample may come early or late: clocks jitter by a few hundredths."""
+"""Tolerance for the time of a sample, as a share of a period: clocks jitter by a few hundredths."""
 _JUMP, _FASTEST_RATE = 0.3, 100.0
-"""No arm of a bench turns further in one sample than `_JUMP` rad plus what it does at `_FASTEST_RATE` rad/s."""
+"""Limit of an arm's turn in one sample: `_JUMP` rad plus the turn at `_FASTEST_RATE` rad/s."""
 _SPIKE = 10.0
-"""rad/s: how far a rate may stand out from the median of five; no arm accelerates to a fourth of it in two samples."""
+"""Limit of a rate's distance from the median of five, rad/s; four times the change of any arm in two samples."""
 _MOST_LEFT_OUT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """K samples as a file gives them, in SI units and our directions.
+    """K samples of a file, converted to SI units and the package's directions.
 
-    where: of which part of which file, for messages. rows (K,): each sample's number there, from 1. time (K,) s; values
-    (K, m): the angles (n columns) first, then what else was measured; names (m,) of these columns: `ANGLE` 1, … .
+    Attributes:
+        where: file and part of it, for messages.
+        rows: (K,) number of each sample in that part, from 1.
+        time: (K,) s.
+        values: (K, m) angles in the first n columns, then all other measurements.
+        names: (m,) names of these columns: `ANGLE` 1, ….
     """
 
     where: str
@@ -74,7 +78,7 @@ class Samples:
         return sum(name.startswith(ANGLE) for name in self.names)
 
     def of(self, kind: str) -> Array | None:
-        """Return the columns (K, …) of one kind, such as `RATE`, or None where there are none."""
+        """Return the columns (K, …) of one kind, such as `RATE`, or None without any."""
         columns = [k for k, name in enumerate(self.names) if name.startswith(kind)]
         return self.values[:, columns] if columns else None
 
@@ -84,7 +88,7 @@ class Samples:
         return f"{self.where}: row {self.rows[index]}{time}"
 
     def taken(self, which: NDArray) -> "Samples":
-        """Return the samples that `which` indexes."""
+        """Return the samples selected by `which`."""
         return replace(self, rows=self.rows[which], time=self.time[which], values=self.values[which])
 
 
@@ -92,10 +96,10 @@ Repaired = tuple[list[Samples], list[str]]
 
 
 def checked_repairs(names: tuple[str, ...]) -> frozenset[str]:
-    """Return the repairs asked for.
+    """Return the requested repairs.
 
     Raises:
-        InputError: there is no repair of this name.
+        InputError: a name is unknown.
     """
     for name in names:
         if name not in REPAIRS:
@@ -104,15 +108,15 @@ def checked_repairs(names: tuple[str, ...]) -> frozenset[str]:
 
 
 def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) -> Repaired:
-    """Return the samples as segments in which nothing is wrong, and a sentence for each repair.
+    """Return the samples as faultless segments, and a sentence for each repair.
 
     Args:
         samples: one stretch of the recording.
-        period: s between samples, as the file says; 0 where only the times say.
-        repairs: names of `REPAIRS` that may be made.
+        period: nominal period of the samples, s; 0 if only the times give it.
+        repairs: permitted repairs, names of `REPAIRS`.
 
     Raises:
-        InputError: something is wrong whose repair was not asked for, or that no repair mends; names row and time.
+        InputError: a fault has no permitted repair, or none exists; names row and time.
     """
     segments, notes = [samples], []
     for step in (_timed, _forward, _finite, _whole, _continuous, _steady, _even):
@@ -125,24 +129,24 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
     for segment in segments:
         if len(segment.time) < FEWEST_SAMPLES:
             rows = f"rows {segment.rows[0]} to {segment.rows[-1]}" if len(segment.rows) else "no rows"
-            notes.append(f"{samples.where}: {rows} left out: too few samples for a segment")
+            notes.append(f"{samples.where}: {rows} dropped: too few samples for a segment")
     return usable, notes
 
 
 def _asked(repair: str, repairs: frozenset[str], fault: str) -> None:
-    """Reject a fault whose repair was not asked for."""
+    """Reject a fault whose repair was not requested."""
     if repair not in repairs:
-        raise InputError(f"{fault}; mend the recording, or ask for --repair {repair}: {REPAIRS[repair]}")
+        raise InputError(f"{fault}; correct the recording, or give --repair {repair}: {REPAIRS[repair]}")
 
 
 def _first(which: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return row and column of the first that is true of (K, m)."""
+    """Return row and column of the first true entry of (K, m)."""
     row, column = np.unravel_index(int(np.argmax(which)), which.shape)
     return int(row), int(column)
 
 
 def _runs(which: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return (first, end) of each run of what is true."""
+    """Return (first, end) of each run of true entries."""
     return np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
 
 
@@ -154,8 +158,8 @@ def _timed(samples: Samples, repairs: frozenset[str], period: float) -> Repaired
     if late.all():
         raise InputError(f"{fault}; no time is left: give [sampling] period in the mapping instead of a column")
     _asked("nan", repairs, fault)
-    # Without its time a sample cannot be placed: it is left out, and the gap is found below.
-    return [samples.taken(~late)], [f"{late.sum()} rows without time left out"]
+    # A sample without time cannot be placed. It is dropped, and the gap is detected below.
+    return [samples.taken(~late)], [f"{late.sum()} rows without time dropped"]
 
 
 def _forward(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
@@ -165,13 +169,13 @@ def _forward(samples: Samples, repairs: frozenset[str], period: float) -> Repair
     index = int(np.argmax(back))
     step = samples.time[index] - samples.time[index - 1]
     what = "repeats the time of the row before" if step == 0 else f"goes back in time by {-step:.6g} s"
-    # A time that falls back for good hides the rows after it, not only the one where it falls.
+    # A time that falls back permanently hides all rows after it.
     behind = samples.time <= np.concatenate([[-np.inf], np.maximum.accumulate(samples.time)[:-1]])
     fault = f"{samples.at(index)} {what} ({behind.sum()} rows do not come after all before them)"
     _asked("time", repairs, fault)
     if behind.mean() > _MOST_LEFT_OUT:
-        raise InputError(f"{fault}; that is too many to leave out: give [sampling] period in place of the time column")
-    return [samples.taken(~behind)], [f"{behind.sum()} rows left out that did not come later in time"]
+        raise InputError(f"{fault}; too many to drop: give [sampling] period in place of the time column")
+    return [samples.taken(~behind)], [f"{behind.sum()} rows with repeated or earlier times dropped"]
 
 
 def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
@@ -192,10 +196,10 @@ def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaire
     if "wrap" in repairs:
         whole[:, : samples.arms] = np.unwrap(whole[:, : samples.arms], axis=0)
         values[good] = whole
-    # A cubic: over ten samples a swinging arm leaves a straight line by several counts.
+    # A cubic is used because over ten samples a swinging arm leaves a straight line by several counts.
     values[rows] = _cubic(samples.time[good], whole, samples.time[rows])
     filled = int((rows & keep).sum())
-    notes = [f"{filled} rows filled between their neighbours, {count - filled} left out"]
+    notes = [f"{filled} rows filled between their neighbours, {count - filled} dropped"]
     mended = replace(samples, values=values)
     return [mended.taken(np.arange(first, end)) for first, end in _runs(keep)], notes
 
@@ -213,7 +217,7 @@ def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired
     spacing = float(np.median(steps))
     if period and not abs(spacing / period - 1) < _UNEVEN:
         raise InputError(
-            f"{samples.where}: samples are {spacing:.6g} s apart, but the period is said to be {period:.6g} s; "
+            f"{samples.where}: samples are {spacing:.6g} s apart, but the given period is {period:.6g} s; "
             "check the time's unit and the period"
         )
     gaps = np.flatnonzero(steps > _GAP * spacing)
@@ -250,7 +254,7 @@ def _steady(samples: Samples, repairs: frozenset[str], period: float) -> Repaire
     _asked("spikes", repairs, fault)
     values = samples.values.copy()
     values[:, columns] = np.where(spikes, median, rates)
-    return [replace(samples, values=values)], [f"{spikes.sum()} spikes of rates taken out"]
+    return [replace(samples, values=values)], [f"{spikes.sum()} spikes of rates replaced"]
 
 
 def _even(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
@@ -298,7 +302,7 @@ def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Rep
 
 
 _FASTEST = 80.0
-"""rad/s: more than a bench's arms survive; radians taken for degrees, or degrees for radians, pass it in a swing."""
+"""Limit of the angle rate, rad/s, above any bench. A swing exceeds it if radians and degrees are confused."""
 _DEGREES = 180 / np.pi
 _FACTORS = {
     _DEGREES: "the angles look like degrees and the rates like rad/s",
@@ -306,26 +310,26 @@ _FACTORS = {
     2 * np.pi: "the angles look like rad and the rates like turns per second, or the reverse",
     1 / (2 * np.pi): "the angles look like turns and the rates like rad/s, or the reverse",
     1e3: "the times look like ms",
-    1e-3: "the times look like s where ms were said",
+    1e-3: "the times look like s, but the mapping gives ms",
     -1.0: "angles and rates have opposite signs",
 }
 _AGREES = 0.15
-"""Share by which the slope of derivative over rate may differ from one: filters lag and damp."""
+"""Tolerance for the slope of derivative over rate, as a share of one: filters lag and damp."""
 _FALLS_UP = 0.5
-"""Correlation of the inner arm's acceleration with sin θ above which it falls upward; below -0.2 in free swings."""
+"""Correlation of the inner arm's acceleration with sin θ that indicates a wrong zero; free swings stay below -0.2."""
 _MATCHES = 0.97
-"""Correlation that rates filtered on line still reach with the angles' differences; other columns come to 0.9."""
+"""Least correlation of the rates with the angles' differences. Online filters pass; wrong columns reach 0.9."""
 _LEAST_MOTION = 0.2
-"""rad/s: slower recordings say nothing."""
+"""Least rate for these checks, rad/s; slower recordings are inconclusive."""
 _WINDOW = 0.02
-"""s: quantised angles have no derivatives from one sample to the next."""
+"""Window for derivatives, s; quantised angles have no derivative from one sample to the next."""
 
 
 def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
-    """Reject a recording whose numbers contradict what the mapping says of them; `file` is for messages.
+    """Reject a recording that contradicts its mapping; `file` is used in messages.
 
     Raises:
-        InputError: says what disagrees, by how much, and what it looks like.
+        InputError: reports the contradiction, its size and the likely cause.
     """
     first = segments[0]
     turned = [_turned(segment) for segment in segments]
@@ -339,7 +343,7 @@ def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
     if first.of(RATE) is not None:
         _compare(derivative, np.concatenate([part[1] for part in turned]), file=file)
     if first.of(CART) is None and first.of(COMMAND) is None:
-        # With the cart clamped gravity is all that moves the arms.
+        # With the cart clamped, gravity alone moves the arms.
         _check_zero(segments, file=file)
 
 
@@ -349,7 +353,7 @@ def _stride(segment: Samples) -> int:
 
 
 def _turned(segment: Samples) -> tuple[Array, Array]:
-    """Return how fast the arms turned (W, n) over short windows, by the angles and by the mean of the rates."""
+    """Return the arms' rates (W, n) over short windows, from the angles and from the mean of the rates."""
     stride, arms, given = _stride(segment), segment.arms, segment.of(RATE)
     ends = np.arange(0, len(segment.time), stride)
     by_angles = np.diff(segment.values[ends, :arms], axis=0) / np.diff(segment.time[ends])[:, None]
@@ -386,7 +390,7 @@ def _compare(derivative: Array, rates: Array, *, file: str) -> None:
 
 
 def _fit(derivative: Array, rate: Array) -> tuple[float, float]:
-    """Return the slope of derivative over rate, and their correlation, its sign taken into the slope."""
+    """Return the slope of derivative over rate, with its sign, and the size of their correlation."""
     power = float(rate @ rate)
     scale = np.sqrt(power * float(derivative @ derivative))
     if scale <= 0:
@@ -414,18 +418,18 @@ def _check_zero(segments: Sequence[Samples], *, file: str) -> None:
 
 
 _CONTRADICTS = 0.3
-"""Difference over size: the rig's swings and their model have 0.02, arms of twice the length 0.4, exchanged columns 0.4
-to 1.2, an angle that stands still 0.8."""
+"""Limit of difference over size. Swings of the rig reach 0.02, arms of twice the length 0.4, exchanged columns 0.4
+to 1.2, a constant angle 0.8."""
 _BETTER = 3.0
-"""Times by which another order of the columns must fit better to be the one."""
+"""Factor by which another column order must fit better to be suggested."""
 _LEAST = 2.0
-"""rad/s²: recordings in which the model would move less say nothing."""
+"""Least model acceleration for this check, rad/s²; below it recordings are inconclusive."""
 _MOVES = 0.05
-"""rad over which an arm moves for certain."""
+"""Range of an angle that counts as motion, rad."""
 
 
 def constant_angles(recording: Recording) -> tuple[str, ...]:
-    """Return a sentence on each angle that never changes, while others do or all of them do not."""
+    """Return a sentence on each constant angle, if others vary or all are constant."""
     reach = np.ptp(recording.angles, axis=0)
     most, mover = float(reach.max()), int(np.argmax(reach)) + 1
     if most == 0:
@@ -440,11 +444,11 @@ def constant_angles(recording: Recording) -> tuple[str, ...]:
 
 
 def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str) -> str:
-    """Return a sentence on how much these arms, of a model of that name, contradict a recording; empty: not by much."""
+    """Return a sentence on the contradiction between a model's arms and a recording; "" if it is small."""
     if arms.count != recording.arms:
-        return f"the recording has {recording.arms} arms and the model {model} {arms.count}: one is not of the other"
+        return f"the recording has {recording.arms} arms and the model {model} {arms.count}; give the matching model"
     orders = list(permutations(range(arms.count)))
-    # Relative encoders add up to an outer arm's angle.
+    # The steps of relative encoders add up in an outer arm's angle.
     blurred = np.sqrt(0.5 * np.arange(1, arms.count + 1)) * _encoder_steps(recording.angles) / _WINDOW**2
     off: list[float] = []
     sizes: list[tuple[Array, Array]] = []
@@ -460,18 +464,18 @@ def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str)
             return ""
     said = [" and ".join(f"{value:.3g}" for value in size) for size in sizes[0]]
     text = (
-        f"the model {model} contradicts the recording: its arms would accelerate by {said[1]} rad/s² (rms) where the "
-        f"recorded ones do by {said[0]}, and the difference is {off[0]:.2g} times as large as the larger"
+        f"the model {model} contradicts the recording: its arms would accelerate by {said[1]} rad/s² (rms), the "
+        f"recorded ones accelerate by {said[0]}, and the difference is {off[0]:.2g} times as large as the larger"
     )
     best = int(np.argmin(off))
     if _BETTER * off[best] < off[0]:
         as_read = ", ".join(str(arm + 1) for arm in orders[best])
         return f"{text}; with the angles in the order {as_read} it is {off[best]:.2g}: are columns exchanged?"
-    return f"{text}; check columns, signs and zeros, or give the model of these arms"
+    return f"{text}; check columns, signs and zeros, or give the matching model"
 
 
 def _encoder_steps(angles: Array) -> Array:
-    """Return the smallest change of each angle (n,) from one sample to the next, zero where there is none."""
+    """Return the smallest change of each angle (n,) between samples; zero for a constant angle."""
     changes = np.abs(np.diff(angles, axis=0))
     smallest = np.min(changes, axis=0, where=changes > 1e-12, initial=np.inf)
     return np.where(np.isfinite(smallest), smallest, 0.0)
@@ -482,7 +486,7 @@ def _rms(values: Array) -> Array:
 
 
 def _accelerations(recording: Recording, arms: ArmChainParameters, order: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return what is measured and predicted (K, n), rad/s², with the angles taken in an order; K may be zero."""
+    """Return measured and predicted accelerations (K, n), rad/s², with the angles in an order; K may be zero."""
     equations = equations_of(arms, Level.CART)
     rate, n = equations.function(), arms.count
     stride = max(round(_WINDOW / recording.dt), 1)

@@ -1,18 +1,18 @@
-"""Read a bench's file as a recording: columns by the mapping, checks, repairs where asked, segments.
+"""Read a bench's file as a recording: map columns, check, repair on request, form segments.
 
-A MATLAB file of cells has one segment per cell; a table or a whole MATLAB recording is one segment, unless a repair
-cuts it. Where the segments' times do not follow one another they are laid end to end, and a note says so.
+A MATLAB file of cells has one segment per cell. A table or a whole MATLAB recording is one segment, unless a repair
+cuts it. Segments whose times overlap are laid end to end, and a note reports this.
 
-What the columns of a recording mean: units, sign, zero, sampling, from a small TOML file.
+A small TOML file, the mapping, defines the columns: units, sign, zero, sampling.
 
     angle = sign · unit · value - zero,       rate = sign · unit · value
 
-so that `zero` is what a hanging arm reads, in rad after the sign: 0 where the recording counts from hanging, π where it
-counts from upright. Relative encoders are summed from the inner arm outwards. A column is named as the file names it: a
-header of a table, or in MATLAB's own notation a variable, a field, a cell or a row (`data{2}.Values.Data`, `Y(1,:)`).
+The `zero` is the reading of a hanging arm, in rad after the sign: 0 if the recording counts from hanging, π if it
+counts from upright. Relative encoders are summed from the inner arm outwards. Columns have the names of the file: a
+table header, or in MATLAB notation a variable, a field, a cell or a row (`data{2}.Values.Data`, `Y(1,:)`).
 
-Files are CSV, Parquet, or MATLAB's of any version. Cells of a table that are not numbers are reported by row. MATLAB's
-versions 4 to 7 are read by scipy; version 7.3 (HDF5) and objects (time series, data sets logged by Simulink) by mat-io.
+Files are CSV, Parquet, or MATLAB of any version. Table cells that are not numbers are reported by row. MATLAB's
+versions 4 to 7 are read by scipy; version 7.3 (HDF5) and objects (time series, Simulink data sets) by mat-io.
 Source: MathWorks, MAT-File Format (the version 5 format that scipy reads).
 """
 
@@ -61,12 +61,21 @@ _DIRECTION = ("sign", "zero", "relative")
 
 @dataclass(frozen=True)
 class Mapping:
-    """How a recording is read; all lists inner arm first, one value for all arms or one for each.
+    """Rules for reading a recording. Lists start at the inner arm and have one value for all arms or one for each.
 
-    angle_columns: empty where `state_cells` name cell arrays whose rows are all angles, then all rates. time_column ""
-    and period 0 s: not given; period_variable: the variable that holds the period. angle_scale rad and rate_scale
-    rad/s: one unit of the file; sign ±1; zero rad; relative: outer angles count from the arm before. cart_column in
-    units of cart_scale m; command_column in m/s². arm_lengths m.
+    Attributes:
+        angle_columns: empty if `state_cells` name cell arrays with the rows of all angles, then of all rates.
+        time_column: "" if not given.
+        period: 0 s if not given.
+        period_variable: variable that holds the period.
+        angle_scale: one unit of the file, rad.
+        rate_scale: one unit of the file, rad/s.
+        sign: ±1.
+        zero: rad.
+        relative: True if outer angles count from the arm before.
+        cart_column: in units of `cart_scale` m.
+        command_column: in m/s².
+        arm_lengths: m.
     """
 
     name: str
@@ -91,23 +100,23 @@ class Mapping:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Names of all columns that are read."""
+        """Names of all columns to read."""
         single = (self.time_column, self.cart_column, self.command_column)
         return (*self.angle_columns, *self.rate_columns, *filter(None, single))
 
     def angles(self, values: Array) -> Array:
-        """Return absolute angles (K, n) from hanging, counter-clockwise, of what the file holds (K, n)."""
+        """Return absolute angles (K, n) from hanging, rad, counter-clockwise, for file values (K, n)."""
         n = values.shape[1]
         angles = values * self.angle_scale * _each(self.sign, n) - _each(self.zero, n)
         return np.cumsum(angles, axis=1) if self.relative else angles
 
     def rates(self, values: Array) -> Array:
-        """Return absolute rates (K, n) rad/s of what the file holds (K, n)."""
+        """Return absolute rates (K, n), rad/s, for file values (K, n)."""
         rates = values * self.rate_scale * _each(self.sign, values.shape[1])
         return np.cumsum(rates, axis=1) if self.relative else rates
 
     def lengths(self, arms: int) -> tuple[float, ...]:
-        """Return a length for each of `arms` arms; where the mapping gives fewer, the last again."""
+        """Return a length for each of `arms` arms; the last one is repeated if the mapping has fewer."""
         given = self.arm_lengths[:arms]
         return given + (self.arm_lengths[-1],) * (arms - len(given))
 
@@ -117,10 +126,10 @@ def _each(values: tuple[float, ...], arms: int) -> Array:
 
 
 def load_mapping(name: str) -> Mapping:
-    """Return the mapping in a TOML file, given by path, or shipped under this name.
+    """Return the mapping in a TOML file, given by path or by the name of a shipped one.
 
     Raises:
-        InputError: no such mapping, or a mistake in its file: names file, table, key, value and what is allowed.
+        InputError: the mapping is missing, or its file has a mistake; reports file, table, key, value and range.
     """
     path = Path(name)
     if path.suffix != ".toml":
@@ -172,7 +181,7 @@ def _mapping(table: Table, name: str) -> Mapping:
     if not state_cells and not columns:
         raise InputError(f"{angles.where('columns')} = []: name one column for each arm, inner arm first")
     if state_cells and (columns or found.rate_columns or found.cart_column or found.command_column):
-        raise InputError(f"{cells.where('states')}: rows of cells are all a recording's columns; name no others")
+        raise InputError(f"{cells.where('states')}: rows of cells replace all columns of a recording; name no others")
     if len(time_cells) not in (0, len(state_cells)):
         raise InputError(f"{cells.where('time')} = {list(time_cells)}: give one name for each of `states`, or none")
     if found.rate_columns and len(found.rate_columns) != len(columns):
@@ -185,9 +194,7 @@ def _mapping(table: Table, name: str) -> Mapping:
     if not (found.time_column or time_cells or found.period or found.period_variable):
         raise InputError(f"{table.file}: neither [time] column nor [sampling] period is given; give one of them")
     if "counts" in (angle_unit, rate_unit.partition("/")[0]) and not count:
-        raise InputError(
-            f"{angles.where()} the unit is counts but counts_per_turn is missing; say how many make a turn"
-        )
+        raise InputError(f"{angles.where()} the unit is counts but counts_per_turn is missing; add counts_per_turn")
     for key, values in (("sign", sign), ("zero", zero)):
         if columns and len(values) not in (1, len(columns)):
             raise InputError(
@@ -197,7 +204,7 @@ def _mapping(table: Table, name: str) -> Mapping:
 
 
 def _period(sampling: Table) -> float:
-    """Return the sampling period in s, 0 where it is not given as a number."""
+    """Return the sampling period in s, 0 if it is not given as a number."""
     period, rate = sampling.number("period", 0.0), sampling.number("rate", 0.0)
     if "period" in sampling and not 1e-6 <= period <= 1:
         raise InputError(f"{sampling.where('period')} = {period!r}: must be 1e-6 to 1 seconds")
@@ -207,7 +214,7 @@ def _period(sampling: Table) -> float:
 
 
 def _direction(angles: Table) -> tuple[tuple[float, ...], tuple[float, ...], bool]:
-    """Return sign, zero in rad and whether outer angles are relative: what [angles] says in one value or a list."""
+    """Return sign, zero in rad and whether outer angles are relative, from single values or lists in [angles]."""
     rest = angles.remaining()
     for key in rest:
         if key not in _DIRECTION:
@@ -239,7 +246,7 @@ _KNOWN = (
     "multi-arm-single-cart", "multi-arm-single",
     "multi-arm-raw-triple", "multi-arm-raw", "multi-arm-raw-single",
 )  # fmt: skip
-"""Mappings of MATLAB files, recognised by their variables: those that need more come before those that need less."""
+"""Mappings of MATLAB files, recognised by their variables; the more demanding ones come first."""
 
 
 def import_recording(
@@ -249,14 +256,14 @@ def import_recording(
     repairs: Sequence[str] = (),
     progress: Progress = no_progress,
 ) -> Recording:
-    """Return what a file of the bench recorded.
+    """Return the recording in a file of the bench.
 
     Args:
         path: a MATLAB (.mat), CSV (.csv, .tsv, .txt), Parquet (.parquet) or MCAP (.mcap) file, or a ROS bag.
-        mapping: name or path of a mapping; by default the one of the MultiArm-Pendulum data set's kinds whose columns
-            a MATLAB file holds, `joint-states` for MCAP files and bags, and `table` for others.
-        repairs: names of repairs that may be made.
-        progress: called with how far it is.
+        mapping: name or path of a mapping. The default is `joint-states` for MCAP files and bags, `table` for other
+            tables, and for MATLAB files the matching kind of the MultiArm-Pendulum data set.
+        repairs: names of permitted repairs.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: the file or the mapping cannot be used; one sentence with file, row, value and remedy.
@@ -290,7 +297,7 @@ def import_recording(
 
 
 def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
-    """Return the first known mapping whose columns are all there; where none is, the first."""
+    """Return the first known mapping whose columns all exist, or else the first of all."""
     for name in _KNOWN:
         mapping = load_mapping(name)
         wanted = (*mapping.state_cells[:1], *mapping.angle_columns, *mapping.rate_columns, mapping.cart_column)
@@ -304,13 +311,13 @@ def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
 
 
 def _with_rates_that_are_there(mapping: Mapping, path: Path) -> Mapping:
-    """Return the mapping as it is, or without its rates where a table has none of their columns."""
+    """Return the mapping, without its rates if a table has none of their columns."""
     there = table_columns(path)
     return mapping if any(name in there for name in mapping.rate_columns) else replace(mapping, rate_columns=())
 
 
 def _check_columns(path: Path, mapping: Mapping, what: str) -> None:
-    """Reject a mapping of MATLAB files: `what` has columns only."""
+    """Reject a mapping of MATLAB cells or variables for `what`, which has only columns."""
     if mapping.state_cells:
         raise InputError(f"{path}: the mapping {mapping.name!r} is for MATLAB cells; give one with columns: --mapping")
     if mapping.period_variable:
@@ -339,9 +346,11 @@ def _of_columns(path: Path, mapping: Mapping, columns: dict[str, Array], period:
 def _samples(
     path: Path, where: str, mapping: Mapping, found: dict[str, Array], time: Array | None, period: float
 ) -> Samples:
-    """Return what stands together in a file, in SI units and our directions.
+    """Return the samples of one stretch of a file, in SI units and the package's directions.
 
-    found: columns (K, …) by kind, the angles first; time (K,) in the file's unit, or None where there is a period.
+    Args:
+        found: columns (K, …) by kind, the angles first.
+        time: (K,) in the file's unit, or None if the mapping gives a period.
     """
     count, arms = found[ANGLE].shape
     if arms > MOST_ARMS:
@@ -377,7 +386,7 @@ def _matlab(path: Path, mapping: Mapping, variables: dict[str, Any]) -> tuple[li
         return [_of_columns(path, mapping, found, period)], period
     stretches: list[Samples] = []
     for k, name in enumerate(mapping.state_cells):
-        # Only the first is in every file: a data set may keep nothing back for validation.
+        # Only the first exists in every file: a data set may have no validation part.
         if k and name not in variables:
             continue
         times = mapping.time_cells[k] if mapping.time_cells else ""
@@ -463,7 +472,7 @@ def _recording(
 
 
 def _in_order(parts: list[Samples], spacing: float) -> tuple[list[Samples], list[str]]:
-    """Return the segments with times that follow one another, moved where they do not, and what was moved."""
+    """Return the segments with increasing times, and a note on each segment that was moved in time."""
     placed: list[Samples] = []
     moved: list[str] = []
     last = -np.inf
@@ -484,12 +493,12 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     """Return the named columns (K,) of a .csv or .parquet file; an empty cell is nan.
 
     Raises:
-        InputError: the file cannot be read, is not a table, lacks a column, or holds text where numbers belong.
+        InputError: the file cannot be read, is not a table, lacks a column, or holds text in place of numbers.
     """
     try:
         table = _parquet(path, columns) if path.suffix.lower() == ".parquet" else _csv(path, columns)
     except OSError as error:
-        # pyarrow's damage reports are OSError as well, and longer than a line.
+        # pyarrow reports damage as OSError too, in more than one line.
         raise InputError(
             f"cannot read {path}: {error.strerror or _reason(error)}; check the name, or save the recording again"
         ) from error
@@ -507,14 +516,14 @@ def _reason(error: BaseException) -> str:
 def _check(path: Path, header: Sequence[str], columns: Sequence[str]) -> None:
     for name in columns:
         if header.count(name) > 1:
-            raise InputError(f"{path}: {header.count(name)} columns are called {name!r}; give each a name of its own")
+            raise InputError(f"{path}: {header.count(name)} columns are called {name!r}; rename all but one")
         if name not in header:
             shown = [one if len(one) <= 40 else f"{one[:40]}…" for one in header[:20]]
             raise InputError(f"{path}: the column {name!r} is missing; {suggest(name, shown)}; check file and mapping")
 
 
 def table_columns(path: Path) -> list[str]:
-    """Return the names of a table's columns; none where it cannot be read, which reading it reports."""
+    """Return the names of a table's columns; empty if it cannot be read, which a later step reports."""
     try:
         if path.suffix.lower() == ".parquet":
             with _parquet_file(path) as file:
@@ -526,7 +535,7 @@ def table_columns(path: Path) -> list[str]:
 
 @contextmanager
 def _parquet_file(path: Path) -> Iterator[Any]:
-    """Open a Parquet file; what is wrong with it is an OSError or a ValueError."""
+    """Open a Parquet file; any fault becomes an OSError or a ValueError."""
     arrow = package("pyarrow")
     try:
         yield package("pyarrow.parquet").ParquetFile(path)
@@ -554,7 +563,7 @@ def _parquet_column(values: Any, name: str, path: Path) -> Array | list[str | No
 
 
 def _header(path: Path) -> tuple[list[str], str]:
-    """Return the names in the first line of a table of text, and what stands between them."""
+    """Return the names in the first line of a text table, and their separator."""
     with path.open(encoding="utf-8-sig", newline="") as stream:
         first = stream.readline(1_000_000)
     if not first.strip():
@@ -579,7 +588,7 @@ def _csv(path: Path, columns: Sequence[str]) -> dict[str, list[str | None]]:
 
 
 def _numbers(cells: Array | list[str | None], name: str, path: Path) -> Array:
-    """Return a column's numbers; what stands for a missing one is nan, and any other text is reported by its row."""
+    """Return a column's numbers; markers of missing values become nan, other text is reported by row."""
     if isinstance(cells, np.ndarray):
         return cells
     try:
@@ -601,7 +610,7 @@ def _number(cell: str | None, row: int, name: str, path: Path) -> float:
 
 _STEP = re.compile(r"\.?([A-Za-z]\w*)|\{(\d+)\}|\((\d+),:\)|\(:,(\d+)\)")
 _LARGEST_RATIO = 2000
-"""Elements for each byte of the file; zlib makes at most 1,032 of one."""
+"""Limit of elements per byte of the file; zlib expands one byte to 1,032 at most."""
 _MOST_SAMPLES = 10**8
 
 
@@ -642,7 +651,7 @@ def _plain(path: Path, size: int) -> dict[str, Any]:
     try:
         declared = whosmat(path)
     except TypeError:
-        # scipy cannot tell the shape of objects.
+        # scipy does not report the shape of objects.
         return _with_objects(path)
     checked_size(sum(8 * math.prod(map(float, shape)) for _, shape, _ in declared))
     for name, shape, _ in declared:
@@ -653,11 +662,11 @@ def _plain(path: Path, size: int) -> dict[str, Any]:
 
 
 _PACKED = 15
-"""Type of the elements of a version 5 file that zlib has packed."""
+"""Type of compressed elements in a version 5 file."""
 
 
 def _unpacked_size(path: Path) -> int:
-    """Return to how many bytes the packed variables of a version 5 file unpack, as each says at its beginning."""
+    """Return the unpacked size of a version 5 file's compressed variables, bytes, from their headers."""
     data = path.read_bytes()
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128], "")
     size, place = 0, 128
@@ -671,7 +680,7 @@ def _unpacked_size(path: Path) -> int:
 
 
 def _hdf5_size(path: Path) -> int:
-    """Return to how many bytes the data sets of a version 7.3 file unpack."""
+    """Return the unpacked size of the data sets in a version 7.3 file, bytes."""
     h5py = package("h5py")
     sizes: list[int] = []
 
@@ -694,12 +703,12 @@ def _with_objects(path: Path) -> dict[str, Any]:
 
 
 def column(variables: dict[str, Any], name: str, *, file: Path) -> Array:
-    """Return the numbers (K,) that `name` means: a variable, fields, cells `{i}` and rows `(i,:)` of it.
+    """Return the numbers (K,) at `name`: a variable with optional fields, cells `{i}` and rows `(i,:)`.
 
-    Of a signal that Simulink logged, as a structure with time or as a time series, its values.
+    For a signal logged by Simulink (structure with time, time series) the values are returned.
 
     Raises:
-        InputError: there is no such thing, or it is not one row or column of real numbers.
+        InputError: `name` does not exist, or is not one row or column of real numbers.
     """
     value = find(variables, name, file=file)
     for inner in (_member(_member(value, "signals"), "values"), _member(value, "Data")):
@@ -708,10 +717,10 @@ def column(variables: dict[str, Any], name: str, *, file: Path) -> Array:
 
 
 def find(variables: dict[str, Any], name: str, *, file: Path) -> Any:
-    """Return what `name` means, of whatever kind.
+    """Return the object of any kind at `name`.
 
     Raises:
-        InputError: there is no such thing; says how far the name could be followed.
+        InputError: `name` does not exist; reports the first missing part.
     """
     steps = list(_STEP.finditer(name))
     if "".join(step.group() for step in steps) != name or not steps or not steps[0].group(1):
@@ -738,7 +747,7 @@ def numbers(value: Any, name: str, *, file: Path) -> Array:
     """Return one row or column of real numbers as (K,).
 
     Raises:
-        InputError: the value is of another kind or shape, or empty.
+        InputError: the value has another kind or shape, or is empty.
     """
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
@@ -753,7 +762,7 @@ def numbers(value: Any, name: str, *, file: Path) -> Array:
 
 
 def _properties(value: Any) -> dict[str, Any] | None:
-    """Return the fields of a struct or an object, None where there are none."""
+    """Return the fields of a struct or an object, or None."""
     if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
         only = value.reshape(-1)[0]
         return {name: only[name] for name in value.dtype.names}
@@ -764,7 +773,7 @@ def _properties(value: Any) -> dict[str, Any] | None:
 
 
 def _member(value: Any, name: str) -> Any:
-    """Return a field, in any case; of an object also a field that it keeps under `name_` or in one of its parts."""
+    """Return a field, ignoring case; in an object also a field stored as `name_` or in one of its parts."""
     fields = _properties(value)
     if fields is None:
         return None
@@ -780,11 +789,11 @@ def _member(value: Any, name: str) -> Any:
 
 
 def _times(info: Any) -> Any:
-    """Return the times of a time series' metadata: given one by one, or by start, increment and length."""
+    """Return the times in a time series' metadata, from a list or from start, increment and length."""
     given = _member(info, "Time")
     if given is not None and np.size(given):
         return given
-    # MATLAB stores them as Start_, Increment_ and Length, the first two empty or nan where times are uneven.
+    # MATLAB stores them as Start_, Increment_ and Length, the first two empty or nan for uneven times.
     parts = [np.asarray(_member(info, name)).reshape(-1) for name in ("Start", "Increment", "Length")]
     if not all(part.size == 1 and part.dtype.kind in "fiu" and np.isfinite(part[0]) for part in parts):
         return None
@@ -793,7 +802,7 @@ def _times(info: Any) -> Any:
 
 
 def _cell(value: Any, index: int) -> Any:
-    """Return a cell by its number from 1; of an object, of the first cell array of objects that it keeps."""
+    """Return a cell by its number from 1; in an object, from its first cell array of objects."""
     cells = value if _is_cells(value) else _inner_cells(value)
     return cells.reshape(-1, order="F")[index - 1] if cells is not None and 1 <= index <= cells.size else None
 

@@ -1,18 +1,18 @@
-"""Recordings from the bench in memory and as logs: what was measured, in segments, with nothing added.
+"""Recordings from the bench in memory and as logs: measurements in segments, with nothing added.
 
-A recording is written in the layout of simulated logs: angles and the rig's own filtered rates, where it gave any, as
-/joint_states, a command as /control, and no more. One log holds all segments of a file, one after the other; its
-metadata says in which rows each begins and ends, and between two segments the time may jump.
+A recording uses the layout of simulated logs, restricted to the measurements: angles and, if available, the rig's
+filtered rates as /joint_states, and a command as /control. One log holds all segments of a file in sequence. Its
+metadata contains their first and last rows, and the time may jump between two segments.
 
-The acceleration of the cart that the arms felt comes from its command or from its position:
+The cart acceleration comes from its command or from its position:
 
     u_k = (a_k + a_{k+1}) / 2,      a = d²/dt² of cubics through 20 ms of the position (Savitzky–Golay)
 
-A command is sharper, but a drive may lag, saturate or give less than commanded. It is taken where it explains the
-position: where its integral, smoothed alike, has the accelerations of the position to a tenth of their rms.
+A command is sharper, but a drive may lag, saturate or deliver less than commanded. The command is used if it explains
+the position: the smoothed accelerations of its integral match those of the position to a tenth of their rms.
 
-Simulated recordings, of swings whose truth is known, are flown to machine precision from rest, on a clamped cart, and
-read by relative encoders whose zeros ζ are off:
+Simulated recordings of swings with known truth are integrated to machine precision from rest, on a clamped cart. They
+are read by relative encoders with zero errors ζ:
 
     y_i = Σ_{j≤i} q round((θ_j - θ_{j-1} + ζ_j - ζ_{j-1}) / q),      q = 2π / counts
 
@@ -37,19 +37,27 @@ from dpcontrol.logs import LogWriter, Mode, RunLog, check_replaced, control_fiel
 from dpcontrol.logs.container import MAGIC
 
 KIND, REPLAYED = "recording", "replay"
-"""The metadata `kind` of a log that was imported, and of one that a model was replayed on."""
+"""The metadata `kind` of an imported log, and of a log on which a model was replayed."""
 SUMMARY = "summary"
-"""Metadata of a replay: a sentence on how well the model predicted."""
+"""Metadata key of a replay: a sentence on the quality of the model's prediction."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """K samples of n arms, SI units; angles absolute from hanging, counter-clockwise, unwrapped.
+    """K samples of n arms in SI units; angles absolute from hanging, counter-clockwise, unwrapped.
 
-    name; source: the file it came from. dt s: sampling period. time (K,) s; angles (K, n) rad; rates (K, n) rad/s as
-    the rig's own filter gave them, or None; cart (K,) m and command (K,) m/s², or None where the cart was clamped.
-    segments: (first, end) rows of each, end not included, 0-based in the order of the file; within a segment samples
-    are dt apart. arm_lengths (n,) m, for pictures. notes: what was repaired or changed in reading, in sentences.
+    Attributes:
+        name: name of the recording.
+        source: file of origin.
+        dt: sampling period, s.
+        time: (K,) s.
+        angles: (K, n) rad.
+        rates: (K, n) rad/s from the rig's filter, or None.
+        cart: (K,) m, or None for a clamped cart.
+        command: (K,) m/s², or None for a clamped cart.
+        segments: (first, end) rows in file order, 0-based, end excluded; samples of a segment are dt apart.
+        arm_lengths: (n,) m, for pictures.
+        notes: sentences on repairs and changes made by the import.
     """
 
     name: str
@@ -73,7 +81,7 @@ class Recording:
         return self.angles.shape[1]
 
     def segment(self, index: int) -> "Recording":
-        """Return the segment of this 0-based index as a recording of its own, its time as in the whole."""
+        """Return the segment of this 0-based index as a recording with the original times."""
         rows = slice(*self.segments[index])
         columns = {name: getattr(self, name) for name in ("time", "angles", "rates", "cart", "command")}
         cut = {name: None if values is None else values[rows] for name, values in columns.items()}
@@ -84,7 +92,7 @@ class Recording:
         return [self.segment(index) for index in range(len(self.segments))]
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol import --json` prints, the log's and the source's names apart."""
+        """Return the output of `dpcontrol import --json`, except the names of log and source."""
         segments = [
             {"index": k, "start": float(one.time[0]), "samples": len(one.time), "duration": float(np.ptp(one.time))}
             for k, one in enumerate(self.split())
@@ -101,7 +109,7 @@ class Recording:
 
 
 def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:
-    """Return the metadata of a log made of a recording."""
+    """Return the log metadata of a recording."""
     measured = (recording.time, recording.angles, recording.rates, recording.cart, recording.command)
     return {
         "kind": kind,
@@ -143,20 +151,22 @@ def write_samples(
     attachments: Mapping[str, bytes] | None = None,
     force: bool = False,
 ) -> Path:
-    """Write what was measured, with states (K, N) and fields of control (K,) by name, as a log; return its path.
+    """Write measurements, states (K, N) and control fields (K,) by name as a log; return its path.
 
-    pieces: first and end row of each, and the level and text of the event that `verb` tells of it; sigmas (K, N): the
-    standard deviations of the estimate. force: replace another log at `path`.
+    Args:
+        pieces: first row, end row, level and text of the event of each segment; `verb` is the event's name.
+        sigmas: (K, N) standard deviations of the estimate.
+        force: True to replace another log at `path`.
 
     Raises:
-        InputError: the file cannot be written, or there is another log.
+        InputError: the file cannot be written, or another log exists.
     """
     check_replaced(path, metadata, force=force)
     measured, rates = recording.angles, recording.rates
     has_cart = recording.cart is not None
     if recording.cart is not None:
         measured = np.column_stack([measured, recording.cart])
-        # No rig gives the cart's velocity: it is the differences of its position.
+        # Rigs do not report the cart's velocity; it is differentiated from the position.
         velocity = [np.gradient(part.cart, part.dt) for part in recording.split() if part.cart is not None]
         rates = None if rates is None else np.column_stack([rates, np.concatenate(velocity)])
     parts: dict[str, Array | None] = {"rates": rates, **(states or {})}
@@ -183,7 +193,7 @@ def write_samples(
 
 
 def load_recording(path: Path | str) -> Recording:
-    """Return the recording in a log that `dpcontrol import` or `replay` wrote; a run's log is one segment of its own.
+    """Return the recording in a log of `dpcontrol import` or `replay`; a run's log becomes one segment.
 
     Raises:
         InputError: the file cannot be read, is not a log, or holds too few samples.
@@ -199,16 +209,16 @@ def load_recording(path: Path | str) -> Recording:
 
 
 def recording_of(log: RunLog) -> Recording:
-    """Return what a log says was measured, and what was commanded.
+    """Return the measurements and commands in a log.
 
     Raises:
-        InputError: its segments do not fit its samples.
+        InputError: segments and samples of the log do not match.
     """
     n, k = len(log.arm_lengths), len(log.time)
     if (back := np.flatnonzero(np.diff(log.time) < 0)).size:
         raise InputError(
-            f"{log.path}: its time runs backward after {log.time[back[0]]:.3f} s; record it again, or import what was "
-            "recorded with `--repair time`"
+            f"{log.path}: its time runs backward after {log.time[back[0]]:.3f} s; record it again, or import the "
+            "original with `--repair time`"
         )
     said = {"title": log.path.stem, "source": log.path.name, "segments": f"0:{k}"}
     command = log.controls.get("applied")
@@ -223,8 +233,8 @@ def recording_of(log: RunLog) -> Recording:
         span, steps = log.time[end - 1] - log.time[first], end - 1 - first
         if not 0 < period < np.inf or not 0.5 <= (span + period) / ((steps + 1) * period) <= 2:
             raise InputError(
-                f"{log.path}: its {end - first} samples from {log.time[first]:.6g} s on take {span:.6g} s, but are "
-                f"said to be {period:g} s apart; import the recording again"
+                f"{log.path}: its {end - first} samples from {log.time[first]:.6g} s on take {span:.6g} s, but their "
+                f"nominal period is {period:g} s; import the recording again"
             )
     return Recording(
         name=said["title"],
@@ -257,17 +267,17 @@ def _segments(text: str) -> tuple[tuple[int, int], ...]:
 
 
 STILL = 1e-3
-"""m: a cart that moves less counts as clamped."""
+"""Least travel of a moving cart, m; with less it counts as clamped."""
 _SMOOTHED = 0.02
-"""s of position to each cubic: at micrometres the acceleration is known to some mm/s², and 10 Hz pass."""
+"""Window of each cubic, s. With micrometre noise the acceleration is accurate to some mm/s², up to 10 Hz."""
 _EXPLAINED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class CartMotion:
-    """At each of K samples: position m, velocity m/s, and the acceleration m/s² held until the next sample.
+    """Cart motion at K samples: position m, velocity m/s, and acceleration m/s² held until the next sample.
 
-    commanded: whether the acceleration is the command's; else it is the position's.
+    `commanded` is True if the acceleration comes from the command, False if from the position.
     """
 
     position: Array
@@ -277,7 +287,7 @@ class CartMotion:
 
 
 def cart_motion(part: Recording) -> CartMotion | None:
-    """Return how the cart moved in a recording of one segment, or None where it was clamped."""
+    """Return the cart's motion in a recording of one segment, or None if the cart was clamped."""
     period, command = part.dt, part.command
     if part.cart is None:
         if command is None or not command.any():
@@ -287,7 +297,7 @@ def cart_motion(part: Recording) -> CartMotion | None:
     known = np.isfinite(part.cart)
     if known.sum() < 2 or float(np.ptp(part.cart[known])) < STILL:
         return None
-    # A reading now and then that is missing leaves the position on the line through its neighbours.
+    # A single missing reading is replaced by interpolation between its neighbours.
     position = part.cart
     if not known.all():
         from scipy.interpolate import make_interp_spline
@@ -306,8 +316,8 @@ def cart_motion(part: Recording) -> CartMotion | None:
 
 
 def smoothed_derivative(values: Array, period: float, order: int = 1) -> Array:
-    """Return the derivative of samples (K, …) by cubics through 20 ms of them, zero where there are fewer than five."""
-    # It takes long to import, and models that come from recordings do not need it.
+    """Return the derivative of samples (K, …) by cubics through 20 ms; zero for fewer than five samples."""
+    # The import is slow, and models not derived from recordings do not need it.
     from scipy.signal import savgol_filter
 
     width = min(max(round(_SMOOTHED / period) | 1, 5), (len(values) - 1) | 1)
@@ -323,21 +333,21 @@ def _integral(velocity: Array, acceleration: Array, period: float) -> Array:
 
 
 _REACH = 1.2
-"""rad: swings let go within this of hanging are lively and not chaotic, and tell most."""
+"""Range of starting angles about hanging, rad; such swings are lively, not chaotic, and the most informative."""
 _ZEROS = 2e-3
 _PERIOD = 1e-3
-"""s between samples of a simulated recording."""
+"""Period of a simulated recording, s."""
 
 
 _SIMULATED, _WRITTEN, _SAMPLE_BYTES = 1.5e-6, 15e-6, 150.0
-"""s that a sample of a swing takes to simulate and to write, and bytes, measured over 3 million of them."""
+"""Time in s and bytes per sample, to simulate and to write, measured over 3 million samples."""
 
 
 def swings_cost(swings: int, seconds: float, *, written: bool) -> Cost:
-    """Return what so many swings of `seconds` s will take; written: to a log as well.
+    """Return the expected cost of simulating `swings` swings of `seconds` s, and of writing a log if `written`.
 
     Raises:
-        InputError: there are to be no swings, or of no time.
+        InputError: the number or the duration of the swings is out of range.
     """
     for key, value, most in (("swings", swings, 1e12), ("seconds", seconds, 1000.0)):
         if not 0 < value <= most:
@@ -349,7 +359,7 @@ def swings_cost(swings: int, seconds: float, *, written: bool) -> Cost:
 
 
 def random_swings(arms: ArmChainParameters, *, swings: int, seconds: float, seed: int, name: str) -> Recording:
-    """Return a recording of swings let go at random angles, with encoders whose zeros are off by up to 2 mrad.
+    """Return a recording of swings released at random angles, with encoder zeros wrong by up to 2 mrad.
 
     Raises:
         InputError: the seed is negative.
@@ -372,12 +382,17 @@ def simulated_recording(
     zeros: Array | None = None,
     name: str = "simulated",
 ) -> Recording:
-    """Return a recording of one free swing of these arms from each of `starts` (n,) rad, let go at rest.
+    """Return a recording of free swings of these arms from rest, one from each of `starts` (n,) rad.
 
-    seconds: of each swing; period s between samples; counts per turn of the relative encoders, 0 for exact angles;
-    zeros (n,) rad: what they show, as absolute angles, where the true ones are zero.
+    Args:
+        arms: parameters of the arms.
+        starts: (n,) angles of each release, rad.
+        seconds: duration of each swing, s.
+        period: time between samples, s.
+        counts: per turn of the relative encoders; 0 for exact angles.
+        zeros: (n,) readings at true zero, as absolute angles, rad.
     """
-    # Its integrator takes long to import, and only simulated recordings need it.
+    # Importing the integrator is slow, and only simulated recordings need it.
     from dpcontrol.dynamics.propagator import Propagator
 
     n = arms.count

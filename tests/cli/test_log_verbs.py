@@ -70,7 +70,7 @@ def test_a_cut_log_is_refused_by_info_recovered_and_then_scored(logged: Path, tm
     scored = dpcontrol("score", tmp_path / "cut.mcap", "--json")
     assert scored.code == 1
     assert scored.document["completed"] is False
-    assert "recovered; lost: what came after" in dpcontrol("info", tmp_path / "cut.mcap").stdout
+    assert "recovered; lost: everything after" in dpcontrol("info", tmp_path / "cut.mcap").stdout
 
 
 def in_a_chunk(log: Path) -> int:

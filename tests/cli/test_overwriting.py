@@ -54,7 +54,7 @@ def test_a_run_with_other_settings_leaves_the_log_of_a_run() -> None:
 
 def test_what_is_no_log_is_no_log_to_replace() -> None:
     LOG.write_text("my notes")
-    kept(LOG, f"run {STILL}", "is no whole log")
+    kept(LOG, f"run {STILL}", "is not a complete log")
 
 
 def written(path: Path, *, rig: str | None = None, ticks: int = 50) -> None:
@@ -66,12 +66,12 @@ def written(path: Path, *, rig: str | None = None, ticks: int = 50) -> None:
 
 def test_what_a_rig_did_is_kept_whatever_runs() -> None:
     written(LOG, rig="udp://127.0.0.1:47000")
-    with pytest.raises(InputError, match="holds what a rig did"):
+    with pytest.raises(InputError, match="is a log from a rig"):
         check_replaced(LOG, {"seed": "0"})
     # Before any bench is looked for: nothing answers there.
     ended = dpcontrol("run", STILL, "--rig", "udp://127.0.0.1:9")
     assert ended.code == 2
-    assert "holds what a rig did" in ended.message
+    assert "is a log from a rig" in ended.message
     written(LOG)
     check_replaced(LOG, {"seed": "0", "commit": "another"})
     with pytest.raises(InputError, match="not the same: rig"):

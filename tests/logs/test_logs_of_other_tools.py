@@ -119,7 +119,7 @@ def same_run(log: RunLog, first: RunLog, *, each: int = 1) -> None:
 )
 def test_a_log_that_was_written_again_otherwise_holds_the_same_run(tmp_path: Path, how: dict[str, Any]) -> None:
     first = read_log(write_sample(tmp_path / "run.mcap", sample()))
-    with pytest.warns(Remark, match=r"was written again by .* its integrity cannot be checked$"):
+    with pytest.warns(Remark, match=r"was rewritten by .* its integrity cannot be checked$"):
         log = read_log(rewritten(tmp_path / "run.mcap", tmp_path / "other.mcap", **how))
     same_run(log, first)
     assert log.parts == first.parts
@@ -207,7 +207,7 @@ def test_the_verbs_read_a_log_that_was_written_again(tmp_path: Path, monkeypatch
 def test_a_log_without_measurements_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = write_sample(tmp_path / "run.mcap", sample())
     log = rewritten(run, tmp_path / "other.mcap", without="/joint_states")
-    refused(log, "lacks /joint_states, which its own description names", tmp_path, monkeypatch)
+    refused(log, "lacks /joint_states, listed in its description", tmp_path, monkeypatch)
 
 
 def test_a_log_that_was_rewritten_in_another_encoding_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,7 +255,7 @@ def test_a_log_of_another_tool_gets_a_sentence_on_what_is_missing(
     said = dpcontrol("info", log).message
     assert "(written by another program) is not a log of `dpcontrol run`" in said
     assert missing in said
-    assert "or bring a recording of the bench in by `dpcontrol import`" in said
+    assert "or import a bench recording with `dpcontrol import`" in said
 
 
 @pytest.mark.parametrize("compressed", [(), ("--compress", "zstd", "--compress-mode", "storage")], ids=str)
@@ -270,7 +270,7 @@ def test_a_log_that_rosbags_converts_is_read_with_a_remark(
     command = [*convert, "--src", "run.mcap", "--dst", "converted", "--dst-storage", "mcap", *compressed]
     subprocess.run(command, check=True, capture_output=True)
     log = tmp_path / "converted" / "converted.mcap"
-    with pytest.warns(Remark, match="written again by rosbags.*integrity cannot be checked"):
+    with pytest.warns(Remark, match="rewritten by rosbags.*integrity cannot be checked"):
         same_run(read_log(log), first)
     ended = dpcontrol("info", log)
     assert ended.code == 0

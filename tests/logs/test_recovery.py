@@ -54,7 +54,7 @@ def test_a_cut_log_keeps_all_that_came_before_the_cut(whole: RunLog, tmp_path: P
         done = recover(tmp_path / "cut.mcap", tmp_path / "out.mcap")
         assert done.ticks == count * CHUNK
         assert not done.end_known
-        assert f"what came after {(count * CHUNK - 1) / RATE:.3f} s" in done.lost
+        assert f"everything after {(count * CHUNK - 1) / RATE:.3f} s" in done.lost
         assert read_log(tmp_path / "out.mcap").attachments == ATTACHMENTS
         assert METADATA.items() <= read_log(tmp_path / "out.mcap").metadata.items()
 
@@ -87,7 +87,7 @@ def test_what_was_recovered_can_be_recovered_again_and_remembers(whole: RunLog, 
     (tmp_path / "cut.mcap").write_bytes(again[: int(0.8 * len(again))])
     second = recover(tmp_path / "cut.mcap")
     assert first.lost in second.lost
-    assert "what came after" in second.lost
+    assert "everything after" in second.lost
     is_part_of(read_log(second.log), whole)
 
 
