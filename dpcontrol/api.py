@@ -22,6 +22,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.components import Sizes as Sizes
 from dpcontrol.dynamics.components import SymbolicPlant as SymbolicPlant
 from dpcontrol.dynamics.components import Terms as Terms
+from dpcontrol.dynamics.mjcf import CART_MASS, LAG, mjcf_text
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import instance, number, whole
@@ -427,6 +428,33 @@ def closed_loop(
     """
     with reporting(progress, "plan") as report:
         return _closed(planned, _options(options).over(settings), yes=yes, progress=report)
+
+
+def mjcf(
+    model: "Model | ArmChainParameters", *, cart_mass: float = CART_MASS, lag: float = LAG, out: Place | None = None
+) -> str:
+    """Return the arms of a model on their cart as a model for MuJoCo.
+
+    Args:
+        model: a model, or its arms.
+        cart_mass: mass of the cart, kg.
+        lag: time constant of the servo that drives it, s; its control is the cart's velocity, m/s.
+        out: file to write the text to.
+
+    >>> dp.mjcf(dp.load_model("lab")).startswith("<mujoco")
+    True
+
+    Raises:
+        InputError: the model has no arms, or quadratic friction; a mass or lag that is not positive.
+    """
+    from dpcontrol.foundation.files import write_whole
+
+    instance("model", model, (Model, ArmChainParameters), "a model, or its arms")
+    arms = model.arms if isinstance(model, Model) else model
+    text = mjcf_text(arms, name="arms", cart_mass=number("cart_mass", cart_mass), lag=number("lag", lag))
+    if out is not None:
+        write_whole(Path(path_of("out", out)), text)
+    return text
 
 
 def polish(

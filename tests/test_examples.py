@@ -19,14 +19,19 @@ SLOW = {
     "integral_action",
     "air_drag",
     "eddy_brake",
+    "mujoco_rig",
 }
 """Those that plan, search or draw for more than some seconds."""
+NEEDS = {"mujoco_rig": "mujoco"}
+"""Packages that examples need besides those of this one."""
 
 
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in EXAMPLES]
 )
 def test_an_example_runs_and_ends_in_its_picture(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name], reason=f"{NEEDS[name]} is not installed")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     runpy.run_module(f"dpcontrol.examples.{name}", run_name="__main__")

@@ -16,6 +16,7 @@ from dpcontrol.cli.verbs import (
     TextTable,
     argument,
     claim,
+    file_option,
     force_option,
     option,
     table,
@@ -87,13 +88,22 @@ def demo_command(
 
 
 @verb("model", example="dpcontrol model lab", note="MODEL is a name (./models, then those shipped) or a path.")
-def model_command(*, model: str = argument()) -> Answer:
+def model_command(
+    *,
+    model: str = argument(),
+    mjcf: Path | None = file_option(suffix=".xml", help="Write the arms on their cart for MuJoCo to this file."),
+) -> Answer:
     """Show a model's parameters with units, and its equilibria (frictionless, pivot at rest)."""
     from dpcontrol.foundation.files import picked
     from dpcontrol.orbits.lyapunov import equilibria
     from dpcontrol.scenes.model import load_model
 
     loaded = load_model(model)
+    if mjcf is not None:
+        from dpcontrol.dynamics.mjcf import mjcf_text
+        from dpcontrol.foundation.files import write_whole
+
+        write_whole(claim(mjcf), mjcf_text(loaded.arms, name=loaded.name))
     points = equilibria(loaded.system)
     document = {
         "model": loaded.name,
@@ -103,9 +113,11 @@ def model_command(*, model: str = argument()) -> Answer:
         },
         "sources": loaded.sources,
         "remarks": loaded.remarks,
+        "mjcf": mjcf,
         "equilibria": {name: picked(e, "state", "energy", "eigenvalues", "kind") for name, e in points.items()},
     }
-    return Answer(document, _text(loaded, points))
+    written = [] if mjcf is None else [f"arms for MuJoCo written to {mjcf}"]
+    return Answer(document, [*_text(loaded, points), *written])
 
 
 GUIDE = Path(__file__).parents[1] / "guide"

@@ -1,0 +1,54 @@
+"""Arms on their cart as a model for MuJoCo, in its format MJCF.
+
+The cart slides along x, up is z, and arms that hang have angles of zero. Joints turn about -y, so that a positive angle
+moves an arm's end to positive x. MuJoCo's joint angles are relative: θ_i - θ_{i-1}. The cart is driven by a velocity
+servo, whose control is the velocity reference w of the drive:
+
+    F = M/τ (w - ẋ)        M: mass of the cart, τ: time constant of the drive
+
+Source: MuJoCo's XML reference, elements joint (damping, frictionloss), inertial and velocity.
+"""
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.errors import InputError
+
+STEP = 5e-4
+"""s, of the simulation."""
+CART_MASS, LAG = 20.0, 0.002
+"""kg and s."""
+
+
+def mjcf_text(arms: ArmChainParameters, *, name: str, cart_mass: float = CART_MASS, lag: float = LAG) -> str:
+    """Return arms as MJCF, with a cart of `cart_mass` kg and a drive with the time constant `lag` s.
+
+    Raises:
+        InputError: a mass or lag that is not positive, or quadratic friction, which MuJoCo does not have.
+    """
+    for key, value in (("cart_mass", cart_mass), ("lag", lag)):
+        if not 0 < value < 1e9:
+            raise InputError(f"mjcf: {key} = {value!r}: must be above 0")
+    if arms.quadratic:
+        raise InputError("mjcf: quadratic friction has no counterpart in MuJoCo; take it out of the model's file")
+    bodies, dry = "", arms.coulomb or (0.0,) * arms.count
+    for k in reversed(range(arms.count)):
+        above, inertia = -arms.length[k - 1] if k else 0.0, f"{max(arms.inertia[k], 1e-12)!r}"
+        bodies = f"""
+<body name="arm_{k + 1}" pos="0 0 {above!r}">
+<joint name="joint_{k + 1}" type="hinge" axis="0 -1 0" damping="{arms.viscous[k]!r}" frictionloss="{dry[k]!r}"/>
+<inertial pos="0 0 {-arms.centre_of_mass[k]!r}" mass="{arms.mass[k]!r}" diaginertia="{inertia} {inertia} {inertia}"/>
+<geom type="capsule" fromto="0 0 0 0 0 {-arms.length[k]!r}" size="0.006"/>{bodies}
+</body>"""
+    return f"""<mujoco model="{name}">
+<compiler angle="radian" autolimits="true"/>
+<option timestep="{STEP!r}" integrator="RK4" gravity="0 0 {-arms.gravity!r}"/>
+<default><geom contype="0" conaffinity="0" density="0"/></default>
+<worldbody>
+<body name="cart">
+<joint name="cart" type="slide" axis="1 0 0"/>
+<inertial pos="0 0 0" mass="{cart_mass!r}" diaginertia="1 1 1"/>
+<geom type="box" size="0.04 0.03 0.02"/>{bodies}
+</body>
+</worldbody>
+<actuator><velocity name="drive" joint="cart" kv="{cart_mass / lag!r}"/></actuator>
+</mujoco>
+"""

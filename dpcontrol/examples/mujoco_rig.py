@@ -1,0 +1,75 @@
+# %% [markdown]
+# # The arms in MuJoCo
+# Another program simulates the plant: `dp.mjcf` writes the arms on their cart for MuJoCo, which needs
+# `pip install 'dpcontrol[mujoco]'`. The rig has encoders, a delay of one period, and a drive that lags. Its arms differ
+# from the model by 2 %.
+
+# %%
+import mujoco
+import numpy as np
+from matplotlib.figure import Figure
+
+import dpcontrol as dp
+
+MISMATCH, ERROR, LAG, SUBSTEPS = 0.02, 0.02, 0.002, 2
+COUNT, SCALE = 2 * np.pi / 40_000, 1e-6
+
+
+class MujocoRig:
+    """A rig with the arms of `model`, drawn by a seed, that starts near the reference of `plan`."""
+
+    def __init__(self, plan, *, seed: int) -> None:
+        random, model, first = np.random.default_rng(seed), plan.itinerary.model, plan.reference.state(0.0)
+        arms = model.arms.mismatched(MISMATCH, random)
+        self.model = mujoco.MjModel.from_xml_string(dp.mjcf(arms, lag=LAG))
+        self.data = mujoco.MjData(self.model)
+        n = self.arms = arms.count
+        angles = first[:n] + random.uniform(-ERROR, ERROR, n)
+        self.data.qpos[:] = [first[2 * n], *np.diff(angles, prepend=0.0)]
+        self.data.qvel[:] = [first[2 * n + 1], *np.diff(first[n : 2 * n], prepend=0.0)]
+        self.wanted, self.acting, self.on_its_way, self.begun = first[2 * n + 1], 0.0, 0.0, False
+
+    @property
+    def truth(self):
+        """Angles and rates of the arms, then position and velocity of the cart."""
+        q, v = self.data.qpos, self.data.qvel
+        return np.concatenate([np.cumsum(q[1:]), np.cumsum(v[1:]), [q[0], v[0]]])
+
+    def read(self):
+        if self.begun:
+            for _ in range(SUBSTEPS):
+                step = self.model.opt.timestep
+                # The servo's control is held over a step: its mean there.
+                self.data.ctrl[0] = self.wanted + self.acting * step / 2
+                mujoco.mj_step(self.model, self.data)
+                self.wanted += self.acting * step
+            self.acting = self.on_its_way
+        self.begun = True
+        q = self.data.qpos
+        return np.append(np.cumsum(COUNT * np.rint(q[1:] / COUNT)), SCALE * np.rint(q[0] / SCALE))
+
+    def command(self, acceleration: float) -> None:
+        self.on_its_way = acceleration
+
+    def stop(self) -> None:
+        self.on_its_way = self.acting = self.wanted = 0.0
+
+
+def flown(name: str, seeds) -> list:
+    """Return the runs of an itinerary in MuJoCo."""
+    plan = dp.plan(name)
+    loop = dp.closed_loop(plan, drive_lag=LAG)
+    return [loop.run(rig=MujocoRig(plan, seed=seed)) for seed in seeds]
+
+
+# %%
+NAMES = ("outer-turn", "cross", "round-trip-from-rest")
+if __name__ == "__main__":
+    figure = Figure(figsize=(7, 7), layout="constrained")
+    for axes, name in zip(figure.subplots(3), NAMES, strict=True):
+        (run,) = flown(name, [1])
+        print(name, run.status)
+        axes.plot(run.log.time, run.log.states["truth"][:, :2])
+        axes.plot(run.log.time, run.log.states["reference"][:, :2], "k:", linewidth=0.8)
+        axes.set(xlabel="time (s)", ylabel="angles (rad)", title=f"{name} in MuJoCo {mujoco.__version__}")
+    figure.savefig("mujoco-rig.png", dpi=110)

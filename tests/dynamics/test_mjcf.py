@@ -1,0 +1,101 @@
+"""Arms written for MuJoCo move there as they do here; the example's rig is flown."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from scipy.integrate import solve_ivp
+
+import dpcontrol as dp
+from dpcontrol.scenes.model import load_model
+
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'dpcontrol[mujoco]'")
+
+SAME = 1e-6
+"""rad after a second: Runge-Kutta of order 4 at 0.5 ms."""
+LAB, START = load_model("lab").arms, np.array([0.5, -1.3, 2.0, -4.0])
+
+
+def moved(text: str, *, clamped: bool, push: float = 0.0) -> np.ndarray:
+    """Return angles and rates after a second; clamped: the cart; push m/s²: what a force gives the cart's mass."""
+    if clamped:
+        text = re.sub(r'<joint name="cart".*?/>', "", text)
+        text = re.sub(r"<actuator>.*?</actuator>", "", text)
+    model = mujoco.MjModel.from_xml_string(text)
+    data, first = mujoco.MjData(model), 0 if clamped else 1
+    data.qpos[first:] = [START[0], START[1] - START[0]]
+    data.qvel[first:] = [START[2], START[3] - START[2]]
+    for k in range(round(1 / model.opt.timestep)):
+        if not clamped:
+            data.ctrl[0] = push * (k + 0.5) * model.opt.timestep
+        mujoco.mj_step(model, data)
+    return np.concatenate([np.cumsum(data.qpos[first:]), np.cumsum(data.qvel[first:])])
+
+
+def by_hand(*, viscous: tuple[float, float] = (0.0, 0.0), push: float = 0.0) -> np.ndarray:
+    """Return the same by Lagrange's equations of two arms on a cart accelerated by `push` m/s²."""
+    m, a, j, g = LAB.mass, LAB.centre_of_mass, LAB.inertia, LAB.gravity
+    inner = LAB.length[0]
+    s1, s2 = m[0] * a[0] + m[1] * inner, m[1] * a[1]
+    m11, m22, m12 = j[0] + m[0] * a[0] ** 2 + m[1] * inner**2, j[1] + m[1] * a[1] ** 2, m[1] * a[1] * inner
+
+    def slope(_: float, y: np.ndarray) -> list[float]:
+        (p, q, w, v), joint = y, viscous[1] * (y[3] - y[2])
+        c, s = np.cos(p - q), np.sin(p - q)
+        force = [-m12 * s * v**2 - s1 * (g * np.sin(p) + push * np.cos(p)) - viscous[0] * w + joint,
+                 m12 * s * w**2 - s2 * (g * np.sin(q) + push * np.cos(q)) - joint]  # fmt: skip
+        return [w, v, *np.linalg.solve([[m11, m12 * c], [m12 * c, m22]], force)]
+
+    return solve_ivp(slope, (0, 1), START, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+
+
+def test_without_friction_arms_move_as_by_hand_for_a_second() -> None:
+    found = moved(dp.mjcf(LAB.frictionless()), clamped=True)
+    assert np.abs(found - by_hand())[:2].max() < SAME
+
+
+def test_viscous_friction_is_that_of_the_joints() -> None:
+    viscous = (2e-3, 5e-4)
+    found = moved(dp.mjcf(replace(LAB, viscous=viscous)), clamped=True)
+    assert np.abs(found - by_hand(viscous=viscous))[:2].max() < SAME
+
+
+def test_the_servo_accelerates_the_cart_as_its_control_does_after_its_lag() -> None:
+    # A cart of 1e6 kg does not feel the arms. A lag of 2 ms moves the end of a second's motion by some milliradians.
+    found = moved(dp.mjcf(LAB.frictionless(), cart_mass=1e6), clamped=False, push=2.0)
+    assert np.abs(found - by_hand(push=2.0))[:2].max() < 0.02
+    assert np.abs(found - by_hand())[:2].max() > 0.2
+
+
+@pytest.mark.parametrize("change", [{"cart_mass": 0.0}, {"lag": -1.0}])
+def test_a_cart_or_a_drive_that_is_none_is_refused(change: dict[str, float]) -> None:
+    with pytest.raises(dp.InputError, match="must be above 0"):
+        dp.mjcf(LAB, **change)
+
+
+def test_the_verb_writes_what_mujoco_reads(tmp_path: Path) -> None:
+    file = tmp_path / "lab.xml"
+    done = dpcontrol("model", "lab", "--mjcf", str(file))
+    assert done.code == 0, done.stderr
+    model = mujoco.MjModel.from_xml_path(str(file))
+    assert (model.nq, model.nu) == (3, 1)
+    assert model.body_mass[-2:] == pytest.approx(LAB.mass)
+
+
+@pytest.mark.parametrize("name", ["outer-turn", "cross"])
+def test_the_examples_rig_is_flown(name: str) -> None:
+    from dpcontrol.examples.mujoco_rig import flown
+
+    (run,) = flown(name, [3])
+    assert run.converged, run.status
+
+
+# Slow: a minute in MuJoCo, several times.
+@pytest.mark.slow
+def test_nineteen_of_twenty_seeds_complete_the_turn_in_mujoco() -> None:
+    from dpcontrol.examples.mujoco_rig import flown
+
+    assert sum(run.converged for run in flown("outer-turn", range(20))) >= 19
