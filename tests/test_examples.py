@@ -22,7 +22,7 @@ SLOW = {
     "mujoco_rig",
 }
 """Those that plan, search or draw for more than some seconds."""
-NEEDS = {"mujoco_rig": "mujoco"}
+NEEDS = {"mujoco_rig": "mujoco", "gym_env": "gymnasium"}
 """Packages that examples need besides those of this one."""
 
 

@@ -1,0 +1,113 @@
+# %% [markdown]
+# # The bench for people who train agents
+# A gymnasium environment on the same simulated bench: encoders, delay, mismatch, blows. The agent adds a share of the
+# cart's greatest acceleration to the feedforward of a plan. Its reward is what the score asks for: angles near the
+# reference, and a completed itinerary at the end. It needs `pip install 'dpcontrol[gym]'`.
+
+# %%
+from typing import Any
+
+import gymnasium
+import numpy as np
+from matplotlib.figure import Figure
+
+import dpcontrol as dp
+from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.review.score import Flown, verdict_on
+
+LOST, COMPLETED, EFFORT = 1.5, 100.0, 0.01
+"""rad from the reference at which an episode ends; reward of a completed itinerary; cost of a full acceleration."""
+
+
+class BenchEnv(gymnasium.Env):
+    """An itinerary on the bench; options: of its runs, such as `mismatch` or `knocks_per_minute`.
+
+    Observation: sine and cosine of the measured angles, their rates over the last step in 10 rad/s, position (m) and
+    velocity (3 m/s) of the cart, the errors of angles (rad) and rates, and the feedforward's share of the limit.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as gymnasium declares it
+
+    def __init__(self, itinerary: str = "outer-turn", *, ticks: int = 10, **options: Any) -> None:
+        self.loop = dp.closed_loop(itinerary, controller="feedforward", **{"mismatch": 0.02, **options})
+        self.assembly, self.ticks = self.loop.assembly, ticks
+        schedule: Any = self.assembly.controller.schedule(1)
+        self.states, self.forward = schedule.references, schedule.rows[:, 0]
+        self.queued, self.arms = schedule.queued.tolist(), self.assembly.arms.count
+        self.most = self.assembly.limits.acceleration
+        size = 5 * self.arms + 3
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Draw a bench: its arms, first errors and blows are those of the seed."""
+        super().reset(seed=seed)
+        own, drawn = self.assembly, int(self.np_random.integers(1 << 31))
+        draw = own.draw(seed=drawn)
+        start = own.controller.first_state
+        self.rig = SimulatedRig(draw, own.settings.bench, limits=own.limits, start=start, queued=self.queued)
+        self.tick, self.truth, self.commands = 0, [], []
+        self.measured = self.rig.read().positions
+        self.before = self.measured
+        return self._observed(), {"seed": drawn}
+
+    def _observed(self) -> np.ndarray:
+        n, wanted = self.arms, self.states[self.tick]
+        rates = (self.measured - self.before) / (self.ticks * self.rig.period)
+        angles = self.measured[:n]
+        errors = np.concatenate([angles - wanted[:n], (rates[:n] - wanted[n : 2 * n]) / 10])
+        parts = [np.sin(angles), np.cos(angles), rates[:n] / 10, [self.measured[n], rates[n] / 3], errors]
+        return np.concatenate([*parts, [self.forward[self.tick] / self.most]]).astype(np.float32)
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        """Hold the agent's share for some ticks, or until the run is over."""
+        own, last = float(np.clip(action, -1.0, 1.0)[0]) * self.most, len(self.states) - 1
+        self.before, reason, distance = self.measured, "", 0.0
+        for _ in range(self.ticks):
+            command = float(np.clip(self.forward[self.tick] + own, -self.most, self.most))
+            self.rig.command(command)
+            self.truth.append(self.rig.truth.copy())
+            self.commands.append(command)
+            self.measured = self.rig.read().positions
+            self.tick += 1
+            distance = float(np.abs(self.rig.truth[: self.arms] - self.states[self.tick, : self.arms]).max())
+            reason = self.rig.fault or ("tracking lost" if distance > LOST else "")
+            if reason or self.tick == last:
+                break
+        over = self.tick == last and not reason
+        reward = 1 - distance / LOST - EFFORT * (own / self.most) ** 2
+        completed = over and self._completed()
+        info = {"reason": reason, "completed": completed, "distance": distance}
+        return self._observed(), reward + COMPLETED * completed, bool(reason) or over, False, info
+
+    def _completed(self) -> bool:
+        """Return the score's verdict on the whole episode."""
+        limits, count = self.assembly.limits, len(self.truth)
+        flown = Flown(
+            self.rig.period * np.arange(count, dtype=float), np.array(self.truth), self.states[:count, : self.arms],
+            np.array(self.commands), 1 / self.rig.period, (limits.position, limits.velocity, limits.acceleration),
+        )  # fmt: skip
+        return not verdict_on(flown, self.assembly.reference).problem
+
+
+# %%
+def rewards(env: BenchEnv, gain: float, *, seed: int) -> list[float]:
+    """Return the rewards of an episode in which the cart is steered by a share of the angles' errors."""
+    seen, _ = env.reset(seed=seed)
+    found, over, n = [], False, env.arms
+    while not over:
+        action = np.array([gain * float(seen[3 * n + 2 : 4 * n + 2].sum())], dtype=np.float32)
+        seen, reward, over, _, _ = env.step(np.clip(action, -1, 1))
+        found.append(reward)
+    return found
+
+
+if __name__ == "__main__":
+    env = BenchEnv("outer-turn", mismatch=0.02)
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.subplots()
+    for gain in (0.0, -0.5, 0.5):
+        axes.plot(np.cumsum(rewards(env, gain, seed=1)), label=f"gain {gain:g}")
+    axes.set(xlabel="step", ylabel="sum of rewards", title="Three simple agents on the outer turn")
+    axes.legend()
+    figure.savefig("gym-env.png", dpi=110)
