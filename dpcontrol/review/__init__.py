@@ -1,1 +1,1 @@
-"""What there is to see of a run: its score, its story, and how the viewer and a page show it."""
+"""Score and story of a run, drawn in the viewer and on a page."""

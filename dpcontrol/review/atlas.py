@@ -1,7 +1,7 @@
 """An atlas on one page, and as a Rerun recording: tubes, orbits and flights in space, cuts with their connections.
 
-Space is (first coordinate, second, first rate), for arms (θ₁, θ₂, ω₁); in the recording rates are scaled so that the
-tubes are about as high as wide. On the sections, (q, p/p₀) with p upwards. Dots move along the flights with time.
+Space is (first coordinate, second, first rate), for arms (θ₁, θ₂, ω₁). In the recording rates are scaled to make the
+tubes about as high as wide. Sections are drawn as (q, p/p₀) with p upwards. Dots move along the flights with time.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ BRANCHES = {
     (True, 1): style.STABLE,
     (True, -1): style.PALE_STABLE,
 }
-"""(stable, branch): red leaves the orbit, green comes to it; the second branch is pale."""
+"""Colours by (stable, branch): unstable tubes red, stable ones green; the second branch is pale."""
 
 
 @dataclass(frozen=True, eq=False)
 class TubePart:
-    """One branch of a tube in space: trajectories (M, N) up to its section, and where they end (K, N).
+    """One branch of a tube in space: trajectories (M, N) up to its section, and their end points (K, N).
 
-    sense: sign of the crossing in which it ends, 0 where it has none.
+    `sense` is the sign of the final crossing, 0 without one.
     """
 
     stable: bool
@@ -48,7 +48,7 @@ class TubePart:
 
     @property
     def colour(self) -> str:
-        """Of the trajectories."""
+        """Colour of the trajectories."""
         return BRANCHES[self.stable, self.branch]
 
 
@@ -68,14 +68,14 @@ def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array
 
 
 def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
-    """Return where a connection meets its section (q, p/p₀), q within a period."""
+    """Return the point (q, p/p₀) of a connection on its section, q within a period."""
     _, period = section_axes(connection.section, atlas.periods)
     q, p = connection.point
     return np.array([q - (np.rint(q / period) * period if period else 0.0), p])
 
 
 def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
-    """Return both branches of a saddle's tubes up to a cut: unstable as flown, stable turned around in time."""
+    """Return both branches of a saddle's tubes up to a cut: unstable, and stable by time reversal."""
     parts = []
     for stable in (False, True):
         for branch in (1, -1):
@@ -103,16 +103,16 @@ def connections_of(atlas: Atlas, kind: AtlasKind) -> tuple[AtlasConnection, ...]
 def stable_direction(atlas: Atlas, cut: AtlasCut, direction: int) -> int:
     """Return the sign of a stable tube's crossing of the section, given its unstable image's."""
     normal = np.asarray(cut.section.normal)
-    # Turned around in time, a crossing changes sides unless the reverser turns the section over.
+    # Under time reversal a crossing changes sides unless the reverser also flips the section.
     return -direction * int(np.sign(normal @ atlas.reverser @ normal))
 
 
 def colours(connections: tuple[AtlasConnection, ...]) -> dict[str, str]:
-    """Return a colour for each connection by name; images under the mirror (the other sense) share one."""
+    """Return a colour for each connection by name; mirror images (the other sense) share one."""
     chosen: dict[str, str] = {}
     keys: list[tuple[object, ...]] = []
     for c in sorted(connections, key=lambda c: -round(c.transversality_angle, 3)):
-        # What a mirror image shares; rounding as coarse as names.
+        # Quantities that mirror images share, rounded as coarsely as in names.
         key = (round(c.transversality_angle, 3), round(c.time_in + c.time_out, 3))
         if key not in keys:
             keys.append(key)
@@ -132,7 +132,7 @@ def draw_cuts(
 ) -> None:
     """Draw both tubes' cuts of a kind and mark its connections (those of `shown`), labelled by `numbers`.
 
-    sense: of the crossings that are drawn, both without it.
+    `sense` selects the crossings to draw; None draws both.
     """
     section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
     coordinate, period = section_axes(section, atlas.periods)
@@ -169,14 +169,14 @@ def draw_cuts(
 
 
 def placed(atlas: Atlas, orbit: AtlasOrbit, winding: Sequence[int] = ()) -> Array:
-    """Return an orbit of an atlas as a closed curve (M, N), whole turns away from its named place."""
+    """Return an orbit of an atlas as a closed curve (M, N), shifted by whole turns."""
     turns = np.zeros(len(atlas.periods))
     turns[: len(winding)] = winding
     return np.vstack([orbit.samples, orbit.samples[:1]]) + turns * atlas.turn_lengths
 
 
 def one_of_each(connections: tuple[AtlasConnection, ...]) -> list[AtlasConnection]:
-    """Return one connection of each colour, of the positive sense: the others are its images."""
+    """Return one connection of positive sense for each colour; the others are its images."""
     look, kept = colours(connections), {}
     for c in connections:
         if c.sense > 0:
@@ -196,10 +196,13 @@ def draw_row(
     flat: bool = False,
     share: float = 1.65,
 ) -> Axes:
-    """Draw a kind's cuts left and the flights of `shown` right, each under its number; return the axes of the cuts.
+    """Draw a kind's cuts left and the flights of `shown` right, with their numbers; return the axes of the cuts.
 
-    numbers: by connection's name. marked: on the cuts, all connections if not given. flat: flights one below the other.
-    share: width of the flights over that of the cuts.
+    Args:
+        numbers: labels by connection name.
+        marked: connections on the cuts; all by default.
+        flat: True to stack the flights.
+        share: width of the flights relative to the cuts.
     """
     left, right = cell.subgridspec(1, 2, wspace=0.1, width_ratios=[1, share])
     cuts = figure.add_subplot(left)
@@ -217,7 +220,7 @@ def draw_row(
 
 
 def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: str, *, labelled: bool = True) -> None:
-    """Draw a flight in the plane of the first two coordinates, from its source's named place, with both orbits."""
+    """Draw a flight with both orbits in the plane of the first two coordinates, from its source's named position."""
     for saddle, winding in ((connection.source, ()), (connection.target, connection.winding)):
         orbit = next(o for o in atlas.orbits if o.saddle == saddle)
         closed = placed(atlas, orbit, winding)
@@ -231,13 +234,13 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
     if angular:
         angle_axis(axes, "x", step=1.0)
         angle_axis(axes, "y", step=1.0)
-    # Turns of the inner arm alone are wide and flat: their panels shrink to them.
+    # Turns of the inner arm alone are wide and flat, so their panels are lower.
     flat = connection.source == connection.target and not connection.winding[-1]
     axes.set_aspect("equal", adjustable="box" if flat else "datalim", anchor="W")
 
 
 def draw_angles(axes: Axes, atlas: Atlas, connection: AtlasConnection) -> None:
-    """Draw both angles against the time from the section."""
+    """Draw both angles over time, with the section crossing at zero."""
     for arm in range(len(atlas.periods) // 2):
         axes.plot(connection.times, connection.states[:, arm], color=style.arm_colour(arm), linewidth=1.3)
     for time in (-connection.time_out, connection.time_in):
@@ -264,9 +267,11 @@ def draw_space(
 ) -> None:
     """Draw the tubes of cuts, all orbits, and flights, in 3-D axes with ticks every `steps` half turns.
 
-    sense: of the crossings in which the branches that are drawn end, both without it. saddles: whose orbits are drawn.
+    Flights start at their source's named position. If they end whole turns away, the target orbit is drawn there.
 
-    Flights leave their source's named place; where they end whole turns away, the orbit that they join is drawn there.
+    Args:
+        sense: sense of the branches' final crossings; None draws both.
+        saddles: saddles of the orbits to draw.
     """
     picked = [0, 1, len(atlas.periods) // 2]
     for tube in (part for cut in cuts for part in tubes_of_cut(atlas, cut) if sense in (None, part.sense)):
@@ -313,7 +318,7 @@ def draw_atlas(atlas: Atlas) -> Figure:
 
 
 TIMELINE = "time_from_section"
-"""Seconds from the passage of the section, the same for all flights."""
+"""Time from the section crossing, s, the same for all flights."""
 _DARK = [18, 20, 24]
 _MOMENTS = 240
 
@@ -346,14 +351,14 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
 
 
 class _Shown:
-    """How states become places: the rate's scale, and the box in which everything lies."""
+    """Mapping of states to space: scale of the rate, and bounding box."""
 
     def __init__(self, atlas: Atlas) -> None:
         self.rate = len(atlas.periods) // 2
         parts = [orbit.samples for orbit in atlas.orbits]
         parts += [cut.strands.reshape(-1, len(atlas.periods)) for cut in atlas.cuts]
         states = np.concatenate(parts)[:, [0, 1, self.rate]]
-        # Passages close to a body are so fast that they would flatten everything else.
+        # Fast passages close to a body would otherwise flatten the rest.
         low, high = np.quantile(states, [0.02, 0.98], axis=0)
         spans = np.maximum(high - low, 1e-12)
         self.factor = float(max(spans[:2]) / spans[2])
@@ -361,7 +366,7 @@ class _Shown:
         self.size = float(max(spans[:2]))
 
     def places(self, states: Array) -> Array:
-        """Return (…, 3) of states (…, N)."""
+        """Return positions (…, 3) of states (…, N)."""
         return states[..., [0, 1, self.rate]] * [1, 1, self.factor]
 
 
@@ -419,13 +424,14 @@ def _section(recording: rr.RecordingStream, atlas: Atlas, kind: AtlasKind) -> No
     for k, c in enumerate(connections):
         point, tint = section_place(atlas, c) * [1.0, -height], style.rgb(look[c.name])
         mark = rr.Points2D([point], colors=[tint], labels=[str(k + 1)], radii=rr.Radius.ui_points(4))
-        # The viewer shows the path of what the pointer is on: it holds the name.
+        # The viewer shows the path under the pointer, which therefore contains the name.
         recording.log(f"{home}/connections/{k + 1}_{_plain(c.name)}", mark, static=True)
 
 
 def _frame(atlas: Atlas, kind: AtlasKind) -> tuple[float, Box]:
-    """Return what scales p/p₀ so that the cuts are two thirds as high as wide, as the viewer's scales are equal, and
-    the box that holds them as drawn.
+    """Return the factor for p/p₀ that makes the cuts two thirds as high as wide, and their bounding box as drawn.
+
+    The factor is needed because the viewer's scales are equal.
     """
     points = np.concatenate([run for _, _, run in section_curves(atlas, kind)])
     spans = np.maximum(np.ptp(np.quantile(points, [0.01, 0.99], axis=0), axis=0), 1e-12)
@@ -474,7 +480,7 @@ Connections carry their numbers in this list; a dot moves along each flight.
 def _blueprint(atlas: Atlas, shown: _Shown) -> rrb.Blueprint:
     axes = "θ₁, θ₂, ω₁" if np.isfinite(atlas.periods).any() else "x, y, x rate"
     eye = shown.centre + np.array([-0.9, -1.3, 0.75]) * shown.size * 1.1
-    # At first only each saddle's tubes to its own section are shown, else nothing is seen.
+    # Only each saddle's tubes to one section are visible at first; all together would hide everything.
     own = {(k.source, k.section, k.hits[0]) for k in atlas.kinds if k.source == k.target}
     hidden = [_home(c) for c in atlas.cuts if own and (c.saddle, c.section.name, c.hit) not in own]
     space = rrb.Spatial3DView(

@@ -1,14 +1,14 @@
-"""A campaign's table, and what is known before the first run on a rig, as numbers and each on one page to print.
+"""A campaign's table and a preflight's forecast for a rig, as numbers and each on one page to print.
 
 *A campaign*: one row for each run; shares of success, failures, spreads. Shares come with Wilson's 95 % interval
-(`foundation.statistics`). Only `completed` is required; other columns are used where they are present: itinerary,
-controller, estimator, mismatch, symbols_completed, symbols_total, reason, ending, rms_tracking_error (rad),
-max_cart_position (m). A table with kind and level comes from the standard score: its groups are formed by kind of
-trouble, its levels over all kinds together. Cases that these columns do not tell apart are told apart by `case`. Other
-columns are ignored. The page leaves out panels for which there is nothing to show, such as failures.
+(`foundation.statistics`). Only the column `completed` is required. Optional columns are itinerary, controller,
+estimator, mismatch, symbols_completed, symbols_total, reason, ending, rms_tracking_error (rad), max_cart_position (m).
+A table with kind and level comes from the standard score: its groups are formed by kind of trouble, its levels over all
+kinds together. Cases with equal values in these columns are distinguished by `case`. Other columns are ignored. The
+page omits empty panels, such as failures.
 
-*A preflight*: how often the itinerary completes on the bench as it is known, what ends it otherwise, how far each
-border is, and what a measurement or a change would gain. `dpcontrol.scenes.preflight` finds it.
+*A preflight*: the share of completed runs on the bench as described, the causes of failure, the distance of each
+border, and the gain from a measurement or a change. `dpcontrol.scenes.preflight` computes it.
 """
 
 import math
@@ -38,14 +38,14 @@ _WHAT = ("itinerary", "controller", "estimator")
 _KIND, _LEVEL, _CASE = "kind", "level", "case"
 _EARLY = re.compile(r"; the run ended [^:;]* early: ")
 _APART, _BINS = 21, 6
-"""The most values that are shown one by one, and the number of bins for more."""
+"""Most values shown individually, and the number of bins for more."""
 _NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?")
 _MOST_LETTERS = 90
 
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that share what `names` says, by column, and whose mismatch or level of trouble lies between two bounds."""
+    """Runs with equal `names`, by column, and a mismatch or level of trouble between two bounds."""
 
     names: dict[str, str]
     share: Share
@@ -54,12 +54,12 @@ class Group:
 
     @property
     def label(self) -> str:
-        """The names as one line, once each where the case holds them too."""
+        """The names as one line, without those that the case repeats."""
         return self._line()
 
     @property
     def family(self) -> str:
-        """The names but for the kind of trouble, as one line."""
+        """The names except the kind of trouble, as one line."""
         return self._line(without=_KIND)
 
     def _line(self, *, without: str = "") -> str:
@@ -70,18 +70,19 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class CampaignSummary:
-    """What a campaign's table says.
+    """Summary of a campaign's table.
 
     Attributes:
         path: of the table.
-        runs: rows whose outcome is known. unknown: other rows.
+        runs: rows with a known outcome.
+        unknown: other rows.
         share: of all runs.
-        groups: by itinerary, controller and estimator as far as these differ, by case where they and the mismatch do
-            not tell cases apart, and by kind of trouble.
+        groups: by itinerary, controller and estimator if these differ, by kind of trouble, and by case if these and
+            the mismatch do not distinguish cases.
         axis: "mismatch", or "level" of the standard score.
-        levels: by family and mismatch or level; empty where it does not vary.
-        failed_symbols: (family, symbol from 1, how many runs failed at it), symbol 0 where that is not known.
-        reasons: how many runs failed for each reason, the most frequent first; numbers in it are left out.
+        levels: by family and mismatch or level; empty if it does not vary.
+        failed_symbols: (family, symbol from 1, number of runs that failed at it), symbol 0 if unknown.
+        reasons: number of failed runs by reason without its numbers, the most frequent first.
         spreads: by column and family, values of runs that completed and of those that did not.
     """
 
@@ -104,7 +105,7 @@ class CampaignSummary:
         return f"{share.successes} of {share.runs} runs completed: {chance}{rest}"
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol report --json` prints of a campaign."""
+        """Return the output of `dpcontrol report --json` for a campaign."""
         return {
             "campaign": str(self.path),
             **picked(self, "status", "runs", "unknown"),
@@ -129,17 +130,15 @@ def _share_document(share: Share) -> dict[str, Any]:
 
 
 def campaign_summary(path: Path) -> CampaignSummary:
-    """Return what a campaign's Parquet table says.
+    """Return the summary of a campaign's Parquet table.
 
     Raises:
-        InputError: there is no such file, it is not a Parquet table, holds no runs, or does not say which completed.
+        InputError: the file is missing, not a Parquet table, has no runs, or no column of completed runs.
     """
     columns = _columns(Path(path))
     if "completed" not in columns:
         found = ", ".join(sorted(columns)) or "no columns"
-        raise InputError(
-            f"{path} does not say which runs completed: it has {found}; give a table of `dpcontrol campaign`"
-        )
+        raise InputError(f"{path} has no column of completed runs, only {found}; give a table of `dpcontrol campaign`")
     rows = [k for k, value in enumerate(columns["completed"]) if value is not None and value == value]
     if not rows:
         raise InputError(f"{path} holds no runs with a verdict; run the campaign again")
@@ -170,14 +169,14 @@ Rows = NDArray[np.bool_]
 
 
 def _merged(table: dict[str, list[Any]]) -> bool:
-    """Tell whether columns that groups and levels are formed by leave runs of several cases together."""
+    """True if the columns of groups and levels do not separate all cases."""
     columns = [table[name] for name in (*_WHAT, "mismatch") if name in table]
     places = list(zip(*columns, strict=True)) if columns else [()] * len(table[_CASE])
     return len(set(zip(places, table[_CASE], strict=True))) > len(set(places))
 
 
 def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list[tuple[Group, Rows]]:
-    """Return the groups of runs by what columns say, and the rows (K,) of each."""
+    """Return the groups of runs with equal values in columns, and the rows (K,) of each."""
     keys = [tuple(str(table[name][k]) for name in columns) for k in range(len(done))]
     found = []
     for key in sorted(set(keys)):
@@ -187,7 +186,7 @@ def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list
 
 
 def _columns(path: Path) -> dict[str, list[Any]]:
-    # pyarrow takes a third of a second to import.
+    # Importing pyarrow takes a third of a second.
     arrow = part("pyarrow")
     if not checked_source(path).is_file():
         raise InputError(f"there is no campaign {path}")
@@ -206,7 +205,7 @@ def _share(done: Rows, chosen: Rows) -> Share:
 
 
 def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
-    """Return a column as numbers, nan where a value is missing, or None where it has no numbers."""
+    """Return a column as numbers, nan for missing values, or None if it has no numbers."""
     try:
         values = np.array([np.nan if v is None else float(v) for v in table.get(name, [])])
     except (TypeError, ValueError):
@@ -237,7 +236,7 @@ def _symbols(
     reached, total = (_numbers(table, name) for name in ("symbols_completed", "symbols_total"))
     symbols = np.zeros(len(done)) if reached is None else np.nan_to_num(reached + 1)
     if total is not None:
-        # All symbols done, but not held to the end, wraps or limits: it failed after the last.
+        # All symbols were done, but end, wraps or limits failed: the failure is after the last.
         symbols = np.fmin(symbols, total + 1)
     counts = ((group.label, Counter(symbols[mine & ~done].astype(int).tolist())) for group, mine in groups)
     return tuple((label, symbol, count) for label, some in counts for symbol, count in sorted(some.items()))
@@ -250,7 +249,7 @@ def _reasons(table: dict[str, list[Any]], done: Rows) -> tuple[tuple[str, int], 
 
 
 def plain_reason(reason: str) -> str:
-    """Return why a run ended, else what was not done, without its numbers and remedy."""
+    """Return the reason for a run's end or failure, without its numbers and remedy."""
     text = _NUMBER.sub("…", _EARLY.split(reason)[-1].split(";")[0].strip())
     return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"
 
@@ -276,7 +275,7 @@ _SPREADS = {"max_cart_position": "Cart's largest distance (mm)", "rms_tracking_e
 
 
 def draw_campaign(summary: CampaignSummary) -> Figure:
-    """Return the page as a figure."""
+    """Return a campaign's page as a figure."""
     figure = new_figure(15.0, 9.6, f"Campaign {summary.path.stem}")
     colour = style.GOOD if summary.share.rate >= 0.5 else style.LIMIT
     figure.text(0.015, 0.935, summary.status, fontsize=11, color=colour, va="center")
@@ -295,7 +294,7 @@ def draw_campaign(summary: CampaignSummary) -> Figure:
 
 
 def _draw_groups(axes: Axes, summary: CampaignSummary) -> None:
-    # Of one kind of trouble the controllers stand side by side.
+    # Controllers of one kind of trouble are adjacent.
     groups = sorted(summary.groups, key=lambda group: (group.names.get("kind", ""), -group.share.rate))[:_MOST]
     hidden = len(summary.groups) - len(groups)
     more = f"… and {hidden} groups more" if hidden else ""
@@ -328,7 +327,7 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
     reach = max(level.high for level in summary.levels) - min(level.low for level in summary.levels)
     for k, (label, colour) in enumerate(zip(shown, _colours(summary, shown), strict=True)):
         levels = [level for level in summary.levels if level.label == label]
-        # Groups stand a little apart, so that their intervals do not cover each other.
+        # Groups are offset slightly, so that their intervals do not overlap.
         x = np.array([(level.low + level.high) / 2 for level in levels]) + 0.006 * reach * (k - len(shown) / 2)
         low, rates, high = np.array([(level.share.low, level.share.rate, level.share.high) for level in levels]).T
         spread = np.maximum([rates - low, high - rates], 0)
@@ -389,7 +388,7 @@ def _spread(axes: Axes, summary: CampaignSummary, name: str, title: str) -> None
     hidden = len(summary.spreads[name]) - len(families)
     more = f", first {len(families)} of {len(families) + hidden} groups" if hidden else ""
     quiet(axes, f"{title}: failed red{more}")
-    # One row for each group, as high as its fullest bin: all together would hide what is compared.
+    # Each group has a row as high as its fullest bin: a common one would hide the differences.
     colours = _colours(summary, list(families))
     for row, ((family, (good, bad)), colour) in enumerate(zip(families.items(), colours, strict=True)):
         _bars(axes, good, bad, edges, colour=colour, row=-row)
@@ -408,7 +407,7 @@ def _bars(
     colour: str,
     row: int | None = None,
 ) -> None:
-    """Draw a histogram, what failed upon what was completed; in a row of its own, scaled to it, where one is given."""
+    """Draw a histogram, failed runs upon completed ones; within a given row it is scaled to that."""
     counts = [np.histogram(np.clip(1e3 * values, edges[0], edges[-1]), edges)[0] for values in (good, bad)]
     scale = 1.0 if row is None else 0.85 / max(int(np.add(*counts).max()), 1)
     look = {"width": np.diff(edges), "align": "edge", "alpha": 0.75}
@@ -417,13 +416,13 @@ def _bars(
 
 
 def shown_number(value: float) -> str:
-    """Return a value for people: three digits, and whole numbers as they are."""
+    """Return a value for display: three digits, and whole numbers unchanged."""
     return f"{value:,.3g}" if abs(value) < 1000 else f"{value:,.0f}"
 
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of the bench, as text, and where from."""
+    """A known property of the bench, as text, and its source."""
 
     name: str
     value: str
@@ -432,7 +431,7 @@ class Known:
 
 @dataclass(frozen=True)
 class EndingShare:
-    """How many runs ended so: the loop's ending, its reason without numbers, and a seed of it with its whole reason."""
+    """Number of runs with an ending, its reason without numbers, and a seed with its full reason."""
 
     ending: str
     reason: str
@@ -442,13 +441,13 @@ class EndingShare:
 
     @property
     def words(self) -> str:
-        """What ended it, in few words: the loop's, but for runs that came to the end and were not where they should."""
+        """Short text of the ending; "at the end, but not as asked" for finished runs off their target."""
         return "at the end, but not as asked" if self.ending == "finished" else self.ending
 
 
 @dataclass(frozen=True)
 class ShareAt:
-    """A value of a trouble on some seeds: how many completed, and how many of the same do so on the bench as it is."""
+    """A value of a trouble on some seeds: completed runs, and those of the same seeds on the described bench."""
 
     value: float
     runs: int
@@ -457,21 +456,26 @@ class ShareAt:
 
     @property
     def share(self) -> float:
-        """What completes, as a share of what does on the bench as it is."""
+        """Completed runs relative to those on the described bench."""
         return self.completed / self.reference if self.reference else math.nan
 
 
 _NEAR = 1.25
-"""The factor from a border to the ends of its interval up to which it counts as known."""
+"""Largest factor between a border and the ends of its interval if it counts as known."""
 
 
 @dataclass(frozen=True)
 class HazardBorder:
-    """Where a trouble lets half as many runs complete as on the bench as it is.
+    """Border of a trouble: its value at half the completed runs of the described bench.
 
-    setting: the run setting; set, border, low and high in `unit`, low and high the border's 95 % interval, None where
-    nothing that was tried is beyond it. end: the last value that was tried, if the border is beyond it. falling: less
-    is worse.
+    Attributes:
+        setting: the run setting.
+        set: value on the bench, in `unit`.
+        border: in `unit`.
+        low: of the border's 95 % interval, None if no value was below the border.
+        high: of the interval, None if no value was beyond the border.
+        end: last value tried, if the border is beyond it.
+        falling: True if less is worse.
     """
 
     name: str
@@ -487,37 +491,37 @@ class HazardBorder:
 
     @property
     def margin(self) -> float | None:
-        """How many times as bad the bench may become; None where it has none of this trouble, or no border is known."""
+        """Factor by which the bench may worsen; None without this trouble or without a known border."""
         if self.border is None or not self.set or math.isinf(self.set):
             return None
         return self.set / self.border if self.falling else self.border / self.set
 
     @property
     def own(self) -> str:
-        """The bench's own value, as text."""
+        """The bench's value, as text."""
         return "none" if math.isinf(self.set) else f"{shown_number(self.set)} {self.unit}"
 
     @property
     def order(self) -> tuple[bool, float, str]:
-        """What puts the nearest border first, and those without a margin last."""
+        """Sort key that puts the nearest border first, and those without a margin last."""
         return self.margin is None, self.margin or 0.0, self.name
 
     @property
     def interval(self) -> str:
-        """The border's 95 % interval, as text; "…" for an end that was not found."""
+        """The border's 95 % interval, as text; "…" for an unknown end."""
         ends = ("" if end is None else shown_number(end) for end in (self.low, self.high))
         return "" if self.border is None else " … ".join(ends)
 
     @property
     def sure(self) -> bool:
-        """Whether its interval is known, and within a quarter of it: not so where what completes falls slowly."""
+        """True if its interval is known and within a quarter of it, unlike at slowly falling shares."""
         if self.border is None or self.low is None or self.high is None:
             return False
         return max(self.low, self.high) <= _NEAR * self.border and min(self.low, self.high) >= self.border / _NEAR
 
     @property
     def sentence(self) -> str:
-        """Where the border is."""
+        """Position of the border, as text."""
         if self.border is None:
             return f"{'below' if self.falling else 'beyond'} {shown_number(self.end)} {self.unit}"
         return f"{'' if self.sure else 'about '}{shown_number(self.border)} {self.unit}"
@@ -525,9 +529,11 @@ class HazardBorder:
 
 @dataclass(frozen=True)
 class Improvement:
-    """A change on the same seeds: of `failing` that failed `rescued` complete, of `completing` `lost` no longer do.
+    """A change on the same seeds: `rescued` of `failing` runs now complete, `lost` of `completing` no longer do.
 
-    options: its run settings; rate: the share that completes without it.
+    Attributes:
+        options: run settings of the change.
+        rate: share of completed runs without it.
     """
 
     text: str
@@ -540,13 +546,13 @@ class Improvement:
 
     @property
     def gain(self) -> float:
-        """By how much the share that completes grows."""
+        """Increase of the share of completed runs."""
         up = (1 - self.rate) * self.rescued / self.failing if self.failing else 0.0
         return up - (self.rate * self.lost / self.completing if self.completing else 0.0)
 
     @property
     def error(self) -> float:
-        """The standard error of the gain; two more of each kind keep it above zero (Agresti and Coull, 1998)."""
+        """Standard error of the gain; two more of each kind keep it above zero (Agresti and Coull, 1998)."""
         variance = 0.0
         up, down = (1 - self.rate, self.rescued, self.failing), (self.rate, self.lost, self.completing)
         for weight, hits, count in (up, down):
@@ -558,10 +564,16 @@ class Improvement:
 
 @dataclass(frozen=True)
 class Preflight:
-    """What is known before the first run. share: of runs that complete, with its interval at `confidence`.
+    """Forecast before the first run.
 
-    known: of the bench; notes: what to mind; endings: of the runs that do not complete, the most frequent first;
-    borders: the nearest first; changes: what gains most first. seconds: what it took.
+    Attributes:
+        share: completed runs, with its interval at `confidence`.
+        known: properties of the bench.
+        notes: warnings.
+        endings: of failed runs, the most frequent first.
+        borders: the nearest first.
+        changes: the largest gain first.
+        seconds: computing time.
     """
 
     itinerary: str
@@ -581,29 +593,29 @@ class Preflight:
 
     @property
     def likely(self) -> bool | None:
-        """Whether nine of ten runs complete at least (True) or less than half do (False), None for in between."""
+        """True if at least nine of ten runs complete, False if less than half do, None in between."""
         return True if self.share.low >= 0.9 else False if self.share.high < 0.5 else None
 
     @property
     def status(self) -> str:
-        """How likely it completes, in a sentence."""
+        """Sentence on the share of completed runs."""
         s = self.share
         band = f"{s.low:.1%} to {s.high:.1%} with {self.confidence:.0%} confidence"
         return f"{s.successes} of {s.runs} runs completed: {s.rate:.1%} ({band})"
 
     @property
     def advice(self) -> str:
-        """What would help most, or which border is nearest, in a sentence."""
+        """Sentence on the best change, or on the nearest border."""
         best = self.changes[0] if self.changes else None
         if best is not None and best.gain > 2 * best.error:
             return f"{best.text} would gain most: {100 * best.gain:+.0f} points of {self.share.rate:.0%}"
         nearest = next((b for b in self.borders if b.margin is not None), None)
         at = "" if nearest is None else f"; the nearest border is that of {nearest.name}, at {nearest.sentence}"
-        none = "nothing failed, so nothing is to be gained" if best is None else "no change gains more than chance"
+        none = "no run failed, so no change can help" if best is None else "no change gains more than chance"
         return none + at
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol preflight --json` prints."""
+        """Return the output of `dpcontrol preflight --json`."""
         s = self.share
         return {
             **picked(self, "itinerary", "title", "model", "status", "advice"),
@@ -626,12 +638,12 @@ class Preflight:
 
 
 _SIZE = (8.27, 11.69)
-"""Of a sheet of A4, inches."""
+"""Size of a sheet of A4, inches."""
 _LEFT, _WIDE = 0.07, 0.88
 
 
 def draw_preflight(found: Preflight) -> Figure:
-    """Return the page as a figure."""
+    """Return a preflight's page as a figure."""
     figure = new_figure(*_SIZE)
     look: dict[str, Any] = {"va": "top", "color": style.INK}
     title = shorten(f"Before the first run: {found.itinerary}", 60, placeholder=" …")
@@ -655,8 +667,8 @@ def draw_preflight(found: Preflight) -> Figure:
         place = (_LEFT + column * _WIDE / columns, 0.485 - row * (tall + 0.06), _WIDE / columns - 0.03, tall)
         _legend(figure.add_axes(place))
         figure.text(_LEFT, 0.618, "How far each border is: where half as many runs complete", **heading)
-    helps = "What would help, on the same seeds; lines: two standard errors"
-    none = "What would help: nothing was tried, as no run failed or none was compared"
+    helps = "Gain of each change, on the same seeds; lines: two standard errors"
+    none = "Gain of changes: none tried, because no run failed or none was compared"
     figure.text(_LEFT, 0.277, helps if found.changes else none, **heading)
     _changes(figure.add_axes((0.42, 0.11, 0.53, 0.145)), found)
     notes = [line for note in found.notes for line in wrap(f"Mind: {note}", 120)]
@@ -676,7 +688,7 @@ def _rate(axes: Axes, found: Preflight) -> None:
 
 
 def _known(axes: Axes, found: Preflight) -> None:
-    axes.set_title("The bench, as far as it is known", loc="left", fontsize=9.5, color=style.INK, pad=4)
+    axes.set_title("The bench as described", loc="left", fontsize=9.5, color=style.INK, pad=4)
     axes.axis("off")
     rows = max(len(found.known), 9)
     for k, one in enumerate(found.known):
@@ -691,7 +703,7 @@ _REASONS = 5
 
 
 def _endings(axes: Axes, found: Preflight) -> None:
-    axes.set_title("What ends it otherwise, of all runs", loc="left", fontsize=9.5, color=style.INK, pad=4)
+    axes.set_title("Endings of failed runs, share of all runs", loc="left", fontsize=9.5, color=style.INK, pad=4)
     axes.axis("off")
     shown, runs = found.endings[:_REASONS], found.share.runs
     if not shown:

@@ -1,8 +1,8 @@
-"""Several runs on one clock, on a page and as a Rerun recording: each delayed to cross one symbol's section together.
+"""Several runs on one clock, on a page and as a Rerun recording, aligned at the crossing of one symbol's section.
 
-The crossing is the run's own, decoded from its true angles, or from the estimated ones where the truth is not known.
-For a symbol without a section, or one that the run did not complete, it is the plan's; a log without a plan is aligned
-at its start. The comparison's status reports which it was for each run.
+The crossing time is decoded from the run's true angles, or from the estimated ones if the truth is unknown. For a
+symbol without a section, or one that the run did not complete, the plan's time is used. A log without a plan is aligned
+at its start. The comparison's status reports the method used for each run.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ MOST = len(style.RUNS)
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One of several runs.
+    """One run of a comparison.
 
     Attributes:
-        name: of its file, with a number where another has the same.
-        colour: its own.
-        view: on the common clock.
-        delay: s, by which its own clock was moved.
-        aligned_by: a phrase.
+        name: file name, numbered if another run has the same.
+        colour: colour of the run.
+        view: the run on the common clock.
+        delay: shift of its clock, s.
+        aligned_by: phrase on the alignment.
     """
 
     name: str
@@ -58,7 +58,7 @@ class ComparedRun:
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Runs on one clock, the symbol at which they are aligned (from 1), and when that is, s."""
+    """Runs on one clock, with the symbol of alignment (from 1) and its time, s."""
 
     runs: tuple[ComparedRun, ...]
     symbol: int
@@ -66,19 +66,19 @@ class RunComparison:
 
     @property
     def status(self) -> str:
-        """How the runs were aligned, in one sentence."""
+        """Sentence on the alignment of the runs."""
         said = [f"{run.name} {run.aligned_by}" for run in self.runs]
         return f"aligned at symbol {self.symbol}, at {self.moment:.3f} s: {'; '.join(said)}"
 
     @property
     def title(self) -> str:
-        """A title for a page."""
+        """Title of the page."""
         titles = list(dict.fromkeys(run.view.title.split(" — ")[0] for run in self.runs))
         return f"{len(self.runs)} runs: {titles[0]}" if len(titles) == 1 else f"{len(self.runs)} runs compared"
 
     @property
     def span(self) -> Range:
-        """From the first begin to the last end of the runs and their plans, s."""
+        """Range from the first start to the last end of the runs and their plans, s."""
         ends = [run.view.span for run in self.runs]
         return min(begin for begin, _ in ends), max(end for _, end in ends)
 
@@ -87,7 +87,7 @@ def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
     """Return runs on one clock, aligned at a symbol, counted from 1.
 
     Raises:
-        InputError: too many runs, of other pendulums, or none has such a symbol.
+        InputError: there are too many runs, their pendulums differ, or the symbol is missing in all.
     """
     if len(runs) > MOST:
         raise InputError(f"{len(runs)} logs are too many for one picture: compare up to {MOST}")
@@ -119,7 +119,7 @@ def _moment(view: RunView, k: int) -> tuple[float, str]:
 
 
 def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
-    """Return the charts in which all runs are drawn: a line for each, and the first's reference and levels."""
+    """Return the common charts: a line for each run, with the first run's reference and levels."""
     first = comparison.runs[0].view
     every = [charts(run.view) for run in comparison.runs]
     track = f", track ±{1000 * first.limits[0]:g}" if first.limits else ""
@@ -139,9 +139,9 @@ def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
 
 
 def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title: str, prefix: str) -> Chart | None:
-    """Return one chart of all runs, made of the lines that each shows itself by under a prefix in a chart of its own.
+    """Return one chart of all runs from those of their lines whose keys start with `prefix`.
 
-    Of several such lines, as errors of several arms, it has the largest size.
+    Of several such lines, such as errors of several arms, the one with the largest size is used.
     """
     lines: list[Line] = []
     for k, (run, own) in enumerate(zip(comparison.runs, every, strict=True)):
@@ -176,7 +176,7 @@ def _plain(name: str) -> str:
 
 
 def _home(k: int, run: ComparedRun) -> str:
-    """Return the place of a run's strips in a recording, which the viewer shows."""
+    """Return the path of a run's strips in a recording."""
     return f"{k + 1}_{_plain(run.name)}"
 
 
@@ -185,11 +185,11 @@ _FRAMES = 8
 _STORY, _FILM, _PANEL, _HEAD = 0.95, 1.75, 1.75, 0.95
 """Heights in inches: of a run's story and film, of a row of panels, and of the title."""
 _FILMED = 3
-"""The most runs that have a film each."""
+"""Greatest number of runs with films."""
 
 
 def draw_comparison(comparison: RunComparison) -> Figure:
-    """Return the page as a figure."""
+    """Return the page of a comparison as a figure."""
     runs = comparison.runs
     filmed = _FILM if len(runs) <= _FILMED else 0.0
     tall = _HEAD + len(runs) * (_STORY + filmed + 0.35) + 4 * (_PANEL + 0.5) + 0.35
@@ -221,9 +221,9 @@ def draw_comparison(comparison: RunComparison) -> Figure:
 
 
 def _frames(comparison: RunComparison) -> Array:
-    """Return the instants of all films: about the symbols, and half before the first run's end if that is early.
+    """Return the times of all films: about the symbols, half of them before the first run's end if that is early.
 
-    The run that lasts longest says where the symbols are.
+    The longest run supplies the symbol times.
     """
     longest = max((run.view for run in comparison.runs), key=lambda view: view.time_range[1])
     begin, end = min((run.view.time_range for run in comparison.runs), key=lambda span: span[1])
@@ -264,7 +264,7 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
         InputError: it cannot be written.
     """
     runs = comparison.runs
-    # For each arm the box that holds all runs.
+    # The box of each arm holds all runs.
     boxes = [rerun_recording.bounds(*(plane(run.view, arm) for run in runs)) for arm in range(runs[0].view.arms)]
     compared = compared_charts(comparison)
     rows = [f"**{comparison.title}**", "", comparison.status, ""]

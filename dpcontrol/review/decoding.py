@@ -1,22 +1,21 @@
-"""Decode from the arms' angles which of a plan's stops and symbols a run did, and with how many wraps.
+"""Decode the completed stops, symbols and wraps of a plan from the arms' angles.
 
-A plan says at what time each symbol crosses its section, at which angles and in which direction. The decoder looks for
-the same crossings in the run, one after the other. They tie the run's clock to the plan's: at each tick the nearest
-crossing gives the offset, so that a longer or shorter stay does not disturb what follows. With that clock the run
-must stay on the plan's way:
+A plan gives the time, the angles and the direction of each symbol's section crossing. The decoder searches the run for
+the same crossings in sequence. They relate the run's clock to the plan's: at each tick the nearest crossing gives the
+offset, so a longer or shorter stay does not disturb later symbols. On that clock the run must stay close to the plan:
 
     min over |s| ≤ w of max over arms |θ(t) - θ*(τ(t) + s)| ≤ 1.5 rad            τ: the plan's time at run time t
 
 Angles are not wrapped, so a missing turn, a turn the wrong way, a left-out symbol and another saddle are all at least
-half a turn off. The window w is a quarter of the shortest period: a run may be early or late, but not by a wobble.
+half a turn off. The window w is a quarter of the shortest period: a run may be early or late by less than a wobble.
 A stop counts once the run is halfway through it, or half a period after its arrival, whichever comes first.
 
-Wraps are counted from the times between two crossings, because small orbits are hard to see:
+Wraps are counted from the times between two crossings, because small orbits are hard to detect:
 
     N = N* + round((Δt - Δt*) / T)            N*, Δt*: of the plan; T: the period of the stop's orbit
 
-A threshold on how long the arms stay nearest to a saddle is not enough. At H = 0.2 the orbit about Down-Up swings the
-inner arm by 1.8 rad, so other saddles are nearer for much of each period.
+A threshold on the time nearest to a saddle is not enough. At H = 0.2 the orbit about Down-Up swings the inner arm by
+1.8 rad, so other saddles are nearer for much of each period.
 """
 
 from collections.abc import Sequence
@@ -30,16 +29,16 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.references.reference import PlanNotes, Reference, StopNote, SymbolNote, plan_notes
 
 FOLLOWS = 1.5
-"""rad: a run that is farther than that from its plan has lost it; half of the way to another saddle is π/2."""
+"""Greatest distance of a run from its plan, rad; half of the way to another saddle is π/2."""
 _GRID = 0.01
-"""s: spacing of the plan's samples that a run is compared with."""
+"""Spacing of the plan's samples for the comparison with a run, s."""
 _BESIDE = 5e-3
-"""s: on either side of a crossing, to find its direction in the plan."""
+"""Interval on either side of a crossing that determines its direction in the plan, s."""
 
 
 @dataclass(frozen=True)
 class Visit:
-    """A stay at a stop: the saddle's angles (n,), and the first and last tick near them."""
+    """A stay at a stop: angles (n,) of the saddle, rad, and the first and last tick near them."""
 
     angles: tuple[float, ...]
     first: int
@@ -48,11 +47,13 @@ class Visit:
 
 @dataclass(frozen=True)
 class Decoded:
-    """The part of a plan that a run did.
+    """The part of a plan that a run completed.
 
-    visits: the stops that were reached, in order. crossings: the time, s, at which each symbol between them crossed its
-    section, None for a transfer. wraps: at each interior stop between two crossings, else None. lost: the first tick
-    farther than `FOLLOWS` from the plan, or None.
+    Attributes:
+        visits: the stops reached, in order.
+        crossings: section crossing time of each symbol between them, s; None for a transfer.
+        wraps: at each interior stop between two crossings, otherwise None.
+        lost: first tick farther than `FOLLOWS` from the plan, or None.
     """
 
     visits: tuple[Visit, ...]
@@ -62,7 +63,7 @@ class Decoded:
 
     @property
     def matched(self) -> int:
-        """The number of stops that were reached."""
+        """Number of stops reached."""
         return len(self.visits)
 
 
@@ -74,7 +75,7 @@ def orbit_index(notes: PlanNotes, stop: StopNote) -> int:
 
 
 def shortest_period(notes: PlanNotes) -> float:
-    """Return the shortest of the periods of a plan's orbits, s."""
+    """Return the shortest period of a plan's orbits, s."""
     return min(orbit["period"] for orbit in notes["orbits"])
 
 
@@ -99,9 +100,9 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
 
 
 def _due(plan: Reference, arms: int) -> list[float]:
-    """Return the plan's time at which its reference crosses each section, s: the middle of a transfer.
+    """Return the plan's time at which its reference crosses each section, s: for a transfer its middle.
 
-    A symbol's own time is that of the orbit which the reference shadows, not of the reference itself.
+    The time stored with a symbol is that of the shadowed orbit, not of the reference.
     """
     times = np.arange(0.0, plan.duration, _GRID)
     planned = [symbol["time"] for symbol in plan_notes(plan)["symbols"]]
@@ -112,9 +113,11 @@ def _due(plan: Reference, arms: int) -> list[float]:
 def _crossings(
     time: Array, angles: Array, plan: Reference, planned: Sequence[float], *, carries: bool
 ) -> tuple[float | None, ...]:
-    """Return the crossing time of each symbol, s: the due time if there is no crossing, None for a transfer.
+    """Return the crossing time of each symbol, s: the due time without a crossing, None for a transfer.
 
-    planned s: when they are due on the plan's clock. carries: whether one that is late makes the next ones late.
+    Args:
+        planned: due times on the plan's clock, s.
+        carries: True if a delay also delays the following symbols.
     """
     crossings: list[float | None] = []
     after, late = float(time[0]), 0.0
@@ -132,7 +135,7 @@ def _crossings(
 def _crossing(
     time: Array, angles: Array, symbol: SymbolNote, plan: Reference, *, between: tuple[float, float]
 ) -> float:
-    """Return the time of the crossing nearest to when it is due, in the plan's direction and near its angles."""
+    """Return the time of the crossing nearest to its due time, in the plan's direction and near its angles."""
     section, n = symbol["section"], angles.shape[1]
     assert section is not None
     after, due = between
@@ -149,7 +152,7 @@ def _crossing(
 
 
 def _plan_time(time: Array, due: Sequence[float], crossings: tuple[float | None, ...]) -> Array:
-    """Return the plan's time (K,) at each tick, s: with the offset of the nearest crossing, none at the start."""
+    """Return the plan's time (K,) at each tick, s, shifted by the offset of the nearest crossing, none at the start."""
     anchors, offsets = [float(time[0])], [0.0]
     for at, planned in zip(crossings, due, strict=True):
         if at is not None:
@@ -160,13 +163,13 @@ def _plan_time(time: Array, due: Sequence[float], crossings: tuple[float | None,
 
 
 def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
-    """Return the first tick at which the angles are farther than `FOLLOWS` from the plan near its time, or None."""
+    """Return the first tick at which the angles leave the plan near its time by more than `FOLLOWS`, or None."""
     notes, n = plan_notes(plan), angles.shape[1]
     way = plan.state(plan.mesh[0] + np.arange(0.0, plan.duration + _GRID, _GRID).clip(max=plan.duration))[:, :n]
-    # A kept orbit has the plant's own period, so that any phase of it may be the right one.
+    # A sustained orbit has the plant's period, so any phase of it may match.
     window = shortest_period(notes) * (0.5 if "program" in notes or "stay" in notes else 0.25)
     reach = int(np.ceil(window / _GRID))
-    # A run may go on after the plan's end: around the last orbit, period by period.
+    # After the plan's end a run may continue around the last orbit, period by period.
     last = _period(notes, -1)
     clock = clock - np.ceil((clock - plan.duration).clip(min=0.0) / last) * last
     places = np.rint(clock / _GRID).astype(np.intp)
@@ -174,7 +177,7 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
     def gaps(rows: NDArray[np.intp], offset: int) -> Array:
         return np.asarray(np.abs(angles[rows] - way[(places[rows] + offset).clip(0, len(way) - 1)]).max(axis=1))
 
-    # Not-a-number is far, too.
+    # Not-a-number counts as far.
     rows = np.arange(len(angles))
     for offset in sorted(range(-reach, reach + 1), key=abs):
         rows = rows[~(gaps(rows, offset) <= FOLLOWS)]
@@ -184,8 +187,9 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
 
 
 def _spans(notes: PlanNotes, due: Sequence[float], duration: float) -> tuple[list[tuple[float, float]], list[float]]:
-    """Return between what times of the plan it is at each stop, from crossing to crossing or without the transfers
-    beside it, and when the reference has arrived there, s.
+    """Return the plan's time range at each stop, and the time of the reference's arrival there, s.
+
+    Ranges extend from crossing to crossing, excluding adjacent transfers.
     """
     begins, ends, arrivals = [0.0], [], [0.0]
     for symbol, at in zip(notes["symbols"], due, strict=True):
@@ -202,8 +206,9 @@ def _spans(notes: PlanNotes, due: Sequence[float], duration: float) -> tuple[lis
 
 
 def _visit(angles: Array, inside: NDArray[np.intp], stop: StopNote, notes: PlanNotes) -> Visit:
-    """Return the stay at a stop within these ticks: from the first to the last that is nearer to it than to any other
-    saddle, or the nearest one.
+    """Return the stay at a stop: from the first to the last of these ticks that is nearest to this saddle.
+
+    Without such a tick, the stay is the tick closest to the saddle.
     """
     seen, place = angles[inside], tuple(float(angle) for angle in stop["angles"])
     away = np.square(seen - place).sum(axis=1)
@@ -216,9 +221,9 @@ def _visit(angles: Array, inside: NDArray[np.intp], stop: StopNote, notes: PlanN
 
 
 def _wraps(crossings: tuple[float | None, ...], due: Sequence[float], notes: PlanNotes) -> tuple[int | None, ...]:
-    """Return the wraps at each interior stop that was reached.
+    """Return the wraps at each interior stop reached.
 
-    None beside a transfer, and where the orbit is changed at a stop.
+    None beside a transfer, and at stops that change the orbit.
     """
     counts: list[int | None] = []
     for k, (arrived, left) in enumerate(pairwise(crossings)):
@@ -236,15 +241,15 @@ def _period(notes: PlanNotes, stop: int) -> float:
 
 
 def planned_wraps(notes: PlanNotes, stop: int) -> float | None:
-    """Return the wraps that a plan's own times give at an interior stop, from 0, before they are rounded.
+    """Return the unrounded wraps at an interior stop, counted from 0, from the plan's times.
 
-    None beside a transfer, and where the orbit is changed at the stop.
+    None beside a transfer, and at stops that change the orbit.
     """
     arriving, leaving = notes["symbols"][stop], notes["symbols"][stop + 1]
     if arriving["section"] is None or leaving["section"] is None or "arrived_on" in notes["stops"][stop + 1]:
         return None
     if "polished" in notes:
-        # Its wobbles are counted by their crossings when it is made: they need not last the orbit's period.
+        # A plan's crossings already count its wobbles, which need not last the orbit's period.
         return None if (asked := notes["wraps"][stop]) is None else float(asked)
     gap = (leaving["phase_out"] - arriving["phase_in"]) % 1.0
     spare = leaving["time"] - arriving["time"] - arriving["time_in"] - leaving["time_out"]
@@ -253,17 +258,17 @@ def planned_wraps(notes: PlanNotes, stop: int) -> float | None:
 
 NEAR_LAST_ORBIT = 0.1  # rad
 _DENSER = 8
-"""Points on each chord between an orbit's samples from which the distance is measured."""
+"""Points on each chord between an orbit's samples for measuring the distance."""
 
 
 def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
-    """Return by how many rad angles (K, n) leave those (M, n) of an orbit whose period takes `ticks`; 0 if near enough.
+    """Return the distance, rad, by which angles (K, n) leave those (M, n) of an orbit of `ticks` per period.
 
-    Infinite where the angles are no numbers.
+    Zero if near enough, infinite if the angles are not numbers.
     """
     if not np.isfinite(angles).all():
         return np.inf
-    # The point of the same phase is no nearer than the nearest one, and much sooner found.
+    # The point of equal phase is no nearer than the nearest one, and much faster to find.
     closed = max(len(orbit) - bool(np.abs(orbit[0] - orbit[-1]).max() < 1e-6), 1)
     first = int(np.argmin(np.abs(orbit - angles[0]).max(axis=1)))
     ahead = np.rint(np.arange(len(angles)) * (closed / ticks)).astype(np.intp)
@@ -278,9 +283,9 @@ def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
 
 
 def last_gap(time: Array, angles: Array, plan: Reference, *, rate_hz: float) -> float:
-    """Return by how many rad angles (K, n) leave the last orbit over its last period; 0 if they stay near enough.
+    """Return the distance, rad, by which angles (K, n) leave the last orbit over its last period; 0 if near enough.
 
-    At an equilibrium, the last period is no longer than the plan stays there.
+    At an equilibrium the last period is at most as long as the plan's stay there.
     """
     notes, n = plan_notes(plan), angles.shape[1]
     stop = notes["stops"][-1]
@@ -293,25 +298,25 @@ def last_gap(time: Array, angles: Array, plan: Reference, *, rate_hz: float) -> 
 
 
 _REACHES = 0.3
-"""rad, scaled: farther than that a reference does not visit an orbit. Visits without a wrap come within 0.03."""
+"""Greatest scaled distance of a visit from its orbit, rad. Visits without a wrap come within 0.03."""
 _RATE_UNIT = 8.0
-"""rad/s that count as 1 rad: about the frequency of the orbits, so that the distance hardly depends on the phase."""
+"""Rate that counts as 1 rad, rad/s: about the orbits' frequency, so the distance hardly depends on the phase."""
 _COUNTED = 0.3
-"""By how much the wraps may differ from a whole number."""
+"""Tolerance of the wraps about a whole number."""
 _SETTLED = 2
-"""Wobbles at the end after which more of them bring a reference no nearer to its last orbit."""
+"""Wobbles at the end beyond which a reference comes no nearer to its last orbit."""
 _REST = 'friction keeps it off that orbit; set finish = "rest"'
 
 
 def shortfall(plan: Reference) -> str:
-    """Return the reason why even an exact run of the reference is not completed, with a remedy, or an empty string."""
+    """Return the reason why even an exact run of the reference fails, with a remedy, or an empty string."""
     notes = plan_notes(plan)
     stops, symbols = notes["stops"], notes["symbols"]
     times = np.arange(0.0, plan.duration, _GRID / 10)
     states = plan.state(plan.mesh[0] + times)
     angles = states[:, : len(stops[0]["angles"])]
     spans, _ = _spans(notes, _due(plan, angles.shape[1]), plan.duration)
-    # A polished plan need not come near the orbits.
+    # A polished plan need not approach the orbits.
     near_orbits = () if "polished" in notes else enumerate(zip(stops, spans, strict=True))
     for k, (stop, (begin, end)) in near_orbits:
         away = orbit_distance(states[(times >= begin) & (times <= end)][::10], stop, plan)

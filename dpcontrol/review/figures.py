@@ -1,9 +1,9 @@
-"""The paper's computational figures: pages with their words, what they are drawn from, and drawing them by name.
+"""The paper's computational figures: pages with captions, their data sources, and drawing by name.
 
-The lab pendulum's tubes, its homoclinic connections of one and more turns and its heteroclinic ones, and the first
-connection between L1 and L2 of three bodies. Hill's regions, families of orbits, the connection graph, and colour
-wheels: where each point inside a tube's cut goes at every return to the section. Branches are connections against
-energy: where each crosses its section, is born, splits, or grazes it.
+They show the lab pendulum's tubes, its homoclinic connections of one and more turns and its heteroclinic ones, and the
+first connection between L1 and L2 of three bodies. Others show Hill's regions, families of orbits, the connection
+graph, and colour wheels of the returns of a tube's inside. Branches are connections against energy, with their births,
+splittings and grazes of the section.
 """
 
 import json
@@ -80,14 +80,14 @@ def tubes_page(gallery: Gallery) -> Page:
     draw_cuts(axes, atlas, kind)
     return Page(
         figure,
-        f"Left: trajectories that leave the Lyapunov orbit about Down-Up at {ENERGY:g} J (red) and that come to it "
-        "(green) form tubes; the two shades are the tube's two branches, on which the outer arm turns one way or the "
-        "other. They end on the section on which the outer arm hangs straight down. Right: there each tube is a closed "
-        "curve, q the inner arm's angle, p its momentum over p₀; solid where it is crossed with the outer arm's angle "
-        f"rising, dashed where falling. Where two of one kind meet lie the {kind.count} homoclinic connections.",
-        f"The energy is that of the homoclinic connections, {ENERGY:g} J; the paper need not have drawn its tubes at "
-        "the same. The section's coordinates are canonical. Parameters are the rig's identified ones, which reproduce "
-        "the paper's pictures; those it prints do not.",
+        f"Left: trajectories that leave the Lyapunov orbit about Down-Up at {ENERGY:g} J (red) and that approach it "
+        "(green) form tubes. The two shades are the tube's branches, one for each sense of the outer arm's "
+        "turn. They end on the section with the outer arm straight down. Right: there each tube is a closed "
+        "curve, q the inner arm's angle, p its momentum over p₀; solid for crossings with the outer arm's angle "
+        f"rising, dashed for falling. The {kind.count} homoclinic connections lie at intersections of one line type.",
+        f"The energy is that of the homoclinic connections, {ENERGY:g} J; the paper may have used another for its "
+        "tubes. The section's coordinates are canonical. Parameters are the rig's identified ones, which reproduce "
+        "the paper's pictures; the printed ones do not.",
     )
 
 
@@ -99,7 +99,7 @@ def _low(gallery: Gallery) -> Page:
         gallery.atlas("lab", -0.07, (1, 1)),
         ["down-up"],
         "Below the energy of Up-Down only the outer arm can turn over.",
-        "The search finds its own intersections, without windows set by hand: in each sense two symmetric connections "
+        "The search finds intersections without windows set by hand: in each sense two symmetric connections "
         "and a mirror pair, all counted on the torus of angles. Section coordinates are canonical.",
     )
 
@@ -127,7 +127,7 @@ def _page(atlas: Atlas, saddles: list[str], lead: str, differs: str) -> Page:
         assert kind is not None
         connections = atlas.between(saddle, saddle)
         kept = one_of_each(connections)[:_MOST]
-        # Where the outer arm turns flights are tall, where the inner one does they are wide.
+        # Flights are tall if the outer arm turns, and wide if the inner one does.
         flat = not kept[0].winding[1]
         draw_row(figure, grid[row, 0], atlas, kind, kept, numbers=numbered(connections, kept), flat=flat)
         symmetric = sum(c.symmetric for c in connections)
@@ -139,15 +139,15 @@ def _page(atlas: Atlas, saddles: list[str], lead: str, differs: str) -> Page:
     return Page(
         figure,
         f"{lead} Left: the cuts of the unstable (red) and stable (green) tube; dots of one colour are one connection "
-        "and its mirror images. Right: one flight of each colour, of positive sense, in the plane of the angles (pale: "
-        "the orbits it leaves and joins; dot: where it passes the section), with the angle at which the cuts meet. "
+        "and its mirror images. Right: one flight of each colour, of positive sense, in the plane of the angles, and "
+        "the angle between the cuts. Pale curves are its two orbits, the dot its section crossing. "
         f"{'; '.join(words)}.",
         differs,
     )
 
 
 def numbered(connections: tuple[AtlasConnection, ...], kept: list[AtlasConnection]) -> dict[str, str]:
-    """Return the number of each connection by name: that of the kept one of its colour."""
+    """Return the number of each connection by name; connections of one colour share a number."""
     look = colours(connections)
     number = {look[c.name]: str(k + 1) for k, c in enumerate(kept)}
     return {c.name: number[look[c.name]] for c in connections if look[c.name] in number and np.isfinite(c.point[1])}
@@ -175,8 +175,8 @@ def heteroclinics_page(gallery: Gallery) -> Page:
         counts.append(f"{kind.count} from {source} to {target}")
     return Page(
         figure,
-        "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left, with a part enlarged: where the unstable tube "
-        "(red) of the orbit that is left meets the stable tube (green) of the orbit that is joined. Right: the flights "
+        "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left, with a part enlarged: the unstable tube "
+        "(red) of the source orbit meets the stable tube (green) of the target orbit. Right: the flights "
         "in the plane of the angles, from the source's named position; pale teal is the orbit about Down-Up, pale "
         f"violet that about Up-Down. {' and '.join(counts)}; those in one direction are those in the other, "
         "run backward in time.",
@@ -187,7 +187,7 @@ def heteroclinics_page(gallery: Gallery) -> Page:
 
 
 def _zoom(axes: Axes, atlas: Atlas, kind: AtlasKind, corner: tuple[float, float]) -> None:
-    """Draw the neighbourhood of the connections of positive sense again, larger, in a corner of their panel."""
+    """Draw the neighbourhood of the connections of positive sense enlarged, in a corner of their panel."""
     places = np.array([section_place(atlas, c) for c in connections_of(atlas, kind) if c.sense > 0])
     middle, reach = places.mean(axis=0), 1.2 * np.ptp(places, axis=0) + np.array([0.08, 0.05])
     inset = axes.inset_axes((*corner, 0.31, 0.31))
@@ -203,8 +203,8 @@ _TURNS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three
 
 
 def draw_repeated(gallery: Gallery, *, turns: int) -> Page:
-    """Draw connections of Down-Up at -0.07 J that turn the outer arm several times, and how they go."""
-    # A flight that turns the outer arm twice passes it hanging twice: the unstable tube's second time is the last.
+    """Draw connections of Down-Up at -0.07 J that turn the outer arm several times, with their angles over time."""
+    # The outer arm passes hanging once per turn: for two turns the unstable tube's second crossing is the last.
     hits = (turns, 1)
     title, ordinal, times, number = _TURNS[turns]
     atlas = gallery.atlas("lab", ENERGY, hits)
@@ -212,7 +212,7 @@ def draw_repeated(gallery: Gallery, *, turns: int) -> Page:
     assert kind is not None
     connections = atlas.between(SADDLE, SADDLE)
     repeated = [c for c in connections if tuple(map(abs, c.winding)) == (0, turns) and c.sense > 0]
-    # Time reversal moves the section to the other passage, so images of one flight are recognised by its length.
+    # Time reversal maps the section to the other passage, so images of one flight are recognised by its length.
     lengths: dict[float, AtlasConnection] = {}
     for c in sorted(repeated, key=lambda c: (c.time_in + c.time_out, c.name)):
         lengths.setdefault(round(c.time_in + c.time_out, 4), c)
@@ -235,8 +235,8 @@ def draw_repeated(gallery: Gallery, *, turns: int) -> Page:
     return Page(
         figure,
         f"Above, left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at "
-        "its first one back, with the connections shown at right: flights in the plane of the angles, in which the "
-        f"outer arm turns {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at "
+        "its first one back. Right: the connections as flights in the plane of the angles, with the "
+        f"outer arm turning {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at "
         "time zero). Below: both angles against time; dotted lines mark where the flight leaves one orbit and joins "
         f"the other. {'In all' if resolved else 'At least'} {len(connections)} connections were found at these hits: "
         f"{counts}; those of smaller winding turn there and back. The cut is in pieces, torn apart where the tube "
@@ -258,10 +258,10 @@ def families_page(gallery: Gallery) -> Page:
     return Page(
         draw_families(families, "Families of Lyapunov orbits of the lab pendulum"),
         "Lyapunov orbits about each saddle from their birth at the saddle (cross) upwards in energy: their shapes in "
-        "the phase plane of the arm that hangs, which swings most while the other balances; their periods; and "
-        f"their unstable multipliers, by which a deviation grows in one period. {ends}.",
-        "Each family is followed along its own curve until 0.45 J instead of being computed at chosen energies, so "
-        "that periods and multipliers can be shown against energy. Parameters are the rig's identified ones.",
+        "the phase plane of the hanging arm, their periods and their unstable multipliers. The hanging arm swings most "
+        f"while the other balances. A multiplier is the growth of a deviation in one period. {ends}.",
+        "Each family is continued up to 0.45 J instead of being computed at chosen energies, so that periods and "
+        "multipliers can be drawn against energy. Parameters are the rig's identified ones.",
     )
 
 
@@ -286,9 +286,9 @@ def graph_page(gallery: Gallery) -> Page:
         )
     return Page(
         figure,
-        "Nodes are Lyapunov orbits, each arrow is one connection: solid where it is symmetric, dashed where it is one "
-        "of a mirror pair; above a node the positive sense, below it the negative. "
-        f"There are {'; '.join(words)}. Before each symbol the arms may wobble as often as wanted.",
+        "Nodes are Lyapunov orbits, each arrow is one connection: solid for symmetric ones, dashed for one of a "
+        "mirror pair. The positive sense is above a node, the negative below. "
+        f"There are {'; '.join(words)}. Before each symbol the arms may wobble any number of times.",
         "There is one arrow for each first-hit connection on the torus of angles, so that reflected and mirrored ones, "
         "which are different motions, are counted. At -0.07 J Up-Down has no orbit, and no arrow can lead there.",
     )
@@ -334,7 +334,7 @@ def _graph(axes: Axes, atlas: Atlas) -> None:
 
 
 def _loop(axes: Axes, x: float, y: float, sign: int, size: float, *, dashed: bool, saddle: str) -> None:
-    """Draw an arrow from a node to itself: an ellipse that touches it, with a head where it comes back."""
+    """Draw an arrow from a node to itself: an ellipse that touches it, with a head at its end."""
     t = np.linspace(0.02, 0.98, 120) * 2 * np.pi
     px, py = x - 0.55 * size * np.sin(t), y + sign * size * (1 - np.cos(t))
     colour = style.saddle_colour(saddle)
@@ -349,7 +349,7 @@ _BETWEEN, _PAIR = "#c2185b", "#7c858e"
 _EVENTS = {
     "saddle-node": "saddle-node: two are born",
     "pitchfork": "pitchfork: one sheds a mirror pair",
-    "section-artefact": "artefact: the section is grazed, none is born",
+    "section-artefact": "artefact: the section is grazed, no birth",
 }
 _COORDINATES = {"down-up": ("θ₁", "θ₂ = 2πk"), "up-down": ("θ₂", "θ₁ = 2πk"), "between": ("θ₁", "θ₁ = θ₂ + 2πk")}
 _ON_MIRROR = 1e-5  # rad
@@ -390,7 +390,7 @@ def _branches(axes: Axes, diagram: BranchDiagram, coordinate: int) -> None:
         colour = style.saddle_colour(diagram.source) if symmetric else _PAIR if homoclinic else _BETWEEN
         look = {"color": colour, "linewidth": 1.8 if symmetric else 1.1, "solid_capstyle": "round"}
         values = _wrapped(points)[:, coordinate]
-        # A branch that leaves the period on one side comes in on the other.
+        # A branch that leaves the period on one side enters on the other.
         for part in np.split(np.arange(len(values)), np.flatnonzero(np.abs(np.diff(values)) > np.pi) + 1):
             axes.plot(energies[part], values[part], **look, zorder=3 if symmetric else 2)
     for mark in diagram.marks:
@@ -404,13 +404,13 @@ def _branches(axes: Axes, diagram: BranchDiagram, coordinate: int) -> None:
 def _wrapped(points: Array) -> Array:
     """Return points (K, 2) with the angle inside one turn about zero."""
     angles = (points[:, 0] + np.pi) % (2 * np.pi) - np.pi
-    # On the mirror at half a turn, rounding would throw points to both ends.
+    # On the mirror at half a turn, rounding would scatter points to both ends.
     angles = np.where(angles < -np.pi + _ON_MIRROR, angles + 2 * np.pi, angles)
     return np.column_stack([angles, points[:, 1]])
 
 
 def _counts(axes: Axes, diagram: BranchDiagram) -> None:
-    """Write along the lower edge how many connections there are between one event and the next."""
+    """Write along the lower edge the number of connections between consecutive events."""
     shown, last, span = -1, -np.inf, diagram.counts[-1][0] - diagram.counts[0][0]
     look = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "fontsize": 8, "color": style.CART}
     for energy, count, complete in diagram.counts:
@@ -442,9 +442,9 @@ def _caption(diagrams: list[BranchDiagram]) -> str:
         else "Every change of the numbers has a located cause"
     )
     return (
-        "Where each connection crosses its section, as energy grows: its angle there (above) and the momentum across "
-        "(below). Each curve is a connection followed by continuation, round its folds too; marks are events, each "
-        "solved by its own equations. Numbers along the lower edge count all connections on the torus; curves show one "
+        "The section crossing of each connection, as energy grows: its angle there (above) and the momentum across "
+        "(below). Each curve is a connection followed by continuation, also round folds; marks are events, each "
+        "solved separately. Numbers along the lower edge count all connections on the torus; curves show one "
         f"sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. {_scattering(diagrams)}"
         f"{'; '.join(words)}. {causes}."
     )
@@ -464,8 +464,8 @@ def _scattering(diagrams: list[BranchDiagram]) -> str:
 def _differs(diagrams: list[BranchDiagram]) -> str:
     onset = min((m.energy for m in diagrams[2].marks), default=float("nan"))
     return (
-        "Folds and splittings are located instead of read off a list of counts, and distinguished from grazes of the "
-        "section, which only move a connection to another number of hits. Both orbits exist from 0.1754 J on, which "
+        "Folds and splittings are located instead of read off a list of counts. They are distinguished from grazes of "
+        "the section, which only change a connection's number of hits. Both orbits exist from 0.1754 J on, which "
         "the paper gives for the onset of heteroclinics; the first of them that meets its section once each appears at "
         f"{onset:.6f} J. With the parameters printed in the paper's text all these energies differ."
     )
@@ -501,7 +501,7 @@ CAPTIONS = "captions.json"
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure that was drawn: its file, its words, the seconds it took with all that it was computed from."""
+    """A figure on disk: file, caption, and seconds taken including its computations."""
 
     name: str
     file: Path
@@ -513,12 +513,12 @@ class Drawn:
 def draw_figures(
     names: Sequence[str], gallery: Gallery, folder: Path, *, progress: Progress = no_progress
 ) -> tuple[Drawn, ...]:
-    """Draw figures (all where `names` is empty) to NAME.png in `folder`, and their words to captions.json there.
+    """Draw figures (all if `names` is empty) to NAME.png in `folder`, and their captions to captions.json there.
 
-    Words of figures drawn there before are kept.
+    Captions of figures drawn there earlier are kept.
 
     Raises:
-        InputError: an unknown name, or a folder that cannot be written to.
+        InputError: a name is unknown, or the folder is not writable.
     """
     for name in names:
         if name not in FIGURES:

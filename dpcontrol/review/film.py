@@ -1,7 +1,7 @@
 """A film of a run, a recording, a reference or an orbit: the arms on their cart, in real time, over the itinerary.
 
-What stands still (title, track, limits, the story over time) is drawn once by matplotlib as on a page; what moves is
-drawn over it for each frame by Pillow: the reference's ghost, the tip's path, cart, arms, and a cursor in the story.
+Static parts (title, track, limits, the story over time) are drawn once by matplotlib as on a page. Moving parts are
+drawn over them for each frame by Pillow: the reference's ghost, the tip's path, cart, arms, and a cursor in the story.
 """
 
 import errno
@@ -32,24 +32,24 @@ from dpcontrol.review.series import Range, arm_points
 Point = tuple[float, float]
 
 RATE = 25
-"""Frames in a second."""
+"""Frames per second."""
 _INCHES, _SCENE = 7.2, 3.7
-"""Width of a film, and height of what is seen of the pendulum."""
+"""Width of a film, and height of the pendulum's view."""
 _PIXELS = 100
-"""To an inch; frames are drawn at twice as many and halved, which smooths their lines."""
+"""Pixels per inch; frames are drawn at twice the size and halved to smooth their lines."""
 _FINE = 2
 _HEAD, _ROW, _FOOT = 0.42, 0.2, 0.42
 _GHOST, _TRACK = "#c3c9d0", "#dfe3e7"
 _TRACE, _PIECES = 0.9, 12
-"""Seconds of the tip's path that are shown, and shades in which it fades."""
+"""Duration of the visible tip path, s, and number of shades in which it fades."""
 _COLOURS = 96
 _SECONDS = {".gif": 0.03, ".webp": 0.05, ".mp4": 0.03}
-"""s that a frame takes to draw and to write; a GIF also keeps every frame in memory until its end."""
+"""Time to draw and write a frame, s; a GIF also keeps every frame in memory until its end."""
 
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """What a film shows: a view, and the stretch of its time in s."""
+    """Content of a film: a view and a time range in s."""
 
     view: RunView
     stretch: Range
@@ -62,7 +62,7 @@ class Film:
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:
-        """(K,) the ticks that the frames show; -1 without a pose, or in a gap of more than two frames or ticks."""
+        """(K,) tick of each frame; -1 without a pose, or in a gap of more than two frames or ticks."""
         time = self.view.time
         rows = np.searchsorted(time, self.times - 1e-9).clip(0, len(time) - 1)
         near = np.abs(time[rows] - self.times) <= 2 / min(RATE, self.view.rate_hz)
@@ -71,12 +71,12 @@ class Film:
 
     @cached_property
     def pivots(self) -> Array:
-        """(N,) where the pivot is at each tick, m."""
+        """(N,) position of the pivot at each tick, m."""
         return self.view.pivot
 
     @cached_property
     def still(self) -> tuple[Image.Image, Axes, Axes | None]:
-        """What stands still, twice as large, with the axes of the pendulum and of the story, if there is one."""
+        """Static image at twice the size, with the axes of the pendulum and of the story, if any."""
         view, strips = self.view, story_rows(self.view)
         below = _FOOT + _ROW * len(strips) if strips else 0.0
         height = _HEAD + _SCENE + below
@@ -93,7 +93,7 @@ class Film:
         return _image(figure), scene, told
 
     def _extent(self) -> tuple[Range, Range]:
-        """Return from where to where arms, ghost and cart reach in the film, along x and y; m."""
+        """Return the range of arms, ghost and cart in the film along x and y, m."""
         view, reach = self.view, sum(self.view.arm_lengths)
         rows, cart = self.rows[self.rows >= 0], 0.16 * reach
         spots = [np.array([(middle + side, 0.0) for middle in self.pivots[rows] for side in (-cart, cart)])]
@@ -174,7 +174,7 @@ class Film:
         return frame.reduce(_FINE)
 
     def _draw_trace(self, frame: Image.Image, draw: ImageDraw.ImageDraw, row: int) -> None:
-        """Draw the tip's path up to a tick, fainter the longer ago."""
+        """Draw the tip's path up to a tick, fading with age."""
         view = self.view
         first = int(np.searchsorted(view.time, view.time[row] - _TRACE))
         if len(view.breaks):
@@ -198,7 +198,7 @@ def _font() -> ImageFont.FreeTypeFont:
 
 
 def _placed(frame: Image.Image, axes: Axes, x: Any, y: Any) -> list[Point]:
-    """Return places on axes as pixels of a frame, from its upper left corner."""
+    """Return positions on axes as pixels of a frame, from its upper left corner."""
     points = axes.transData.transform(np.column_stack([x, y]))
     return [(float(px), frame.height - float(py)) for px, py in points]
 
@@ -227,13 +227,20 @@ def write_film(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> Path:
-    """Write a film in real time, 25 frames a second: a GIF, a WebP or, with imageio-ffmpeg, an MP4, by the name's end.
+    """Write a film in real time, 25 frames per second; the suffix selects GIF, WebP or (with imageio-ffmpeg) MP4.
 
-    The same view gives the same bytes. stretch: of time in s, if not all; yes: however long that takes.
+    The same view gives the same bytes.
+
+    Args:
+        view: run, recording, reference or orbit to show.
+        file: the film.
+        stretch: time range in s; all by default.
+        yes: accept any duration of the writing.
+        progress: called with a label and the completed share.
 
     Raises:
-        InputError: a name that ends otherwise, a file that cannot be written, a motion without arms, a stretch outside
-            the motion or without angles, a film that would take too long, or no imageio-ffmpeg.
+        InputError: the suffix is unknown, the file cannot be written, the motion has no arms, the range lies outside
+            the motion or has no angles, writing would take too long, or imageio-ffmpeg is missing.
     """
     file = Path(file)
     kind = file.suffix.lower()
@@ -272,7 +279,7 @@ def _shown(film: Film, progress: Progress) -> Iterator[Image.Image]:
 
 
 def _write_gif(film: Film, file: Path, progress: Progress) -> None:
-    # One palette for all: colours do not flicker, and what stands still is stored once.
+    # One palette serves all frames: colours do not flicker, and static parts are stored once.
     samples = [film.frame(k) for k in np.linspace(0, len(film.times) - 1, 4).astype(int)]
     sheet = Image.fromarray(np.concatenate([np.asarray(sample) for sample in samples]))
     palette = sheet.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE)
@@ -292,7 +299,7 @@ def _write_mp4(film: Film, file: Path, progress: Progress) -> None:
         raise InputError(
             f"{file.suffix} needs imageio-ffmpeg: pip install 'dpcontrol[film]', or choose .gif or .webp"
         ) from error
-    # H.264 has even sizes only; neither time nor program is written, so that the same film has the same bytes.
+    # H.264 requires even sizes. Time and program are omitted, so that the same film has the same bytes.
     width, height = (length // 2 * 2 for length in film.frame(0).size)
     exact = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1", "-threads", "1"]
     writer = imageio_ffmpeg.write_frames(
@@ -303,11 +310,11 @@ def _write_mp4(film: Film, file: Path, progress: Progress) -> None:
         for frame in _shown(film, progress):
             writer.send(frame.crop((0, 0, width, height)).tobytes())
     except OSError:
-        # ffmpeg has ended, which its frames show below; the error repeats all of its output.
+        # ffmpeg has ended, as its frame count below shows; the error repeats all of its output.
         pass
     finally:
         writer.close()
-    # The exit code of ffmpeg is not passed on.
+    # The exit code of ffmpeg is not available.
     count = 0
     with suppress(RuntimeError, OSError):
         count = imageio_ffmpeg.count_frames_and_secs(str(file))[0] or 0

@@ -1,4 +1,4 @@
-"""What figures are drawn from, and a figure with its words."""
+"""Data sources of the figures, and a figure with its caption."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,11 +13,13 @@ from dpcontrol.walks.atlas import Atlas
 
 @dataclass(frozen=True)
 class Gallery:
-    """What figures are drawn from; each figure asks for what it needs.
+    """Data sources of the figures; each figure uses those it needs.
 
-    system: of a model by name. atlas: of a model, an energy in J and hits (None: the first that there are).
-    branches: of a model, a source and a target, with what to report to: their connections against energy.
-    progress: where the figure being drawn reports how far it is.
+    Attributes:
+        system: returns a model's system by name.
+        atlas: returns the atlas of a model, an energy in J and a number of hits; None takes the first available.
+        branches: returns connections against energy for a model, a source and a target, with a progress callback.
+        progress: progress callback of the current figure.
     """
 
     system: Callable[[str], System]
@@ -28,11 +30,11 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Page:
-    """A figure with its words: what it shows, and what differs from the paper's and why."""
+    """A figure with a caption that states its content and any differences from the paper."""
 
     figure: Figure
     caption: str
     differs: str
 
 
-IDENTIFIED = "Parameters are the rig's identified ones; those that the paper prints do not reproduce its pictures."
+IDENTIFIED = "Parameters are the rig's identified ones; those printed in the paper do not reproduce its pictures."

@@ -1,4 +1,4 @@
-"""An identification on one page: errors before and after, candidates, correlations, profiles; and designs compared."""
+"""Identification on one page: errors before and after, candidates, correlations, profiles; and designs compared."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,7 @@ _PER_ROW = 6
 
 
 def draw_identification(found: Identification, curves: tuple[LossProfile, ...], *, title: str) -> Figure:
-    """Return the page as a figure."""
+    """Return the page on an identification as a figure."""
     rows = int(np.ceil(len(curves) / _PER_ROW))
     figure = new_figure(16.0, 7.6 + 2.1 * rows, title)
     grid = figure.add_gridspec(
@@ -32,7 +32,7 @@ def draw_identification(found: Identification, curves: tuple[LossProfile, ...], 
 
 
 def _candidates(axes: Axes, found: Identification) -> None:
-    """Errors on what was left out, of each candidate."""
+    """Draw each candidate's errors on the segments left out."""
     rows = [("the starting model", found.started_at), *((" + ".join(c.terms), c.left_out) for c in found.candidates)]
     for y, (_, rms) in enumerate(rows):
         chosen = y == found.chosen + 1
@@ -45,7 +45,7 @@ def _candidates(axes: Axes, found: Identification) -> None:
 
 
 def _segments(axes: Axes, found: Identification) -> None:
-    """Error of each segment, used or left out."""
+    """Draw the error of each segment, fitted or left out."""
     index = np.array([s.index for s in found.segments])
     used = np.array([s.used for s in found.segments])
     rms = 1e3 * np.array([s.rms for s in found.segments])
@@ -56,7 +56,7 @@ def _segments(axes: Axes, found: Identification) -> None:
 
 
 def _errors(axes: Axes, found: Identification) -> None:
-    """What is left of the angles over time, on the segments left out."""
+    """Draw the residual angles over time, on the segments left out."""
     shown = [k for k, s in enumerate(found.segments) if not s.used]
     for k in shown:
         residual, period = found.residuals[k], found.swings[k].period
@@ -66,7 +66,7 @@ def _errors(axes: Axes, found: Identification) -> None:
             axes.plot(times, 1e3 * residual[:, arm], linewidth=0.8, color=style.arm_colour(arm), label=label)
     axes.axhline(0.0, color=_BEFORE, linewidth=0.6)
     axes.legend(fontsize=8, frameon=False, ncols=3)
-    quiet(axes, "Measured less predicted angle on what was left out (mrad)", x="time in the recording (s)")
+    quiet(axes, "Measured less predicted angle on segments left out (mrad)", x="time in the recording (s)")
 
 
 def _correlation(axes: Axes, found: Identification, figure: Figure) -> None:
@@ -94,8 +94,8 @@ def _profile(axes: Axes, curve: LossProfile, *, first: bool) -> None:
 
 
 def draw_design(design: Design, *, title: str) -> Figure:
-    """Return the comparison as a figure: swings over their first two angles, the cart's sines over frequency."""
-    figure = new_figure(14.0, 6.2, f"What a recording of {design.settings.seconds:g} s would tell: {title}")
+    """Return a figure that compares designs: swings over their first two angles, the cart's sines over frequency."""
+    figure = new_figure(14.0, 6.2, f"Accuracy expected from a recording of {design.settings.seconds:g} s: {title}")
     grid = figure.add_gridspec(
         1, 3, left=0.06, right=0.985, top=0.84, bottom=0.12, wspace=0.3, width_ratios=(1.1, 1, 0.9)
     )

@@ -1,9 +1,9 @@
-"""A run in a Rerun viewer while it happens: the loop sends rows through a pipe to a process that shows them.
+"""Show a run live in a Rerun viewer: the loop sends rows through a pipe to a separate process.
 
-The loop never waits: fifty times a second it writes a row of some 300 bytes to a pipe that does not block, and what the
-pipe has no room for is dropped. Run as a program, this module is the other end. Its arguments are a file, which holds
-what is known before the run, and the address of a viewer; if that is empty it opens one. It shows rows until the pipe
-or the viewer is closed. Whatever happens to it, the run goes on.
+The loop never waits. Fifty times a second it writes a row of some 300 bytes to a non-blocking pipe, and drops the row
+if the pipe is full. Run as a program, this module is the receiving process. Its arguments are a file with the run's
+fixed data and the address of a viewer; for an empty address it opens a viewer. It shows rows until the pipe or the
+viewer is closed. Failures of this process do not affect the run.
 """
 
 import contextlib
@@ -35,26 +35,27 @@ if TYPE_CHECKING:
 
 
 RATE = 50.0
-"""Hz of the rows that are shown."""
+"""Rate of the displayed rows, Hz."""
 _MOST = getattr(select, "PIPE_BUF", 512)
-"""Bytes of a message: up to so many are written to a pipe whole or not at all."""
+"""Size up to which a write to a pipe is atomic, bytes."""
 _ROOM = 1 << 20
-"""Bytes that the pipe may hold, on systems where its size can be set: a minute of rows."""
+"""Capacity of the pipe, bytes, on systems that can set it: a minute of rows."""
 _HEAD = struct.Struct("<cI")
 _ROW, _EVENT = b"R", b"E"
 _PAUSE = 0.1
-"""s between two looks at what has come."""
+"""Time between two reads of the pipe, s."""
 _TAIL = 20
-"""Rows that are drawn again with the next ones, so that the tip's path has no gaps."""
+"""Rows drawn again with the next ones, so that the tip's path has no gaps."""
 _MEMORY = "1GB"
-"""What the viewer may use; beyond it the oldest data are dropped."""
+"""Memory limit of the viewer; beyond it the oldest data are dropped."""
 
 
 class LiveView:
-    """A sink that shows a run while it happens; a context manager. What it cannot show is dropped.
+    """A sink that shows a run live and drops rows under load; a context manager.
 
-    start: the log of the run as it is before its first row, with scene, model and reference attached.
-    viewer: the address of one that is open; else one is opened.
+    Args:
+        start: log of the run before its first row, with scene, model and reference attached.
+        viewer: address of an open viewer; "" opens one.
 
     Raises:
         InputError: there is no viewer, no display to open it on, or the system is Windows.
@@ -83,7 +84,7 @@ class LiveView:
         self.process = window.pid
         self._pipe = os.dup(window.stdin.fileno())
         window.stdin.close()
-        # It outlives the run: nobody here waits for its end.
+        # The process outlives the run and is not waited for.
         window.returncode = 0
         os.set_blocking(self._pipe, False)
         with contextlib.suppress(ImportError, AttributeError, OSError):
@@ -94,14 +95,14 @@ class LiveView:
 
     def __exit__(self, *_: object) -> None:
         if self._pipe < 0:
-            remark("the live view ended before the run did; the log has everything")
+            remark("the live view ended before the run; the log is complete")
         else:
             os.close(self._pipe)
         if self._dropped:
             remark(f"the live view was behind: {self._dropped:,} of {self._sent:,} rows were left out; the log has all")
 
     def ticks(self, rows: Ticks) -> None:
-        """Show some of the next ticks."""
+        """Show a selection of the next ticks."""
         count = len(rows.times)
         for k in range(self._left, count, self._every):
             parts = [rows.times[k : k + 1], rows.measured[k], rows.estimates[k], rows.references[k], rows.control[k]]
@@ -120,7 +121,7 @@ class LiveView:
         self._sent += 1
         message = _HEAD.pack(kind, len(content)) + content
         if len(message) > _MOST:
-            # It might be written in part.
+            # A longer message might be written in part.
             self._dropped += 1
             return
         try:
@@ -133,28 +134,28 @@ class LiveView:
 
 
 class Sinks:
-    """Hands ticks and events to several sinks in turn."""
+    """Passes ticks and events to several sinks in turn."""
 
     def __init__(self, *sinks: LoopSink) -> None:
         self._sinks = sinks
 
     def ticks(self, rows: Ticks) -> None:
-        """Hand on the next ticks."""
+        """Pass on the next ticks."""
         for sink in self._sinks:
             sink.ticks(rows)
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Hand on one event."""
+        """Pass on one event."""
         for sink in self._sinks:
             sink.event(time_s, level, name, text)
 
 
 @dataclass
 class Shown:
-    """What is shown of a run so far: the recording, the log before its first row, the plan, and the last rows (K, D).
+    """The displayed part of a run: recording, log before the first row, plan and last rows (K, D).
 
-    A row is the time in s, what was measured, estimate, reference, the columns of `control_fields` and, where it is
-    known, the true state; units as in `Ticks`.
+    A row holds the time in s, measurement, estimate, reference, the columns of `control_fields` and, if known, the
+    true state; units as in `Ticks`.
     """
 
     recording: "rr.RecordingStream"
@@ -164,7 +165,7 @@ class Shown:
 
     @classmethod
     def of(cls, recording: "rr.RecordingStream", start: RunLog) -> "Shown":
-        """Return the beginning: the plan with its orbits and tubes, nothing flown."""
+        """Return the initial view: the plan with its orbits and tubes, without flight data."""
         from dpcontrol.references.reference import summarised
         from dpcontrol.review.of_log import reference_view
         from dpcontrol.review.score import plan_of
@@ -194,7 +195,7 @@ class Shown:
         self.tail = both[-_TAIL:]
 
     def _view(self, rows: Array, events: tuple[Event, ...]) -> RunView:
-        """Return rows as a run is seen."""
+        """Return rows as a `RunView`."""
         start, n = self.start, len(self.start.arm_lengths)
         width = 2 * n + 2
         sizes = np.cumsum([1, n + 1, width, width, len(start.controls)])
@@ -205,7 +206,7 @@ class Shown:
             controls=dict(zip(start.controls, control.T, strict=True)),
         )  # fmt: skip
         view, summary = series_of(log), self.planned.summary
-        # Means of the NIS need more rows than come at once.
+        # Means of the NIS need more rows than arrive at once.
         return replace(
             view, limits=start.limits, plan=self.planned.plan, title=f"{self.planned.title}, live", nis=None,
             energy=None if summary is None else summary.energies(view.state),
@@ -213,7 +214,7 @@ class Shown:
 
 
 def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tuple[Array, tuple[Event, ...]]]:
-    """Yield rows (K, D) and events as they come, until the pipe is closed or the viewer has ended."""
+    """Yield rows (K, D) and events as they arrive, until the pipe or the viewer is closed."""
     kept, closed = b"", False
     while not closed and (viewer is None or viewer.poll() is None):
         ready, _, _ = select.select([pipe], [], [], _PAUSE)
@@ -234,12 +235,12 @@ def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tupl
                 events.append(Event(*json.loads(body)))
         if rows or events:
             yield np.array(rows).reshape(len(rows), -1), tuple(events)
-        # What comes meanwhile is shown together.
+        # Rows that arrived in the meantime are shown together.
         time.sleep(_PAUSE)
 
 
 def _opened(address: str) -> "tuple[str, subprocess.Popen[Any] | None]":
-    """Return the address of a viewer, which is opened where none is given, and its process."""
+    """Return the address of a viewer and its process; a viewer is opened if no address is given."""
     if address:
         return address, None
     from dpcontrol.review.picture import viewer_command
@@ -253,7 +254,7 @@ def _opened(address: str) -> "tuple[str, subprocess.Popen[Any] | None]":
 
 
 def show(file: Path, address: str) -> None:
-    """Show what comes on standard input; file: the pickled log before its first row, which is removed."""
+    """Show the data on standard input; `file` is the pickled log before its first row, deleted after reading."""
     with contextlib.suppress(AttributeError, OSError):
         os.nice(10)
         # Linux weighs sessions by this, not by their niceness.

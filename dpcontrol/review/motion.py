@@ -1,7 +1,7 @@
-"""What there is to see of a run, and of the plan that it follows, as the viewer and pages show it.
+"""Data to draw of a run and its plan, shared by the viewer and the pages.
 
-A simulated run has truth, estimate, reference and command; a recording from the bench has only the measured angles, in
-segments. A plan has stays and symbols over time, orbits and tubes in phase space.
+A simulated run has truth, estimate, reference and command. A recording from the bench has only the measured angles, in
+segments. A plan has stays and symbols over time, and orbits and tubes in phase space.
 """
 
 from collections.abc import Mapping
@@ -21,12 +21,12 @@ from dpcontrol.references.reference import ReferenceSummary
 
 @dataclass(frozen=True)
 class PlacedOrbit:
-    """A periodic orbit of the pendulum, or an equilibrium, at a place where a plan stops.
+    """A periodic orbit of the pendulum, or an equilibrium, at a stop of a plan.
 
     Attributes:
-        name: as shown, such as "down-up at -0.07 J".
+        name: displayed name, such as "down-up at -0.07 J".
         states: (M, 2n) along one period, angles then rates; rad, rad/s.
-        saddle: that it lies about.
+        saddle: saddle at its centre.
     """
 
     name: str
@@ -39,9 +39,9 @@ class TubeCurve:
     """The part of a tube that a plan uses: trajectories between a stop's orbit and a symbol's section.
 
     Attributes:
-        stable: whether it leads to the orbit; else from it.
+        stable: True if it leads to the orbit, False if from it.
         strands: (S, M, 2n) trajectories at the plan's turns, angles then rates; rad, rad/s.
-        cut: (C, 2n) where they meet the section, in order of phase, nan where the cut is open.
+        cut: (C, 2n) intersections with the section, in order of phase, nan at openings.
     """
 
     stable: bool
@@ -51,13 +51,14 @@ class TubeCurve:
 
 @dataclass(frozen=True)
 class Stay:
-    """A stretch of time near one saddle.
+    """A period of time near one saddle.
 
     Attributes:
-        first, last: s.
-        saddle: its name.
-        text: what to write on it.
-        wanted: whether the plan has it there.
+        first: start, s.
+        last: end, s.
+        saddle: name of the saddle.
+        text: label.
+        wanted: True if the plan requires it.
     """
 
     first: float
@@ -73,15 +74,15 @@ class Stay:
 
 @dataclass(frozen=True)
 class PlanView:
-    """What a plan asks for.
+    """The requirements of a plan.
 
     Attributes:
-        orbits: the itinerary's orbits, at each place where it stops.
+        orbits: the itinerary's orbits, at each of its stops.
         saddle_energies: energy of each saddle in J, by name.
-        symbols: for each symbol of the itinerary, the planned time of its section crossing in s, and its name.
+        symbols: planned time of its section crossing in s, and name, for each symbol of the itinerary.
         tubes: parts of tubes that the plan uses.
         planned: the itinerary as stays.
-        transfers: times in s between which the plan has the pendulum on its way from piece to piece.
+        transfers: (begin, end) of each planned transfer between pieces, s.
         duration: in s, or None.
     """
 
@@ -105,44 +106,50 @@ class PlanView:
 
 
 LARGEST = 1e6
-"""In rad, rad/s, m …: no sensible run comes near, and drawing libraries fail far beyond."""
+"""Limit in rad, rad/s, m …: no sensible run comes near, and drawing libraries fail far beyond."""
 ACTUAL = "actual"
-"""In `control`: what the simulated cart did, where the truth is known."""
+"""Key in `control` of the simulated cart's true acceleration."""
 _DRIVEN = ("command", "applied", "feedforward")
 
 
 @dataclass(frozen=True, eq=False)
 class RunView:
-    """What there is to see of a run, a recording or a reference: N ticks of a pendulum of n arms, and their plan.
+    """Data to draw of a run, a recording or a reference: N ticks of a pendulum of n arms, and their plan.
 
-    States are angles, rates and, with a cart, its position and velocity: 2n + 2 columns, or 2n. What is missing, or
-    only stands in for something missing, is None; what no picture can show is nan.
+    States are angles, rates and, with a cart, its position and velocity: 2n + 2 columns, or 2n. Missing data and their
+    substitutes are None; values that cannot be drawn are nan.
 
     Attributes:
-        path: the file it came from.
-        title: of the recording and the page.
+        path: file of origin.
+        title: title of the recording and the page.
         time: (N,) in s.
-        state: (N, 2n+2) to draw, and `what` it is: "plant", "estimate", "measured", "reference".
-        arm_lengths: (n,) in m. has_cart: whether the pivot is on a cart. rate_hz: of the ticks.
-        estimate, reference: (N, 2n+2), or None.
+        state: (N, 2n+2) to draw.
+        what: kind of `state`: "plant", "estimate", "measured", "reference".
+        arm_lengths: (n,) in m.
+        has_cart: True if the pivot is on a cart.
+        rate_hz: rate of the ticks, Hz.
+        estimate: (N, 2n+2), or None.
+        reference: (N, 2n+2), or None.
         error: (N, 2n+2) estimate minus truth, or None.
         sigma: (N, 2n+2) standard deviations of the estimate, or None.
         control: (N,) `command`, `applied`, `feedforward`, `saturated`, `mode` by name, and `actual`; or None.
-        nis: (N,) nan where there was no measurement; or None. sensors: numbers in a measurement.
-        energy: (N,) in J, of the pendulum at each tick, true if known, else estimated; or None.
+        nis: (N,) nan at ticks without a measurement; or None.
+        sensors: number of values in a measurement.
+        energy: (N,) in J, of the pendulum at each tick, true if known, otherwise estimated; or None.
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s²; or None.
         breaks: rows that follow a gap in time.
-        differenced: whether the rates are differences of the measured angles.
-        against: what `reference` is: "reference", or "prediction" where a model was replayed on a recording.
-        events, metadata: as in the log.
+        differenced: True if the rates are differences of the measured angles.
+        against: kind of `reference`: "reference", or "prediction" of a model replayed on a recording.
+        events: as in the log.
+        metadata: as in the log.
         verdict: one line, such as "completed: 1 of 1 symbols".
-        good: whether that is good news; None where nothing was asked.
-        plan: what the plan asks for; empty where there is none.
-        done: the itinerary as decoded from the angles.
-        crossings: when each symbol that was done crossed its section, in s; None for a transfer.
-        summary: of a reference, else None.
-        extras: what was estimated besides the state, or None; extra_truth: what was true of it, a number or (M,) at
-            the extras' times, by the names of which that is known.
+        good: True for a favourable verdict; None if nothing was judged.
+        plan: requirements of the plan; empty without one.
+        done: the itinerary decoded from the angles.
+        crossings: crossing time of each completed symbol, s; None for a transfer.
+        summary: of a reference, otherwise None.
+        extras: estimated parameters, or None.
+        extra_truth: known true values of the parameters by name, a number or (M,) at the extras' times.
     """
 
     path: Path
@@ -183,7 +190,7 @@ class RunView:
 
     @property
     def error_name(self) -> str:
-        """What the difference between state and reference is called."""
+        """Name of the difference between state and reference."""
         return "Prediction error" if self.against == "prediction" else "Tracking error"
 
     @property
@@ -200,16 +207,16 @@ class RunView:
 
     @property
     def symbols(self) -> tuple[tuple[str, float, float | None], ...]:
-        """For each symbol its name, the planned time of its crossing and the actual one, or None; s."""
+        """Name, planned crossing time and actual one (or None) of each symbol, s."""
         done = (*self.crossings, *[None] * len(self.plan.symbols))
         return tuple((name, at, seen) for (at, name), seen in zip(self.plan.symbols, done, strict=False))
 
     @property
     def moment(self) -> float:
-        """The time in s at which a still picture shows most: the first symbol, or the middle."""
+        """Time of the most informative still picture, s: the first symbol, or the middle."""
         first, last = self.time_range
         at = self.plan.symbols[0][0] if self.plan.symbols else (first + last) / 2
-        # Of a run that ended before its first symbol the last moments say most.
+        # In a run that ended before its first symbol the last moments are the most informative.
         return at if at < last else first + 0.8 * (last - first)
 
     @property
@@ -232,7 +239,7 @@ class RunView:
 
 
 def series_of(log: RunLog) -> RunView:
-    """Return what a log's series say, as it can be drawn, without its plan and verdict."""
+    """Return the series of a log for drawing, without plan and verdict."""
     n = len(log.arm_lengths)
     states = {part: clean(values) for part, values in log.states.items()}
     truth, estimate, reference = (states.get(part) for part in ("truth", "estimate", "reference"))
@@ -254,7 +261,7 @@ def series_of(log: RunLog) -> RunView:
     busy = "mode" in control and (control["mode"] != Mode.IDLE).any()
     replayed = log.metadata.get("kind") == REPLAYED
     if not busy:
-        # Where nothing controlled there was no plan, and no mode worth a strip.
+        # Without a controller there was neither a plan nor a mode to draw.
         control = {name: values for name, values in control.items() if name not in ("feedforward", "feedback", "mode")}
     return RunView(
         path=log.path,
@@ -283,7 +290,7 @@ def series_of(log: RunLog) -> RunView:
 
 
 def _cart_acceleration(velocity: Array, time: Array) -> Array:
-    """Return the mean acceleration (N,) m/s² from each tick to the next; nan where a blow moved the cart at once."""
+    """Return the mean acceleration (N,) m/s² from each tick to the next; nan at instantaneous velocity jumps."""
     steps = np.diff(time)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(steps > 0, np.diff(velocity) / steps, np.nan)
@@ -294,19 +301,19 @@ def _cart_acceleration(velocity: Array, time: Array) -> Array:
 
 
 def clean(values: Array) -> Array:
-    """Return values with nan for absurd ones; the same array where there are none, since logs are long."""
+    """Return values with nan for absurd ones; unchanged arrays are not copied, since logs are long."""
     with np.errstate(invalid="ignore"):
         sound = np.abs(values) < LARGEST
     return values if sound.all() else np.where(sound, values, np.nan)
 
 
 def _stands_in(state: Array, measured: Array, arms: int) -> bool:
-    """Tell whether an estimate is nothing but the measured angles, without rates."""
+    """True if an estimate merely repeats the measured angles, without rates."""
     return np.array_equal(state[:, :arms], measured[:, :arms]) and not state[:, arms : 2 * arms].any()
 
 
 def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
-    """Return the measured positions in state order, with rates by differences within each segment if none are given."""
+    """Return measured positions in state order; missing rates are differences within each segment."""
     n, size = len(log.arm_lengths), log.measured.shape[1]
     positions = clean(log.measured)
     rates = log.rates

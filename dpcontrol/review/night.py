@@ -1,10 +1,10 @@
-"""What a long run did, from the folder of its logs: when it was on its itinerary, when not and why.
+"""Evaluate a long run from the folder of its logs: times on and off the itinerary, and the reasons.
 
-    uptime = time on the itinerary / time that is known
+    uptime = time on the itinerary / known time
 
-A fall is a tick at which the supervisor gave the itinerary up; what comes before the itinerary is joined again is one
-absence, however many falls are in it. The files' digests are read one by one; where one is missing, as of a file that
-a killed run left, it is made from the log itself.
+A fall is a tick at which the supervisor gave up the itinerary. The time until the itinerary is joined again is one
+absence, regardless of further falls in it. The files' digests are read one by one; a missing digest, as after a killed
+run, is computed from the log.
 """
 
 import math
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 
 ITINERARY, CALMING, STARTING = "on the itinerary", "arms calmed", "rising"
 BETWEEN, UNKNOWN = "between repetitions", "no log"
-"""Kinds of spans, in words."""
+"""Kinds of spans, as displayed."""
 STOPPED = "ended"
 _SHORT = 0.05
-"""Share of the longest file's time of which a mean does not count: what is estimated wanders where the cart stands."""
+"""Share of the longest file's time below which a mean does not count: estimates drift while the cart is at rest."""
 _GAP = 0.5
-"""s: times between two files that are farther apart are a gap."""
+"""Least gap between two files, s."""
 
 
 @dataclass(frozen=True)
 class NightSpan:
-    """A part of a night, from first to end s, of one kind; cause of the fall that it follows, empty for none."""
+    """A part of a night from first to end, s, of one kind; `cause` is that of the preceding fall, or ""."""
 
     first: float
     end: float
@@ -53,8 +53,9 @@ class NightSpan:
 
 @dataclass(frozen=True)
 class Fall:
-    """A fall at a time s; cause in a few words, text as it was logged. back: s until the itinerary was joined again,
-    counted from the first of several falls without that between them; None where it was not.
+    """A fall at a time s, with a short cause and the logged text.
+
+    `back` is the time until the itinerary was joined again, s, from the first of consecutive falls, or None.
     """
 
     time: float
@@ -65,8 +66,9 @@ class Fall:
 
 @dataclass(frozen=True)
 class Drift:
-    """How one estimated parameter went: its mean over the first file and the last, and by how much it changes in an
-    hour, by a straight line through the files' means; not-a-number of a single file.
+    """Course of one estimated parameter: mean over the first file and the last, and change per hour.
+
+    The change is that of a straight line through the files' means; not-a-number for a single file.
     """
 
     name: str
@@ -76,8 +78,8 @@ class Drift:
 
 
 def cause_of(text: str) -> str:
-    """Return in a few words why the itinerary was given up."""
-    # A cart that must brake has not met its stop.
+    """Return the reason for giving up the itinerary, in a few words."""
+    # A braking cart has not hit its stop.
     for mark, words in (("is stuck", "sensor stuck"), ("no measurement", "no measurement"),
                         ("limit switch", "limit switch"), ("cart at its stop", "cart near its stop")):  # fmt: skip
         if mark in text:
@@ -90,7 +92,7 @@ def cause_of(text: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Night:
-    """A long run, by its digests in order."""
+    """A long run, represented by its digests in order."""
 
     folder: Path
     digests: tuple[Digest, ...]
@@ -98,10 +100,10 @@ class Night:
     spans: tuple[NightSpan, ...] = field(init=False)
     falls: tuple[Fall, ...] = field(init=False)
     endings: tuple[tuple[float, str], ...] = field(init=False)
-    """Times and texts of what ended it, other than its time."""
+    """Times and texts of endings, except by the planned time."""
 
     def __post_init__(self) -> None:
-        """Find spans and falls."""
+        """Find spans and falls in the digests."""
         spans, falls, endings = _followed(self.digests)
         for name, value in (("spans", spans), ("falls", falls), ("endings", endings)):
             object.__setattr__(self, name, tuple(value))
@@ -111,12 +113,12 @@ class Night:
 
     @property
     def known(self) -> float:
-        """The time of which it is known what it did, s."""
+        """Time with known activity, s."""
         return sum(digest.end - digest.first for digest in self.digests)
 
     @property
     def uptime(self) -> float:
-        """The share of the known time that it was on the itinerary."""
+        """Share of the known time on the itinerary."""
         return self._time(ITINERARY) / self.known
 
     @property
@@ -126,47 +128,47 @@ class Night:
 
     @property
     def causes(self) -> dict[str, int]:
-        """How many falls were of which cause, the commonest first."""
+        """Number of falls by cause, the most frequent first."""
         return dict(Counter(fall.cause for fall in self.falls).most_common())
 
     @property
     def returns(self) -> Array:
-        """How long each absence after a fall took until the itinerary was joined again, s."""
+        """Time from each fall until the itinerary was joined again, s."""
         return np.array([fall.back for fall in self.falls if fall.back is not None])
 
     @property
     def repetitions(self) -> int:
-        """How often the itinerary was completed."""
+        """Number of completed repetitions of the itinerary."""
         return sum(digest.repetitions for digest in self.digests)
 
     @property
     def catches(self) -> int:
-        """How often it was caught before it fell."""
+        """Number of catches before a fall."""
         return sum(digest.others.get(CATCH, 0) for digest in self.digests)
 
     @property
     def tracking(self) -> float:
-        """The rms distance of the angles from the reference on the itinerary, rad."""
+        """Rms distance of the angles from the reference on the itinerary, rad."""
         followed = sum(digest.followed for digest in self.digests)
         return math.sqrt(sum(digest.squares for digest in self.digests) / followed / 2) if followed else math.nan
 
     @property
     def cart(self) -> float:
-        """The cart's greatest distance from the centre, m."""
+        """Greatest distance of the cart from the centre, m."""
         return max(digest.cart for digest in self.digests)
 
     @property
     def stop_hits(self) -> int:
-        """How often the cart met an end stop of its track."""
+        """Number of times the cart hit an end stop of its track."""
         return sum("hit its hard stop" in text for _, text in self.endings)
 
     @property
     def estimated(self) -> tuple[str, ...]:
-        """Names of what was estimated besides the state."""
+        """Names of the estimated parameters."""
         return tuple(dict.fromkeys(name for digest in self.digests for name in digest.extras))
 
     def course(self, name: str) -> tuple[Array, Array]:
-        """Return hours (K,) and the means (K,) of what was estimated, by file; a short one at the end says nothing."""
+        """Return hours (K,) and means (K,) of a parameter, by file, without a short last file."""
         own = [digest for digest in self.digests if name in digest.extras]
         least = _SHORT * max(digest.end - digest.first for digest in own)
         hours, values = np.array(
@@ -176,7 +178,7 @@ class Night:
 
     @property
     def drifts(self) -> tuple[Drift, ...]:
-        """How the estimated parameters went."""
+        """Courses of the estimated parameters."""
         out = []
         for name in self.estimated:
             hours, values = self.course(name)
@@ -186,21 +188,21 @@ class Night:
 
     @property
     def memory_growth(self) -> float:
-        """The process's memory at the end over that after the first file of that session; not-a-number if unknown."""
+        """Memory of the process at the end relative to the session's first file; not-a-number if unknown."""
         last = self.digests[-1]
         of_session = [d.memory for d in self.digests if d.session == last.session and math.isfinite(d.memory)]
         return of_session[-1] / of_session[0] if of_session else math.nan
 
     @property
     def deadlines(self) -> dict[str, float] | None:
-        """On a rig how its deadlines were kept: counts of all sessions, the worst in s; None in simulation."""
+        """Deadline statistics of a rig: counts of all sessions, the worst delay in s; None in simulation."""
         kept = [digest.deadlines for digest in self.digests if digest.deadlines]
         counts = {name: sum(int(one[name]) for one in kept) for name in ("ticks", "missed", "lost", "held")}
         return {**counts, "worst": max(one["worst"] for one in kept)} if kept else None
 
     @property
     def sentence(self) -> str:
-        """The night in one line."""
+        """Summary of the night in one line."""
         hours = self.known / 3600
         returns = self.returns
         back = ""
@@ -214,7 +216,7 @@ class Night:
         )
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol score FOLDER --json` prints."""
+        """Return the output of `dpcontrol score FOLDER --json`."""
         returns = self.returns
         quantiles = np.quantile(returns, [0.5, 0.99]).tolist() if len(returns) else [None, None]
         lost = [{"first": s.first, "end": s.end} for s in self.spans if s.kind == UNKNOWN]
@@ -234,7 +236,7 @@ class Night:
         }  # fmt: skip
 
     def lines(self) -> Iterator[str]:
-        """Yield it for people."""
+        """Yield the lines of the report."""
         yield str(self.folder)
         yield f"  {self.sentence}"
         if self.falls:
@@ -250,11 +252,11 @@ class Night:
             shown = (f"{d.name} {d.first:+.4f} to {d.last:+.4f}" for d in self.drifts)
             yield f"  drift    {', '.join(shown)}"
         if math.isfinite(self.memory_growth):
-            yield f"  memory   {self.memory_growth:.0%} of what it was after the first file"
+            yield f"  memory   {self.memory_growth:.0%} of its size after the first file"
         if (kept := self.deadlines) is not None:
             yield (
                 f"  rig      {kept['missed']:,} of {kept['ticks']:,} deadlines missed, ticks began up to "
-                f"{1e3 * kept['worst']:.3g} ms late; {kept['lost']:,} readings lost; the bench repeated a command "
+                f"{1e3 * kept['worst']:.3g} ms late; {kept['lost']:,} readings lost, the bench repeated a command "
                 f"{kept['held']:,} times"
             )
         for span in self.spans:
@@ -317,10 +319,10 @@ def _followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], l
 
 
 def read_night(folder: Path) -> Night:
-    """Return the long run in a folder, one file after the other.
+    """Return the long run in a folder.
 
     Raises:
-        InputError: it holds none, or a file of it is damaged or of another run.
+        InputError: the folder holds none, or one of its files is damaged or from another run.
     """
     folder = Path(folder)
     digests = [*_digests(folder)]
@@ -330,7 +332,7 @@ def read_night(folder: Path) -> Night:
             "`dpcontrol run --hours` made"
         )
     partials = partials_of(folder / folder.resolve().name)
-    # Of what has been recovered nothing need be said.
+    # Partial files with a recovered log are not reported.
     left = [file for file in partials if not (folder / f"{file.name.partition('.mcap')[0]}.mcap").exists()]
     return Night(folder, tuple(digests), tuple(left))
 
@@ -357,14 +359,14 @@ _COLOURS = {
     STOPPED: "#ffffff",
 }  # fmt: skip
 _ROW = 1800.0
-"""s of a row of the strip, in which an absence of some seconds can be seen; longer where there would be too many."""
+"""Duration of a row of the strip, s, short enough to show absences of seconds; longer in long nights."""
 _ROWS = 32
 _REMAINDER = 5.0
-"""s at the end of a night, as while the cart is braked, that get no row of their own."""
+"""Time at the end of a night, s, that gets no separate row, for example while the cart is braked."""
 
 
 def draw_night(night: Night) -> "Figure":
-    """Return one page on a night: strips of half an hour, times to return, causes, drift of what was estimated."""
+    """Return one page on a night: strips of half an hour, times to return, causes, drift of the parameters."""
     from dpcontrol.review.page import new_figure
 
     last = max(span.end for span in night.spans)
@@ -386,7 +388,9 @@ def draw_night(night: Night) -> "Figure":
     zeros = [name for name in names if name.startswith("zero_")]
     _draw_drift(figure.add_subplot(grid[2, 0]), night, "Encoder zeros, change since the first file", "mrad", zeros, 1e3)
     others = [name for name in names if name not in zeros]
-    _draw_drift(figure.add_subplot(grid[2, 1]), night, "What else was estimated, likewise", "share", others, 1.0)
+    _draw_drift(
+        figure.add_subplot(grid[2, 1]), night, "Other parameters, change since first file", "share", others, 1.0
+    )
     return figure
 
 
@@ -408,7 +412,7 @@ def _draw_strip(axes: "Axes", night: Night, row: float, rows: int) -> None:
         while first < span.end - 1e-9:
             k = int(first / row + 1e-9)
             end = min(span.end, (k + 1) * row)
-            # An edge of its own, so that short absences are seen.
+            # The edge keeps short absences visible.
             colour, edge = _COLOURS[span.kind], 0.0 if span.kind in (ITINERARY, STOPPED) else 0.8
             axes.barh(k, (end - first) / scale, left=(first - k * row) / scale, height=0.78, color=colour,
                       edgecolor=colour, linewidth=edge)  # fmt: skip
@@ -443,7 +447,7 @@ def _draw_strip(axes: "Axes", night: Night, row: float, rows: int) -> None:
 def _draw_returns(axes: "Axes", night: Night) -> None:
     from dpcontrol.review.page import quiet
 
-    quiet(axes, "From the fall back onto the itinerary", x="s", y="share of falls within")
+    quiet(axes, "Time from the fall back onto the itinerary", x="s", y="share of falls within")
     returns = np.sort(night.returns)
     if not len(returns):
         axes.text(0.5, 0.5, "no falls", transform=axes.transAxes, ha="center", color=style.NOTE)

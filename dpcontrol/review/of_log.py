@@ -1,9 +1,9 @@
-"""What there is to see of a log, of a reference, and of a sustained orbit, from what their files hold.
+"""Data to draw of a log, a reference or a sustained orbit, from their files.
 
-A plan's tubes lead from a stop's orbit to the section of the symbol that leaves it, and on to the next stop. Its notes
-hold each connection's name, with the hits and the section, and the section's lifted height. The unstable tube of the
-stop's orbit is cut there (`tubes.cut`); the stable one of the next stop is such a tube turned around in time. Of both
-only the branch that meets the section at the plan's height is kept. Source: Kaheman et al. (2023), section 3.
+A plan's tubes lead from a stop's orbit to the section of the next symbol, and on to the next stop. Its notes hold each
+connection's name, with the hits and the section, and the section's lifted height. The unstable tube of the stop's orbit
+is cut there (`tubes.cut`). The stable tube of the next stop is such a tube reversed in time. Of each tube only the
+branch that meets the section at the plan's height is kept. Source: Kaheman et al. (2023), section 3.
 """
 
 import json
@@ -58,17 +58,17 @@ STRANDS = 24
 INSTANTS = 160
 _HEIGHT = 1e-6
 _CUT = CutSettings(smallest_phase_step=3e-4)
-"""As fine as the eye sees; where halving the phases brings neighbours no nearer, a cut is drawn open."""
+"""Least visible distance; if doubling the phases brings neighbours no nearer, a cut is drawn open."""
 _NAME = re.compile(r"h(?P<unstable>\d+)\.(?P<stable>\d+)(?::(?P<section>[\w-]+))?@")
 
 
 def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
-    """Return the tubes of a plan's notes, each once; none for a symbol whose tubes cannot be made."""
+    """Return the tubes in a plan's notes, each once, except for symbols whose tubes cannot be computed."""
     made: dict[tuple[Any, ...], TubeCurve] = {}
     flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
     for k, symbol in enumerate(notes["symbols"]):
         name = _NAME.search(str(symbol["name"] or ""))
-        # Three arms have no sections on which tubes are cut.
+        # Tubes of three arms have no sections.
         if name is None or symbol["section"] is None or not system.sections:
             continue
         section = system.section_between(symbol["source"], symbol["target"], name["section"])
@@ -90,7 +90,7 @@ def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
 
 
 def _flown(system: System, orbit_note: OrbitNote, *, section: Section, hit: int, stable: bool) -> Iterator[TubeCurve]:
-    """Yield both branches of an orbit's tube at the orbit's own place."""
+    """Yield both branches of an orbit's tube at the untranslated orbit."""
     try:
         orbit = lyapunov_orbit(system, orbit_note["saddle"], energy=float(orbit_note["energy"]))
     except InputError:
@@ -118,7 +118,7 @@ def _flown(system: System, orbit_note: OrbitNote, *, section: Section, hit: int,
 
 
 def _at(curves: list[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:
-    """Yield those parts of the tubes, moved by whole turns (n,), that meet the section at a lifted height."""
+    """Yield the parts of the tubes that meet the section at a lifted height, moved by whole turns (n,)."""
     move = np.concatenate([lift, np.zeros_like(lift)])
     normal = np.asarray(section.normal)
     for curve in curves:
@@ -130,10 +130,10 @@ def _at(curves: list[TubeCurve], section: Section, *, lift: Array, height: float
 
 
 def run_view(log: RunLog) -> RunView:
-    """Return what there is to see of a log; one without a plan, as from a bench, has little.
+    """Return the data to draw of a log; a log without a plan, as from a bench, has few.
 
     Raises:
-        InputError: the plan that the log carries is damaged.
+        InputError: the plan in the log is damaged.
     """
     view, system = series_of(log), _system(log)
     n = len(log.arm_lengths)
@@ -165,7 +165,7 @@ def run_view(log: RunLog) -> RunView:
 
 
 def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) -> tuple[PlanView, Decoded]:
-    """Return a plan by the clock of a run that fell and went on, and what of that run counts, decoded, by its ticks."""
+    """Return plan and decoded ticks of a run that continued after a fall, both on the clock of the run."""
     n, flights = len(log.arm_lengths), flights_of(log)
     flown = Flown(
         log.time, states, log.reference[:, :n], log.control["applied"], log.rate_hz, log.limits, flights=flights
@@ -195,7 +195,7 @@ def limits_of(plan: Reference) -> tuple[float, float, float]:
 
 
 def plan_view(plan: Reference, *, system: System | None) -> PlanView:
-    """Return what a plan says of itself, before any run; with its tubes where the pendulum is known.
+    """Return the requirements of a plan, with its tubes if the pendulum is known.
 
     Raises:
         InputError: the notes are not those of a plan.
@@ -224,7 +224,7 @@ def plan_view(plan: Reference, *, system: System | None) -> PlanView:
 
 
 def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: float) -> Iterator[tuple[float, float]]:
-    """Yield the parts of a stretch of time that no transfer covers."""
+    """Yield the parts of a time range that no transfer covers."""
     for begin, end in transfers:
         if begin > first and begin < last:
             yield first, begin
@@ -235,7 +235,7 @@ def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: flo
 
 
 def _placed_orbits(plan: Reference, notes: PlanNotes) -> tuple[PlacedOrbit, ...]:
-    """Return the orbits of a plan at each place where it stops."""
+    """Return the orbits of a plan at each of its stops."""
     placed: dict[tuple[Any, ...], PlacedOrbit] = {}
     for stop in notes.get("stops") or []:
         for k in {orbit_index(notes, stop), stop.get("arrived_on", orbit_index(notes, stop))}:
@@ -252,17 +252,17 @@ def _placed_orbits(plan: Reference, notes: PlanNotes) -> tuple[PlacedOrbit, ...]
 
 
 def _without_plan(log: RunLog) -> str:
-    """Return what to say of a log instead of a verdict."""
+    """Return the text shown for a log in place of a verdict."""
     seconds = float(log.time[-1] - log.time[0])
     said = log.metadata.get(SUMMARY) or (
-        f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; it carries no plan, so nothing was asked "
-        "and nothing is judged"
+        f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; without a plan in the log there is nothing "
+        "to judge"
     )
     return f"{said}; {recovered_note(log)}" if log.recovered else said
 
 
 def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
-    """Return the arms that a log's metadata hold under a name, or None where they hold none."""
+    """Return the arm parameters in a log's metadata under a name, or None."""
     try:
         values: dict[str, Any] = json.loads(log.metadata[name])
         plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
@@ -272,16 +272,16 @@ def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
 
 
 def _system(log: RunLog) -> System | None:
-    """Return the conservative pendulum of the model that the log names, or None where it names none."""
+    """Return the conservative pendulum of the log's model, or None if it names none."""
     arms = _arms(log, MODEL_METADATA)
     return None if arms is None else pendulum_system(log.metadata.get("model", "model"), arms)
 
 
 def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
-    """Return what was true of the extras that were estimated, as far as a simulated log knows it; see `RunView`.
+    """Return the true values of the estimated parameters, if a simulated log has them; see `RunView`.
 
-    With the cart's acceleration as the input only ratios to M12 count (one arm: M11), so its errors are those of
-    ratios; the drive's error is what the cart did besides the command that the loop believed in.
+    With the cart's acceleration as input only ratios to M12 count (one arm: M11), so the errors are those of ratios.
+    The drive's error is the cart's acceleration in excess of the loop's command.
     """
     found: dict[str, Array | float] = {}
     if log.extras is None:
@@ -295,7 +295,7 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
     if model is not None and plant is not None and model.count == plant.count:
         found |= _relative_errors(model, plant)
     if view.control is not None and {ACTUAL, "applied"} <= view.control.keys():
-        # A mean over the ticks between two messages: singly the command's noise hides the rest.
+        # A mean over the ticks between two messages; in single ticks the command's noise dominates.
         beyond = view.control[ACTUAL] - view.control["applied"]
         width = max(1, round(view.rate_hz / SLOW_RATE))
         smooth = np.convolve(np.nan_to_num(beyond), np.full(width, 1 / width), mode="same")
@@ -304,16 +304,16 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
 
 
 def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> dict[str, float]:
-    """Return by the extras' names by how much the plant's ratios differ from the model's."""
+    """Return the relative differences between the plant's and the model's ratios, by extra."""
     n = model.count
     names = [f"M{i}{j}" for i in range(1, n + 1) for j in range(i, n + 1)]
-    # Weights stand between inertias and couplings; they share the couplings' errors.
+    # Weights lie between inertias and couplings and share the couplings' errors.
     names += ["" for _ in range(n)] + [f"S{i}" for i in range(1, n + 1)] + [f"friction_{i}" for i in range(1, n + 1)]
     fixed = names.index("M12" if n > 1 else "M11")
     ratios = [arms.base()[: len(names)] / arms.base()[fixed] for arms in (plant, model)]
     with np.errstate(divide="ignore", invalid="ignore"):
         errors = dict(zip(names, (ratios[0] / ratios[1] - 1).tolist(), strict=True))
-    # Where other laws of friction act too, no one number is its error.
+    # With additional friction laws a single number cannot describe the error.
     laws = bool(model.friction or plant.friction)
     return {
         name: error
@@ -323,7 +323,7 @@ def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> di
 
 
 def _done(decoded: Decoded, notes: PlanNotes, time: Array) -> tuple[Stay, ...]:
-    """Return the stops that were reached as stays."""
+    """Return the stops reached as stays."""
     names = (stop["saddle"] for stop in notes["stops"])
     return tuple(
         Stay(float(time[visit.first]), float(time[visit.last]), name, name, True)
@@ -333,11 +333,11 @@ def _done(decoded: Decoded, notes: PlanNotes, time: Array) -> tuple[Stay, ...]:
 
 _RATE = 500.0  # Hz
 _POINTS = 600  # of an orbit
-_ARM = 0.2  # m: drawn where a reference does not say for which arms it was made
+_ARM = 0.2  # m: arm length drawn for a reference without arms
 
 
 def read_reference_view(file: Path) -> RunView:
-    """Return what there is to see of a reference's file; its error between nodes is measured anew.
+    """Return the data to draw of a reference's file; its error between nodes is measured again.
 
     Raises:
         InputError: the file is not a reference, or its notes are not those of a plan.
@@ -350,7 +350,7 @@ def read_reference_view(file: Path) -> RunView:
 
 
 def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
-    """Return what there is to see of a reference, its input as the command.
+    """Return the data to draw of a reference, with its input as the command.
 
     Raises:
         InputError: its notes are not those of a plan.
@@ -385,7 +385,7 @@ def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
 
 
 def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> RunView:
-    """Return what there is to see of one period of a sustained orbit, beside its Lyapunov orbit; arm_lengths in m."""
+    """Return the data to draw of a sustained orbit's period, beside its Lyapunov orbit; arm_lengths in m."""
     lyapunov = orbit.lyapunov
     time = np.arange(0.0, orbit.period, 1 / _RATE)
     states = orbit.state(time)

@@ -1,4 +1,4 @@
-"""Families of Lyapunov and of rotating orbits, each on one page: shapes, periods and stability against energy."""
+"""Families of Lyapunov and rotating orbits, each on one page: shapes, periods and stability against energy."""
 
 from collections.abc import Sequence
 from itertools import groupby, pairwise
@@ -22,7 +22,7 @@ _SHADES = colormaps["viridis"]
 
 
 def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
-    """Return the page of one system's families, at least one, as a figure."""
+    """Return a page on one system's families, at least one, as a figure."""
     count = len(families)
     figure = new_figure(5.6 + 3.9 * count, 5.0, title)
     grid = figure.add_gridspec(
@@ -60,17 +60,17 @@ def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
 
 
 def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize, *, angular: bool) -> None:
-    """Draw orbits in the phase plane of the arm that swings most; without angles, in the plane of positions."""
+    """Draw orbits in the phase plane of the most active arm; without angles, in the plane of positions."""
     system, n = family.system, family.system.dimension // 2
     birth = float(system.numeric.hamiltonian(system.equilibrium(family.saddle)))
-    # Evenly spread in amplitude, which grows as the root of the energy above the saddle.
+    # Evenly spaced in amplitude, which grows as the root of the energy above the saddle.
     amplitude = np.sqrt(np.abs(family.energies - birth))
     wanted = np.linspace(amplitude.min(), amplitude.max(), _SHAPES)
     chosen = [family.members[k] for k in dict.fromkeys(int(np.argmin(np.abs(amplitude - a))) for a in wanted)]
     curves = [system.propagator.sample(o.state, np.linspace(0.0, o.period, _SAMPLES)) for o in chosen]
     arm = int(np.argmax(np.ptp(curves[-1][:, :n], axis=0))) if angular else 0
     columns = [arm, n + arm] if angular else [0, 1]
-    # Small orbits on top: they lie within the large ones.
+    # Small orbits are drawn on top, because they lie within the large ones.
     for orbit, curve in zip(chosen[::-1], curves[::-1], strict=True):
         axes.plot(*curve[:, columns].T, color=_SHADES(scale(orbit.energy)), linewidth=1.3)
     axes.plot(*system.equilibrium(family.saddle)[columns], "+", color=style.LIMIT, markersize=9, zorder=5)
@@ -94,7 +94,7 @@ _ROTATING_SHAPES = 3
 
 
 def draw_rotating_families(families: Sequence[RotatingFamily]) -> Figure:
-    """Return the page as a figure."""
+    """Return the page on rotating orbits as a figure."""
     first = families[0].members[0]
     arm = ("inner", "outer")[first.arm - 1]
     figure = new_figure(14.0, 6.0, f"Orbits of {first.system.name} that turn the {arm} arm over")
@@ -102,7 +102,7 @@ def draw_rotating_families(families: Sequence[RotatingFamily]) -> Figure:
     traces, periods = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
     shapes = figure.add_subplot(grid[:, 1])
     for family in families:
-        # Neighbouring runs share a member, so that lines of two kinds meet.
+        # Adjacent runs share a member, so that lines of two kinds meet.
         for kind, members in _runs(family.members):
             energies = [m.energy for m in members]
             traces.plot(energies, [m.trace for m in members], color=KINDS[kind], linewidth=1.6)

@@ -1,8 +1,8 @@
 """A run, a recording, a reference or an orbit on one page, drawn by matplotlib from its story (`series`).
 
-From above: title and verdict; the itinerary as asked and as done; a film of the arms as seen from the cart; charts over
-time, phase planes, symbols and events. The helpers for figures, frames, axes in units of π and legends serve every
-other page and figure too.
+From the top: title and verdict, the planned and the flown itinerary, a film of the arms seen from the cart, then charts
+over time, phase planes, symbols and events. The helpers for figures, frames, axes in units of π and legends are shared
+with every other page and figure.
 """
 
 import sys
@@ -62,9 +62,9 @@ class ShownFigure(Figure):
         return picture.getvalue()
 
     def show(self, warn: bool = True) -> None:
-        """Display the figure once: below the cell of a notebook, elsewhere in a window that blocks until it is closed.
+        """Display the figure once: below the cell of a notebook, otherwise in a window that blocks until it is closed.
 
-        warn: has no effect; pyplot itself warns if its backend has no windows.
+        `warn` has no effect; pyplot warns if its backend has no windows.
         """
         shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
         if hasattr(shell, "kernel"):
@@ -73,7 +73,7 @@ class ShownFigure(Figure):
         from matplotlib import pyplot
 
         _literal_texts(self)
-        # A window is made for a figure of pyplot's, and then shows this one.
+        # The window is created for a figure of pyplot and then shows this one.
         canvas = pyplot.figure(figsize=self.get_size_inches()).canvas
         canvas.figure = self
         self.set_canvas(canvas)
@@ -90,9 +90,9 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
 
 
 def _literal_texts(figure: Figure) -> None:
-    """Have texts drawn as they are: a dollar sign begins no formula, and control characters are written out."""
+    """Draw texts literally: a dollar sign begins no formula, and control characters are written out."""
     for text in figure.findobj(Text):
-        # The ticks of a logarithmic axis are formulas of matplotlib's own.
+        # The tick labels of a logarithmic axis are formulas of matplotlib.
         if isinstance(text, Text) and "$" in text.get_text() and "\\mathdefault" not in text.get_text():
             text.set_parse_math(False)
         if isinstance(text, Text):
@@ -120,7 +120,7 @@ def save_figure(figure: Figure, path: Path | str) -> None:
 
 
 def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "", size: float = 9.5) -> None:
-    """Set a panel's title, the labels of its axes, and its quiet frame and grid."""
+    """Set a panel's title, the labels of its axes, and its plain frame and grid."""
     if title:
         axes.set_title(title, loc="left", fontsize=size, color=style.INK, pad=4)
     axes.set_xlabel(x, fontsize=SMALL, color=style.NOTE, labelpad=1)
@@ -134,7 +134,7 @@ def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "", size: float 
 
 
 def quiet_space(axes: Axes, *, angular: bool, steps: tuple[float, float] = (1.0, 1.0)) -> None:
-    """Name the axes of (first coordinate, second, first rate) in space; ticks every `steps` half turns."""
+    """Label the axes of (first coordinate, second, first rate) in space; ticks every `steps` half turns."""
     for which, label, step in zip("xy", ("θ₁ (rad)", "θ₂ (rad)") if angular else ("x", "y"), steps, strict=True):
         getattr(axes, f"set_{which}label")(label, fontsize=9)
         if angular:
@@ -145,7 +145,7 @@ def quiet_space(axes: Axes, *, angular: bool, steps: tuple[float, float] = (1.0,
 
 
 def key(on: Axes | Figure, entries: Iterable[tuple[str, str | dict[str, Any]]], **where: Any) -> None:
-    """Put a legend without a frame on a panel or a page: each label with its colour, or with its line's look."""
+    """Add a legend without a frame to a panel or a page; entries are labels with a colour or a line style."""
     handles = []
     for label, given in entries:
         look: dict[str, Any] = {"color": given} if isinstance(given, str) else given
@@ -157,15 +157,15 @@ ABOVE: dict[str, Any] = {
     "loc": "lower right", "bbox_to_anchor": (1.005, 1.0), "handlelength": 1.5, "columnspacing": 1.1,
     "handletextpad": 0.5, "borderpad": 0, "borderaxespad": 0.1,
 }  # fmt: skip
-"""Where a key cannot cover a curve: above its panel, right."""
+"""Position of a key that covers no curve: above its panel, right."""
 NARROW: dict[str, Any] = {"handlelength": 0.8, "columnspacing": 0.5, "handletextpad": 0.25, "fontsize": 7}
-"""The same beside a long title, or with many entries: as narrow as can be read."""
+"""The same position beside a long title, or for many entries, as narrow as legible."""
 _BESIDE_TITLE = 62
 """Letters of a title and a key together, with four more for each entry, that fit side by side."""
 
 
 def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
-    """Tick the "x" or "y" axis in multiples of π, by `step` of them or as fits what has been drawn."""
+    """Tick the "x" or "y" axis in multiples of π, by `step` of them or adapted to the data."""
     axis = axes.xaxis if which == "x" else axes.yaxis
     if step is None:
         low, high = axis.get_view_interval()
@@ -176,7 +176,7 @@ def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
 
 
 def label_in_pi(axis: Axis) -> None:
-    """Label an axis of half turns, with as many digits as tell its ends apart."""
+    """Label an axis of half turns, with enough digits to distinguish its ends."""
 
     def text(value: float, _: object) -> str:
         low, high = axis.get_view_interval()
@@ -188,7 +188,7 @@ def label_in_pi(axis: Axis) -> None:
 
 
 def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
-    """Return a series (K,) of a view, thinned to its peaks, with nan in its gaps so that no line crosses them."""
+    """Return a series (K,) of a view, thinned to its peaks, with nan in its gaps to interrupt lines."""
     rows = extreme_rows(values, bins=_BINS)
     time, values = time[rows], values[rows]
     if not len(view.breaks):
@@ -205,7 +205,7 @@ def mark_times(axes: Axes, moments: list[float]) -> None:
 
 
 def _limit(axes: Axes, value: float) -> None:
-    """Draw a limit, and shade what lies beyond, where the curves come near it."""
+    """Draw a limit and shade the range beyond it if the curves come near."""
     low, high = axes.get_ylim()
     if low - 0.35 * (high - low) < value < high + 0.35 * (high - low):
         axes.axhline(value, color=style.LIMIT, linewidth=1.1, linestyle=DASHED)
@@ -223,28 +223,28 @@ def badge(axes: Axes, number: int, x: float, y: float, *, size: float = 7.5) -> 
 
 
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
-    """Return a curve (K, D) as runs with each coordinate inside one period about zero, cut where it leaves.
+    """Return a curve (K, D) as runs with each coordinate within one period about zero, split at the bounds.
 
-    periods: (D,), None or zero where there is none.
+    `periods` is (D,), None or zero for coordinates without a period.
     """
     lengths = np.array([period or 0.0 for period in periods])
     turns = np.rint(curve / np.where(lengths, lengths, np.inf))
     breaks = np.flatnonzero((np.diff(turns, axis=0) != 0).any(axis=1)) + 1
     runs = []
     for start, end in zip(np.r_[0, breaks], np.r_[breaks, len(curve)], strict=True):
-        # One point beyond each end lets runs meet the frame.
+        # One point beyond each end extends runs to the frame.
         low, high = max(start - 1, 0), min(end + 1, len(curve))
         runs.append(curve[low:high] - turns[start] * lengths)
     return [run for run in runs if len(run) > 1]
 
 
 _BROAD: dict[str, Any] = {"alpha": 0.3, "linewidth": 4.5}
-"""A reference, behind what follows it."""
+"""Style of a reference behind the curve that follows it."""
 _UNIT = np.array([1 / np.pi, 1.0])
 
 
 def draw_chart(axes: Axes, chart: Chart, view: RunView) -> None:
-    """Draw a chart's lines, bands, levels and limits; a line of another view than `view` has no gaps."""
+    """Draw a chart's lines, bands, levels and limits; a line of a view other than `view` has no gaps."""
     quiet(axes, chart.title)
     axes.margins(x=0)
     scale = 1 / np.pi if chart.half_turns else chart.scale
@@ -271,7 +271,7 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView) -> None:
             _named_level(axes, level)
     letters = len(chart.title) + sum(len(label) + 4 for label in entries)
     where = ABOVE | (NARROW if letters > _BESIDE_TITLE else {})
-    # The reference after what follows it.
+    # The reference is listed after the following curve.
     key(axes, sorted(entries.items(), key=lambda entry: "alpha" in entry[1]), ncols=max(len(entries), 1), **where)
 
 
@@ -356,14 +356,14 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
 
 
 def _joined(curves: list[Array]) -> Array:
-    """Return curves (K, 2) as one (2, M), nan between them, as a page scales them."""
+    """Return curves (K, 2) as one (2, M) in page units, separated by nan."""
     apart = np.full((1, 2), np.nan)
     parts = [part for points in curves for part in (points * _UNIT, apart)]
     return np.concatenate(parts).T if parts else np.zeros((2, 0))
 
 
 def _name_ends(axes: Axes, first: Array, last: Array) -> None:
-    """Write start and end beside their marks, as one word where they are near each other."""
+    """Label start and end at their marks, with one label if they are near each other."""
     spans = np.abs([np.diff(axes.get_xlim())[0], np.diff(axes.get_ylim())[0]]).clip(1e-9)
     near = bool((np.abs(last - first) < np.array([0.16, 0.12]) * spans).all())
     for text, place in [("start, end", first)] if near else [("start", first), ("end", last)]:
@@ -375,21 +375,21 @@ def _name_ends(axes: Axes, first: Array, last: Array) -> None:
 
 
 _LETTER = 0.077
-"""Width of a letter, in inches."""
+"""Width of a letter, inches."""
 _TALL = 0.84
 _WRONG = {"facecolor": "#f7d9d6", "edgecolor": style.LIMIT, "hatch": "xxxx"}
 _BETWEEN = {"facecolor": "#eceef0", "edgecolor": style.FAINT, "hatch": "////"}
 
 
 def story_rows(view: RunView, *, span: Range | None = None) -> list[Strip]:
-    """Return the rows that the story has, from above."""
+    """Return the rows of the story, from the top."""
     return [strip for strip in strips(view, until=None if span is None else span[1]) if strip.name]
 
 
 def story(axes: Axes, view: RunView, *, span: Range | None = None, legend: bool = True) -> None:
-    """Draw over time, one below the other: stays as planned, as decoded from the angles, and the controller's modes.
+    """Draw over time, from the top: planned stays, decoded stays, and the controller's modes.
 
-    span: of time in s to show, if not the motion's and its plan's.
+    `span` is the time range to show, s; by default that of the motion and its plan.
     """
     rows = story_rows(view, span=span)
     begin, end = span or view.span
@@ -414,8 +414,8 @@ def story(axes: Axes, view: RunView, *, span: Range | None = None, legend: bool 
 
 
 def _part(axes: Axes, part: Span, place: int, view: RunView, *, letter: float, named: bool) -> None:
-    """Draw a span of a strip, with its text where there is room."""
-    # A mode of one tick, as at an end, is drawn wide enough to be seen.
+    """Draw a span of a strip, with its text if there is room."""
+    # A mode of one tick, as at an end, is widened to remain visible.
     width = max(part.last - part.first, letter * (0.8 if part.kind == "mode" else 0.5))
     first = part.last - width if part.kind == "mode" else part.first
     look = {"astray": _WRONG, "transfer": _BETWEEN, "ended": _BETWEEN}.get(part.kind, {"facecolor": part.colour})
@@ -432,7 +432,7 @@ def _part(axes: Axes, part: Span, place: int, view: RunView, *, letter: float, n
 
 
 def _numbers(axes: Axes, view: RunView, rows: list[str], *, letter: float, begin: float, end: float) -> None:
-    """Number the symbols where they are planned and where they were done; name those that have room above."""
+    """Number the symbols at their planned and actual times; write their names above if there is room."""
     free = begin
     for i, (name, planned, done) in enumerate(view.symbols):
         for row, moment in ((rows[0], planned), ("done", done)):
@@ -463,7 +463,7 @@ def _legend(axes: Axes, rows: list[Strip]) -> None:
 
 
 def notes(axes: Axes, view: RunView, *, lines: int) -> None:
-    """Write the symbols with their times, then the events, as many as there is room for."""
+    """Write the symbols with their times, then as many events as fit."""
     axes.axis("off")
     if not view.symbols and not view.events:
         return
@@ -478,7 +478,7 @@ def notes(axes: Axes, view: RunView, *, lines: int) -> None:
     events = [(f"{event.time:7.2f} s  {event.text}", False) for event in view.events]
     room = max(1, lines - len(text))
     if len(events) > room:
-        # The end tells how the run went; the start, what it was.
+        # The end describes the result, the start the kind of run.
         events = [events[0], (f"… {len(events) - room + 1} more …", False), *events[len(events) - room + 2 :]]
     text += events or [("none", False)]
     for row, (line, heading) in enumerate(text):
@@ -489,13 +489,13 @@ def notes(axes: Axes, view: RunView, *, lines: int) -> None:
 
 
 _FRAME_STEP = 2.12
-"""Between the film's frames, in lengths of all arms: just enough for two stretched towards one another."""
+"""Distance between the film's frames, in lengths of all arms: enough for two stretched towards one another."""
 
 
 def draw_film(axes: Axes, view: RunView, times: Array) -> None:
-    """Draw the arms at several instants (K,) s, the reference grey behind them, the tip's path since the last frame.
+    """Draw the arms at several times (K,) s, the reference grey behind them, the tip's path since the last frame.
 
-    An instant outside the motion is left out.
+    Times outside the motion are skipped.
     """
     state, arms, reach = view.state, view.arms, sum(view.arm_lengths)
     horizontal, vertical = film_extent(view, times)
@@ -534,12 +534,12 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
 
 
 def frame_place(view: RunView, frame: int) -> float:
-    """Return where the pivot of a frame is drawn, m."""
+    """Return the drawn position of the pivot of a frame, m."""
     return frame * _FRAME_STEP * sum(view.arm_lengths)
 
 
 def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
-    """Return the x and y limits in m that `draw_film` needs: as low and as high as the arms reach in its frames."""
+    """Return the x and y limits in m for `draw_film`: the vertical range of the arms in its frames."""
     rows, reach = film_rows(view, times), sum(view.arm_lengths)
     shown = [view.state] if view.reference is None else [view.state, view.reference]
     both = np.concatenate([states[rows, : view.arms] for states in shown])
@@ -551,26 +551,26 @@ def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
 
 
 def film_height(view: RunView, times: Array, *, width: float) -> float:
-    """Return how high a film of this width is, its scales being equal."""
+    """Return the height of a film of this width at equal scales."""
     (left, right), (low, high) = film_extent(view, times)
     return width * (high - low) / (right - left)
 
 
 def film_rows(view: RunView, times: Array) -> NDArray[np.int64]:
-    """Return the ticks that the film shows."""
+    """Return the ticks shown in the film."""
     return np.searchsorted(view.time, times).clip(0, len(view.time) - 1)
 
 
 def film_times(view: RunView, *, frames: int, until: float = np.inf) -> Array:
-    """Return (frames,) instants for a filmstrip, shared out among the symbols' crossings; without any, evenly spread.
+    """Return (frames,) times for a filmstrip, distributed among the symbols' crossings, otherwise evenly.
 
-    Around a crossing they span a third of the period of a simple pendulum as long as all arms, on either side. Of a run
-    that went wrong the last quarter of the frames shows how it ended. until: s, where they end at the latest.
+    On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. For a run
+    that failed, the last quarter of the frames covers its end. `until` is the latest time, s.
     """
     time = view.time[view.time <= until]
     if view.good is False and frames > 3 and time[-1] > time[0]:
         last = frames // 4
-        # Of a run that ended at once no more than its share.
+        # A run that ended at once gets no more than its share.
         length = min(0.2 * last, (time[-1] - time[0]) * last / frames)
         ending = np.linspace(time[-1] - length, time[-1], last + 1)
         before = film_times(replace(view, good=None), frames=frames - last, until=ending[0])
@@ -594,19 +594,19 @@ def film_times(view: RunView, *, frames: int, until: float = np.inf) -> Array:
 
 _SIZE = (16.0, 11.6)
 _ROWS, _TALLER = 4, 1.5
-"""Charts in a column of a page of that size, and the height that each further one takes, in inches."""
+"""Charts in a column of a page of that size, and the height of each further one, inches."""
 _FRAMES = 8
 _NOTES = 0.185
 _NOTE_LINES = 13
 _COLUMNS, _WIDTH = (0.045, 0.372, 0.70), 0.285
 _ROW = 0.019
-"""Height of a row of the story."""
+"""Height of a row of the story, inches."""
 _ABOVE = 0.04
-"""Between two panels, for the title of the lower."""
+"""Gap between two panels for the title of the lower one, inches."""
 
 
 def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
-    """Return the page as a figure; more: charts over time besides the view's own."""
+    """Return the page as a figure; `more` are charts over time in addition to the view's."""
     left, middle = list(series.motion_charts(view)), [*series.check_charts(view), *series.extra_charts(view), *more]
     while len(left) > len(middle) + 1:
         middle.insert(0, left.pop())
@@ -623,7 +623,7 @@ def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
         story(figure.add_axes((0.062, top - tall, 0.925, tall)), view)
         top -= tall + 0.032
     times = film_times(view, frames=_FRAMES)
-    # The panels below take what is left.
+    # The panels below use the remaining height.
     tall = film_height(view, times, width=0.98 * width) / height
     draw_film(figure.add_axes((0.01, top - tall, 0.98, tall)), view, times)
     top -= tall + 0.03

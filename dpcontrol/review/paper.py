@@ -1,5 +1,5 @@
 """Further figures of the paper: both landscapes, the tubes and connections of three bodies, both senses of rotation,
-cuts against energy, orbits in space, an orbit that shadows others, and the manifold of Up-Up."""
+cuts against energy, orbits in space, a shadowing orbit, and the manifold of Up-Up."""
 
 from collections.abc import Sequence
 
@@ -28,14 +28,14 @@ from dpcontrol.walks.atlas import Atlas
 from dpcontrol.walks.shadowing import WalkSolver
 
 LANDSCAPES = {"three-body": (-1.523, -1.5195, -1.51, -1.5005), "lab": (-0.3, -0.07, 0.2, 0.55)}
-"""Energies, one between each two heights of critical points."""
+"""Energies, one between the heights of adjacent critical points."""
 _GRID = 361
 _REACHED, _FORBIDDEN = "#dbe9f6", "#8d959e"
 
 
 def landscape_page(gallery: Gallery) -> Page:
     """Draw potential energies as landscapes, and Hill's regions at four energies, of three bodies and the pendulum."""
-    figure = new_figure(13.5, 6.6, "Energy landscapes, and Hill's regions: what each energy opens")
+    figure = new_figure(13.5, 6.6, "Energy landscapes and Hill's regions: higher energies open more saddles")
     grid = figure.add_gridspec(
         2, 5, left=0.012, right=0.985, top=0.88, bottom=0.07, wspace=0.36, hspace=0.22, width_ratios=[1.45, 1, 1, 1, 1]
     )
@@ -54,7 +54,7 @@ def landscape_page(gallery: Gallery) -> Page:
             height = float(system.numeric.hamiltonian(np.array([*top, 0.0, 0.0])))
             points |= {n: (top * (1, sign), height, "maximum") for n, sign in (("L4", 1), ("L5", -1))}
         relief = figure.add_subplot(grid[row, 0], projection="3d")
-        # The wells of the primaries have no floor.
+        # The wells of the primaries are bottomless.
         shown = np.maximum(potential, potential.min() if angular else -1.62)
         relief.plot_surface(first, second, shown, cmap="viridis", linewidth=0, rcount=90, ccount=90, alpha=0.95)  # type: ignore[attr-defined]
         relief.view_init(elev=38, azim=-60)  # type: ignore[attr-defined]
@@ -81,10 +81,10 @@ def landscape_page(gallery: Gallery) -> Page:
         figure,
         "Above the restricted three-body problem in its rotating frame, below the lab pendulum. Left: the energy at "
         "rest, over the plane and over the torus of the two angles (from hanging). Right: Hill's regions, one energy "
-        "between each two critical points; blue may be reached, grey may not. Squares: the saddles through whose necks "
-        "a motion passes, L1 and L2, and their counterparts Down-Up and Up-Down; circle: the stable equilibrium; "
+        "between adjacent critical points; blue regions are accessible, grey ones are not. Squares: the saddles whose "
+        "necks connect regions, L1 and L2, and their counterparts Down-Up and Up-Down. Circle: the stable equilibrium; "
         f"triangles: maxima. Green: reached; red: not. {' '.join(words)}",
-        f"Energies are chosen one between each two equilibria. {IDENTIFIED}",
+        f"Each energy lies between two adjacent equilibria. {IDENTIFIED}",
     )
 
 
@@ -93,7 +93,7 @@ Points = dict[str, tuple[Array, float, str]]
 
 def _region(axes: Axes, field: tuple[Array, Array, Array], energy: float, points: Points, *, angular: bool) -> None:
     first, second, potential = field
-    # Where two bodies collide the energy has no lower bound.
+    # At collisions of two bodies the energy has no lower bound.
     potential = np.maximum(potential, -10.0)
     axes.contourf(first, second, potential, levels=[potential.min() - 1, energy], colors=[_REACHED])
     axes.contourf(first, second, potential, levels=[energy, potential.max() + 1], colors=[_FORBIDDEN])
@@ -135,14 +135,14 @@ def three_body_page(gallery: Gallery) -> Page:
     return Page(
         figure,
         "The planar circular restricted three-body problem in the rotating frame, mass ratio "
-        f"{float(gallery.system('three-body').parameters[0]):g}, near the smaller primary (dot). Grey: out of reach at "
-        "this energy. Left: Lyapunov orbits about L1 (teal) and L2 (violet), the unstable tube (red) of one and the "
-        f"stable tube (green) of the other up to their crossing number {kind.hits[0]} of the line x = 1 - μ. Middle: "
-        "the cuts there with the connections found. Right: the first of them, whole. Below: the other way round, which "
-        f"is the image under time reversal. {counts}.",
-        f"Both tubes pass the line once before they can meet: hits {list(kind.hits)} are the first at which there are "
-        "connections. The energy's constant is that of the paper's appendix. Cuts are open where trajectories of the "
-        "tube pass close to the smaller primary and are scattered.",
+        f"{float(gallery.system('three-body').parameters[0]):g}, near the smaller primary (dot). Grey: inaccessible at "
+        "this energy. Left: Lyapunov orbits about L1 (teal) and L2 (violet). The unstable tube (red) of one and the "
+        f"stable tube (green) of the other reach crossing number {kind.hits[0]} of the line x = 1 - μ. Middle: "
+        "the cuts there with the connections found. Right: the complete flight of the first. Below: the opposite "
+        f"direction, which is the image under time reversal. {counts}.",
+        f"Both tubes pass the line once before they can meet: hits {list(kind.hits)} are the first with "
+        "connections. The energy's constant is that of the paper's appendix. Cuts are open at trajectories of the "
+        "tube that pass close to the smaller primary and are scattered.",
     )
 
 
@@ -156,11 +156,11 @@ def three_body_homoclinics_page(gallery: Gallery) -> Page:
         figure,
         "The planar circular restricted three-body problem in the rotating frame; above the orbit about L1, below that "
         "about L2. Left: the branches of its unstable (red) and stable (green) tubes that go round the larger primary "
-        "to the section y = 0, x < 0 (dotted). Grey: out of reach. Middle: the cuts there, x and its momentum, with "
-        "the connections found. Right: one flight of each colour, solid where it is symmetric and dashed where it is "
-        f"one of a mirror pair. {counts}.",
-        "Energies are chosen here, a little above that of each point, where few connections are met. Flights are given "
-        "four periods of their orbit to the section; longer ones exist.",
+        "to the section y = 0, x < 0 (dotted). Grey: inaccessible. Middle: the cuts there, x and its momentum, with "
+        "the connections found. Right: one flight of each colour, solid for a symmetric one and dashed for one "
+        f"of a mirror pair. {counts}.",
+        "The chosen energies are slightly above those of the points, with few connections. Flights are limited to "
+        "four periods of their orbit before the section; longer ones exist.",
     )
 
 
@@ -218,7 +218,7 @@ def _plane(
     *,
     section: str,
 ) -> None:
-    """Draw where nothing can be, the orbits, the primaries and the section."""
+    """Draw the inaccessible region, the orbits, the primaries and the section."""
     system, (wide, high) = gallery.system("three-body"), extent
     x, y = np.meshgrid(np.linspace(*wide, 300), np.linspace(*high, 300))
     states = np.stack([x, y, 0 * x, 0 * x], axis=-1).reshape(-1, 4)
@@ -245,7 +245,7 @@ def _plane(
 
 
 _SIZES = (0.002, 0.02, 0.06, 0.12, 0.2)
-"""Energies in J above the saddle at which Lyapunov orbits are drawn."""
+"""Energies of the drawn Lyapunov orbits above the saddle, J."""
 _POSES = 7
 
 
@@ -281,17 +281,17 @@ def lyapunov_orbits_page(gallery: Gallery) -> Page:
         figure,
         f"Lyapunov orbits about Down-Up (above) and Up-Down (below), {', '.join(f'{a:g}' for a in _SIZES)} J above "
         "their saddle (cross): left the inner arm's angle and rate, middle the outer arm's. Right: half a period of "
-        "the third orbit, from pale to dark; the dot is the pivot. The arm that hangs swings widely, the one that "
-        "stands balances.",
-        f"Energies are chosen here; the paper gives none for each curve. {IDENTIFIED}",
+        "the third orbit, from pale to dark; the dot is the pivot. The hanging arm swings widely while the upright "
+        "one balances.",
+        f"The paper gives no energies for its curves, so these are chosen. {IDENTIFIED}",
     )
 
 
 def _motion(axes: Axes, system: System, period: float, states: Array) -> None:
-    """Draw the arms at a few instants of half a period, to scale."""
+    """Draw the arms to scale at a few times of half a period."""
     arms = system.model.arms.length if hasattr(system, "model") else (1.0, 1.0)  # type: ignore[attr-defined]
     for share in np.linspace(0, 0.5, _POSES):
-        # From rest to rest, on the other side.
+        # Half a period leads from rest on one side to rest on the other.
         first, second = states[round((share + 0.25) * (len(states) - 1)), :2]
         joint = arms[0] * np.array([np.sin(first), -np.cos(first)])
         tip = joint + arms[1] * np.array([np.sin(second), -np.cos(second)])
@@ -309,7 +309,7 @@ _TURNING = {"down-up": ("outer", "θ₂ = 2πk", "θ₁"), "up-down": ("inner", 
 
 
 def senses_page(gallery: Gallery, *, saddle: str) -> Page:
-    """Draw a saddle's tubes at 0.2 J in space and their cuts, apart for the two senses of rotation."""
+    """Draw a saddle's tubes at 0.2 J in space and their cuts, separately for the two senses of rotation."""
     atlas = gallery.atlas("lab", SENSES_ENERGY, (1, 1))
     kind = kind_of(atlas, saddle, saddle)
     assert kind is not None
@@ -337,12 +337,12 @@ def senses_page(gallery: Gallery, *, saddle: str) -> Page:
     key(figure, looks, fontsize=9, loc="upper right", bbox_to_anchor=(0.99, 0.972), ncols=5)
     return Page(
         figure,
-        f"Trajectories that leave the Lyapunov orbit about {saddle} at {SENSES_ENERGY:g} J (red) and that come to it "
-        f"(green), in (θ₁, θ₂, ω₁), up to the section {section}; a and b the two senses in which the {arm} arm turns. "
-        f"Below, the cuts that belong to them: {coordinate} on the section and its momentum over p₀. Homoclinic "
+        f"Trajectories that leave the Lyapunov orbit about {saddle} at {SENSES_ENERGY:g} J (red) and that approach it "
+        f"(green), in (θ₁, θ₂, ω₁), up to the section {section}. Panels a and b: the two senses of the {arm} arm. "
+        f"Below, the corresponding cuts: {coordinate} on the section and its momentum over p₀. Homoclinic "
         f"connections: {' and '.join(counts)}.",
-        "Both tubes start at the orbit's named place, so the red one ends on one sheet of the section and the green "
-        f"one begins on another, whole turns away. Momenta are canonical where the paper has rates. {IDENTIFIED}",
+        "Both tubes start at the orbit's named position, so the red one ends on one sheet of the section and the green "
+        f"one begins on another, whole turns away. Momenta are canonical in place of the paper's rates. {IDENTIFIED}",
     )
 
 
@@ -376,11 +376,11 @@ def cuts_page(gallery: Gallery) -> Page:
     key(figure, looks, fontsize=9, loc="upper right", bbox_to_anchor=(0.99, 0.965), ncols=4)
     return Page(
         figure,
-        "Where the unstable (red) and stable (green) tubes of the Lyapunov orbit about Down-Up first meet the section "
-        "on which the outer arm hangs, at six energies: the inner arm's angle and its momentum over p₀; solid where "
-        "the outer arm's angle rises, dashed where it falls. Homoclinic connections, both senses: "
+        "First cuts of the unstable (red) and stable (green) tubes of the Lyapunov orbit about Down-Up on the section "
+        "with the outer arm hanging, at six energies: the inner arm's angle and its momentum over p₀. Solid: a "
+        "rising angle of the outer arm; dashed: a falling one. Homoclinic connections, both senses: "
         f"{', '.join(words)}.",
-        f"Momenta are canonical where the paper has rates; both senses are in one panel. {IDENTIFIED}",
+        f"Momenta are canonical in place of the paper's rates; both senses are in one panel. {IDENTIFIED}",
     )
 
 
@@ -392,7 +392,7 @@ def heteroclinic_orbits_page(gallery: Gallery) -> Page:
     for column, (source, target) in enumerate((("down-up", "up-down"), ("up-down", "down-up"))):
         kind = kind_of(atlas, source, target)
         assert kind is not None
-        # One of each pair of reflections.
+        # One of each pair of reflections is drawn.
         kept = [c for c in connections_of(atlas, kind) if c.sense > 0]
         look = ["#1f6fb4", "#d9640d", "#c2185b", "#9a6b15"]
         space = figure.add_axes((0.02 + 0.49 * column, 0.0, 0.46, 0.9), projection="3d")
@@ -413,8 +413,8 @@ def heteroclinic_orbits_page(gallery: Gallery) -> Page:
     return Page(
         figure,
         f"The heteroclinic connections at {SENSES_ENERGY:g} J whose difference of angles grows on the section θ₁ = θ₂ "
-        f"({' and '.join(words)}; each has a reflection), from the Lyapunov orbit that they leave to the one that they "
-        "join, with the angle at which the tubes meet. Those of b are those of a, run backward in time.",
+        f"({' and '.join(words)}; each has a reflection). They lead from one Lyapunov orbit to the other "
+        "and are labelled with the angle between the tubes. Those of b are those of a, run backward in time.",
         f"The paper draws one direction. {IDENTIFIED}",
     )
 
@@ -423,7 +423,7 @@ _SHADOWED = "down-up +"
 
 
 def shadowing_page(gallery: Gallery) -> Page:
-    """Draw a homoclinic connection, an orbit that follows it twice, and a periodic orbit that follows it for ever."""
+    """Draw a homoclinic connection, an orbit that follows it twice, and a periodic orbit that follows it forever."""
     system = gallery.system("lab")
     orbit = lyapunov_orbit(system, "down-up", energy=-0.07)
     search = find_connections(orbit, orbit)
@@ -461,19 +461,19 @@ def shadowing_page(gallery: Gallery) -> Page:
     return Page(
         figure,
         "Above, the outer arm in its phase plane; below, both angles against time. The homoclinic orbit leaves the "
-        "Lyapunov orbit, turns the outer arm once and comes back. Beside it there are an orbit that does so twice, "
-        "with as few wobbles between as suffice, and a periodic one that does so for ever and wobbles as often in each "
-        f"of its periods. Durations: {'; '.join(words)}.",
+        "Lyapunov orbit, turns the outer arm once and returns. Beside it lie an orbit that does this twice, "
+        "with the fewest sufficient wobbles between, and a periodic one that repeats it with as many wobbles in each "
+        f"period. Durations: {'; '.join(words)}.",
         f"All three are solved by multiple shooting, with the fewest wobbles that converge. {IDENTIFIED}",
     )
 
 
 _RETURN_FLIGHT = 2.0
-"""Periods of its orbit: what takes longer scatters."""
+"""Longest flight in periods of its orbit; longer ones scatter."""
 
 
 def returning_search(system: System) -> ConnectionSearch:
-    """Search homoclinics of Down-Up at 0.2 J that cross θ₁ = θ₂ and cross it again."""
+    """Search homoclinics of Down-Up at 0.2 J that cross θ₁ = θ₂ twice."""
     orbit = lyapunov_orbit(system, "down-up", energy=SENSES_ENERGY)
     return find_connections(
         orbit, orbit, hits=(1, 2), section=system.named_sections["aligned"],
@@ -482,7 +482,7 @@ def returning_search(system: System) -> ConnectionSearch:
 
 
 def returning_page(gallery: Gallery) -> Page:
-    """Draw homoclinics of Down-Up that pass Up-Down's side and come back through θ₁ = θ₂ the other way."""
+    """Draw homoclinics of Down-Up that pass Up-Down's side and return through θ₁ = θ₂ the other way."""
     system = gallery.system("lab")
     search = returning_search(system)
     back = [c for c in search.connections if not any(c.winding)]
@@ -510,7 +510,7 @@ def returning_page(gallery: Gallery) -> Page:
     quiet(axes, "c  cuts on θ₁ = θ₂ + 2πk", x="θ₁ on the section (rad)", y="p / p₀")
     for cut, colour, sign in ((search.cuts[0], style.UNSTABLE, 1), (search.cuts[1], style.STABLE, -1)):
         for piece in cut.pieces:
-            # Time reversal keeps the angles and turns momenta over.
+            # Time reversal keeps the angles and reverses momenta.
             points = piece.points * np.array([1.0, sign])
             for part in wrapped_runs(points, (2 * np.pi, None)):
                 axes.plot(*part.T, color=colour, linewidth=0.9)
@@ -531,18 +531,18 @@ def returning_page(gallery: Gallery) -> Page:
     whole = "" if search.complete else "at least "
     return Page(
         figure,
-        f"Connections from the Lyapunov orbit about Down-Up at {SENSES_ENERGY:g} J back to itself that turn no arm "
-        "over: they pass θ₁ = θ₂ (dotted) towards Up-Down's side and cross it again the other way. a and b: flights "
+        f"Connections from the Lyapunov orbit about Down-Up at {SENSES_ENERGY:g} J to the same orbit without a turn "
+        "of an arm. They pass θ₁ = θ₂ (dotted) towards Up-Down's side and return the other way. a and b: flights "
         "of one sense. c: the unstable tube at its first crossing of θ₁ = θ₂ and the stable tube at the second before "
         f"it arrives. Found: {whole}{len(back)} of flights up to {_RETURN_FLIGHT:g} periods; dots of one colour are "
         "one connection and its images.",
-        "Tubes scatter before later crossings, so that longer flights are not listed; `dpcontrol connect lab --section "
+        "Tubes scatter before later crossings, so longer flights are not listed; `dpcontrol connect lab --section "
         f"aligned --hits 1,2 --longest 2` lists these. {IDENTIFIED}",
     )
 
 
 def _by_flight(connections: Sequence) -> dict[str, str]:
-    """Return a colour for each connection by name; images under symmetries, which last as long, share one."""
+    """Return a colour for each connection by name; symmetric images have equal durations and share one."""
     lengths: list[float] = []
     for c in sorted(connections, key=lambda c: c.time_in + c.time_out):
         if not lengths or c.time_in + c.time_out - lengths[-1] > 1e-6:
@@ -554,16 +554,16 @@ def _by_flight(connections: Sequence) -> dict[str, str]:
 
 _SEEDS, _OFF = 6000, 1e-5
 _FALL = 60.0
-"""Time that a fall may take, over that in which the slow direction grows by a factor e."""
+"""Longest duration of a fall, in e-folding times of the slow direction."""
 
 
 def up_up_states(system: System) -> Array:
-    """Return the states (K, N) in which trajectories of the unstable manifold of Up-Up first meet θ₂ = 2πk."""
+    """Return the states (K, N) at the first crossing of θ₂ = 2πk on the unstable manifold of Up-Up."""
     top = system.equilibria["up-up"]
     values, vectors = np.linalg.eig(system.numeric.jacobian(top))
     rising = np.argsort(np.real(values))[-2:]
     plane = np.real(vectors[:, rising]) / np.linalg.norm(np.real(vectors[:, rising]), axis=0)
-    # The slow direction grows less until the fast one has left: all ratios of both are reached on a logarithmic scale.
+    # The slow direction grows less until the fast one has left; a logarithmic scale covers all ratios of both.
     fast, slow = _spread(_SEEDS)
     seeds = top + _OFF * np.column_stack([slow, fast]) @ plane.T
     section = system.sections["down-up", "down-up"]
@@ -572,24 +572,24 @@ def up_up_states(system: System) -> Array:
 
 
 def _spread(count: int) -> tuple[Array, Array]:
-    """Return parts along the fast and the slow direction, both signs of each, their ratio from 1e-6 to 1e6."""
+    """Return components along the fast and the slow direction, both signs of each, with ratios from 1e-6 to 1e6."""
     ratio = np.logspace(-6, 6, count // 4)
     fast, slow = ratio / np.hypot(1, ratio), 1 / np.hypot(1, ratio)
     return np.concatenate([fast, fast, -fast, -fast]), np.concatenate([slow, -slow, slow, -slow])
 
 
 def up_up_page(gallery: Gallery) -> Page:
-    """Draw where the unstable and the stable manifold of Up-Up meet θ₂ = 2πk, as points."""
+    """Draw the intersections of Up-Up's unstable and stable manifolds with θ₂ = 2πk, as points."""
     system = gallery.system("lab")
     states, section = up_up_states(system), system.sections["down-up", "down-up"]
     points = section_points(system, section, states)
     sense = np.sign(system.numeric.rate(states) @ np.asarray(section.normal))
     energy = float(system.numeric.hamiltonian(system.equilibria["up-up"]))
-    figure = new_figure(11, 5.6, f"The manifolds of Up-Up at its energy of {energy:.4f} J, where they meet θ₂ = 2πk")
+    figure = new_figure(11, 5.6, f"The manifolds of Up-Up at its energy of {energy:.4f} J on the section θ₂ = 2πk")
     panels = figure.subplots(1, 2, sharex=True, sharey=True, gridspec_kw={
         "left": 0.07, "right": 0.985, "top": 0.82, "bottom": 0.11, "wspace": 0.08})  # fmt: skip
     q = (points[:, 0] + np.pi) % (2 * np.pi) - np.pi
-    # Time reversal turns momenta over and the crossing's sense.
+    # Time reversal changes the sign of momenta and of the crossing.
     for axes, way in zip(panels, (1, -1), strict=True):
         for sign, colour in ((1, style.UNSTABLE), (-1, style.STABLE)):
             here = sense * sign == way
@@ -603,10 +603,10 @@ def up_up_page(gallery: Gallery) -> Page:
         figure,
         f"Up-Up has two unstable directions, so at its energy of {energy:.4f} J its unstable manifold is a surface "
         f"that starts at a point, and no tube. {len(points):,} trajectories that leave it in all directions of the "
-        "unstable plane are drawn as points (red) where they first meet the section on which the outer arm hangs; "
-        "green: the stable manifold, which is the same turned around in time. Where both colours meet, a trajectory "
+        "unstable plane are drawn as points (red) at their first crossing of the section with the outer arm hanging. "
+        "Green: the stable manifold, which is the image under time reversal. At points of both colours a trajectory "
         "falls from Up-Up and climbs back to it.",
-        "The paper leaves these manifolds out. Around Up-Up no closed curve of orbits separates the motions, so that "
+        "The paper leaves these manifolds out. Around Up-Up no closed curve of orbits separates the motions, so "
         "there are no cuts to intersect; connections of Up-Up exist, but are not searched or offered as symbols. The "
         "triple pendulum has no such picture either: in its six-dimensional phase space tubes do not meet generically.",
     )

@@ -1,8 +1,8 @@
-"""A picture of what is reviewed: by the Rerun viewer where it can render without a screen, else by matplotlib.
+"""A picture of a review, by the Rerun viewer if it can render without a screen, otherwise by matplotlib.
 
-The viewer is a program of its own: opened for the user, or started without a screen under a time limit. This module
-run as a program takes the picture: of the viewer's executable, the recording, the picture, and the time in s to show.
-It exits with 0 and the picture written, or with 1 and the reason as the last line on standard output.
+The viewer is a separate program: opened for the user, or started without a screen under a time limit. Run as a program,
+this module takes the picture. Its arguments are the viewer's executable, the recording, the picture and the time in s.
+It exits with 0 after writing the picture, or with 1 and the reason as the last line on standard output.
 """
 
 import contextlib
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from dpcontrol.walks.atlas import Atlas
 
 _SECONDS = 120.0
-"""A software renderer on a busy machine takes half of it."""
+"""Time limit, s; a software renderer on a busy machine takes half of it."""
 _LEAST_BYTES = 20_000
-"""A picture of the viewer with nothing in its views is smaller."""
+"""Least size of a picture with something in its views, bytes."""
 _PACKAGES = "mesa-vulkan-drivers libegl1 libgl1 libxkbcommon-x11-0 fonts-dejavu-core"
 
 
 def viewer_program() -> Path | None:
-    """Return the viewer's executable as the rerun-sdk package ships it, or None where there is none."""
+    """Return the viewer's executable in the rerun-sdk package, or None."""
     if not installed("rerun_cli"):
         return None
     import rerun_cli
@@ -48,11 +48,11 @@ def viewer_program() -> Path | None:
 
 
 _QUIET = {"CI": "1"}
-"""The viewer reports its use to its makers except in CI: what a bench does is nobody's business."""
+"""Setting against usage reports of the viewer, which it sends except in CI."""
 _LOOPBACK = ("--bind", "127.0.0.1")
-"""Without it the viewer listens to all who reach this computer."""
+"""Setting that restricts the viewer to connections from this computer."""
 _STARTED = 1.0
-"""Seconds after which a viewer that still runs has found its display."""
+"""Time after which a running viewer has found its display, s."""
 _WATCH = """
 import shutil, subprocess, sys
 folder, *viewer = sys.argv[1:]
@@ -63,7 +63,7 @@ finally:
         shutil.rmtree(folder, ignore_errors=True)
 sys.exit(code != 0)
 """
-"""A program that waits for the viewer's end and removes the folder that was made for it."""
+"""A program that waits for the end of the viewer and removes its temporary folder."""
 
 
 REVIEW_REMEDY = "write a file with --picture FILE.png or --save FILE.rrd"
@@ -71,10 +71,10 @@ LIVE_REMEDY = "leave out --live, and draw the log with `dpcontrol review LOG --p
 
 
 def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
-    """Return the viewer's executable; remedy: what a user without a display can do instead.
+    """Return the viewer's executable; `remedy` is the advice for a user without a display.
 
     Raises:
-        InputError: there is none, or no display to open it on.
+        InputError: there is no viewer, or no display to open it on.
         PartMissing: rerun-sdk is not installed.
     """
     part("rerun")
@@ -89,21 +89,23 @@ def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
 
 
 def viewer_command(*arguments: str) -> tuple[list[str], dict[str, str]]:
-    """Return what opens a viewer that listens here only and reports nothing, and its environment.
+    """Return command and environment of a viewer that accepts local connections only and reports nothing.
 
     Raises:
-        InputError: there is none, or no display to open it on.
+        InputError: there is no viewer, or no display to open it on.
     """
     return [str(check_viewer()), *arguments, *_LOOPBACK], {**os.environ, **_QUIET}
 
 
 def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
-    """Open a recording in a viewer of its own, which outlives this process, listens here only and reports nothing.
+    """Open a recording in a separate viewer, which outlives this process and accepts local connections only.
 
-    temporary: a folder to remove when the viewer is closed.
+    Args:
+        recording: the recording.
+        temporary: folder to remove when the viewer is closed.
 
     Raises:
-        InputError: there is no such recording, no viewer, no display, or the viewer ended at once.
+        InputError: the recording, the viewer or the display is missing, or the viewer ended at once.
     """
     if not Path(recording).is_file():
         raise InputError(f"there is no recording {recording}; write one with `dpcontrol review LOG --save {recording}`")
@@ -116,15 +118,15 @@ def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
     with contextlib.suppress(subprocess.TimeoutExpired):
         if watch.wait(_STARTED):
             raise InputError(f"the viewer ended at once; {REVIEW_REMEDY}")
-    # It is left to itself: nobody here waits for its end.
+    # The viewer runs on independently and is not waited for.
     watch.returncode = 0
 
 
 def view_in_window(shown: Any, name: str) -> Path:
-    """Open a viewer on what is reviewed; return its recording, which is removed when the viewer is closed or fails.
+    """Open a viewer on a review; return its recording, which is removed when the viewer is closed or fails.
 
     Raises:
-        InputError: there is no viewer, no display, or the viewer ended at once.
+        InputError: the viewer or the display is missing, or the viewer ended at once.
         PartMissing: rerun-sdk is not installed.
     """
     check_viewer()
@@ -140,7 +142,7 @@ def view_in_window(shown: Any, name: str) -> Path:
 
 
 def missing_renderer() -> str | None:
-    """Return why the viewer cannot draw without a screen here, or None if it may be able to."""
+    """Return the reason why the viewer cannot draw without a screen, or None if it might."""
     if not installed("rerun"):
         return "rerun-sdk is not installed (pip install 'dpcontrol[viewer]')"
     if viewer_program() is None:
@@ -158,10 +160,10 @@ def missing_renderer() -> str | None:
 
 
 def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seconds: float = _SECONDS) -> str | None:
-    """Write a picture (PNG) of the viewer showing the recording that `write` writes, at `moment` (s).
+    """Write a picture (PNG) of the viewer showing the recording from `write`, at `moment` (s).
 
-    The viewer runs under a process of its own, which is ended with all its children after `seconds`.
-    Returns None if the picture was written, else why not.
+    The viewer runs under a separate process, which is ended with all its children after `seconds`.
+    Returns None if the picture was written, otherwise the reason.
 
     Raises:
         InputError: the picture cannot be written to `path`.
@@ -172,8 +174,8 @@ def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seco
     with tempfile.TemporaryDirectory(prefix="dpcontrol-") as folder:
         recording, picture = Path(folder) / "run.rrd", Path(folder) / "run.png"
         write(recording)
-        # The viewer's window library wants a private folder even when there is no window.
-        # Temporary folders that it leaves behind go with this one.
+        # The viewer's window library requires a private folder even without a window.
+        # Temporary folders left by the viewer are removed with this one.
         environment = {"XDG_RUNTIME_DIR": folder, **os.environ, **_QUIET, "TMPDIR": folder}
         program = [sys.executable, "-m", "dpcontrol.review.picture", str(viewer_program())]
         reason = _run([*program, str(recording), str(picture), repr(moment)], environment, seconds=seconds)
@@ -187,7 +189,7 @@ def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seco
 
 
 def _run(arguments: list[str], environment: dict[str, str], *, seconds: float) -> str | None:
-    """Run a program with all its children until it ends or time is up; return what went wrong, if anything."""
+    """Run a program with all its children until it ends or time is up; return the error, if any."""
     quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(arguments, env=environment, stdout=subprocess.PIPE, text=True, **quiet) as child:
         try:
@@ -204,7 +206,7 @@ def _run(arguments: list[str], environment: dict[str, str], *, seconds: float) -
 
 
 def _end(pid: int) -> None:
-    """End a process that was started here, and the viewer it started, which has a process group of its own."""
+    """End a process started here, and the viewer it started, which has a separate process group."""
     import psutil
 
     try:
@@ -220,12 +222,12 @@ def _end(pid: int) -> None:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture that was written.
+    """A picture on disk.
 
     Attributes:
         path: the PNG.
         renderer: `viewer` or `matplotlib`.
-        status: a sentence that says which it is and why.
+        status: sentence on the renderer and the reason for it.
     """
 
     path: Path
@@ -234,20 +236,20 @@ class Picture:
 
 
 Shown: TypeAlias = "RunView | RunComparison | Atlas"
-"""What can be reviewed: a run or a reference, several runs, an atlas."""
+"""Objects to review: a run or a reference, several runs, an atlas."""
 
 
 def write_recording(shown: Shown, path: Path) -> None:
-    """Write the Rerun recording (`*.rrd`) of what is reviewed.
+    """Write the Rerun recording (`*.rrd`) of a review.
 
     Raises:
-        InputError: it cannot be written, or the log that it shows has gone.
+        InputError: it cannot be written, or the log was removed.
     """
     _renderers(shown)[0](shown, path)
 
 
 def write_picture(shown: Shown, path: Path | str) -> Picture:
-    """Write a PNG of what is reviewed: of the Rerun viewer if this machine can render it, else by matplotlib.
+    """Write a PNG of a review: from the Rerun viewer if this machine can render it, otherwise from matplotlib.
 
     Raises:
         InputError: the file cannot be written.
@@ -264,7 +266,7 @@ def write_picture(shown: Shown, path: Path | str) -> Picture:
 
 
 def _renderers(shown: Shown) -> tuple[Callable[[Any, Path], None], Callable[[Any], "Figure"]]:
-    """Return what writes the recording and what draws the page; viewer and matplotlib are imported where needed."""
+    """Return the functions that write the recording and draw the page; viewer and matplotlib are imported lazily."""
     if isinstance(shown, RunView):
         from dpcontrol.review import page, rerun_recording
 
@@ -280,11 +282,11 @@ def _renderers(shown: Shown) -> tuple[Callable[[Any, Path], None], Callable[[Any
 
 _POLL = 0.1
 _SETTLED = 1.0
-"""Seconds without a report from any view before the picture is taken: software rendering needs some frames."""
+"""Quiet time without reports from any view before the picture, s: software rendering needs some frames."""
 
 
 def _bound(program: Path, folder: Path) -> Path:
-    """Return a script in `folder` that starts the viewer on the loopback: its client has no setting for it."""
+    """Return a script in `folder` that starts the viewer on the loopback; its client has no setting for this."""
     if os.name != "posix":
         return program
     script = folder / "viewer"
@@ -294,7 +296,7 @@ def _bound(program: Path, folder: Path) -> Path:
 
 
 def take(program: Path, recording: Path, picture: Path, *, moment: float) -> str | None:
-    """Write `picture`; return None, or why there is none. Waits as long as the viewer loads: time it from outside."""
+    """Write `picture`; return None, or the reason for failure. No time limit applies: set one from outside."""
     from rerun.experimental import ViewerClient
 
     with socket.socket() as probe:
@@ -309,7 +311,7 @@ def take(program: Path, recording: Path, picture: Path, *, moment: float) -> str
             state = viewer.get_state()
         viewer.set_time(duration=moment, play_state="paused")
         reports, calm, begin = [], 0.0, time.monotonic()
-        # Views complain while their data arrive; only complaints that stay count.
+        # Views report errors while their data arrive; only persistent ones count.
         while calm < _SETTLED and time.monotonic() - begin < 10 * _SETTLED:
             time.sleep(_POLL)
             views = viewer.get_state().views
@@ -325,10 +327,10 @@ def take(program: Path, recording: Path, picture: Path, *, moment: float) -> str
 
 
 def main(program: str, recording: str, picture: str, moment: str) -> int:
-    """Take a picture as the command line says; return the exit code."""
+    """Take the picture given on the command line; return the exit code."""
     try:
         reason = take(Path(program), Path(recording), Path(picture), moment=float(moment))
-    except Exception as error:  # noqa: BLE001 - whatever the viewer's client raises is the reason asked for
+    except Exception as error:  # noqa: BLE001 - any exception of the viewer's client is the reason to report
         reason = f"the viewer failed: {' '.join(str(error).split())}"
     if reason:
         sys.stdout.write(reason + "\n")

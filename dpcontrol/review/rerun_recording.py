@@ -1,7 +1,7 @@
-"""A run, a recording or a reference as a Rerun recording, made from its story (`series`), and its arrangement.
+"""A run, a recording or a reference as a Rerun recording, built from its story (`series`), and its layout.
 
-A log's own messages supply the scene; its numbers go into curves with names and colours. Without the blueprint the
-viewer opens the log as well, but unarranged. Times are durations from the start. In the scene x points right and z up.
+A log's messages supply the scene; its numbers become curves with names and colours. The viewer can also open the log
+without the blueprint, in its default layout. Times are durations from the start. In the scene x points right and z up.
 In the phase planes the viewer's y points down and its scales are equal: a rate of 10 rad/s is drawn as long as an angle
 of 2 rad.
 """
@@ -48,28 +48,28 @@ else:
 
 
 TIMELINE = "message_log_time"
-"""The timeline of the log's own messages, a duration from the start; derived series go on the same."""
+"""Timeline of the log's messages, a duration from the start; derived series use the same."""
 TRACE_RATE = 50.0
-"""Hz at which poses and places are recorded: enough for the eye."""
+"""Rate of recorded poses and positions, Hz, sufficient for viewing."""
 _BINS = 30_000
-"""Bins of a long curve, of each of which the least and the greatest value are recorded."""
+"""Number of bins of a long curve; the least and the greatest value of each are recorded."""
 _ON_THE_WAY = "on the way"
 _BAND_POINTS = 4000
 _EDGE = np.array([-1e-6, 0.0, 1e-6])
-"""s: offsets at which the edge of a band is sampled."""
+"""Offsets at which the edge of a band is sampled, s."""
 
 
 _NO_GAPS: Array = np.zeros(0)
 
 
 def follow(recording: rr.RecordingStream, path: str, look: Any, time: Array, columns: Any) -> None:
-    """Record what changes at instants (K,) s under a path, and how it looks throughout."""
+    """Record values that change at times (K,) s under a path, with constant style."""
     recording.log(path, look, static=True)
     recording.send_columns(path, indexes=[rr.TimeColumn(TIMELINE, duration=time)], columns=columns)
 
 
 def trace_rows(view: RunView) -> NDArray[np.int64]:
-    """Return the ticks at which poses are recorded."""
+    """Return the ticks of the recorded poses."""
     return np.arange(0, len(view.time), max(1, round(view.rate_hz / TRACE_RATE)))
 
 
@@ -86,7 +86,7 @@ def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: R
             recording, f"{home}/{level.key}", Line("", level.name, "", ends, np.full(2, level.value), level.colour, 1.0)
         )
     if chart.cut:
-        # The viewer joins what falls into one pixel: a band between few points would be drawn as wedges.
+        # The viewer joins points within one pixel, and would draw a sparse band as wedges.
         edges = np.array(chart.cut)
         time = np.union1d(np.linspace(*view.time_range, _BAND_POINTS), np.add.outer(edges, _EDGE).ravel())
         inside = np.searchsorted(edges[:, 0], time, side="right") > np.searchsorted(edges[:, 1], time, side="left")
@@ -97,9 +97,9 @@ def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: R
 
 
 def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array = _NO_GAPS) -> None:
-    """Record a line under a path, with its band if it has one; of a long line only the extremes, as the log keeps all.
+    """Record a line under a path, with its band if it has one; long lines are reduced to their extremes.
 
-    Ink becomes pale on the viewer's dark plots, and a reference grey. gaps: instants, s, that no line crosses.
+    Ink becomes pale on the viewer's dark plots, and a reference grey. Lines are interrupted at `gaps`, times in s.
     """
     colour = {style.INK: style.PALE_INK, style.CART: style.PALE_INK}.get(line.colour, line.colour)
     tint = style.rgb(style.REFERENCE if line.role == "reference" else colour)
@@ -110,11 +110,11 @@ def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array =
         columns = rr.Scalars.columns(scalars=line.values[rows])
     else:
         look = rr.Measurements.from_fields(names=[line.name], colors=[tint], widths=[line.width])
-        # The viewer's band is one standard deviation of what it is given.
+        # The viewer's band is one standard deviation of the given values.
         columns = rr.Measurements.columns(values=line.values[rows], variances=line.reach[rows] ** 2)
     time = line.time[rows]
     if len(time):
-        # Where a row holds no value the viewer ends one line and begins another.
+        # At an empty row the viewer ends one line and begins another.
         gaps = gaps[(time[0] < gaps) & (gaps < time[-1])]
         places = np.searchsorted(time, gaps)
         columns = columns.partition(np.insert(np.ones(len(time), dtype=np.int64), places, 0))
@@ -123,13 +123,13 @@ def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array =
 
 
 def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Strip], view: RunView) -> None:
-    """Record strips of named states: from when (s), and which."""
+    """Record strips of named states, each from its start time, s."""
     for strip in strips:
         changes, colours = _changes(strip.spans, view)
         if not changes:
             continue
         path = f"{home}/{strip.key}"
-        # All modes, whichever have come so far: a part of a run may be recorded after another.
+        # All modes are listed, because another part of the run may follow.
         colours |= style.MODES if strip.key == "mode" else {}
         values = list(colours) if strip.key == "mode" else list(dict.fromkeys(name for _, name in changes))
         tints = [(*style.rgb(colours[value]), 255) for value in values]
@@ -139,7 +139,7 @@ def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Str
 
 
 def _changes(spans: Sequence[Span], view: RunView) -> tuple[list[tuple[float, str]], dict[str, str]]:
-    """Return spans as changes of a state, with what lies between stays as "on the way", and colours by name."""
+    """Return spans as changes of a state, gaps between stays as "on the way", and colours by name."""
     begin, end = view.time_range
     changes: list[tuple[float, str]] = []
     colours = {_ON_THE_WAY: style.FAINT}
@@ -154,31 +154,31 @@ def _changes(spans: Sequence[Span], view: RunView) -> tuple[list[tuple[float, st
         changes.append((at, text))
         if span.kind in ("stay", "astray"):
             changes.append((span.last, _ON_THE_WAY))
-    # The last stay lasts to the end, be it the plan's.
+    # The last stay extends to the end of the run or the plan.
     if changes and changes[-1][1] == _ON_THE_WAY and changes[-1][0] > end - 2 / view.rate_hz:
         changes.pop()
     return changes, colours
 
 
 Box = tuple[float, float, float, float]
-"""Least and greatest x, least and greatest y, as drawn."""
+"""Bounds as drawn: least and greatest x, least and greatest y."""
 
 _RATE = 0.2
 _SCALE = np.array([1.0, -_RATE])
 _GRID, _DARK_GRID = (226, 229, 233), (52, 56, 62)
 _EACH = 2
-"""Every second strand of a tube is enough here, and quicker to draw without a graphics card."""
+"""Every second strand of a tube suffices, and is faster to draw without a graphics card."""
 _TUBES = (
     (False, style.UNSTABLE, style.PALE_UNSTABLE, "tubes_from"),
     (True, style.STABLE, style.PALE_STABLE, "tubes_to"),
 )
-"""Stable, colours of the cut and of the strands (the viewer's thin lines do not let through), and name."""
+"""Stability, colours of the cut and of the strands (the viewer's thin lines are opaque), and name."""
 _FAR = 60.0
-"""rad and rad/s: the view is not widened for what lies farther out."""
+"""Limits in rad and rad/s beyond which the view is not widened."""
 
 
 def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, boxes: list[Box] | None = None) -> None:
-    """Record the phase plane of each arm under `home/arm_K`; lines to read by fill the arm's box."""
+    """Record the phase plane of each arm under `home/arm_K`, with grid lines across its box."""
     for arm in range(view.arms):
         at, shown = f"{home}/arm_{arm + 1}", plane(view, arm)
         reading_lines(recording, at, boxes[arm] if boxes else bounds(shown), scale=_RATE)
@@ -192,7 +192,7 @@ def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, bo
 
 
 def record_places(recording: rr.RecordingStream, home: str, view: RunView) -> None:
-    """Record where each arm is in its phase plane."""
+    """Record the position of each arm in its phase plane."""
     rows = trace_rows(view)
     for arm in range(view.arms):
         look = rr.Points2D.from_fields(colors=[style.rgb(style.LIMIT)], radii=rr.Radius.ui_points(5))
@@ -201,7 +201,7 @@ def record_places(recording: rr.RecordingStream, home: str, view: RunView) -> No
 
 
 def bounds(*planes: Plane) -> Box:
-    """Return least and greatest x, least and greatest y of an arm's phase planes, as drawn: of all that lies near."""
+    """Return the bounds of an arm's phase planes, as drawn, without far outliers."""
     parts = [points for plane in planes for _, points in plane.orbits]
     parts += [points for plane in planes for some in (plane.run, *plane.strands.values()) for points in some]
     every = np.concatenate([part * _SCALE for part in parts]) if parts else np.zeros((1, 2))
@@ -223,9 +223,12 @@ def _strips(recording: rr.RecordingStream, at: str, strips: list[Array], colours
 def reading_lines(
     recording: rr.RecordingStream, at: str, box: Box, *, scale: float, turning: bool = True, dark: bool = False
 ) -> None:
-    """Draw lines to read by, named at their ends: at round values across, and at multiples of π or round ones along.
+    """Draw grid lines with labels: at round values across, and at multiples of π or round values along.
 
-    scale: what one unit across is drawn as; turning: whether x is an angle; dark: the background.
+    Args:
+        scale: drawn length of one unit across.
+        turning: True if x is an angle.
+        dark: True for a dark background.
     """
     left, right, top, bottom = box
     unit = np.pi if turning else 1.0
@@ -251,21 +254,21 @@ def reading_lines(
 
 
 def _round_step(span: float, most: int) -> float:
-    """Return the least of 1, 2, 5 times a power of ten that divides a span into at most `most` steps."""
+    """Return the smallest round step (1, 2 or 5 times a power of ten) with at most `most` steps in a span."""
     size = 10.0 ** np.floor(np.log10(max(span, 1e-9) / most))
     return float(next(step * size for step in (1.0, 2.0, 5.0, 10.0) if span / (step * size) <= most))
 
 
 WORLD = "world"
-"""The frame that the log's transforms start from."""
+"""Root frame of the log's transforms."""
 _TRACE_SECONDS = 0.4
 _DEPTH = -0.05
 
 
 def trace_tip(recording: rr.RecordingStream, path: str, view: RunView, *, frame: str | None = None) -> None:
-    """Trace the tip over the last moments, in the plane in which the outermost arm is drawn.
+    """Trace the tip over the last moments, in the plane of the outermost arm.
 
-    frame: of the log's transforms, where there are any.
+    `frame` is a frame of the log's transforms, if any.
     """
     rows = trace_rows(view)
     points = _points(view.state[rows], view)
@@ -280,7 +283,7 @@ def trace_tip(recording: rr.RecordingStream, path: str, view: RunView, *, frame:
 
 
 def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> None:
-    """Draw the arms as they move, the reference grey behind them, the cart, and the track as long as its limits."""
+    """Draw the moving arms, the grey reference behind them, the cart, and the track within its limits."""
     rows = trace_rows(view)
     reach = sum(view.arm_lengths)
     if view.has_cart:
@@ -312,7 +315,7 @@ def _track(recording: rr.RecordingStream, home: str, view: RunView, *, reach: fl
 
 
 def _points(states: Array, view: RunView) -> Array:
-    """Return (K, n+1, 3) the pivot, elbows and tip in m of states (K, …)."""
+    """Return pivot, elbows and tip (K, n+1, 3), m, of states (K, …)."""
     points = arm_points(states[:, : view.arms], view.arm_lengths)
     pivot = states[:, 2 * view.arms] if view.has_cart else np.zeros(len(states))
     return np.stack([points[..., 0] + pivot[:, None], np.zeros(points.shape[:2]), points[..., 1]], axis=-1)
@@ -323,9 +326,12 @@ SUMMARY = "summary"
 
 
 def blueprint(view: RunView, *, from_log: bool, growing: bool = False) -> rrb.Blueprint:
-    """Return the blueprint of a recording; one made `from_log` has the log's own bodies in its scene, and events.
+    """Return the blueprint of a recording.
 
-    growing: more will come than the view has: axes follow what they show, and the viewer the latest time.
+    Args:
+        view: the recorded run.
+        from_log: True if the scene and the events come from the log.
+        growing: True if more data will follow: axes adapt, and the viewer follows the latest time.
     """
     grey = f": {view.against} grey" if view.reference is not None else ""
     middle, checks = plots(motion_charts(view), growing=growing), plots(check_charts(view), growing=growing)
@@ -351,14 +357,14 @@ def blueprint(view: RunView, *, from_log: bool, growing: bool = False) -> rrb.Bl
     left = rrb.Vertical(scene, rrb.Horizontal(*planes), rrb.Horizontal(*texts), row_shares=[4, 4, 2.4])
     beside: list[rrb.Container] = [rrb.Vertical(*checks, name="Checks")] if checks else []
     if extras := plots(extra_charts(view)):
-        beside = [rrb.Tabs(*beside, rrb.Vertical(*extras, name="Estimated besides the state"), active_tab=0)]
+        beside = [rrb.Tabs(*beside, rrb.Vertical(*extras, name="Estimated parameters"), active_tab=0)]
     return page([left, rrb.Vertical(*middle, row_shares=shares), *beside], [5, 4.3, 3.7], growing=growing)
 
 
 def page(
     columns: Sequence[rrb.Container], shares: Sequence[float], *, timeline: str = TIMELINE, growing: bool = False
 ) -> rrb.Blueprint:
-    """Return a blueprint of columns of views, as wide as their shares, without side panels."""
+    """Return a blueprint of columns of views with widths in proportion to their shares, without side panels."""
     playing: dict[str, Any] = {"play_state": "following"} if growing else {}
     return rrb.Blueprint(
         rrb.Horizontal(*columns, column_shares=shares[: len(columns)]),
@@ -393,7 +399,7 @@ def summary_view() -> rrb.View:
 
 
 def plane_view(arm: int, home: str, box: Box, *, name: str, free: float = 0.1) -> rrb.View:
-    """Return the view of an arm's phase plane; free: share of the box that is left on each side, for lines' names."""
+    """Return the view of an arm's phase plane; `free` is the margin for labels, as a share of the box."""
     left, right, top, bottom = box
     wide, high = free * (right - left), free * (bottom - top)
     return rrb.Spatial2DView(
@@ -405,7 +411,7 @@ def plane_view(arm: int, home: str, box: Box, *, name: str, free: float = 0.1) -
 
 
 def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
-    """Return the views of charts; one with named levels, or of several runs, has a legend; growing: see `blueprint`."""
+    """Return the views of charts, with a legend for named levels or several runs; `growing`: see `blueprint`."""
     corner = rrb.Corner2D.RightTop
     return [
         rrb.TimeSeriesView(
@@ -420,7 +426,7 @@ def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
 
 
 def _shown(chart: Chart) -> tuple[float, float] | None:
-    """Return the values that the viewer shows of a chart at first; None where it holds none."""
+    """Return the initial range of a chart in the viewer; None for an empty chart."""
     if chart.shown:
         return ticked(*chart.shown)
     values = np.concatenate([line.values for line in chart.lines])
@@ -429,18 +435,18 @@ def _shown(chart: Chart) -> tuple[float, float] | None:
 
 _APPLICATION = "dpcontrol"
 _TOPICS = ["^/tf$", "^/robot_description$", "^/reference/robot_description$", "^/rosout$"]
-"""Taken as they are; the numbers of the other topics go into curves with names and colours."""
+"""Topics copied unchanged; the numbers of the others become curves with names and colours."""
 _LONG = 120.0
-"""Seconds beyond which a log's scene is drawn from its series: to read its messages in the viewer's way takes 10 s of
-computing and a gigabyte for ten minutes."""
+"""Duration, s, above which a log's scene is drawn from its series. The viewer's import takes 10 s of computing and a
+gigabyte for ten minutes."""
 SCENE = "scene"
 
 
 def write_recording(view: RunView, path: Path) -> None:
-    """Write the recording of a view to `path` (`*.rrd`); a log's file must still be where it was read from.
+    """Write the recording of a view to `path` (`*.rrd`); a log must still exist at its original path.
 
     Raises:
-        InputError: the recording cannot be written, or the log has gone.
+        InputError: the recording cannot be written, or the log was removed.
     """
     from_log = view.what != "reference"
     if from_log and not view.path.is_file():
@@ -462,14 +468,14 @@ def write_recording(view: RunView, path: Path) -> None:
 
 @contextmanager
 def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> Iterator[rr.RecordingStream]:
-    """Yield a recording with blueprint and summary that becomes the file `path` when the block ends without an error.
+    """Yield a recording with blueprint and summary; it becomes the file `path` if the block ends without an error.
 
     Raises:
         InputError: it cannot be written.
     """
     with whole_file(Path(path), suffix=".rrd") as temporary:
         recording = rr.RecordingStream(_APPLICATION, send_properties=True)
-        # Kept in memory until it is whole: where a disk fills up, the viewer's own writer may wait for ever.
+        # The recording stays in memory until it is complete, because the viewer's writer can hang on a full disk.
         kept = recording.memory_recording()
         recording.send_blueprint(view, make_active=False)
         recording.send_recording_name(name)
@@ -497,8 +503,11 @@ def _summary(view: RunView) -> str:
         rows.append(f"{i + 1}. {name}: planned at {at:.3f} s{seen}")
     if view.plan.orbits:
         flown = "the reference" if view.what == "reference" else "the run"
-        rows += ["", f"Phase planes, rad/s over rad: orbits thick; tubes from them red, to them green; {flown} black."]
+        rows += [
+            "",
+            f"Phase planes, rad/s over rad: orbits thick, tubes from them red and to them green, {flown} black.",
+        ]
     rows += ["", f"{view.title} ({view.path.name})", "", "| | |", "|---|---|"]
-    # Long values, such as settings as JSON, would push everything else out of sight.
+    # Long values, such as settings in JSON, would push everything out of sight.
     rows += [f"| {key} | {value} |" for key, value in view.metadata.items() if value and len(value) < 60]
     return "\n".join(rows)

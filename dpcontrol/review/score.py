@@ -1,7 +1,8 @@
-"""Did the run do what the itinerary asked? Decided from the log alone, by the true state where it is known.
+"""Score a run from its log: was the itinerary completed? The true state is used if it is known.
 
-A run is completed when every symbol was realised in order with its winding, wraps are as asked, the cart kept inside
-its limits, and over the last full period the angles stay within 0.1 rad of the last orbit (least over phase).
+A run is completed if every symbol was realised in order with its winding, wraps are as required and the cart stayed
+inside its limits. Over the last full period the angles must also stay within 0.1 rad of the last orbit (least over
+phase).
 
 Symbols and wraps are decoded from the angles, see `dpcontrol.review.decoding`.
 """
@@ -26,18 +27,18 @@ Number = TypeVar("Number", int, float)
 
 REFERENCE_ATTACHMENT = "reference.npz"
 MODEL_METADATA = "model_parameters"
-"""Metadata that holds the arms' parameters as JSON."""
+"""Metadata key of the arms' parameters, JSON."""
 PLANT_METADATA, DRAWN_METADATA = "plant_parameters", "drawn"
-"""Metadata of a simulated run, as JSON: the plant's own parameters, and what else was drawn once for the run."""
+"""Metadata key of a simulated run: the plant's parameters and other random draws, JSON."""
 THINKING_METADATA = ("thinking_median", "thinking_99")
-"""Metadata of a run: s of a tick of controller and estimator."""
+"""Metadata key of a run: duration of a tick of controller and estimator, s."""
 HARDEST_METADATA = "hardest_acceleration"
-"""Metadata of a simulated run: the largest acceleration that the drive applied, m/s²."""
+"""Metadata key of a simulated run: greatest acceleration applied by the drive, m/s²."""
 
 
 @dataclass(frozen=True)
 class Thinking:
-    """What a tick of controller and estimator took, s: the median, and what 99 % were within."""
+    """Duration of a tick of controller and estimator, s: median and 99th percentile."""
 
     median: float
     within_99: float
@@ -47,13 +48,21 @@ class Thinking:
 class Score:
     """A run's verdict.
 
-    completed: None where the true state is not known. wraps: at each interior stop that was reached, None beside a
-    transfer. rms_tracking_error rad, over the angles; max_cart_position m; rms_cart_acceleration m/s²; nis_inside_95:
-    share of ticks; nis_means: of its means, None of a run too short for one. real_time_factor, thinking: None where the
-    log does not say. reason: a sentence. falls: from which it came back, or not; attempts: of each symbol, where it
-    could come back, 0 of one that was not begun; catches: how often it went on from an earlier place before it fell.
-    judged_by: "truth", the plant's own states and the acceleration that its drive applied, in simulation; "estimate",
-    the loop's, on a rig.
+    Attributes:
+        completed: None if the true state is unknown.
+        wraps: at each interior stop reached, None beside a transfer.
+        rms_tracking_error: over the angles, rad.
+        max_cart_position: m.
+        rms_cart_acceleration: m/s².
+        nis_inside_95: share of ticks.
+        nis_means: share of means, None for a run too short for one.
+        real_time_factor: None if the log lacks it.
+        thinking: duration of a tick, None if the log lacks it.
+        reason: a sentence.
+        falls: number of falls, with or without return.
+        attempts: of each symbol, if returns were possible; 0 for symbols not started.
+        catches: number of times the run continued from an earlier place before it fell.
+        judged_by: "truth" (plant states and drive acceleration, in simulation) or "estimate" (the loop's, on a rig).
     """
 
     log: str
@@ -77,7 +86,7 @@ class Score:
 
     @property
     def sentence(self) -> str:
-        """The verdict in one line."""
+        """Verdict in one line."""
         done = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]
         symbols = f"{self.symbols_completed} of {self.symbols_total} symbols; " if self.symbols_total else ""
         after = [(self.falls, "fall", "s"), (self.catches, "catch", "es")]
@@ -88,15 +97,15 @@ class Score:
         return f"<score: {self.sentence}>"
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol score --json` prints."""
+        """Return the output of `dpcontrol score --json`."""
         return asdict(self)
 
 
 def plan_of(log: RunLog) -> Reference:
-    """Return the reference that the log carries, with the plan's notes.
+    """Return the reference in the log, with the plan's notes.
 
     Raises:
-        InputError: the log carries none, or it is damaged.
+        InputError: the reference is missing or damaged.
     """
     data = log.attachments.get(REFERENCE_ATTACHMENT)
     if data is None:
@@ -112,7 +121,7 @@ def plan_of(log: RunLog) -> Reference:
 
 
 def _whole(reference: Reference, log: RunLog) -> bool:
-    """Return whether a reference carries all of a plan's notes, for the arms of this log."""
+    """True if a reference has all notes of a plan, for the arms of this log."""
     notes: Any = dict(reference.notes)
     n = len(log.arm_lengths)
     try:
@@ -146,13 +155,17 @@ def _whole(reference: Reference, log: RunLog) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """What a run is judged by: K ticks, n arms.
+    """Basis of the verdict on a run: K ticks, n arms.
 
-    time (K,) s; states (K, 2n+2): true ones where they are known; reference_angles (K, n); applied (K,): the cart's
-    acceleration, m/s². ended: why the run ended, for one that ended before its reference. limits: the cart's in this
-    run: position m, velocity m/s, acceleration m/s²; None without a cart. flights: when it was on its itinerary; none
-    of a run that could not recover, which was on it throughout. hardest: the largest acceleration that a simulated
-    drive applied, m/s²; None where only `applied` is known.
+    Attributes:
+        time: (K,) s.
+        states: (K, 2n+2), true ones if known.
+        reference_angles: (K, n) rad.
+        applied: (K,) acceleration of the cart, m/s².
+        ended: reason for a run's end before that of its reference.
+        limits: of the cart in this run: position m, velocity m/s, acceleration m/s²; None without a cart.
+        flights: periods on the itinerary; empty for a run that could not recover and was on it throughout.
+        hardest: greatest acceleration applied by a simulated drive, m/s²; None if only `applied` is known.
     """
 
     time: Array
@@ -173,7 +186,7 @@ class Flown:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a plan was flown: symbols done, wraps at the stops reached, and what was wrong, a sentence or ""."""
+    """Verdict on a plan: completion, symbols done, wraps at the stops reached, and a sentence on the fault, or ""."""
 
     symbols: int
     wraps: tuple[int | None, ...]
@@ -181,9 +194,9 @@ class Verdict:
 
 
 def counted(flights: Sequence[Flight], *, rate_hz: float) -> list[tuple[NDArray[np.intp], Array]]:
-    """Return the ticks of each flight that count, and their times of the plan's reference, s; flights of none left out.
+    """Return the ticks of each flight that count, and their times in the plan's reference, s; no flight is omitted.
 
-    Those from where a later flight begins anew do not count.
+    Ticks after the restart point of a later flight do not count.
     """
     again, out = [flight.at for flight in flights], []
     for k, flight in enumerate(flights):
@@ -196,9 +209,9 @@ def counted(flights: Sequence[Flight], *, rate_hz: float) -> list[tuple[NDArray[
 
 
 def spliced(flown: Flown, plan: Reference) -> Flown:
-    """Return what of a run counts, by the plan's own time and turns: each flight up to where a later one begins anew.
+    """Return the counted part of a run on the plan's clock and turns: each flight up to the restart of a later one.
 
-    What was completed before a fall stays completed, and what was flown twice counts as it was flown last.
+    Symbols completed before a fall remain completed; of a repeated part the last flight counts.
     """
     n, pieces = flown.reference_angles.shape[1], []
     for rows, times in counted(flown.flights, rate_hz=flown.rate_hz):
@@ -214,7 +227,7 @@ def spliced(flown: Flown, plan: Reference) -> Flown:
 
 
 def verdict_on(flown: Flown, plan: Reference) -> Verdict:
-    """Judge a run by its plan."""
+    """Judge a run against its plan."""
     if flown.flights:
         verdict = verdict_on(spliced(flown, plan), plan)
         return verdict if verdict.problem else replace(verdict, problem=_limits(flown))
@@ -226,7 +239,7 @@ def score(log: RunLog) -> Score:
     """Score a run from its log.
 
     Raises:
-        InputError: the log carries no plan.
+        InputError: the log has no plan.
     """
     plan = plan_of(log)
     known = log.truth is not None
@@ -275,10 +288,10 @@ def score(log: RunLog) -> Score:
 
 
 def _hardest(log: RunLog) -> float | None:
-    """Return the largest acceleration that the drive applied, m/s²; None if the true state is not known.
+    """Return the greatest acceleration applied by the drive, m/s²; None if the true state is unknown.
 
-    Logs of earlier versions do not give it. In these, the loop's figure counts only if the cart's true velocity
-    changed as much: blows change the velocity alone, and a wrong estimate changes the loop's figure alone.
+    Logs of earlier versions lack it. In these, the loop's figure counts only if the cart's true velocity changed as
+    much: blows change the velocity alone, and a wrong estimate changes the loop's figure alone.
     """
     noted = _noted(log, HARDEST_METADATA, float)
     if noted is not None or log.truth is None or not log.has_cart or len(log.time) < 2:
@@ -288,7 +301,7 @@ def _hardest(log: RunLog) -> float | None:
 
 
 def flights_of(log: RunLog) -> tuple[Flight, ...]:
-    """Return when a run was on its itinerary, by its events: of its last lap; none where it could not recover."""
+    """Return a run's periods on the itinerary in its last lap, from its events; empty without recovery."""
     flights: list[Flight] = []
     under_way: Flight | None = None
     for event in log.events:
@@ -306,27 +319,27 @@ def flights_of(log: RunLog) -> tuple[Flight, ...]:
 
 
 def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
-    """Return how many attempts each symbol took, 0 of one that was not come to; done: how many were completed."""
+    """Return the number of attempts of each symbol, 0 for those not started; the first `done` were completed."""
     out = [0] * symbols
     for event in log.events:
         joined = joined_at(event.text) if event.name in (RESUME, CATCH) else None
         if joined is not None and 0 < joined[1] <= symbols:
             out[joined[1] - 1] = max(out[joined[1] - 1], joined[2])
-    # One that was flown right after the one before it took one.
+    # A symbol flown directly after the previous one took one attempt.
     return tuple(count or int(k < done) for k, count in enumerate(out))
 
 
 def _thinking(log: RunLog) -> Thinking | None:
-    """Return what a tick took, None where the log does not say."""
+    """Return the duration of a tick, None if the log lacks it."""
     found = [_noted(log, name, float) for name in THINKING_METADATA]
     return None if None in found else Thinking(*(value for value in found if value is not None))
 
 
 def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | None:
-    """Return a number that the log notes of its run, None where it notes none.
+    """Return a number from the log's metadata, None if it is missing.
 
     Raises:
-        InputError: it is no number.
+        InputError: the value is not a number.
     """
     text = log.metadata.get(name)
     try:
@@ -336,7 +349,7 @@ def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | No
 
 
 def recovered_note(log: RunLog) -> str:
-    """Return what is missing of a log that was recovered."""
+    """Return a note on the losses of a recovered log."""
     return f"the log was recovered and lacks {log.recovered}"
 
 
@@ -354,7 +367,7 @@ def _done(wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
 
 
 def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
-    """Return why the run is not completed, naming the symbol, or an empty string."""
+    """Return the reason why the run is not completed, naming the symbol, or an empty string."""
     if unknown := _unseen(flown):
         return unknown
     notes, matched, lost = plan_notes(plan), decoded.matched, decoded.lost
@@ -362,7 +375,7 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     short = plan.duration - float(flown.time[-1])
     why = f": {flown.ended}" if flown.ended else ""
     early = f"; the run ended {short:.2f} s early{why}" if short > 1.5 / flown.rate_hz else ""
-    # A run that fell back to something else goes on to its end.
+    # A run that switched to a fallback continues to its end.
     ended = early or (f"; {flown.ended}" if flown.ended else "")
     far = f"from t = {flown.time[lost or 0]:.2f} s an angle was more than {FOLLOWS:g} rad from the reference"
     if matched == 0 and lost is None:
@@ -384,13 +397,13 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
 
 
 _BEGUN = 0.5
-"""rad: a run that begins no farther from its reference has begun where it should."""
+"""Greatest distance of a run from its reference at a valid start, rad."""
 _UNSEEN = 0.05
-"""s: in this time no arm of a bench makes half a turn."""
+"""Time in which no arm of a bench makes half a turn, s."""
 
 
 def _unseen(flown: Flown) -> str:
-    """Return where the stamps leave open what the arms did, or an empty string."""
+    """Return a note on gaps in the time stamps that hide the arms' motion, or an empty string."""
     steps = np.diff(flown.time)
     if not len(steps):
         return ""
@@ -399,13 +412,13 @@ def _unseen(flown: Flown) -> str:
         if (step < 0) if fault == "go back by" else (step > max(_UNSEEN, 1.5 / flown.rate_hz)):
             return (
                 f"its stamps {fault} {abs(step):.3g} s at t = {flown.time[index]:.2f} s, where its period is "
-                f"{1 / flown.rate_hz:g} s: what the arms did is not known"
+                f"{1 / flown.rate_hz:g} s: the arms' motion between them is unknown"
             )
     return ""
 
 
 def _limits(flown: Flown) -> str:
-    """Return which of the cart's limits was passed, or an empty string."""
+    """Return the cart limit that was exceeded, or an empty string."""
     states, n = flown.states, flown.angles.shape[1]
     if flown.limits is None:
         return ""
@@ -424,7 +437,7 @@ def _limits(flown: Flown) -> str:
 
 
 def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
-    """Return how far the last full period was from the last orbit where that is too far, or an empty string."""
+    """Return the distance of the last full period from the last orbit if it is too large, or an empty string."""
     notes = plan_notes(plan)
     stop = notes["stops"][-1]
     if ended:

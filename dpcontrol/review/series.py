@@ -1,7 +1,7 @@
-"""The story of a run, made once for every renderer: charts over time, strips of what was asked and done, phase planes.
+"""The story of a run for all renderers: charts over time, strips of the planned and flown itinerary, phase planes.
 
-The viewer's recording (`rerun_recording`) and the drawn page (`page`) show the same story. Values are in SI units; a
-page shows a chart in a handier unit by its `scale`.
+The viewer's recording (`rerun_recording`) and the drawn page (`page`) show the same story. Values are in SI units;
+`scale` converts a chart to a page's unit.
 """
 
 import math
@@ -22,16 +22,16 @@ from dpcontrol.review.motion import ACTUAL, RunView, Stay, clean
 Range = tuple[float, float]
 
 NIS_LOST = 10.0
-"""Times the expected NIS: beyond, an estimate is lost."""
+"""Multiple of the expected NIS above which an estimate is lost."""
 _MOST = 20_000
-"""Points of a run in a phase plane."""
+"""Number of points of a run in a phase plane."""
 DRIVEN = {
     ACTUAL: ("plant", "green", style.ARMS[2], 2.6),
     "command": ("command", "grey", style.REFERENCE, 1.3),
     "applied": ("applied", "blue", style.ARMS[0], 1.2),
     "feedforward": ("plan", "orange", style.ARMS[1], 1.4),
 }
-"""Accelerations in the order in which they are drawn: name, colour in words, colour, width."""
+"""Accelerations in drawing order: name, colour in words, colour, width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +39,17 @@ class Line:
     """A curve over time.
 
     Attributes:
-        key: its place in a recording, under its chart's.
-        name: in the viewer. label: in a page's legend, "" for none.
-        time, values: (K,) in s and in SI units, nan where there is nothing.
-        colour, width: width in points.
-        reach: (K,) of a band on either side, or None. around: whether of the line itself; else of zero.
-        role: "run"; "reference", broad and pale behind the others; "detail", which only the viewer has room for.
-        dashed: on a page, where it would cover another.
+        key: path in a recording, below its chart's.
+        name: label in the viewer.
+        label: label in a page's legend, or "".
+        time: (K,) s.
+        values: (K,) in SI units, nan at gaps.
+        colour: colour of the line.
+        width: in points.
+        reach: (K,) half width of a band, or None.
+        around: True for a band about the line, False about zero.
+        role: "run"; "reference", broad and pale behind the others; "detail", shown only in the viewer.
+        dashed: True to dash it on a page, over another line.
     """
 
     key: str
@@ -63,7 +67,7 @@ class Line:
 
 @dataclass(frozen=True)
 class LevelLine:
-    """A constant in a chart; kind: "limit" of the cart, end of a "band" where values belong, or "named" level."""
+    """A constant in a chart; kind: "limit" of the cart, end of the expected "band", or "named" level."""
 
     key: str
     name: str
@@ -77,14 +81,17 @@ class Chart:
     """Curves over time that share an axis.
 
     Attributes:
-        key: its place in a recording; "" for what only a page shows.
-        title: on a page. named: in the viewer, which has no legends.
-        lines, levels: what it shows.
-        cut: start and end in s of the stretches in which the command was cut at a limit.
-        shown: least and greatest value to show at first, or None for all.
-        scale: what a page multiplies values by.
-        half_turns, log: how a page ticks its axis.
-        legend: whether the viewer shows one.
+        key: path in a recording; "" for charts only on pages.
+        title: title on a page.
+        named: title in the viewer, which has no legends.
+        lines: curves.
+        levels: constants.
+        cut: (start, end) of each stretch with a limited command, s.
+        shown: initial range of values, or None for all.
+        scale: factor from SI units to a page's unit.
+        half_turns: True if a page ticks the axis in multiples of π.
+        log: True for a logarithmic axis.
+        legend: True if the viewer shows a legend.
     """
 
     key: str
@@ -102,8 +109,9 @@ class Chart:
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of a strip, s; kind: "stay", or "astray" if not asked for; "transfer", "symbol", "motion", "mode",
-    "ended".
+    """A stretch of a strip, s.
+
+    Its kind is "stay" ("astray" if unplanned), "transfer", "symbol", "motion", "mode" or "ended".
     """
 
     first: float
@@ -115,8 +123,9 @@ class Span:
 
 @dataclass(frozen=True)
 class Strip:
-    """Spans in the order of time; key: its place in a recording, which the viewer shows, strips in alphabetical order;
-    name: on a page, "" for what only the viewer shows.
+    """Spans in order of time.
+
+    `key` is the path in a recording, which the viewer sorts alphabetically; `name` is the label on a page, or "".
     """
 
     key: str
@@ -128,12 +137,12 @@ class Strip:
 class Plane:
     """An arm's phase plane: curves (K, 2) of angles in rad and rates in rad/s, whole turns counted.
 
-    Attributes:
-        arm: counted from zero.
-        strands, cuts: of the tubes, by whether these are stable.
-        orbits: closed, with their colours; a single point for an equilibrium.
-        run: the stretches between gaps.
-        ends: the run's first and last point, (2, 2).
+    arm: counted from zero.
+    strands: of the tubes, by stability.
+    cuts: of the tubes, by stability.
+    orbits: closed, with their colours; a single point for an equilibrium.
+    run: the stretches between gaps.
+    ends: the run's first and last point, (2, 2).
     """
 
     arm: int
@@ -145,7 +154,7 @@ class Plane:
 
 
 def motion_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return the charts of what was done: angles, rates, and, where they exist, cart and acceleration."""
+    """Return the charts of the motion: angles, rates, and, if they exist, cart and acceleration."""
     n = view.arms
     found = [_angles(view), _rates(view)]
     if view.has_cart:
@@ -161,7 +170,7 @@ def motion_charts(view: RunView) -> tuple[Chart, ...]:
 
 
 def check_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return the charts of how well it went, as far as is known: errors, energy, NIS; of a reference, its mesh."""
+    """Return the charts of the run's quality, as far as known: errors, energy, NIS; for a reference its mesh."""
     makers = (_velocity, _tracking_error, _estimation_error, _energy, _nis, _mesh, _node_errors)
     return tuple(chart for make in makers if (chart := make(view)) is not None)
 
@@ -174,11 +183,11 @@ EXTRA_CHARTS = (
     ("dry_", "dry", "Dry friction not in the model", "% of gravity", 100.0),
     ("", "parameters", "Model's errors", "%", 100.0),
 )
-"""Extras that share a chart: how their names begin, the chart's key and title, and the unit and scale of a page."""
+"""Extras that share a chart: beginning of their names, the chart's key and title, unit and scale on a page."""
 
 
 def extra_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return the charts of what was estimated besides the state, ±2σ, with the truth where it is known."""
+    """Return the charts of the estimated parameters, ±2σ, with the truth if it is known."""
     extras, found = view.extras, []
     left = {} if extras is None else dict.fromkeys(extras.names)
     for begins, key, title, unit, scale in EXTRA_CHARTS:
@@ -195,7 +204,7 @@ def extra_charts(view: RunView) -> tuple[Chart, ...]:
             values, reach = clean(extras.values[:, column]), 2 * clean(extras.sigmas[:, column])
             label = name.replace("_", " ") if len(names) > 1 or name != key else ""
             lines.append(Line(name, f"{name} ±2σ", label, extras.time, values, colour, reach=reach, around=True))
-            # What is assumed before anything is known is left out.
+            # The prior at the start is omitted.
             late = slice(len(values) // 4, None)
             reaches += [values, values[late] + reach[late], values[late] - reach[late]]
             if name in view.extra_truth:
@@ -213,7 +222,7 @@ def extra_charts(view: RunView) -> tuple[Chart, ...]:
 
 
 def margins_chart(margins: Margins) -> Chart:
-    """Return what gain, delay and lag the loop bears along the reference, in the middle of each window."""
+    """Return the loop's margins of gain, delay and lag along the reference, at the middle of each window."""
     time, least = margins.times + margins.windows / 2, margins.least()
     said = {name: 1e3 * value if name in ("delay", "lag") else value for name, (value, _) in least.items()}
     gain, delay, lag = style.ARMS[0], style.ARMS[1], style.ARMS[2]
@@ -239,7 +248,7 @@ def _grey(view: RunView) -> str:
 def _followed(
     view: RunView, key: str, column: int, *, name: str, label: str, colour: str, first: bool = True
 ) -> tuple[Line, ...]:
-    """Return one column of reference, estimate and state; an estimate shows where it differs from the plant."""
+    """Return one column of reference, estimate and state; the estimate is drawn if it differs from the plant."""
     lines = []
     if view.reference is not None:
         lines.append(
@@ -275,7 +284,7 @@ def _rates(view: RunView) -> Chart:
 
 
 def _use(view: RunView, which: int, scale: float, before: str = "") -> str:
-    """Return what a title says of one of the cart's limits: how much of it a reference uses, else how wide it is."""
+    """Return the title's text on a cart limit: its use by a reference, otherwise its value."""
     if view.limits is None:
         return ""
     bound = scale * view.limits[which]
@@ -285,7 +294,7 @@ def _use(view: RunView, which: int, scale: float, before: str = "") -> str:
 
 
 def _limits(view: RunView, which: int, *, side: bool = False) -> tuple[LevelLine, ...]:
-    """Return one of the cart's limits as levels, named by their side of the track, or as least and greatest allowed."""
+    """Return one of the cart's limits as levels, named by their side of the track, or as bounds."""
     if view.limits is None:
         return ()
     names = (("limit_left", "left limit"), ("limit_right", "right limit"))
@@ -316,7 +325,7 @@ def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
 
 
 def _velocity(view: RunView) -> Chart | None:
-    """Of a reference, which keeps within a limit of it; a run's cart shows enough by its position."""
+    """Draw a reference's cart velocity, which has a limit; for a run the position is enough."""
     if view.summary is None:
         return None
     values = view.state[:, -1]
@@ -343,12 +352,12 @@ def _tracking_error(view: RunView) -> Chart | None:
 
 
 def _estimation_error(view: RunView) -> Chart | None:
-    """Show the estimate's error with two standard deviations either side; of an unknown error these alone."""
+    """Draw the estimate's error with ±2σ; for an unknown error ±2σ alone."""
     error, reach = view.error, None if view.sigma is None else 2 * view.sigma
     if error is None and reach is None:
         return None
     known = error is not None
-    # The first instants' large errors are left out.
+    # The large errors at the start are omitted.
     shown = [np.abs(part[:, : view.arms]) for part in (reach, error) if part is not None]
     finite = [part[np.isfinite(part)] for part in shown]
     most = max((1.6 * float(np.quantile(part, 0.97)) for part in finite if part.size), default=0.0) or 1e-6
@@ -372,7 +381,7 @@ def _energy(view: RunView) -> Chart | None:
     )
     title = "Energy of the pendulum (J)" + (", dashed: the saddles'" if levels else "")
     line = Line("pendulum", "pendulum", "", view.time, energy, style.INK, 1.1)
-    # The extremes are left out: they are those of the first instants, with the initial error.
+    # The extremes are omitted: they result from the initial error.
     low, high = (float(value) for value in np.nanquantile(energy, [0.005, 0.995]))
     known = view.plan.saddle_energies.values()
     low = max((level for level in known if level <= low), default=low)
@@ -382,7 +391,7 @@ def _energy(view: RunView) -> Chart | None:
 
 
 def _nis(view: RunView) -> Chart | None:
-    """Show means of the NIS over windows, and where 95 % of them lie if the estimator is consistent."""
+    """Draw means of the NIS over windows, and the 95 % range of a consistent estimator."""
     if view.nis is None:
         return None
     time, means = smoothed_nis(view)
@@ -392,7 +401,7 @@ def _nis(view: RunView) -> Chart | None:
         for name, value in zip(("least", "greatest"), ends, strict=True)
     ]
     highest = float(np.nanquantile(means, 0.98)) if len(means) else 0.0
-    # An estimate that is lost would press all that went before into the axis.
+    # A lost estimate would compress the rest of the axis.
     lost = highest > NIS_LOST * view.sensors
     return Chart(
         "nis",
@@ -417,7 +426,7 @@ def _mesh(view: RunView) -> Chart | None:
 def _node_errors(view: RunView) -> Chart | None:
     if view.summary is None:
         return None
-    title = "Error between nodes, measured anew (scaled)"
+    title = "Error between nodes, measured again (scaled)"
     if view.summary.errors is None:
         return Chart("", f"{title}: the arms are not known", "", ())
     errors = view.summary.errors
@@ -435,9 +444,9 @@ def _stairs(view: RunView, values: Array, colour: str) -> Line:
 
 
 def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
-    """Return the itinerary as asked and as done, its symbols, and the controller's modes, as far as they exist.
+    """Return the planned and the flown itinerary, its symbols, and the controller's modes, as far as they exist.
 
-    until: s, when the run should have ended; the plan's end if not given.
+    `until` is the planned end of the run, s; the plan's end by default.
     """
     begin, end = view.time_range
     due = view.plan.duration if until is None else until
@@ -468,12 +477,12 @@ _MOTIONS = {
     RESUME: ("itinerary", style.MODES["holding"]), LAP: ("itinerary", style.MODES["holding"]),
     RETURN: ("return", style.MODES["saturated"]), START: ("start", style.MODES["pulsing"]),
 }  # fmt: skip
-"""What a run does after an event, and its colour."""
+"""Activity of a run after an event, and its colour."""
 
 
 def _motions(view: RunView) -> Iterator[Span]:
-    """Yield when a run that fell was on its itinerary, returning to rest, and starting from there."""
-    # The first event of a log tells of its controller.
+    """Yield the periods of a run on its itinerary, returning to rest, and starting again."""
+    # The first event of a log describes its controller.
     told = [event for event in view.events if event.name in _MOTIONS and (event.name, event.time) != (START, 0.0)]
     if not any(event.name == RETURN for event in told):
         return
@@ -490,7 +499,7 @@ def _stays(stays: tuple[Stay, ...]) -> Iterator[Span]:
 
 
 def plane(view: RunView, arm: int) -> Plane:
-    """Return an arm's phase plane, over the orbits and tubes that the plan uses."""
+    """Return an arm's phase plane, with the orbits and tubes used by the plan."""
     columns = [arm, view.arms + arm]
     step = max(1, len(view.time) // _MOST)
     walked = view.state[:, columns]
@@ -510,7 +519,7 @@ def plane(view: RunView, arm: int) -> Plane:
 
 
 def _known(points: Array) -> list[Array]:
-    """Return the stretches of points (K, 2) between those that are nan."""
+    """Return the stretches of points (K, 2) between nan ones."""
     known = np.isfinite(points).all(axis=1)
     edges = np.flatnonzero(np.diff(known.astype(int))) + 1
     return [run for run in np.split(points, edges) if len(run) > 1 and np.isfinite(run).all()]
@@ -532,7 +541,7 @@ def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:
 
 
 def smoothed_nis(view: RunView) -> tuple[Array, Array]:
-    """Return times (K,) and means (K,) of the NIS over stretches of ticks that have one."""
+    """Return times (K,) and means (K,) of the NIS over stretches of ticks with a measurement."""
     nis = np.full(len(view.time), np.nan) if view.nis is None else view.nis
     known = np.isfinite(nis)
     return means_of(view.time[known]), means_of(nis[known])
@@ -544,14 +553,14 @@ def gap_times(view: RunView) -> Array:
 
 
 def spans(time: Array, flags: NDArray[np.bool_]) -> list[Range]:
-    """Return start and end in s of each stretch of ticks at which (N,) `flags` hold, a tick's width at least."""
+    """Return start and end in s of each stretch of ticks with true (N,) `flags`, at least a tick's width."""
     padded_flags = np.concatenate([[False], flags, [False]])
     edges = np.flatnonzero(padded_flags[1:] != padded_flags[:-1])
     return [(float(time[a]), float(time[min(b, len(time) - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def mode_spans(view: RunView) -> list[tuple[float, float, str]]:
-    """Return start and end in s and the name of each stretch of constant mode; "unknown mode" for what is none."""
+    """Return start and end in s and the name of each stretch of constant mode, or "unknown mode"."""
     if view.control is None or "mode" not in view.control:
         return []
     names = {float(mode): mode.name.lower() for mode in Mode}
@@ -565,7 +574,7 @@ def mode_spans(view: RunView) -> list[tuple[float, float, str]]:
 
 
 def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
-    """Return the rows of the least and the greatest of values (N,) in each of `bins`, and the last; all where few."""
+    """Return the rows of the least and the greatest of values (N,) in each of `bins`, and the last; all if few."""
     size = len(values) // bins
     if size < 3:
         return np.arange(len(values))
@@ -578,15 +587,15 @@ def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
 
 
 _LABELLED = 5.5
-"""Labels for which a plot of the viewer has room; of more steps every tenth is labelled, be it one or none."""
+"""Greatest number of labels on a plot of the viewer; with more steps only every tenth is labelled."""
 _EDGE = 0.06
-"""Share of a plot at its edges in which a label is cut."""
+"""Share of a plot at its edges that truncates labels."""
 
 
 def ticked(low: float, high: float) -> Range:
-    """Return bounds about these between which the viewer labels two values, multiples of a power of ten, at least.
+    """Return bounds near these with at least two multiples of a power of ten, which the viewer labels.
 
-    The nearer next multiple is taken in, or both where they are equally near.
+    The bound is extended to the nearer next multiple, or to both if they are equally near.
     """
     step = 10.0 ** math.ceil(math.log10(max(high - low, 1e-12) / _LABELLED))
     margin = _EDGE * (high - low)
@@ -603,7 +612,7 @@ def ticked(low: float, high: float) -> Range:
 
 
 def padded(values: Array) -> Range:
-    """Return the least and the greatest of finite `values`, with a tenth of their distance to either side."""
+    """Return the range of finite `values`, extended by a tenth on either side."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     margin = 0.1 * (high - low) or 0.1 * abs(high) or 1e-3

@@ -1,13 +1,13 @@
 """Colours and text shared by recordings, pages and figures."""
 
 ARMS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15")
-"""One colour for each arm, from the pivot outwards; repeated beyond the fifth."""
+"""One colour for each arm, from the pivot outwards, repeated after the fifth."""
 
 CART = "#5b6470"
 REFERENCE = "#9aa3ad"
 INK = "#22262b"
 PALE_INK = "#e8ebee"
-"""Instead of ink on the viewer's dark plots."""
+"""Replacement for ink on the viewer's dark plots."""
 NOTE = "#555c64"
 MARK = "#7a828b"
 FAINT = "#c9ced4"
@@ -36,21 +36,21 @@ SADDLES = {
     "inner-rotating": "#9a6b15",
     "outer-rotating": "#c2185b",
 }
-"""Of all that belongs to a saddle or a rotating orbit, apart from the arms' colours."""
+"""Colour of a saddle's or a rotating orbit's items, except the arms."""
 CONNECTIONS = ("#1f6fb4", "#d9640d", "#c2185b", "#9a6b15", "#5b6470", "#6b8e23", "#404751")
-"""Colours that tell connections apart, and saddles that have none of their own."""
+"""Colours of connections, and of saddles without a fixed colour."""
 UNSTABLE, STABLE = "#d4544b", "#3c9c5f"
 PALE_UNSTABLE, PALE_STABLE = "#f0a39d", "#a5d3b4"
-"""The usual red for tubes that leave an orbit and green for those that come to it; pale for the second branch."""
+"""Colours of tubes: the usual red for unstable and green for stable ones, pale for the second branch."""
 CUT = "#b0851e"
-"""Where tubes end on their section."""
+"""Colour of the cuts of tubes on their section."""
 RUNS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15", "#c2185b")
-"""One colour for each of several runs compared."""
+"""Colours of the runs in a comparison."""
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def saddle_colour(saddle: str) -> str:
-    """Return the colour of what belongs to a saddle."""
+    """Return the colour of a saddle's items."""
     return SADDLES.get(saddle) or CONNECTIONS[sum(map(ord, saddle)) % len(CONNECTIONS)]
 
 
@@ -60,7 +60,7 @@ def arm_colour(arm: int) -> str:
 
 
 def verdict_colour(good: bool | None) -> str:
-    """Return the colour of a verdict; None where nothing was asked."""
+    """Return the colour of a verdict; None means that nothing was judged."""
     return {True: GOOD, False: LIMIT, None: NOTE}[good]
 
 

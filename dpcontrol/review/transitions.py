@@ -1,4 +1,4 @@
-"""A reference's transfers between equilibria as one page: a square of pictures, from each row's to each column's."""
+"""A reference's transfers between equilibria on one page: a square of pictures, from row to column."""
 
 from collections.abc import Sequence
 
@@ -16,28 +16,28 @@ from dpcontrol.review.page import new_figure
 from dpcontrol.review.series import arm_points
 
 _WIDE, _NAMES, _HEAD, _EDGE = 13.0, 0.65, 0.95, 0.12
-"""Inches: of the page, of the names beside the pictures, of what stands above them; and the margin."""
+"""Inches: page, names beside the pictures, header; and the margin."""
 _POSES, _TRACE = 9, 240
-"""Instants at which the arms are drawn, and at which their tip's path is."""
+"""Number of times at which the arms, and their tip's path, are drawn."""
 _FAINTEST = 0.12
 
 
 def draw_transitions(summary: ReferenceSummary) -> Figure:
-    """Draw each transfer of a reference in the cell of the equilibria that it joins; of several the first.
+    """Draw each transfer of a reference in the cell of its two equilibria; repeated ones once.
 
     Raises:
-        InputError: the reference has no transfers from one equilibrium to another, or does not name its arms.
+        InputError: the reference has no transfers between equilibria, or does not name its arms.
     """
     reference = summary.reference
     if summary.arms is None:
-        raise InputError("the reference does not name the arms that it was made for: plan it anew")
+        raise InputError("the reference does not name the arms that it was made for: plan the itinerary again")
     notes, arm_lengths = plan_notes(reference), summary.arms.length
     n = len(arm_lengths)
     motions: dict[tuple[str, str], tuple[float, Array]] = {}
     for k, way in transitions_in(notes):
         symbol, (begin, end) = notes["symbols"][k], notes["transfers"][way]
         states = reference.state(np.linspace(begin, end, _TRACE))
-        # Where the cart began is the middle of its picture.
+        # The cart's starting position is the middle of its picture.
         moved = np.column_stack([states[:, :n], states[:, 2 * n] - states[0, 2 * n]])
         motions[symbol["source"], symbol["target"]] = end - begin, moved
     if not motions:
@@ -57,7 +57,7 @@ def draw_transitions(summary: ReferenceSummary) -> Figure:
     figure = new_figure(_WIDE, height, notes["title"] or notes["itinerary"])
     said = (
         "From each row's equilibrium to each column's: the arms at equal times, later ones darker, the tip's path;\n"
-        "how long it takes, and how far the cart goes from where it began, which is the middle. All to one scale."
+        "duration, and the cart's greatest distance from its start in the middle. All pictures share one scale."
     )
     figure.text(0.015, 1 - 0.42 / height, said, va="top", fontsize=9.5, color=style.NOTE)
     for i, source in enumerate(names):
@@ -106,6 +106,6 @@ def _draw_motion(axes: Axes, motion: Array, arm_lengths: Sequence[float]) -> Non
         cart.set(alpha=0.8 * shade, zorder=1 + shade)
         axes.add_patch(cart)
         for arm in range(n):
-            # Narrower outwards, so that arms that lie on one another are seen apart.
+            # Outer arms are drawn narrower, so that overlapping arms remain visible.
             look = {"linewidth": 3.2 - 2.0 * arm / max(n - 1, 1), "solid_capstyle": "round", "zorder": 2 + shade}
             axes.plot(*points[row, arm : arm + 2].T, color=style.arm_colour(arm), alpha=shade, **look)

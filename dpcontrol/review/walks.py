@@ -1,6 +1,6 @@
 """An orbit that follows a walk, on one page: its symbols over time, the arms as a filmstrip, the orbit in space.
 
-The orbit is sampled once (`WalkStory`) and shown as a run is; stays are the stretches near a periodic orbit, with the
+The orbit is sampled once (`WalkStory`) and drawn like a run; stays are the periods near a periodic orbit, with the
 number of wraps. In space and in the plane the orbit is coloured by time.
 """
 
@@ -36,7 +36,7 @@ from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 NEAR = 1e-3
-"""Scaled distance from a periodic orbit at which flights end and wobbles begin to be counted, as connections' times."""
+"""Scaled distance from a periodic orbit at which flights end and wobbles begin, as for connection times."""
 
 _PER_PERIOD = 120
 _MOST_SAMPLES = 40_000
@@ -44,9 +44,9 @@ _MOST_SAMPLES = 40_000
 
 @dataclass(frozen=True)
 class Wobble:
-    """A stretch near a periodic orbit: from start to end (s) about `saddle`, with its number of wraps.
+    """A period near a periodic orbit: from start to end (s) about `saddle`, with its number of wraps.
 
-    closing: whether it is a closed walk's stop from its last symbol back to its first.
+    `closing` marks a closed walk's stop between its last and its first symbol.
     """
 
     start: float
@@ -68,7 +68,7 @@ class WalkStory:
 
     @cached_property
     def curves(self) -> dict[str, OrbitCurve]:
-        """The periodic orbits of the walk, by saddle, in the order of its visits."""
+        """Periodic orbits of the walk, by saddle, in the order of its visits."""
         chain = self.orbit.connections
         orbits = {orbit.saddle: orbit for orbit in (chain[0].source, *(c.target for c in chain))}
         return {saddle: OrbitCurve(orbit) for saddle, orbit in orbits.items()}
@@ -82,7 +82,7 @@ class WalkStory:
 
     @cached_property
     def states(self) -> Array:
-        """States (K, N) at the times, angles as they come: whole turns counted."""
+        """States (K, N) at the times, with whole turns of the angles counted."""
         return self.orbit.sample(self.times)
 
     @cached_property
@@ -92,11 +92,11 @@ class WalkStory:
 
     @property
     def has_angles(self) -> bool:
-        """Whether the coordinates are angles."""
+        """True if the coordinates are angles."""
         return bool(np.isfinite(self.orbit.connections[0].source.system.periods).any())
 
     def wobbles(self) -> list[Wobble]:
-        """Return the stretches whose wraps are counted: before the walk, at each stop, and after it."""
+        """Return the periods whose wraps are counted: before the walk, at each stop, and after it."""
         orbit, chain = self.orbit, self.orbit.connections
         arrivals = [t + c.time_in for t, c in zip(orbit.symbol_times, chain, strict=True)]
         departures = [t - c.time_out for t, c in zip(orbit.symbol_times, chain, strict=True)]
@@ -108,13 +108,13 @@ class WalkStory:
         if not orbit.periodic:
             before = Wobble(0.0, float(departures[0]), first, orbit.lead_in)
             return [before, *out, Wobble(float(arrivals[-1]), orbit.duration, last, orbit.lead_out)]
-        # The closing stop runs over the end of the period: shown where more of it is.
+        # The closing stop extends over the end of the period; its longer part is shown.
         late, early = (float(arrivals[-1]), orbit.duration), (0.0, float(departures[0]))
         start, end = late if late[1] - late[0] >= early[1] - early[0] else early
         return [*out, Wobble(start, end, first, orbit.wraps_realised[-1], closing=True)]
 
     def view(self, model: str) -> RunView:
-        """Return the walk as a run is seen, of a model by name: wobbles as stays, symbols, periodic orbits."""
+        """Return the walk of a model as a `RunView`: wobbles as stays, symbols, periodic orbits."""
         orbit, count = self.orbit, len(self.orbit.symbol_times)
         kind = "A periodic orbit" if orbit.periodic else "An orbit"
         energy = f"{orbit.connections[0].source.energy:g}{' J' if self.has_angles else ''}"
@@ -162,7 +162,7 @@ class WalkStory:
         return Chart("", title, title, lines, half_turns=self.has_angles)
 
     def nearness(self) -> Chart:
-        """Return how near the orbit comes to the periodic orbits."""
+        """Return the distances between the orbit and the periodic orbits."""
         lines = tuple(
             Line(saddle, saddle, saddle, self.times, np.maximum(curve.distances(self.states)[1], 1e-16),
                  style.saddle_colour(saddle))
@@ -174,14 +174,14 @@ class WalkStory:
 
 
 def symbol_text(connection: Connection) -> str:
-    """Return a connection as an itinerary asks for its kind: "down-up +", "down-up > up-down -"."""
+    """Return a connection's symbol in an itinerary: "down-up +", "down-up > up-down -"."""
     sense = "+" if connection.sense > 0 else "-"
     source, target = connection.source.saddle, connection.target.saddle
     return f"{source} {sense}" if source == target else f"{source} > {target} {sense}"
 
 
 def symbol_words(connection: Connection) -> str:
-    """Return in plain words what the system does during a symbol."""
+    """Return a description of the motion during a symbol."""
     source, target = connection.source.saddle, connection.target.saddle
     if source != target:
         return f"crosses from {source} to {target}"
@@ -198,15 +198,15 @@ def symbol_words(connection: Connection) -> str:
 
 
 NAMED = 20
-"""Symbols that have room for a number in space."""
+"""Greatest number of symbols with numbers in space."""
 TIME = colormaps["viridis"]
 _TOGETHER = 0.05
 LIFTED_TURNS = 2.2
-"""Whole turns that an angle may cover before the orbit in space is drawn modulo a turn."""
+"""Whole turns of an angle up to which the orbit in space is not drawn modulo a turn."""
 
 
 def is_lifted(story: WalkStory) -> bool:
-    """Whether the orbit in space counts whole turns: while it does not run off over many of them."""
+    """True if the orbit in space counts whole turns, as long as it does not span too many."""
     return bool(np.ptp(story.states[:, :2], axis=0).max() <= LIFTED_TURNS * 2 * np.pi) or not story.has_angles
 
 
@@ -244,18 +244,18 @@ def space(axes: Axes, story: WalkStory) -> None:
 
 
 def _pieces(points: Array) -> list[Array]:
-    """Return the segments (2, D) between points (K, D), each to be drawn in a colour of its own."""
+    """Return the segments (2, D) between points (K, D), for separate colours."""
     return list(np.stack([points[:-1], points[1:]], axis=1))
 
 
 def _lengths(story: WalkStory) -> Array:
-    """Return the period (N,) of each coordinate, zero where it is not an angle."""
+    """Return the period (N,) of each coordinate, zero for those that are not angles."""
     periods = story.orbit.connections[0].source.system.periods
     return np.where(np.isfinite(periods), periods, 0.0)
 
 
 def _window(story: WalkStory, lifted: bool) -> Array:
-    """Return the middle (N,) of the period that is drawn: bounds lie where no periodic orbit is cut by them."""
+    """Return the middle (N,) of the drawn period, with bounds that intersect no periodic orbit."""
     middle = np.zeros(story.states.shape[1])
     samples = np.vstack([curve.samples for curve in story.curves.values()])
     for k, period in enumerate(_lengths(story)):
@@ -264,14 +264,14 @@ def _window(story: WalkStory, lifted: bool) -> Array:
         taken = np.sort(samples[:, k] % period)
         gaps = np.diff(taken, append=taken[0] + period)
         widest = int(np.argmax(gaps))
-        # Off the gap's middle, where sections lie and rounding would tell on which side a symbol is drawn.
+        # Off the gap's middle: sections lie there, and rounding would decide the side of a symbol.
         bound = taken[widest] + 0.35 * gaps[widest]
         middle[k] = (bound - period / 4) % period - period / 4
     return middle
 
 
 def _together(points: Array) -> list[list[int]]:
-    """Return indices of points (k, 3) in groups that one label serves: nearer than a small part of what all span."""
+    """Return indices of points (k, 3) in groups that share a label, closer than a small part of the whole extent."""
     span = np.maximum(np.ptp(points, axis=0), 1.0)
     groups: list[list[int]] = []
     for k, point in enumerate(points):
@@ -323,7 +323,7 @@ FILM_SYMBOLS = 48
 
 
 def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, model: str) -> Figure:
-    """Return the page as a figure; arm_lengths (n,) in m, None for a system without arms, which has no film."""
+    """Return the page as a figure; arm_lengths (n,) in m, None for a system without arms and film."""
     story = WalkStory(orbit, arm_lengths)
     view = story.view(model)
     filmed = [] if arm_lengths is None else _film_rows(story, view)
@@ -337,7 +337,7 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     page.story(figure.add_axes((0.062, 1 - (_HEAD + 0.42) / height, 0.925, 0.2 / height)), view)
     top = height - _HEAD - _STRIP
     for first, times, tall in filmed:
-        # A last row with fewer symbols is as much shorter.
+        # A last row with fewer symbols is shorter in proportion.
         wide = 0.98 * times.size / filmed[0][1].size
         axes = figure.add_axes((0.01, (top - tall) / height, wide, tall / height))
         page.draw_film(axes, view, times.ravel())
@@ -391,7 +391,7 @@ def _film_rows(story: WalkStory, view: RunView) -> list[tuple[int, NDArray[np.fl
 
 
 def _list(axes: Axes, story: WalkStory, view: RunView) -> None:
-    """Write what each symbol is, and its connection's name."""
+    """Write each symbol's description and its connection's name."""
     axes.axis("off")
     chain = story.orbit.connections
     shown = len(chain) if len(chain) <= _LISTED else _LISTED - 1

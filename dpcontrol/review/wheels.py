@@ -1,4 +1,4 @@
-"""Colour wheels: where each point inside a tube's cut goes at every return to the section."""
+"""Colour wheels: the images of each point inside a tube's cut at every return to the section."""
 
 from dataclasses import fields, replace
 
@@ -18,9 +18,11 @@ from dpcontrol.tubes.intersections import InteriorSettings, Outline, Returns, Tu
 
 
 def draw_interior(interior: TubeInterior, periodic: tuple[RotatingOrbit, ...] = ()) -> Figure:
-    """Return the figure: the start and its forward returns above, its backward returns below.
+    """Return a figure with the start and its forward returns above, its backward returns below.
 
-    periodic: orbits that are marked where they cross the section, and drawn in the arms' phase planes at the right.
+    Args:
+        interior: points inside the tube, with their returns.
+        periodic: orbits to mark at their crossings and to draw at the right in the arms' phase planes.
     """
     returns, orbit = interior.forward.arrived.shape[1], interior.orbit
     figure = new_figure(
@@ -66,8 +68,8 @@ def draw_interior(interior: TubeInterior, periodic: tuple[RotatingOrbit, ...] = 
     panels[0, 0].set(xlim=(-min(np.pi, wide), min(np.pi, wide)), ylim=(-high, high))
     figure.text(
         0.7 / width, 0.925,
-        "Hue: angle about the innermost point at the start; saturation: how near to the cut. Pale dots cross the "
-        "section against the start's direction.\nRed: cut of the unstable tube; green: of the stable tube; pale: "
+        "Hue: angle about the innermost point at the start; saturation: closeness to the cut. Pale dots cross the "
+        "section against the start's direction.\nRed: cut of the unstable tube. Green: of the stable tube. Pale: "
         "cuts crossed against the start's direction." + (" Star: periodic orbit." if periodic else ""),
         fontsize=9, color=style.CART, va="center",
     )  # fmt: skip
@@ -75,10 +77,10 @@ def draw_interior(interior: TubeInterior, periodic: tuple[RotatingOrbit, ...] = 
 
 
 def _marker(interior: TubeInterior) -> float:
-    """Return the marker's area in points² at which neighbours of the start's grid overlap."""
+    """Return the marker area, points², at which neighbours of the start's grid overlap."""
     spans = np.ptp(interior.points, axis=0)
     across = max(len(np.unique(np.round(interior.points[:, k], 9))) for k in (0, 1))
-    # A cut takes about a half of an axis that is 230 points long either way.
+    # A cut spans about half of an axis that is 230 points long either way.
     share = float(np.clip(max(spans / (2 * np.abs(interior.points).max(axis=0))), 0.3, 1.0))
     return float(np.clip((1.05 * 230 * share / across) ** 2, 2.5, 60.0))
 
@@ -103,7 +105,7 @@ def _returned(run: Returns, k: int, word: str) -> str:
 
 
 def _periodic(figure: Figure, panels: np.ndarray, periodic: tuple[RotatingOrbit, ...]) -> None:
-    """Draw orbits in the phase planes of both arms, right of the other panels."""
+    """Draw orbits in the phase planes of both arms, to the right of the other panels."""
     width = float(figure.get_figwidth())
     left = (3.45 * panels.shape[1] + 0.3) / width + 0.75 / width
     for arm in (0, 1):
@@ -120,11 +122,11 @@ def _periodic(figure: Figure, panels: np.ndarray, periodic: tuple[RotatingOrbit,
 WHEEL_ENERGIES = {"down-up": -0.06985, "up-down": 0.2}
 _RETURNS = 3
 _ACROSS = {"down-up": 110, "up-down": 200}
-"""Points across the cut: the part inside both of Up-Down's tubes is small."""
+"""Points across the cut; the part inside both of Up-Down's tubes is small."""
 
 
 def within_both(interior: TubeInterior) -> TubeInterior:
-    """Return the points that lie inside a stable cut of the same direction as well, coloured about their middle."""
+    """Return the points also inside a stable cut of the same direction, coloured about their middle."""
     own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
     stable = [o for o in interior.outlines if o.stable and o.direction == own.direction]
     kept = np.zeros(len(interior.points), dtype=bool)
@@ -151,7 +153,7 @@ def within_both(interior: TubeInterior) -> TubeInterior:
 
 
 def kept_inside(interior: TubeInterior, arm: int) -> tuple[RotatingOrbit, ...]:
-    """Return the symmetric orbits that turn `arm` and cross the section inside both tubes' cuts at every lap."""
+    """Return the symmetric orbits that turn `arm` and cross inside both tubes' cuts at every lap."""
     orbit, section = interior.orbit, interior.section
     own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
     stable = [o for o in interior.outlines if o.stable and o.direction == own.direction]
@@ -161,7 +163,7 @@ def kept_inside(interior: TubeInterior, arm: int) -> tuple[RotatingOrbit, ...]:
         if np.any(np.diff(states[:, arm - 1]) * own.direction <= 0):
             continue  # it turns back and crosses more than once
         point = section_points(orbit.system, section, one.state)[None]
-        # The section's angle is drawn within half a turn of zero, outlines where they were found.
+        # The section's angle is drawn within half a turn of zero, like the outlines.
         lifts = [point + np.array([[2 * np.pi * k, 0.0]]) for k in (-2, -1, 0, 1, 2)]
         if all(any(inside(p, o.vertices)[0] for o in some for p in lifts) for some in ([own], stable)):
             kept.append(one)
@@ -169,7 +171,7 @@ def kept_inside(interior: TubeInterior, arm: int) -> tuple[RotatingOrbit, ...]:
 
 
 def wheels_page(gallery: Gallery, *, saddle: str) -> Page:
-    """Draw three returns each way of the inside of a saddle's unstable tube, and the periodic orbits that stay."""
+    """Draw three returns each way of the inside of a saddle's unstable tube, and the periodic orbits inside."""
     system, energy = gallery.system("lab"), WHEEL_ENERGIES[saddle]
     orbit = lyapunov_orbit(system, saddle, energy=energy)
     manifold = UnstableManifold(orbit)
@@ -183,19 +185,19 @@ def wheels_page(gallery: Gallery, *, saddle: str) -> Page:
     number, turning = style.number(arm - 1), "outer" if arm == 2 else "inner"
     periods = ", ".join(f"{one.period:.4f} s ({one.kind})" for one in stays)
     found = (
-        f"Stars: where the symmetric periodic {'orbit' if len(stays) == 1 else 'orbits'} of period {periods} cross, "
-        f"on which the {turning} arm turns inside both tubes for ever; right, {'it' if len(stays) == 1 else 'they'} in "
-        "the phase planes of both arms"
+        f"Stars mark the crossings of the symmetric periodic {'orbit' if len(stays) == 1 else 'orbits'} of period "
+        f"{periods}. The {turning} arm turns inside both tubes for ever; right, {'it' if len(stays) == 1 else 'they'} "
+        "in the phase planes of both arms"
         if stays
         else "No symmetric periodic orbit was found inside both tubes"
     )
     return Page(
         draw_interior(interior, stays),
-        f"A grid over what lies inside both the unstable and the stable tube of {saddle} at {energy:g} J, coloured "
-        "like a wheel where the unstable one first meets the section, and where its points are at each "
-        f"return forward (above: θ{number} = 4π, 6π, 8π) and backward (below) in time. What lands inside a tube's cut "
-        "will pass, or has passed, the saddle's neck again. "
+        f"The grid covers the inside of both the unstable and the stable tube of {saddle} at {energy:g} J. It is "
+        "coloured like a wheel at the unstable tube's first cut, and followed to each "
+        f"return forward (above: θ{number} = 4π, 6π, 8π) and backward (below) in time. Points that land inside a cut "
+        "will pass, or have passed, the saddle's neck again. "
         f"{interior.status}. {found}.",
-        "Coordinates are canonical, so that coloured areas keep their size from return to return, and returns are "
+        "Coordinates are canonical, so coloured areas keep their size from return to return, and returns are "
         f"drawn in both directions of time. {IDENTIFIED}",
     )

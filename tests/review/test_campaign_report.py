@@ -155,7 +155,7 @@ def test_what_is_no_campaign_is_refused_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "text.parquet").write_text("no table")
     with pytest.raises(InputError, match="not a Parquet table"):
         campaign_summary(tmp_path / "text.parquet")
-    with pytest.raises(InputError, match="does not say which runs completed: it has seed"):
+    with pytest.raises(InputError, match="has no column of completed runs, only seed"):
         campaign_summary(table(tmp_path / "bare.parquet", [{"seed": 1}]))
     with pytest.raises(InputError, match="no runs with a verdict"):
         campaign_summary(table(tmp_path / "empty.parquet", [{"completed": None}]))
