@@ -1,24 +1,24 @@
-"""What a chart is: work-precision charts, and maps of failure.
+"""Data structures of the charts: work-precision charts and maps of failure.
 
-A work-precision chart: methods as points of time and error, their front, and where the product's default stands.
+A work-precision chart shows methods as points of time and error, their front, and the package's default.
 
-A point is on the *front* when no other point of its panel is at most as slow and at most as wrong, and better in one.
+A point is on the *front* if no other point of its panel is at most as slow and at most as wrong, and better in one.
 A default t, e is off the front by
 
     off = min(t / min{t' : e' ≤ e},  e / min{e' : t' ≤ t}) - 1
 
-so `off` ≤ 0.2 reads: nothing as precise is over 20 % faster, or nothing as fast is over 20 % more precise.
+At `off` ≤ 0.2 no equally precise method is over 20 % faster, or no equally fast one is over 20 % more precise.
 
 Source: Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (1993), section II.10.
 
-Maps of failure: where a method stops working, found by bisection, beside the predicted border.
+A map of failure shows the limit of a method, found by bisection, beside the predicted border.
 
-On each line of a map one quantity y is varied between a value that works and one that does not. The border lies at
+On each line of a map one quantity y is varied between a working and a failing value. The border lies at
 
     measured = √(near · far),    far / near ≤ ratio,    off = max(measured / predicted, predicted / measured) - 1
 
-A border agrees where `off` is at most a quarter, or the prediction lies between near and far. What the product itself
-says on the far side is kept with the border: a failure that nobody reports is a complaint.
+A border agrees if `off` is at most a quarter, or the prediction lies between near and far. The package's message on the
+far side is kept with the border; an unreported failure is a complaint.
 
 Source: for bisection on a yes-or-no answer, Press et al., Numerical Recipes, 3rd ed., section 9.1.
 """
@@ -34,18 +34,18 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 
 ALLOWED = 0.2
-"""How far off the front a default may stand, with a reason."""
+"""Largest distance of a default from the front, with a reason."""
 AGREES = 0.25
-"""How far measured and predicted borders may be apart, as a share."""
+"""Tolerance between measured and predicted borders, as a share."""
 READING_LINES = 3
 _MOST_PROBES = 60
 _SHOWN = 90
-"""Characters of what is said, in a table; the JSON holds all."""
+"""Characters of a message shown in a table; the JSON holds all."""
 
 
 @dataclass(frozen=True)
 class ChartTable:
-    """A table for people: title, heads of the columns, rows of text; notes follow it, a line each."""
+    """A table for display: title, column heads and rows of text, followed by notes, one per line."""
 
     title: str
     columns: tuple[str, ...]
@@ -55,11 +55,15 @@ class ChartTable:
 
 @dataclass(frozen=True)
 class Point:
-    """One method at one setting: what a unit of work costs (s, or the panel's x) and how wrong it is (the panel's y).
+    """One method at one setting: cost of a unit of work (s, or the panel's x) and error (the panel's y).
 
-    default: what the product takes; outside: another package's; stored: measured elsewhere, so it is drawn but takes no
-    part in the front; others: further measures by name, for the JSON; note: a few words for people; yardstick: seconds
-    of the same small work beside it, 0 where it was not measured.
+    Attributes:
+        default: True for the package's choice.
+        outside: True for another package's method.
+        stored: True if measured elsewhere, drawn but excluded from the front.
+        others: further measures by name, for the JSON.
+        note: a few words for display.
+        yardstick: time of the reference work beside it, s, or 0.
     """
 
     method: str
@@ -86,7 +90,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Missing:
-    """A method at a setting that has no point, and why: it failed, or its package is not installed."""
+    """A method and setting without a point, and the reason: it failed, or its package is not installed."""
 
     method: str
     setting: str
@@ -95,11 +99,13 @@ class Missing:
 
 @dataclass(frozen=True)
 class Panel:
-    """One diagram: points that did the same work, and why a default off the front is kept.
+    """One diagram: points for the same work, and the reason for keeping a default off the front.
 
-    start_up: seconds that each method needs once (compiling, building) before its times count; floor: smaller errors
-    are rounding and count as equal. judged: False for a second view of work that another panel judges. timed: False
-    where x is no time.
+    Attributes:
+        start_up: time of each method's first use (compiling, building), s, excluded from its times.
+        floor: errors below it are rounding and count as equal.
+        judged: False for a second view of work that another panel judges.
+        timed: False if x is no time.
     """
 
     title: str
@@ -115,12 +121,12 @@ class Panel:
     timed: bool = True
 
     def titled(self, title: str, x_label: str, y_label: str, **more: Any) -> "Panel":
-        """Return the diagram with these words; more: further fields."""
+        """Return the diagram with these titles and labels; `more` are further fields."""
         return replace(self, title=title, x_label=x_label, y_label=y_label, **more)
 
     @property
     def _running(self) -> list[tuple[Point, float]]:
-        """The points that take part in the front, with their errors."""
+        """Points that take part in the front, with their errors."""
         return [(p, self._error(p)) for p in self.points if not p.stored]
 
     def _error(self, point: Point) -> float:
@@ -128,7 +134,7 @@ class Panel:
 
     @property
     def front(self) -> tuple[Point, ...]:
-        """The points that no other beats, fastest first."""
+        """Points on the front, fastest first."""
 
         def beaten(point: Point, error: float) -> bool:
             return any(
@@ -141,24 +147,24 @@ class Panel:
 
     @property
     def defaults(self) -> tuple[Point, ...]:
-        """The points of the product's own choices."""
+        """Points of the package's defaults."""
         return tuple(p for p in self.points if p.default)
 
     def off_front(self, point: Point) -> float:
-        """Return how far a point stands off the front, as a share; 0 on it."""
+        """Return the distance of a point from the front, as a share; 0 on it."""
         error = self._error(point)
         fastest = min(p.seconds for p, e in self._running if e <= error)
         truest = min(e for p, e in self._running if p.seconds <= point.seconds)
-        # Where none as fast is more precise, only time measures how far it is.
+        # If no equally fast point is more precise, only time measures the distance.
         wrong = error / truest if 0 < truest < error else math.inf
         return min(point.seconds / fastest, wrong) - 1
 
     def standing(self, point: Point) -> str:
-        """Return in words where a point stands."""
+        """Return the position of a point in words."""
         return "on the front" if point in self.front else f"{self.off_front(point):.0%} off the front"
 
     def complaints(self) -> tuple[str, ...]:
-        """Return a sentence for each default that is too far off the front, or off it without a reason."""
+        """Return a sentence for each default too far off the front, or off it without a reason."""
         found = []
         for p in self.defaults if self.judged else ():
             off = self.off_front(p)
@@ -169,14 +175,14 @@ class Panel:
         return tuple(found)
 
     def document(self) -> dict[str, Any]:
-        """Return the panel in JSON's terms, with its front and where each default stands."""
+        """Return the panel as JSON data, with its front and the position of each default."""
         standing = [
             {"name": p.name, "off_front": self.off_front(p), "standing": self.standing(p)} for p in self.defaults
         ]
         return {**asdict(self), "front": [p.name for p in self.front], "defaults": standing}
 
     def table(self) -> ChartTable:
-        """Return the front as a table, the defaults that are off it after it."""
+        """Return the front as a table, followed by the defaults off it."""
         shown = [*self.front, *(p for p in self.defaults if p not in self.front)]
         rows = tuple(
             (p.method, p.setting, f"{p.seconds:.3g}", f"{p.error:.2g}", self.standing(p) if p.default else "", p.note)
@@ -190,14 +196,14 @@ class Panel:
 
 @dataclass(frozen=True)
 class Attempt:
-    """Whether something works, and what is said of it where it does not."""
+    """Outcome of a trial: success, and the message of a failure."""
 
     works: bool
     says: str = ""
 
 
 def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
-    """Return whether at least half of the answers work, else how many do not (`lost` in words) and what one says."""
+    """Return success if at least half of the answers succeed, otherwise the number of failures and one message."""
     said = [answer.says for answer in answers if not answer.works]
     if 2 * len(said) <= len(answers):
         return Attempt(True)
@@ -207,7 +213,7 @@ def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
 
 @dataclass(frozen=True)
 class Trial:
-    """One value that was tried, and what came of it."""
+    """One tried value and its outcome."""
 
     y: float
     works: bool
@@ -218,8 +224,13 @@ class Trial:
 class Border:
     """The border on one line of a map.
 
-    x: the line's place; line: its name; near, far: the last value that works and the first that does not, None where
-    the range tried has none; predicted: by theory, None where there is none; says: what the product says at `far`.
+    Attributes:
+        x: position of the line.
+        line: its name.
+        near: last working value, or None.
+        far: first failing value, or None.
+        predicted: by theory, or None.
+        says: the package's message at `far`.
     """
 
     x: float
@@ -232,12 +243,12 @@ class Border:
 
     @property
     def measured(self) -> float | None:
-        """The border, None where one of its sides was not found."""
+        """The border, None if one of its sides is missing."""
         return math.sqrt(self.near * self.far) if self.near and self.far else None
 
     @property
     def off(self) -> float | None:
-        """By what share measured and predicted are apart: zero where the prediction lies between near and far."""
+        """Difference of measured and predicted border, as a share; zero if the prediction lies between the sides."""
         if self.measured is None or self.predicted is None or not self.near or not self.far:
             return None
         if min(self.near, self.far) <= self.predicted <= max(self.near, self.far):
@@ -256,9 +267,11 @@ def find_border(
     ratio: float = 1.1,
     unit: float = 0.0,
 ) -> Border:
-    """Return the border between `near`, which is to work, and `far`, which is not; both positive, either may be larger.
+    """Return the border between a working value `near` and a failing value `far`, both positive, in either order.
 
-    ratio: how near together its sides are brought; unit: only whole numbers of it are tried, down to neighbours.
+    Args:
+        ratio: largest final ratio of the sides.
+        unit: restricts values to its multiples; the search ends at neighbours.
     """
     trials: list[Trial] = []
     good, bad = (max(round(y / unit), 1) * unit if unit else y for y in (near, far))
@@ -289,9 +302,13 @@ def find_border(
 
 @dataclass(frozen=True)
 class EdgeMap:
-    """One map: borders on its lines. theory: what predicts them, "" where nothing does; far, near: the sides in words.
+    """One map: borders on its lines.
 
-    agrees: how far measured and predicted may be apart, as a share.
+    Attributes:
+        theory: basis of the prediction, "" without one.
+        far: name of the failing side.
+        near: name of the working side.
+        agrees: tolerance between measured and predicted borders, as a share.
     """
 
     title: str
@@ -305,7 +322,7 @@ class EdgeMap:
     agrees: float = AGREES
 
     def complaints(self) -> tuple[str, ...]:
-        """Return a sentence for each border that is not found, not where it is predicted, or passed in silence."""
+        """Return a sentence for each border that is missing, contradicts its prediction, or fails silently."""
         found = []
         for b in self.borders:
             where, predicted = f"{self.title}, {b.line}", f"predicted at {b.predicted or 0:.3g}"
@@ -316,11 +333,11 @@ class EdgeMap:
             elif b.off is not None and b.off > self.agrees:
                 found.append(f"{where}: border at {b.measured:.3g}, {predicted}, {b.off:.0%} apart")
             if b.far is not None and not b.says:
-                found.append(f"{where}: what lies beyond {b.far:.3g} is not reported")
+                found.append(f"{where}: the failure at {b.far:.3g} is not reported")
         return tuple(found)
 
     def document(self) -> dict[str, Any]:
-        """Return the map in JSON's terms."""
+        """Return the map as JSON data."""
         borders = [{**asdict(b), "measured": b.measured, "off": b.off} for b in self.borders]
         return {**asdict(self), "borders": borders, "complaints": list(self.complaints())}
 
@@ -332,19 +349,19 @@ class EdgeMap:
             for b in self.borders
         )  # fmt: skip
         notes = (f"predicted: {self.theory}",) if self.theory else ()
-        columns = ("line", self.near, self.far, "predicted", "apart", "what it says")
+        columns = ("line", self.near, self.far, "predicted", "apart", "message")
         return ChartTable(f"{self.title}: {self.y_label}", columns, rows, notes)
 
 
 @dataclass(frozen=True)
 class ChartPage:
-    """What `dpcontrol bench` draws, saves and prints: its name on the command line and of its files, title, three lines
-    on how to read it, what was chosen, its diagrams.
+    """A page of `dpcontrol bench`: its name on the command line and of its files, title, three lines on how to read
+    it, the chosen settings, its diagrams.
 
-    PARTS: the diagrams' name in JSON.
+    `PARTS` is the diagrams' name in JSON.
 
     Raises:
-        ValueError: the reading is not of three lines.
+        ValueError: the reading does not have three lines.
     """
 
     PARTS: ClassVar[str]
@@ -361,11 +378,11 @@ class ChartPage:
 
     @property
     def complaints(self) -> tuple[str, ...]:
-        """A sentence for each thing that is not as it should be."""
+        """A sentence for each deviation from the requirements."""
         return tuple(text for part in self.parts for text in part.complaints())
 
     def document(self) -> dict[str, Any]:
-        """Return the page in JSON's terms."""
+        """Return the page as JSON data."""
         head = {name: getattr(self, name) for name in ("name", "title", "reading", "chosen", "complaints")}
         return {**head, self.PARTS: [part.document() for part in self.parts]}
 
@@ -375,7 +392,7 @@ class PrecisionChart(ChartPage):
     """A page of work-precision diagrams.
 
     Raises:
-        ValueError: the reading is not of three lines, or no panel holds a default.
+        ValueError: the reading does not have three lines, or no panel holds a default.
     """
 
     PARTS: ClassVar[str] = "panels"
@@ -398,7 +415,7 @@ class EdgeChart(ChartPage):
 def measured_maps(
     progress: Progress, *plans: tuple[EdgeMap, Callable[[Any], Border], Sequence[Any]]
 ) -> tuple[EdgeMap, ...]:
-    """Return each map with its borders at its values: (map without borders, border at a value, values)."""
+    """Return each map with its borders at its values, given (map without borders, border at a value, values)."""
     total, maps, done = sum(len(values) for *_, values in plans), [], 0
     for one, border, values in plans:
         found = []
@@ -411,7 +428,7 @@ def measured_maps(
 
 
 Drawer = Callable[[bool, Progress], ChartPage]
-"""(quick, progress) -> chart, whose module is imported then: `quick` takes less work and keeps the order on fronts."""
+"""(quick, progress) -> chart; modules are imported on use. `quick` reduces the work but keeps the order on fronts."""
 
 
 def _of(module: str, function: str = "chart") -> Drawer:
@@ -430,16 +447,16 @@ CHARTS: dict[str, Drawer] = {
     **{f"edges-{name}": _of("edges", f"{name}_chart") for name in _EDGES},
 }
 GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
-"""Names that stand for several charts."""
+"""Names for groups of charts."""
 SPREAD, AT_ONCE = ("payoff",), 8
-"""Charts that use many cores themselves, their seconds being those of one processor; and how many at most."""
+"""Charts that use several cores, in seconds of one processor, and the largest number of cores."""
 
 
 def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the charts to draw, each once: those named, or all.
 
     Raises:
-        InputError: an unknown name.
+        InputError: a name is unknown.
     """
     chosen: list[str] = []
     for name in names:

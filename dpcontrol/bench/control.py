@@ -1,13 +1,13 @@
-"""Charts of controllers and of estimators: what a tick's time buys.
+"""Charts of controllers and of estimators: error against the time of a tick.
 
 *Controllers*: error and failures against the time of a tick, and effort against error. Three tasks on the same bench:
-follow one turn of the outer arm, keep the orbit about Down-Up alive, hold both arms up. Every controller of a task has
-the same bench and seeds; what differs is the law, and for the adaptive one the filter, which must estimate the model's
-errors: a tick's time is that of filter and law together. Two campaigns each: one with the itineraries' own small
-mismatch for the error, one at 10 % for the share that comes through.
+follow one turn of the outer arm, sustain the orbit about Down-Up, hold both arms up. Every controller of a task has
+the same bench and seeds. Only the law differs, and for the adaptive one the filter, which must estimate the model's
+errors: a tick's time is that of filter and law together. There are two campaigns each: one with the itineraries' small
+mismatch for the error, one at 10 % for the share of completed runs.
 
-*Estimators*: error and consistency over the resolution of the encoders. A plant with parameters and encoder zeros of
-its own swings under a known input; every estimator knows the nominal parameters and sees the same readings. Error: root
+*Estimators*: error and consistency over the resolution of the encoders. A plant with drawn parameters and encoder zeros
+swings under a known input; every estimator has the nominal parameters and the same readings. Error: root
 mean square over ticks of the arms' scaled errors (π rad, 10 rad/s).
 
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.2.
@@ -62,22 +62,22 @@ from dpcontrol.scenes.plan import make_plan
 
 RATE = 1000.0
 SMALL, LARGE = 0.02, 0.10
-"""Mismatch: what the shipped itineraries run with, and what success is asked at."""
+"""Mismatch: of the shipped itineraries, and of the success campaigns."""
 INITIAL_ERROR = 0.02
 """rad."""
 AUGMENTED = AdaptiveEkfSettings()
 _PLAIN = EkfSettings()
 _BARE = EkfSettings(augment=())
-"""For pulses, the first of which have no time for what the filter finds."""
+"""Settings for pulses; the first pulses come before the filter's estimates."""
 _ERROR = "rms error of the angles, rad"
 Made = Mapping[tuple[str, str], tuple[Callable[[SampledModel], Controller], EkfSettings]]
-"""Controllers by method and setting, each with the filter that it is run with."""
+"""Controllers by method and setting, each with its filter."""
 Judge = Callable[[BatchRun], bool]
 
 
 @dataclass(frozen=True)
 class ControlTask:
-    """What controllers are compared on: a reference, the arms, and how a run is judged."""
+    """Task for comparing controllers: a reference, the arms, and the judge of a run."""
 
     title: str
     reference: Reference
@@ -96,25 +96,25 @@ def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
     hold = _hold((0.1, 1.0, 10.0) if quick else (0.1, 1.0, 10.0, 100.0), seeds)
     return PrecisionChart(
         name="control",
-        title=f"Control: {SMALL:.0%} of mismatch for the error, {LARGE:.0%} for what fails",
+        title=f"Control: {SMALL:.0%} of mismatch for the error, {LARGE:.0%} for failures",
         parts=(*tracking, *orbit, hold),
         reading=(
             "Upper diagrams of a task: rms error of the angles against a tick's time; beside them the share of runs "
-            f"at {LARGE:.0%} mismatch that do not come through.",
-            "OGY by its sections in a period: an error grows by λ^(1/k) from one to the next, so that few sections "
-            "cannot hold the orbit; those stand in the list of what is missing.",
+            f"at {LARGE:.0%} mismatch that fail.",
+            "OGY by its sections in a period: an error grows by λ^(1/k) from one to the next, so few sections "
+            "cannot hold the orbit; those are listed as missing.",
             "Both arms up: effort against error, by the weight of the effort. The data hold effort and success of "
             "every point.",
         ),
         chosen=(
-            "The adaptive law for references: half the error, less feedback, and all come through, for two thirds more "
-            "time than TVLQR by time. OGY at k = 16."
+            "The adaptive law for references: half the error, less feedback, and every run completes, for two thirds "
+            "more time than TVLQR by time. OGY at k = 16."
         ),
     )  # fmt: skip
 
 
 def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str] = ("", "")) -> Panel:
-    """Return error against the seconds of a tick of those that come through, and the rest with reasons."""
+    """Return error against the seconds of a tick for successful controllers, and reasons for the others."""
     start_up: dict[str, float] = {}
     judged: dict[tuple[str, str], Judged | str] = {}
     tried: list[Alternative[None]] = []
@@ -131,10 +131,10 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
 
 
 def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *, seeds: int) -> Judged | str:
-    """Return the results of `seeds` runs at each mismatch, or that none succeeded at the small one.
+    """Return the results of `seeds` runs at each mismatch, or a note if none succeeded at the small one.
 
-    The error is over those that came through; others: shares that came through at both, rms of the feedback in m/s² at
-    the small one.
+    The error is that of completed runs. Others: shares of completed runs at both, rms of the feedback in m/s² at the
+    small one.
     """
     lanes = [(seed, mismatch) for mismatch in (SMALL, LARGE) for seed in range(seeds)]
     assembly = Assembly(task.reference, task.arms, settings, law=controller)
@@ -145,7 +145,7 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
     small, large = runs[:seeds], runs[seeds:]
     good = [run for run in small if task.judge(run)]
     if not good:
-        return f"none of {seeds} runs came through at {SMALL:.0%} mismatch"
+        return f"none of {seeds} runs completed at {SMALL:.0%} mismatch"
     n = task.arms.count
     squares = [np.mean((run.truth[:, :n] - run.references[:, :n]) ** 2) for run in good]
     others = {
@@ -153,14 +153,14 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
         "success_small": len(good) / seeds,
         "effort": float(np.sqrt(np.mean([run.rms_feedback**2 for run in small]))),
     }
-    note = f"{others['success']:.0%} come through, feedback {others['effort']:.3f} m/s² rms"
+    note = f"{others['success']:.0%} complete, feedback {others['effort']:.3f} m/s² rms"
     return Judged(float(np.sqrt(np.mean(squares))), others, note)
 
 
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
-    """Return a judge: did the run last to its end, its angles within `near` rad of the orbit (M, n) in its last period?
+    """Return a judge of runs that last to their end, with angles within `near` rad of the orbit (M, n) at the end.
 
-    The least distance over phases and turns counts.
+    The last period is judged, by the least distance over phases and turns.
     """
 
     def judge(run: BatchRun) -> bool:
@@ -189,7 +189,7 @@ def _completed(reference: Reference) -> Judge:
 
 
 def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -> Callable[[], None]:
-    """Return what a tick of the loop costs but for its bench, as a function to be timed, walking along the path."""
+    """Return a function to time that runs a tick of the loop without its bench, along the path."""
     ticker = Assembly(task.reference, task.arms, settings, law=controller).ticker()
     where = ticker.program.model.position_indices
     seen, ticks = controller.first_state[where], cycle(range(ticker.count))
@@ -201,14 +201,14 @@ def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -
             ticker.begin()
             seen = controller.first_state[where]
         ticker(k, Reading(0.0, seen))
-        # A state that stood still would be lost by the clocks of those that have one.
+        # A constant state would let the clocks of stateful controllers lose it.
         seen = ticker.references[k][where]
 
     return step
 
 
 def _pair(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str], why: str) -> tuple[Panel, Panel]:
-    """Return the task's two panels: error, and share that fails at the large mismatch, against a tick's time."""
+    """Return the task's two panels: error, and share of failures at the large mismatch, against a tick's time."""
     found, x = measured(task, made, seeds=seeds, default=default), "s per tick, filter and law"
     failed = tuple(replace(p, error=1 - p.others["success"]) for p in found.points)
     return (
@@ -230,7 +230,7 @@ def _tracking(seeds: int) -> tuple[Panel, Panel]:
             lambda m: adaptive_controller(reference, m, AdaptiveSettings(), estimator=AUGMENTED), AUGMENTED,
         ),
     }  # fmt: skip
-    why = "what the filter finds of arms, drive and encoders leaves little for feedback to do"
+    why = "the filter's estimates of arms, drive and encoders leave little for feedback to do"
     return _pair(task, made, seeds=seeds, default=("adaptive", ""), why=why)
 
 
@@ -251,7 +251,7 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Panel
     }  # fmt: skip
     made |= {("OGY", f"k = {k}"): (pulses(k, OgySettings), _BARE) for k in sections}
     made |= {("OGY, classic", f"k = {k}"): (pulses(k, ClassicOgySettings), _BARE) for k in sections[-2:]}
-    why = "a periodic gain at every tick is the plain continuation of what follows references"
+    why = "a periodic gain at every tick continues the laws for references"
     error, failures = _pair(task, made, seeds=seeds, default=("TVLQR", "time"), why=why)
     shipped = f"OGY, k = {OgySettings().sections}"
     spending = tuple(
@@ -259,14 +259,14 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Panel
         for p in error.points
         if p.method.startswith("OGY")
     )
-    why = "more sections see an error earlier, and then push less"
+    why = "more sections detect an error earlier, and then need less effort"
     return error, failures, Panel(
         "An orbit by pulses: effort", "rms of the feedback, m/s²", _ERROR, spending, why=why, timed=False
     )  # fmt: skip
 
 
 def _hold(weights: tuple[float, ...], seeds: int) -> Panel:
-    """Return the panel of both arms held up; weights: times the default weight of the effort."""
+    """Return the panel of both arms held up; `weights` are multiples of the default effort weight."""
     start = np.array([np.pi, np.pi, 0.0, 0.0])
     whole = np.concatenate([start, [0.0, 0.0]])
     place = still(whole, 1.0, method=method_named("radau-5"), limits=Limits(), interval=0.1)
@@ -282,18 +282,18 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Panel:
     return found.titled(
         "Both arms up: LQR", "rms of the feedback, m/s²", _ERROR, timed=False,
         points=tuple(replace(p, seconds=p.others["effort"]) for p in found.points),
-        why="the same weights as TVLQR's, so that a hold goes over into a motion without a jump",
+        why="the same weights as TVLQR's, so that a hold passes into a motion without a jump",
     )  # fmt: skip
 
 
 PERIOD = 1e-3
-"""s: the loop's."""
+"""Period of the loop, s."""
 SETTLED = 300
-"""Ticks left out at the start, where the first guess is judged, not the filter."""
+"""Ticks omitted at the start, which would judge the first guess and not the filter."""
 CART_RESOLUTION = 1e-6
 MISMATCH = 0.02
 ZERO_ERROR = 3e-3
-"""rad, about what an arm's resting place is read to."""
+"""Reading accuracy of an arm's resting position, rad."""
 CUTOFFS = (10.0, 30.0, 100.0, math.inf)
 """Hz."""
 AUGMENTS = ((), ("zeros",), EkfSettings().augment, AdaptiveEkfSettings().augment)
@@ -303,8 +303,8 @@ _EVERY = 20
 _SWING = (0.4, 2.8, 2.0, -3.0, 0.0, 0.0)
 _START_ERROR = 0.02
 _WHY = (
-    "zeros of a few milliradians are what a feedback on the state alone fails by, and finding them costs less than "
-    "twice the time; parameters are estimated where a controller asks for them"
+    "feedback on the state alone fails on zeros of a few milliradians, and estimating them costs less than "
+    "twice the time; parameters are estimated if a controller requires them"
 )
 
 
@@ -323,16 +323,16 @@ def estimation_chart(quick: bool, progress: Progress) -> PrecisionChart:
         title=f"Estimation: plant off by {MISMATCH:.0%}, encoders' zeros by {ZERO_ERROR * 1e3:g} mrad",
         parts=tuple(panels),
         reading=(
-            "Each point: an estimator on the same swings; across, a tick's time; up, the rms scaled error of angles "
-            "and rates; a panel for each encoder.",
-            "Points by their extras: what is estimated besides the state. Differences have no model to be wrong about, "
-            "and no covariance that shows when they fail.",
-            "The data hold the shares of NIS and NEES inside their 95 % bands: below 0.9 the estimator is too sure, "
+            "Each point: an estimator on the same swings. Across: a tick's time. Up: the rms scaled error of angles "
+            "and rates. Each encoder has a panel.",
+            "Points are grouped by their extras, the estimated parameters. Differences need no model, and have no "
+            "covariance to show their failures.",
+            "The data hold the shares of NIS and NEES inside their 95 % bands: below 0.9 it is overconfident, "
             "near 1.0 too cautious. Filters with the same extras have the same settings.",
         ),
         chosen=(
             "The compiled EKF: the same numbers as filterpy's in a fraction of the time, and the UKF is no better "
-            "here. Differences are as good only where counts are finer than the rig's, and do not find the zeros."
+            "here. Differences match it only with counts finer than the rig's, and cannot estimate zeros."
         ),
     )  # fmt: skip
 
@@ -346,7 +346,7 @@ class KnownSwing:
     joints: Array
 
     def measured(self, counts: int) -> Array:
-        """Return absolute angles and the cart's position (K, n+1) as encoders of `counts` per turn give them."""
+        """Return absolute angles and the cart's position (K, n+1) as read by encoders of `counts` per turn."""
         n = self.joints.shape[1] - 1
         steps = np.array([2 * np.pi / counts] * n + [CART_RESOLUTION])
         read = np.rint(self.joints / steps) * steps
@@ -379,7 +379,7 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
     for name, kind in _METHODS:
         for augment in AUGMENTS[:2] if quick and kind == "ukf" else AUGMENTS:
             default = kind == "ekf" and augment in AUGMENTS[2:]
-            # The same settings for every method: those of the law that asks for these extras.
+            # Every method has the settings of the law that requires these extras.
             kinds = ADAPTIVE_ESTIMATORS if augment == AUGMENTS[3] else ESTIMATORS
             estimator = make_estimator(kinds[kind](augment=augment), model, noise=noise_of(arms, counts))
             last = estimator.update(estimator.first(np.array(_SWING)), measured[0])
@@ -399,7 +399,7 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
 
 
 def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: int) -> Judged:
-    """Return the error of an estimator over the swings, and the shares of NIS and NEES inside their 95 % bands."""
+    """Return an estimator's error over the swings, and the shares of NIS and NEES inside their 95 % bands."""
     errors, nis, normalised = [], [], []
     m = swings[0].joints.shape[1]
     n = m - 1
@@ -431,11 +431,11 @@ def _nees(estimator: Estimator, estimate: Estimate, truth: Array, bias: Array, z
 
 
 def differences(rates: Array, last: Array, measured: Array, cutoff: float) -> Array:
-    """Return rates (m,) from positions `measured` (m,), `last` having been measured a period before.
+    """Return rates (m,) from positions `measured` (m,) and the positions `last` (m,) one period earlier.
 
         v_k = a v_{k-1} + (1 - a) (z_k - z_{k-1}) / T,      a = e^{-2π f T}
 
-    cutoff: f in Hz of the first-order low pass, infinite for none. A difference is half a period old and carries the
+    `cutoff` is f in Hz of the first-order low pass, infinite for none. A difference is half a period old and has the
     noise q/T of one count q; the low pass trades noise against a lag of 1/(2πf).
     Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., section 6.1.
     """
@@ -444,7 +444,7 @@ def differences(rates: Array, last: Array, measured: Array, cutoff: float) -> Ar
 
 
 def derivative_trial(cutoff: float, swings: list[KnownSwing], *, counts: int) -> Judged:
-    """Return the error of positions as read and rates by `differences`, which have no covariance."""
+    """Return the error of measured positions and rates by `differences`, without a covariance."""
     errors = []
     for flown in swings:
         measured = flown.measured(counts)
@@ -459,7 +459,7 @@ def derivative_trial(cutoff: float, swings: list[KnownSwing], *, counts: int) ->
 
 
 def _rms(errors: list[Array]) -> float:
-    # Two programs for the same equations differ by rounding, which shall not decide the front.
+    # Two programs for the same equations differ by rounding, which must not decide the front.
     return float(f"{np.sqrt(np.mean(np.square(errors))):.6g}")
 
 
@@ -468,5 +468,5 @@ def _scaled(away: Array, n: int) -> Array:
 
 
 def noise_of(arms: ArmChainParameters, counts: int) -> Array:
-    """Return what the estimators assume of encoders of `counts` per turn, (n+1, n+1)."""
+    """Return the estimators' noise covariance (n+1, n+1) for encoders of `counts` per turn."""
     return SensorSettings(counts=counts, cart_resolution=CART_RESOLUTION).covariance(arms.count)

@@ -1,12 +1,12 @@
 """Charts of the design: orbits and connections; the transcription of references.
 
 *Orbits and connections*: seed distance, phases and tolerance against time and error. Truth is the same orbit and the
-same connections in 113-bit arithmetic. A search's error is its worst connection's: the largest scaled component between
-its state on the section and the true one; a search that loses one has no point.
+same connections in 113-bit arithmetic. A search's error is that of its worst connection: the largest scaled component
+between its state on the section and the true one. A search that misses one has no point.
 
-*Transcription*: method, order, interval and solver against error between nodes, cost and time. One crossing between two
-orbits is transcribed and solved, from the same first guess, once by each. The error is the one between nodes; the cost
-is shown as its distance from the finest transcription's. Time includes building the program.
+*Transcription*: method, order, interval and solver against error between nodes, cost and time. Each transcribes and
+solves one crossing between two orbits, from the same first guess. The error is the one between nodes; the cost is shown
+as its distance from the finest transcription's. Time includes building the program.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,7 +44,7 @@ THREE_BODY_ENERGY = -1.5175
 ROUNDING, GAP_ROUNDING = 1e-14, 1e-13
 ROUGH = "two flights"
 SLOWER, WIDER = 51.0, 1e6
-"""hiten 0.5.4 on L1 to L2, end to end: times this project's seconds as stored, gap wider by this at least."""
+"""hiten 0.5.4 on L1 to L2, end to end: stored multiple of this package's seconds, and least ratio of the gaps."""
 
 
 def connections_chart(quick: bool, progress: Progress) -> PrecisionChart:
@@ -68,8 +68,8 @@ def connections_chart(quick: bool, progress: Progress) -> PrecisionChart:
             "A search that loses a connection has no mark; the JSON lists it. Hollow marks are another package's.",
         ),
         chosen=(
-            "Seeds 1e-4 from the orbit, 100 phases and chords of 0.05, then multiple shooting from 3e-7: that "
-            "takes the error to rounding for any seed distance, so that is chosen for finding all connections."
+            "Seeds 1e-4 from the orbit, 100 phases and chords of 0.05, then multiple shooting from 3e-7. That "
+            "takes the error to rounding for any seed distance, so the choice aims at finding all connections."
         ),
     )
 
@@ -98,11 +98,11 @@ def orbit_panel(progress: Progress, *, quick: bool) -> Panel:
 
 
 Truth = tuple[Array, Array]
-"""A connection's state (N,) on the section in double, and as 113-bit arithmetic gives it."""
+"""A connection's state (N,) on the section in double precision and in 113-bit arithmetic."""
 
 
 def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
-    """Return `count` connections of the orbit to itself, no two of them mirror images.
+    """Return `count` connections of the orbit to itself, without mirror images.
 
     Raises:
         GoalMissed: one could not be refined.
@@ -117,7 +117,7 @@ def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
 
 
 def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]) -> float:
-    """Return the largest scaled error of the states that belong to `truths`; infinite if one is not among them."""
+    """Return the largest scaled error of the states matching `truths`; infinite if one is missing."""
     if not len(states):
         return float("inf")
     error = max(float(np.min(orbit.system.scaled_distance(np.array(states), exact))) for _, exact in truths)
@@ -143,7 +143,7 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
     tried += [Alternative(ROUGH, f"{d:.0e}", partial(_two_flights, orbit, d)) for d in (1e-3, 1e-4, 1e-6)]
 
     def judge(one: Alternative[list[Array]], states: list[Array]) -> Judged | str:
-        # Two flights leave out meetings that are images of others.
+        # Two flights omit intersections that are images of others.
         least, error = len(truths) if one.method == ROUGH else expected, worst(orbit, states, truths)
         return Judged(error) if len(states) >= least and np.isfinite(error) else f"{len(states)} of {least} found"
 
@@ -154,7 +154,7 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
 
 
 def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
-    """Return the states in which cuts flown from seeds at `distance` meet, without refinement."""
+    """Return the intersections of cuts from seeds at `distance`, as states without refinement."""
     system, settings = orbit.system, ConnectionSettings(distance=distance)
     section = system.section_between(orbit.saddle, orbit.saddle)
     manifold = local_manifold(orbit, distance)
@@ -164,7 +164,7 @@ def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
 
 
 def three_body_panel(*, quick: bool) -> Panel:
-    """Return the diagram of the three-body problem's L1-L2 connection, with hiten's point as it was stored."""
+    """Return the diagram of the three-body problem's L1-L2 connection, with hiten's stored point."""
     system = load_model("three-body").system
 
     def ours() -> ConnectionSearch:
@@ -201,11 +201,11 @@ WHOLE = (
     ("radau-8", 0.07), ("radau-9", 0.05), ("radau-10", 0.12),
 )  # fmt: skip
 GUESS_DEGREE = 10
-"""Of the polynomial that rockit is given for a guess."""
+"""Degree of the polynomial fitted to the guess for rockit."""
 STRETCH = 0.5
-"""s: of the crossing's start, given to the other package too."""
+"""Part of the crossing's start, s, that is also solved by the other package."""
 ROCKIT = {25: (16.4, 1.32e-3), 50: (31.9, 3.28e-4), 100: (63.5, 8.16e-5), 200: (131.0, 2.04e-5)}
-"""rockit 0.6.7 by its intervals: times the default's seconds, and error, as this chart measured them."""
+"""rockit 0.6.7 by its intervals: multiple of the default's seconds, and error, as measured by this chart."""
 
 
 def transcription_chart(quick: bool, progress: Progress) -> PrecisionChart:
@@ -222,11 +222,11 @@ def transcription_chart(quick: bool, progress: Progress) -> PrecisionChart:
         ),
         reading=(
             "A mark is a method with its points on intervals of one length, built and solved once from one guess.",
-            "Error between nodes: a propagator restarts at each interval and measures how far off the polynomial is.",
-            "Last diagram: the first half second, given to rockit too, which holds its input over an interval.",
+            "Error between nodes: a propagator restarts at each interval and measures the polynomial's error.",
+            "Last diagram: the first half second, also solved by rockit, which holds its input over an interval.",
         ),
         chosen=(
-            "Radau with 7 points, begun on 50 ms and split where the error asks for it, IPOPT: orders beyond gain "
+            "Radau with 7 points, begun on 50 ms and split according to the error, IPOPT: higher orders gain "
             "little, Hermite-Simpson needs many times the intervals, fatrop many times the time."
         ),
     )
@@ -287,12 +287,12 @@ def _candidate(s: ReferenceSettings, work: Callable[[], T], problem: ReferencePr
 
 
 def _turns(*, quick: bool, quick_most: float = 1.2, most: float = 6.0) -> dict[str, Any]:
-    """Return how long programs are measured, which compile nothing at first."""
+    """Return measurement settings for programs, which compile nothing at first."""
     return {"rounds": 9, "most": quick_most if quick else most, "least": 2 if quick else 3, "starts_up": False}
 
 
 def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Panel:
-    """Return the diagram of whole searches, the mesh refined until the error between nodes is small enough."""
+    """Return the diagram of whole searches, which refine the mesh to the tolerance between nodes."""
     chosen = ReferenceSettings()
     starts = (("radau-5", 0.02), ("radau-7", 0.05), ("radau-9", 0.09))
     if not quick:
@@ -310,12 +310,12 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     tried = [replace(_candidate(s, partial(find_reference, problem, s), problem), default=s == chosen) for s in cases]
     return compare(tried, judge, **_turns(quick=quick), progress=progress).titled(
         f"mesh refined to {chosen.tolerance:.0e}", TIME, "error between nodes, scaled", floor=chosen.tolerance,
-        why="what the error falls to below the tolerance is chance; the tolerance is what is asked for",
+        why="errors below the tolerance are a matter of chance; the tolerance is the requirement",
     )  # fmt: skip
 
 
 def rockit_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Panel:
-    """Return the diagram of the crossing's start without weight on the guess, solved by rockit too if installed."""
+    """Return the diagram of the crossing's start without weight on the guess, also solved by rockit if installed."""
     short = replace(problem, duration=STRETCH)
     settings = ReferenceSettings(pendulum_weight=0.0)
     finest = find_reference(short, replace(settings, method="radau-9", tolerance=1e-10))
@@ -352,15 +352,15 @@ def rockit_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) 
         )  # fmt: skip
     return Panel(
         f"the first {STRETCH:g} s, free of the guess", "time, s", "error of the states, scaled", points,
-        why="interval and tolerance are chosen for whole itineraries, where the error matters",
+        why="interval and tolerance are chosen for whole itineraries",
     )  # fmt: skip
 
 
 def by_rockit(problem: ReferenceProblem, settings: ReferenceSettings, intervals: int) -> tuple[Array, Array]:
     """Return times (K,) s and states (K, N) of rockit's optimum, by Radau collocation with 4 points an interval.
 
-    Same equations, cost, ends and first guess; rockit holds its input over an interval, so its optimum differs a
-    little. The cost leaves out the pendulum's distance from the guess: `settings` must not ask for it.
+    Equations, cost, ends and first guess are equal. rockit holds its input over an interval, so its optimum differs a
+    little. The cost excludes the pendulum's distance from the guess, so `settings` must not weigh it.
     Source: Gillis et al., Effortless modeling of optimal control problems with rockit (2020).
     """
     import rockit  # pyright: ignore[reportMissingImports]
@@ -381,7 +381,7 @@ def by_rockit(problem: ReferenceProblem, settings: ReferenceSettings, intervals:
         ocp.subject_to(ocp.at_t0(state) == start[k])
         ocp.subject_to(ocp.at_tf(state) == end[k])
         if k < problem.pendulum_dimension:
-            # rockit takes expressions of its own time.
+            # rockit requires expressions in its time variable.
             ocp.set_initial(state, sum(float(c) * ocp.t**i for i, c in enumerate(powers[k])))
     quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
     ocp.solver("ipopt", quiet)

@@ -1,30 +1,30 @@
-"""Maps of failure: where each method stops working, and where a formula of a few lines says that it does.
+"""Maps of failure: the limit of each method, beside the prediction of a formula of a few lines.
 
 *Fixed steps.* About an equilibrium a method multiplies the motion of an eigenvalue s by its stability function in a
-step, R(sh) = 1 + sh bᵀ (I - sh A)⁻¹ 1. The first step at which |R| passes 1 for an s with Re s < 0 makes a motion grow
-that dies out in truth. Source: Hairer & Wanner, Solving Ordinary Differential Equations II (1996), section IV.2.
+step, R(sh) = 1 + sh bᵀ (I - sh A)⁻¹ 1. At the first step with |R| above 1 for an s with Re s < 0, a motion grows that
+should decay. Source: Hairer & Wanner, Solving Ordinary Differential Equations II (1996), section IV.2.
 
 *Shadowing.* A node's rounding grows by λ^(1/s) to the next of s nodes in a period, which bounds the gaps; the constant
-is luck. Source: Stoer & Bulirsch, Introduction to Numerical Analysis, 3rd ed., section 7.3.5.
+is random. Source: Stoer & Bulirsch, Introduction to Numerical Analysis, 3rd ed., section 7.3.5.
 
-*References.* The error between nodes of a method with K points falls as the interval's length h to the power K: the
+*References.* The error between nodes of a method with K points falls as the interval's length h to the power K. The
 longest interval for a tolerance ε is h₀ (ε / e(h₀))^(1/K), from one solution on a finer mesh.
 Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
 
-*Control.* What an error ξ of the unstable direction, ξ' = λξ + bu with |u| ≤ a, has become when the first command acts,
-ξ e^{λd}, must be less than a·b/λ, or no command brings it back: d < ln(a |b| / (λ |ξ|)) / λ. A wrong model: plant,
-prediction through the commands on their way and gain are one linear map of (x, commands), whose largest eigenvalue
-reaches the unit circle; the filter is left out, which costs up to a third. Neither holds along a moving reference.
+*Control.* An error ξ of the unstable direction obeys ξ' = λξ + bu with |u| ≤ a. At the first command it has grown to
+ξ e^{λd}. A command can correct it only below a·b/λ: d < ln(a |b| / (λ |ξ|)) / λ. For a wrong model, plant, prediction
+through the commands in flight and gain form one linear map of (x, commands). At the border its largest eigenvalue is on
+the unit circle. Omitting the filter costs up to a third. Neither holds along a moving reference.
 Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., sections 8.6 and 9.3; for bounded
 inputs, Hu & Lin, Control Systems with Actuator Saturation (2001), chapter 2.
 
 *Estimation.* Of K ticks each is lost with probability p. Gaps of at least m ticks, the supervisor's limit, begin
-K (1 - p) pᵐ times on average, nearly independently: half of the runs see none at K (1 - p) pᵐ = ln 2.
+K (1 - p) pᵐ times on average, nearly independently. Half of the runs have none at K (1 - p) pᵐ = ln 2.
 Source: Feller, An Introduction to Probability Theory and Its Applications I, 3rd ed., section XIII.7, for runs.
 
-*Margins.* What a loop's margins say it bears, beside campaigns with a drive that is not as believed.
+*Margins.* The loop's margins, beside campaigns with a drive that differs from the model.
 
-Seeds of tubes, and OGY by its sections, are measured only. Where chance decides, the border is where half succeed.
+Seeds of tubes, and OGY by its sections, are only measured. For random outcomes the border is at half the successes.
 """
 
 import math
@@ -81,14 +81,14 @@ Step = Callable[[Array, float], Array]
 """(state (N,), length in s) -> following state (N,)."""
 
 SADDLE, SADDLE_ENERGY = "down-up", -0.07
-"""What is held; J."""
+"""Saddle to hold, and its energy, J."""
 WALK = "outer-turn"
 
 SADDLES = ("down-down", "down-up", "up-down", "up-up")
 AMPLITUDE = 1e-6
-"""Of the motion at the start: small, so that it stays linear, and large against rounding."""
+"""Size of the initial motion: small, so that it stays linear, and large against rounding."""
 STEPS = 3
-"""Few: rounding, in the direction that grows, must not reach the motion that is looked at."""
+"""Number of steps, limited because rounding in the growing direction must not reach the observed motion."""
 RK4 = (np.array([[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1.0, 0]]), np.array([1, 2, 2, 1]) / 6)
 DOP = (np.array(DOP853.A), np.array(DOP853.B))
 
@@ -100,7 +100,7 @@ def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
     split = longest_step(PlantParameters(arms))
 
     def border(saddle: str, **method: Any) -> Border:
-        # Equilibria are no numbers: lines stand side by side.
+        # Equilibria are not numbers, so their lines are placed side by side.
         return replace(step_border(arms, saddle, **method), x=float(saddles.index(saddle)))
 
     def never_taken(h: float, _: str) -> str:
@@ -109,7 +109,7 @@ def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
     maps = [
         (
             EdgeMap(title, "equilibrium", "step, s", log_x=False, far="grows, though it should die out",
-                    theory="|R(sh)| = 1 for the first of the motions that die out"),
+                    theory="|R(sh)| = 1 for the first of the decaying motions"),
             partial(border, tableau=tableau, step=step, says=says), saddles,
         )
         for title, tableau, step, says in (
@@ -121,7 +121,7 @@ def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
         name="edges-propagation",
         title="Where fixed steps end: near the equilibria",
         reading=(
-            "The longest step with which all motions that die out about an equilibrium do so: the fastest decides.",
+            "The longest step that keeps all decaying motions about an equilibrium decaying: the fastest decides.",
             "Diamonds: from the method's coefficients and the eigenvalues alone.",
             "Loops of 25 Hz are five times from the border of their model, those of 1 kHz two hundred times.",
         ),
@@ -131,12 +131,12 @@ def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def model_step(arms: ArmChainParameters) -> Step:
-    """Return the step of controllers' and filters' model, of any length, the cart's acceleration zero."""
+    """Return the step of the controllers' and filters' model, of any length, with zero cart acceleration."""
     return lambda x, h: sampled_model(arms, 1 / h).step(x, 0.0)
 
 
 def plant_step(arms: ArmChainParameters) -> Step:
-    """Return the step of simulated plants, of any length, the cart's acceleration zero."""
+    """Return the step of simulated plants, of any length, with zero cart acceleration."""
     stepper = Stepper(fixed_step(equations_of(arms, Level.CART)), arms.base())
     return lambda x, h: stepper.fly(x, h, step=h)
 
@@ -159,7 +159,7 @@ def predicted_step(tableau: tuple[Array, Array], values: Complex) -> float:
 
 
 def decaying(arms: ArmChainParameters, saddle: str) -> tuple[Array, Complex, Complex, Complex]:
-    """Return the equilibrium (N,), the damped eigenvalues (m,) in 1/s, their vectors (m, N) and left vectors (m, N)."""
+    """Return the equilibrium (N,), the damped eigenvalues (m,) in 1/s, their right and left vectors (m, N)."""
     e = equations_of(arms, Level.CART)
     state = np.concatenate([load_model("lab").system.equilibrium(saddle), np.zeros(2)])
     linear = ca.Function("linear", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate, e.state)])
@@ -196,12 +196,12 @@ def step_border(
     found = find_border(
         probe, x=0.0, line=saddle, near=predicted / 1.5, far=1.5 * predicted, predicted=predicted, ratio=ratio
     )
-    # Asked once, for it takes a run.
+    # Evaluated once, because it takes a run.
     return replace(found, says=says(found.far, saddle)) if found.far else found
 
 
 def _run_at(h: float, saddle: str) -> str:
-    """Return what a run says whose period is as long as the step, arms held at the equilibrium."""
+    """Return the message of a run with a period of the step's length, arms held at the equilibrium."""
     try:
         stand = held_at_rest(1 / h, saddle=saddle, seconds=60.0)
     except (InputError, GoalMissed) as error:
@@ -210,9 +210,9 @@ def _run_at(h: float, saddle: str) -> str:
 
 
 RIGHT = 1e-9
-"""Scaled: how far a connection may lie from the one that the default settings find."""
+"""Largest scaled distance of a connection from that of the default settings."""
 ANEW = 1e-6
-"""Share of the distance whose change draws all rounding anew, and changes nothing else."""
+"""Relative change of the distance that only redraws all rounding."""
 
 
 def seeds_chart(quick: bool, progress: Progress) -> EdgeChart:
@@ -235,13 +235,13 @@ def seeds_chart(quick: bool, progress: Progress) -> EdgeChart:
         name="edges-seeds",
         title="Where seeds of tubes end: connections of Down-Up with itself",
         reading=(
-            "Left: the nearest seeds, right: the farthest, with which a search finds every connection of that energy; "
+            "Left: the nearest seeds, right: the farthest, for a search that finds every connection of that energy; "
             "beyond either it says \"at least\" so many, and why.",
-            f"Too near, chance decides: of {draws} searches, each with rounding of its own, at least half find all.",
-            "Rounding over the distance hides where tubes meet; too far, seeds leave the manifold by the square of "
+            f"Too near, rounding is decisive: of {draws} searches with different rounding, at least half find all.",
+            "Rounding relative to the distance hides intersections; too far, seeds leave the manifold by the square of "
             "their distance.",
         ),
-        chosen="Seeds 1e-4 from the orbit: some six hundred times the nearer border where that is worst.",
+        chosen="Seeds 1e-4 from the orbit: some six hundred times the nearer border in the worst case.",
         parts=measured_maps(
             progress,
             (near, lambda energy: near_border(*known(energy), draws=draws, ratio=ratio), energies),
@@ -251,22 +251,22 @@ def seeds_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def default_states(orbit: LyapunovOrbit) -> Array:
-    """Return the states (K, N) of all connections of the orbit with itself on their section, as searches find them."""
+    """Return the states (K, N) of all connections of the orbit to itself on their section, from default searches."""
     return np.array([c.state for c in find_connections(orbit, orbit).connections])
 
 
 def found_all(orbit: LyapunovOrbit, states: Array, distance: float) -> Attempt:
-    """Return whether a search finds the connections of `states` (K, N), and no others, else what it says."""
+    """Return success if a search finds exactly the connections of `states` (K, N), otherwise its message."""
     found = find_connections(orbit, orbit, settings=ConnectionSettings(distance=distance))
     away = [float(np.min(orbit.system.scaled_distance(states, c.state))) for c in found.connections]
     if len(away) == len(states) and max(away) < RIGHT:
         return Attempt(True)
-    # A search that believes itself complete has reported nothing.
+    # A search that counts itself complete has no message.
     return Attempt(False, "" if found.status.startswith(f"{len(away)} connections") else found.status)
 
 
 def near_border(orbit: LyapunovOrbit, states: Array, *, draws: int, ratio: float) -> Border:
-    """Return the distance of seeds at which half of the searches find all connections, those of `states` (K, N)."""
+    """Return the seed distance at which half of the searches find all connections of `states` (K, N)."""
 
     def probe(distance: float) -> Attempt:
         answers = [found_all(orbit, states, distance * (1 + ANEW * draw)) for draw in range(draws)]
@@ -276,14 +276,14 @@ def near_border(orbit: LyapunovOrbit, states: Array, *, draws: int, ratio: float
 
 
 def far_border(orbit: LyapunovOrbit, states: Array, *, ratio: float) -> Border:
-    """Return the largest distance of seeds with which all connections are found, those of `states` (K, N)."""
+    """Return the largest seed distance at which all connections of `states` (K, N) are found."""
     probe = partial(found_all, orbit, states)
     return find_border(probe, x=orbit.energy, line=f"{orbit.energy:g} J", near=0.15, far=1.6, ratio=ratio)
 
 
 ENERGY = 0.2
 APART = 1e-9
-"""Between two energies, as a share: more than rounding, and nothing to the orbits."""
+"""Relative difference of two energies: more than rounding, and negligible for the orbits."""
 
 
 def walks_chart(quick: bool, progress: Progress) -> EdgeChart:
@@ -297,11 +297,11 @@ def walks_chart(quick: bool, progress: Progress) -> EdgeChart:
         name="edges-walks",
         title=f"Where shadowing ends: Down-Up to Up-Down and back at {ENERGY:g} J",
         reading=(
-            "The smallest gap between pieces of orbit that Newton's method can reach: what rounding leaves.",
+            "The smallest gap between pieces of orbit within reach of Newton's method, left by rounding.",
             "Left: it falls as nodes come nearer together. Right: many wraps are as good as none; one is worse.",
-            "Rounding that grows by λ^(1/s) from node to node sets the scale; its constant is luck: no prediction.",
+            "Rounding that grows by λ^(1/s) from node to node sets the scale; its constant is random: no prediction.",
         ),
-        chosen="Eight nodes in a period and a tolerance of 1e-11, three orders above what rounding leaves.",
+        chosen="Eight nodes in a period and a tolerance of 1e-11, three orders above the rounding limit.",
         parts=measured_maps(
             progress,
             (spacing, lambda nodes: tolerance_border(walks, segments=nodes, wraps=2, x=nodes),
@@ -320,7 +320,7 @@ def round_trip(energy: float = ENERGY) -> tuple[Connection, ...]:
 
 
 def rounding_floor(walk: Sequence[Connection], *, segments: int) -> float:
-    """Return the gap in rad/s that rounding leaves between nodes, `segments` of them in a period."""
+    """Return the gap left by rounding between nodes, rad/s, with `segments` nodes in a period."""
     fastest = max(
         float(np.abs(c.orbit.sample(np.linspace(c.orbit.times[0], c.orbit.times[-1], 400)))[:, 2:].max()) for c in walk
     )
@@ -343,7 +343,7 @@ def tolerance_border(walks: Sequence[Sequence[Connection]], *, segments: int, wr
 
 METHOD, TOLERANCE = ReferenceSettings().method, ReferenceSettings().tolerance
 FINE = 0.012
-"""s: the mesh from whose error the border is predicted, about one and a half times as long."""
+"""Interval of the mesh that predicts the border, s, about one and a half times as long."""
 
 
 def references_chart(quick: bool, progress: Progress) -> EdgeChart:
@@ -357,12 +357,12 @@ def references_chart(quick: bool, progress: Progress) -> EdgeChart:
         name="edges-references",
         title="Where references end: one turn of the outer arm",
         reading=(
-            f"Left: the longest equal intervals with which the error between nodes stays below {TOLERANCE:g}.",
-            "Right: the least acceleration with which the motion exists on a track; the status names the limit.",
-            f"Diamonds: from the error on one finer mesh, {1e3 * FINE:g} ms. Planning splits intervals where they err, "
-            "and so gets by with fewer.",
+            f"Left: the longest equal intervals that keep the error between nodes below {TOLERANCE:g}.",
+            "Right: the least acceleration for the motion on a track; the status names the limit.",
+            f"Diamonds: from the error on one finer mesh, {1e3 * FINE:g} ms. Planning splits intervals with large "
+            "errors and therefore needs fewer.",
         ),
-        chosen="Seven points on 50 ms, split where the error asks for it; limits of the bench leave room of a hundred.",
+        chosen="Seven points on 50 ms, split according to the error; limits of the bench leave room of a hundred.",
         parts=measured_maps(
             progress,
             (mesh, lambda friction: mesh_border(friction, x=float(frictions.index(friction))), frictions),
@@ -386,17 +386,17 @@ def problem_of(friction: float = 1.0, limits: Limits | None = None) -> Reference
 
 
 def on_equal_intervals(problem: ReferenceProblem, interval: float) -> Reference:
-    """Return what one round gives on intervals of at most `interval` s, whatever the guess's own error."""
+    """Return the result of one round on intervals of at most `interval` s, regardless of the guess's error."""
     settings = ReferenceSettings(method=METHOD, interval=interval, tolerance=TOLERANCE, rounds=1)
     first = first_trajectory(problem, method_named(METHOD), even_mesh(problem.duration, interval))
     return find_reference(problem, settings, near=first)
 
 
 def mesh_border(friction: float, *, x: float) -> Border:
-    """Return the longest interval, s, with which the turn is good to the tolerance between its nodes in one round."""
+    """Return the longest interval, s, that meets the tolerance between the turn's nodes in one round."""
     problem = problem_of(friction)
     fine = on_equal_intervals(problem, FINE).max_error_between_nodes
-    # What the product accepts is a little less than the tolerance.
+    # The package accepts slightly less than the tolerance.
     predicted = FINE * (0.8 * TOLERANCE / fine) ** (1 / len(method_named(METHOD).points))
     return find_border(
         lambda interval: _converged(on_equal_intervals(problem, interval)), x=x, line=f"× {friction:g}",
@@ -405,7 +405,7 @@ def mesh_border(friction: float, *, x: float) -> Border:
 
 
 def acceleration_border(track: float) -> Border:
-    """Return the least acceleration, m/s², with which the turn exists on a track of ± `track` m."""
+    """Return the least acceleration, m/s², for the turn on a track of ± `track` m."""
 
     def found(**limits: float) -> Reference:
         return find_reference(problem_of(limits=Limits(position=track, **limits)), ReferenceSettings(tolerance=1e-4))
@@ -423,21 +423,22 @@ def _converged(found: Reference) -> Attempt:
 
 
 ROOM = 20.0
-"""m of track, so that authority alone decides."""
+"""Length of the track, m, so that authority alone decides."""
 HELD_ERROR, MOVING_ERROR = 0.05, 0.02
-"""rad at the start, where the delay is varied."""
+"""Initial error when the delay is varied, rad."""
 WEAK, STRONG = 5.0, 30.0
-"""m/s²: the limit where the delay is varied, and where the model is."""
+"""Acceleration limit, m/s², when the delay or the model is varied."""
 MISMATCH_RATE = 100.0
 """Hz."""
 WITHOUT_FILTER = 1 / 3
-"""How far the border of mismatch may lie from its prediction."""
+"""Tolerance between the border of mismatch and its prediction."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stand:
-    """A controller at a rate in Hz on its model; near: a run works whose angles end within this of the reference, rad,
-    over its last tenth.
+    """A controller at a rate in Hz on its model.
+
+    A run succeeds if its angles end within `near` rad of the reference, over its last tenth.
     """
 
     reference: Reference
@@ -448,10 +449,15 @@ class Stand:
     near: float
 
     def run(self, *, acceleration: float, mismatch: float = 0.0, error: float = 1e-3, delay: float = 0.0) -> Attempt:
-        """Return whether a run of at most `acceleration` m/s² stays at its reference with a mismatch, an error in rad
-        at the start, a delay in s.
+        """Return the outcome of a run at the reference.
+
+        Args:
+            acceleration: limit, m/s².
+            mismatch: of the plant, share.
+            error: at the start, rad.
+            delay: s.
         """
-        # Half a period of wrong timing is another error, which a slow loop pays for dearly.
+        # A timing error of half a period is a further error, with a high cost in a slow loop.
         drive = DriveSettings(delay=round(delay * self.settings.rate))
         settings = replace(self.settings, mismatch=mismatch, initial_error=error, drive=drive)
         reference = replace(self.reference, limits=Limits(position=ROOM, velocity=ROOM, acceleration=acceleration))
@@ -462,12 +468,12 @@ class Stand:
         return Attempt(last < self.near, f"finished, but {last:.2g} rad away over its last tenth")
 
     def drawn_error(self, size: float) -> Array:
-        """Return the error (N,) with which runs start that err by up to `size` rad."""
+        """Return the initial error (N,) of runs with errors up to `size` rad."""
         drawn = replace(self.settings, initial_error=size).draw(self.arms, ticks=2).initial_error
         return np.concatenate([drawn, np.zeros(self.model.dimension - len(drawn))])
 
     def linear(self, mismatch: float = 0.0) -> tuple[Array, Array]:
-        """Return A (N, N) and B (N,) between two ticks, at the controller's first state, of a plant with `mismatch`."""
+        """Return A (N, N) and B (N,) over a tick at the controller's first state, for a plant with `mismatch`."""
         plant = self.settings.draw(self.arms, ticks=2, mismatch=mismatch).plant.arms if mismatch else self.arms
         model = sampled_model(plant, self.settings.rate)
         a, b = model.linearised(self.controller.first_state[None, :], np.zeros(1))
@@ -475,7 +481,7 @@ class Stand:
 
 
 def farthest_at_last(run: BatchRun) -> float:
-    """Return how far the angles were from the reference over a run's last tenth, rad."""
+    """Return the largest distance of the angles from the reference over a run's last tenth, rad."""
     tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
     return float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
 
@@ -519,12 +525,12 @@ def control_chart(quick: bool, progress: Progress) -> EdgeChart:
         name="edges-control",
         title="Where control ends: arms held at Down-Up",
         reading=(
-            "Left: a known delay is predicted through, so it costs time only, whatever the rate: what an error of up "
-            f"to {HELD_ERROR:g} rad grows to before the first command acts must stay within reach.",
+            "Left: a known delay is predicted through, so it costs time only, whatever the rate. An error of up "
+            f"to {HELD_ERROR:g} rad must stay within reach until the first command acts.",
             "Right: the prediction runs on the model; the longer the delay, the less it may be wrong.",
             "Circles hold to the end, crosses end with the sentence in the data; diamonds are predicted.",
         ),
-        chosen="Prediction through all commands on their way, at any rate; delays of the bench are 1 to 20 ms.",
+        chosen="Prediction through all commands in flight, at any rate; delays of the bench are 1 to 20 ms.",
         parts=measured_maps(
             progress,
             (late, partial(held_delay_border, ratio=ratio),
@@ -541,12 +547,12 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
         name="edges-moving",
         title="Where control ends on a moving reference: one turn of the outer arm, TVLQR",
         reading=(
-            f"Left: how late commands of at most {WEAK:g} m/s² may come after an error of up to {MOVING_ERROR:g} rad "
-            "at the start, the delay known.",
-            "Right: how wrong the plant may be, for the prediction through the delay runs on the model.",
+            f"Left: largest known delay of commands of at most {WEAK:g} m/s² after an error of up to "
+            f"{MOVING_ERROR:g} rad at the start.",
+            "Right: largest mismatch of the plant, for the prediction through the delay runs on the model.",
             "Circles end near the reference, crosses end with the sentence in the data.",
         ),
-        chosen="Prediction through all commands on their way, from the first on; delays of the bench are 1 to 20 ms.",
+        chosen="Prediction through all commands in flight, from the first on; delays of the bench are 1 to 20 ms.",
         parts=measured_maps(
             progress,
             (LATE, lambda rate: delay_border(moving(rate), error=MOVING_ERROR, ratio=1.08),
@@ -558,7 +564,7 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def delay_border(stand: Stand, *, error: float, ratio: float, predicted: float | None = None) -> Border:
-    """Return the border of the delay in s, which the loop knows, after an error in rad at the start."""
+    """Return the border of the known delay in s, after an error in rad at the start."""
     rate, middle = stand.settings.rate, predicted or 0.2
     return find_border(
         lambda delay: stand.run(acceleration=WEAK, error=error, delay=delay), x=rate, line=f"{rate:g} Hz",
@@ -576,14 +582,14 @@ def mismatch_border(stand: Stand, delay: float, *, ratio: float, predicted: floa
 
 
 def held_delay_border(rate: float, *, ratio: float) -> Border:
-    """Return the border of the delay in s at `rate` Hz, arms held, beside the predicted one."""
+    """Return the border of the delay in s at `rate` Hz, for held arms, with its prediction."""
     stand = held_at_rest(rate)
     predicted = longest_delay(stand, stand.drawn_error(HELD_ERROR), acceleration=WEAK)
     return delay_border(stand, error=HELD_ERROR, ratio=ratio, predicted=predicted)
 
 
 def longest_delay(stand: Stand, error: Array, *, acceleration: float) -> float:
-    """Return the delay in s after which `acceleration` m/s² cannot bring back an `error` (N,) at the start."""
+    """Return the longest delay in s after which `acceleration` m/s² can correct an initial `error` (N,)."""
     a, b = stand.linear()
     values, left = np.linalg.eig(a.T)
     first = int(np.argmax(np.abs(values)))
@@ -595,7 +601,7 @@ def longest_delay(stand: Stand, error: Array, *, acceleration: float) -> float:
 
 
 def held_mismatch_border(delay: float, *, ratio: float) -> Border:
-    """Return the border of the plant's mismatch at a delay in s, arms held, beside the predicted one."""
+    """Return the border of the plant's mismatch at a delay in s, for held arms, with its prediction."""
     stand = held_at_rest(MISMATCH_RATE, seconds=20.0)
     controller, believed = stand.controller, stand.linear()
     assert isinstance(controller, HoldController)
@@ -605,7 +611,7 @@ def held_mismatch_border(delay: float, *, ratio: float) -> Border:
         loop = loop_matrix(plant, believed, gain=controller.gain, delay=ticks)
         return bool(np.abs(np.linalg.eigvals(loop)).max() >= 1)
 
-    # The first of all: the eigenvalue may come back into the circle.
+    # The first border counts: the eigenvalue may return into the circle.
     predicted = next(filter(grows, np.geomspace(1e-3, 0.6, 60).tolist()), None)
     return mismatch_border(stand, delay, ratio=ratio, predicted=predicted)
 
@@ -613,25 +619,28 @@ def held_mismatch_border(delay: float, *, ratio: float) -> Border:
 def loop_matrix(
     plant: tuple[Array, Array], believed: tuple[Array, Array], *, gain: Array, delay: int
 ) -> Array:  # fmt: skip
-    """Return the map of a tick, of the state and the commands on their way, both as deviations; the oldest first.
+    """Return the map of a tick for state and commands in flight (oldest first), both as deviations.
 
-    plant, believed: A (N, N), B (N,) between ticks, of the plant and of the model that predicts; gain (N,).
+    Args:
+        plant: A (N, N), B (N,) between ticks of the plant.
+        believed: A (N, N), B (N,) of the predicting model.
+        gain: (N,).
     """
     n = len(gain)
     ahead = np.eye(n, n + delay)
     for i in range(delay):
         ahead = believed[0] @ ahead
         ahead[:, n + i] += believed[1]
-    # State, commands on their way, and the new one: the first of the commands acts now, the rest wait.
+    # State, commands in flight, and the new one: the first of the commands acts now, the rest wait.
     rows: Array = np.vstack([np.eye(n + delay), -gain @ ahead])
     return np.vstack([plant[0] @ rows[:n] + plant[1][:, None] * rows[n], rows[n + 1 :]])
 
 
 RATE = 1000.0
 LIMIT = 0.5
-"""m/s²: of the pulses where counts are varied."""
+"""Size of the pulses, m/s², when counts are varied."""
 COUNTS = 40_000.0
-"""Counts per turn where the pulses are varied."""
+"""Counts per turn when the pulses are varied."""
 
 
 def held_orbit() -> SustainedOrbit:
@@ -641,7 +650,7 @@ def held_orbit() -> SustainedOrbit:
 
 
 def pulses(orbit: SustainedOrbit, sections: int, *, seconds: float) -> OgyController:
-    """Return the law that holds an orbit by `sections` pulses a period of at most LIMIT m/s²; it learns nothing."""
+    """Return the law that holds an orbit by `sections` pulses a period of at most LIMIT m/s², without learning."""
     settings = OgySettings(sections=sections, pulse_limit=LIMIT, parameter_error=0.0)
     return ogy_controller(orbit, sampled_model(load_model("lab").arms, RATE), settings, seconds=seconds)
 
@@ -663,13 +672,13 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
         title=f"Where OGY ends: Down-Up at {SADDLE_ENERGY:g} J, multiplier {orbit.multipliers[0].real:.0f} a period",
         reading=(
             "From one section to the next an error grows by about λ^(1/k), so few sections need large pulses or "
-            "encoders that nobody builds.",
+            "impossibly fine encoders.",
             f"Circles: at least half of {seeds} runs hold; crosses: fewer. Zeros of the encoders lie anywhere within a "
             "count.",
-            "How readings round depends on the orbit, and more counts may be worse in places: no formula predicts "
+            "Rounding of readings depends on the orbit, and more counts can be worse: no formula predicts "
             "these borders.",
         ),
-        chosen="16 sections a period and pulses of up to 5 m/s²: encoders of a few hundred counts would still do.",
+        chosen="16 sections a period and pulses of up to 5 m/s²: encoders of a few hundred counts would suffice.",
         parts=measured_maps(
             progress,
             (authority, lambda k: limit_border(orbit, pulses(orbit, k, seconds=seconds), **how), sections),
@@ -679,10 +688,10 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, seeds: int) -> Attempt:
-    """Return whether at least half of the runs hold the orbit, else what ended the first that did not."""
+    """Return success if at least half of the runs hold the orbit, otherwise the ending of the first failure."""
     whole = max(round(counts), 1)
     sensors = SensorSettings(counts=whole, cart_resolution=1e-6, zero_error=np.pi / whole)
-    # Zeros being estimated would need a third larger pulses at k = 16.
+    # Estimated zeros would need a third larger pulses at k = 16.
     settings = LoopSettings(
         seed=0, rate=RATE, sensors=sensors, estimator=EkfSettings(augment=()), initial_error=1e-5
     )  # fmt: skip
@@ -697,7 +706,7 @@ def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, se
 
 
 def limit_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
-    """Return the smallest limit of the pulses, m/s², with which a law holds an orbit."""
+    """Return the smallest limit of the pulses, m/s², that lets a law hold an orbit."""
 
     def probe(limit: float) -> Attempt:
         return holds(orbit, replace(law, pulse_limit=limit), counts=COUNTS, seeds=seeds)
@@ -706,7 +715,7 @@ def limit_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio
 
 
 def counts_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
-    """Return the fewest counts per turn with which a law holds an orbit, from coarse encoders to none that exist."""
+    """Return the fewest counts per turn that let a law hold an orbit, from coarse to impossibly fine encoders."""
 
     def probe(counts: float) -> Attempt:
         return holds(orbit, law, counts=counts, seeds=seeds)
@@ -715,11 +724,11 @@ def counts_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, rati
 
 
 SECONDS = 10.0
-"""Of the runs that lose samples."""
+"""Duration of the runs that lose samples."""
 BEFORE = 0.5
-"""s of the run before a sensor sticks, at least."""
+"""Least time of the run before a sensor sticks, s."""
 MOVED, STILL = 0.02, 0.015
-"""rad and s: what distinguishes a stuck joint from a still one."""
+"""Least angle in rad and time in s that distinguish a stuck joint from a still one."""
 
 
 def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
@@ -740,7 +749,7 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
         title="Where estimates end: samples lost, an encoder stuck",
         reading=(
             "Left: the filter flies through gaps on its model; the supervisor ends the run after 0.1 s without any.",
-            "Right: a stuck encoder is recognised by what the arm should have done meanwhile.",
+            "Right: a stuck encoder is recognised by the motion expected of the arm.",
             "Circles run to the end, crosses end with the sentence in the data; diamonds are predicted.",
         ),
         chosen="0.1 s without a sample: an error at Down-Up grows 2.2-fold in it, far within authority.",
@@ -755,9 +764,9 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def arriving(rate: float, *, missing: float, seconds: float) -> float:
-    """Return the samples per s that must arrive for half of the runs to see no gap longer than `missing` s."""
+    """Return the samples per s required for half of the runs to have no gap longer than `missing` s."""
     ticks, gap = seconds * rate, math.floor(missing * rate + 1e-9) + 1
-    # Gaps become more with p up to p = m / (m + 1); the border lies below.
+    # The number of gaps grows with p up to p = m / (m + 1); the border lies below.
 
     def excess(p: float) -> float:
         return ticks * (1 - p) * p**gap - math.log(2)
@@ -766,7 +775,7 @@ def arriving(rate: float, *, missing: float, seconds: float) -> float:
 
 
 def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, seeds: int) -> Border:
-    """Return how many samples per s must arrive for half of the runs to hold the equilibrium for ten seconds."""
+    """Return the samples per s required for half of the runs to hold the equilibrium for ten seconds."""
     settings = LoopSettings(seed=0, rate=rate, controller=HoldSettings(), initial_error=0.01)
     controller = hold_controller(equilibrium, sampled_model(arms, rate), HoldSettings(), seconds=SECONDS)
     reference = still(controller.state, SECONDS, method=method_named("radau-7"), limits=Limits(), interval=1.0)
@@ -785,7 +794,7 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
 
 
 def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> float:
-    """Return the seconds after which a reading that sticks at `since` s on the clock differs from a still arm's."""
+    """Return the time after which a reading stuck at `since` s differs from a still arm's, s."""
     after = np.arange(0.0, orbit.period, 1e-3)
     angles = orbit.state(since + after)
     joint = angles[:, sensor] - (angles[:, sensor - 1] if sensor else 0.0)
@@ -793,7 +802,7 @@ def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> floa
 
 
 def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: float) -> Border:
-    """Return the seconds for which a run that holds an orbit goes on after its encoder has stuck."""
+    """Return the time from the sticking of an encoder to the end of a run that holds an orbit, s."""
     model = sampled_model(arms, RATE)
     at = round((math.ceil(BEFORE / orbit.period) + phase) * orbit.period, 3)
     settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=at, stuck_sensor=1))
@@ -803,7 +812,7 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
         run = Assembly(orbit.reference, arms, settings, law=controller).simulate()
         return Attempt(run.ending is Ending.FINISHED, "" if run.ending is Ending.FINISHED else run.reason)
 
-    # What must pass at least: the filter's doubt comes on top.
+    # A lower bound: the delay of the filter's test is added to it.
     least = earliest_report(orbit, at % orbit.period, sensor=1)
     return find_border(probe, x=phase, line=f"{phase:g}", near=least / 2, far=8 * least, ratio=1.1, unit=1e-3)
 
@@ -813,31 +822,31 @@ FOLLOWED = (
     ("cross", "tvlqr"), ("cross", "adaptive"), ("turn-from-rest", "tvlqr"), ("turn-from-rest", "adaptive"),
     ("up-up", "adaptive"),
 )  # fmt: skip
-"""Itineraries and laws whose margins are compared with campaigns; a quick chart has the first three."""
+"""Itineraries and laws for comparing margins with campaigns; a quick chart has the first three."""
 MARGIN_ERROR = 2e-3
-"""rad on each angle at the start: small, so that stability decides and not the size of what it has to bear."""
+"""Initial error of each angle, rad: small, so that stability decides and not the size of the disturbance."""
 STAYED = 10.0
-"""s, for which a stay lasts."""
+"""Duration of a stay, s."""
 ASTRAY = 0.3
-"""rad from the reference over a run's last tenth: what is farther off was not held."""
+"""Largest distance from the reference over the last tenth of a successful run, rad."""
 TRIED = 10.0
-"""The greatest gain that a simulated drive has: what a loop bears beyond it is not tried."""
+"""Greatest gain of a simulated drive; larger ones are not tried."""
 CHATTER = 3.0
-"""m/s² rms of the feedback, which stays below 1 while the loop is stable: more is a swing that limits alone contain."""
+"""Limit of the feedback, m/s² rms. It stays below 1 in a stable loop; above, only limits contain a swing."""
 SHORT = 1.0
-"""By what share a border may lie beyond its margin: a flight ends before what grows slowly has grown."""
+"""Share by which a border may exceed its margin: a flight can end before a slow instability has grown."""
 
 
 @dataclass(frozen=True, eq=False)
 class FollowedReference:
-    """What follows a reference, with its margins, in runs of `seeds` seeds."""
+    """A loop that follows a reference, with its margins, in runs of `seeds` seeds."""
 
     assembly: Assembly
     margins: Mapping[str, float]
     seeds: int
 
     def run(self, *, gain: float = 1.0, delay: float = 0.0, lag: float = 0.0) -> Attempt:
-        """Return whether half of the seeds hold on to the reference with a drive that is so unlike the one believed."""
+        """Return success if half of the seeds stay at the reference with this deviation of the drive."""
         believed, rate = self.assembly.delay, self.assembly.settings.rate
         drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=believed + delay * rate)
         other = self.assembly.under(replace(self.assembly.settings, drive=drive))
@@ -847,7 +856,7 @@ class FollowedReference:
 
 
 def _astray(run: BatchRun) -> str:
-    """Return why a run did not hold on to its reference, "" where it did."""
+    """Return the reason why a run left its reference, or ""."""
     if run.ending is not Ending.FINISHED:
         return run.reason
     if run.rms_feedback > CHATTER:
@@ -873,7 +882,7 @@ def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
 
 
 def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float) -> Border:
-    """Return the border of gain_low, gain_high, delay or lag, beside its margin."""
+    """Return the border of gain_low, gain_high, delay or lag, with its margin."""
     loop, key = followed(*case, seeds), name.partition("_")[0]
     predicted = loop.margins[name]
     near, far = {"gain_low": (1.0, predicted / 4), "gain_high": (1.0, min(4 * predicted, TRIED))}.get(
@@ -907,13 +916,13 @@ def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
     ]  # fmt: skip
     return EdgeChart(
         name="edges-margins",
-        title="Margins of the loop, and where campaigns end",
+        title="Margins of the loop, and borders of campaigns",
         reading=(
-            f"Borders: where half of {seeds} runs are lost, or swing within the limits; the drive is not as believed.",
-            "Diamonds: the margins, by multipliers over a period where the motion repeats itself, by growth over a "
+            f"Borders: at half of {seeds} runs lost, or swinging within the limits; the drive differs from the model.",
+            "Diamonds: the margins, from multipliers over a period of a repeating motion, or from growth over a "
             "wobble along flights.",
-            "A flight may end before what grows has grown, so its border may lie beyond its margin.",
+            "A flight may end before a slow instability has grown, so its border may lie beyond its margin.",
         ),
-        chosen=f"Margins as `plan --margins` shows them; a border up to {1 + SHORT:g} times as far counts as agreeing.",
+        chosen=f"Margins as shown by `plan --margins`; a border up to {1 + SHORT:g} times as far counts as agreeing.",
         parts=measured_maps(progress, *maps),
     )

@@ -1,8 +1,8 @@
-"""Chart of an itinerary's effort over energies: is its own a good choice?
+"""Chart of an itinerary's effort over energies, to judge the chosen one.
 
-A walk of the same connections exists at many energies: they are followed from the itinerary's own, since its symbols
-may stand for other ones there. Each is planned, and flown by the itinerary's own law on plants that are off by 5 %;
-what counts is ∫u² of the whole loop, reference and correction, of the runs that complete it.
+A walk of the same connections exists at many energies. The connections are continued from the itinerary's energy,
+because its symbols may mean others elsewhere. Each walk is planned, and flown by the itinerary's law on plants with 5 %
+mismatch. The result is ∫u² of the whole loop, reference and correction, over completed runs.
 """
 
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ from dpcontrol.walks.symbols import parse_walk
 
 MISMATCH = 0.05
 ENERGIES = (0.25, 0.4, 0.65, 1.0, 1.5, 2.5)
-"""Times the itinerary's own energy above that of its highest saddle."""
+"""Energies to try, as multiples of the itinerary's energy above that of its highest saddle."""
 RUNS = 16
 POOR = 1.1
-"""Times the least effort found that an itinerary may take before its energy is called a poor choice."""
+"""Multiple of the least effort above which an itinerary's energy is a poor choice."""
 
 
 def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> PrecisionChart:
@@ -35,7 +35,7 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
 
     Raises:
         InputError: the itinerary is not one walk at one energy.
-        GoalMissed: its own energy cannot be planned, or no run comes through.
+        GoalMissed: its energy cannot be planned, or no run completes.
     """
     walk, system = only_walk(itinerary), itinerary.model.system
     symbols = parse_walk(walk.walk, system.saddles)
@@ -72,7 +72,7 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
             note = f"{found['completed']:.0%} come through"
             points.append(Point("loop", label, energy - floor, found["loop"], default=own, note=note, others=found))
         else:
-            missing.append(Missing("loop", label, f"no run comes through at ±{MISMATCH:.0%}"))
+            missing.append(Missing("loop", label, f"no run completes at ±{MISMATCH:.0%}"))
     if not any(p.default for p in points):
         raise GoalMissed(f"{itinerary.name}: nothing to compare with at its own energy: {missing[0].reason}")
     panel = Panel(
@@ -81,15 +81,15 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
     )  # fmt: skip
     followed = f"The connections of {walk.energy:.4g} J are followed to the other energies."
     if moved:
-        others = f"There symbols alone stand for other ones: {', '.join(moved)}"
-        followed += f" {others}; `dpcontrol walk --compare` reports from where on."
+        others = f"There the symbols alone mean others: {', '.join(moved)}"
+        followed += f" {others}; `dpcontrol walk --compare` reports the first such energy."
     return PrecisionChart(
         name=f"{itinerary.name}-energies",
         title=f"{itinerary.name}: effort over energies",
         reading=(
-            "A mark is the whole itinerary planned at one energy, the ring its own.",
-            "reference: the effort of the plan alone, on a plant that is the model.",
-            f"loop: mean effort of the runs that complete it, of {RUNS} plants off by {MISMATCH:.0%}. {followed}",
+            "A mark is the whole itinerary planned at one energy; the ring marks the itinerary's.",
+            "reference: the effort of the plan alone, on a plant equal to the model.",
+            f"loop: mean effort of completed runs, of {RUNS} plants off by {MISMATCH:.0%}. {followed}",
         ),
         chosen=energy_text(walk.energy, points),
         parts=(panel,),
@@ -97,10 +97,10 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
 
 
 def only_walk(itinerary: Itinerary) -> WalkPart:
-    """Return the one walk that an itinerary is.
+    """Return the single walk of an itinerary.
 
     Raises:
-        InputError: it is something else.
+        InputError: the itinerary has other parts.
     """
     if len(itinerary.parts) == 1 and itinerary.walks:
         return itinerary.walks[0]
@@ -112,8 +112,8 @@ def only_walk(itinerary: Itinerary) -> WalkPart:
 
 
 def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, float]:
-    """Return the effort of the reference and of the loop, and the share of runs completed, of a walk at its energy."""
-    # Not kept: a plan's notes quote the itinerary's text, which has another energy.
+    """Return the effort of reference and loop, and the share of completed runs, of a walk at its energy."""
+    # The plan is not cached: its notes quote the itinerary's text, which has another energy.
     reference, notes, arrays = planned(replace(itinerary, parts=(walk,)))
     if not reference.converged:
         raise GoalMissed(reference.status)
@@ -131,7 +131,7 @@ def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, floa
 
 
 def energy_text(own: float, points: Sequence[Point]) -> str:
-    """Return whether another energy takes less effort with feedback, in a sentence; most completed runs count first."""
+    """Return a sentence on energies with less effort under feedback; most completed runs count first."""
     loops = [p for p in points if p.method == "loop"]
     most = max(p.others["completed"] for p in loops)
     best = min((p for p in loops if p.others["completed"] == most), key=lambda p: p.error)

@@ -2,7 +2,7 @@
 
     minimise ∫ u² + ρ |v|² dt      subject to  ẋ = f(x, u) + (0, v, 0), the cart's limits, the ends;   ρ: rising
 
-While v is cheap any curve between the ends is a motion, so the first program always has a solution; each solution
+While v is cheap any curve between the ends is a motion, so the first program always has a solution. Each solution
 starts the next. Trapezoidal collocation on an even mesh gives a first guess for the true program.
 
 Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4; Nocedal & Wright,
@@ -21,7 +21,7 @@ from dpcontrol.references.problem import ReferenceProblem, state_scale
 
 @dataclass(frozen=True)
 class HomotopySettings:
-    """Step of the mesh, s; prices of the virtual accelerations, in turn; iterations of the solver at each price."""
+    """Step of the mesh, s, sequence of prices of the virtual accelerations, and solver iterations at each price."""
 
     step: float = 0.025
     prices: tuple[float, ...] = (1e-2, 1.0, 1e2)
@@ -29,7 +29,7 @@ class HomotopySettings:
 
 
 def by_homotopy(problem: ReferenceProblem, settings: HomotopySettings | None = None) -> tuple[Array, Array, float]:
-    """Return states (K, N) and inputs (K,) to which the homotopy leads from the problem's guess, and their step, s."""
+    """Return states (K, N) and inputs (K,) from a homotopy that starts at the problem's guess, and their step, s."""
     settings = settings or HomotopySettings()
     e, nx = problem.equations, problem.equations.dimension
     n, count = nx // 2 - 1, int(np.ceil(problem.duration / settings.step)) + 1

@@ -1,9 +1,9 @@
-"""Chart of model levels: what each costs, and what goes wrong where it is left out, on a scene's own motion.
+"""Chart of model levels: the cost of each and the error of omitting it, on a scene's motion.
 
     conservative ⊂ dissipative ⊂ cart ⊂ drive ⊂ force          (see `dpcontrol.dynamics`)
 
-*Motion*: from states along the scene's reference each level flies 0.1 s with the reference's input; the error is the
-distance from what the fullest level does. *Closed loop*: campaigns of the scene with a reference, or on a plant, of
+*Motion*: from states along the scene's reference each level flies 0.1 s with the reference's input. The error is the
+distance from the fullest level. *Closed loop*: campaigns of the scene with a reference, or on a plant, of
 each level. The rig's drive is not identified; the values below are those of a common servo with a linear motor.
 """
 
@@ -41,21 +41,21 @@ from dpcontrol.scenes.run_options import RunOptions
 WINDOW, TICK = 0.1, 1e-3
 WINDOWS = 64
 LONGEST_STAY = 10.0
-"""s: a stay is the same from period to period."""
+"""Length of a stay, s, which repeats its period."""
 _LOWER = {"conservative": Level.CONSERVATIVE, "dissipative": Level.DISSIPATIVE}
 MOTION_LEVELS = (*_LOWER, *PLANT_LEVELS)
 _FLOOR = 1e-11
-"""Scaled: what the propagation itself errs by, so what two equal levels may differ by."""
+"""Scaled error of the propagation, and so the least difference between two levels."""
 _PLAN_FLOOR = 1e-4
-"""s: of a reference that needs no solver, what it takes to put it together at least."""
+"""Least time to assemble a reference that needs no solver, s."""
 _WHY = (
-    "the cart level holds all that the rig's identified values support; its drive is not identified, so what the "
-    "levels above add is there for those who know theirs"
+    "the cart level uses all of the rig's identified values; its drive is not identified, so the higher levels are "
+    "for users with a known drive"
 )
 
 
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart; quick: one scene and fewer seeds. The whole table of scenes is the package's own evidence."""
+    """Return the chart; quick: one scene and fewer seeds. The package's evidence covers all scenes."""
     names = ("outer-turn",) if quick else ("outer-turn", "cross", "up-up")
     panels: list[Panel] = []
     for k, name in enumerate(names):
@@ -63,19 +63,19 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
         panels += _panels(load_itinerary(name), seeds=4 if quick else 20)
     return PrecisionChart(
         name="levels",
-        title="Levels of the model: what each costs, and what leaving the next ones out does",
+        title="Levels of the model: cost of each, and error of omitting the higher ones",
         parts=tuple(panels),
         reading=(
-            f"Motion: a second of motion's time against the arms' distance, after {WINDOW:g} s, from what the fullest "
-            f"level does: a cart of {CART_MASS:g} kg, pushed by the arms, its drive's lag {LAG * 1e3:g} ms.",
-            "Reference: the solver's time against the effort on a plant that is the model: without friction and cart "
-            "in the reference the feedback has to make up for both.",
-            "Plant: time against the tracking error's difference from the fullest plant; the data hold effort and how "
-            "many runs complete. A level is enough where neither error nor completion changes by more than a fifth.",
+            f"Motion: time for a second of motion against the arms' distance, after {WINDOW:g} s, from the fullest "
+            f"level. That is a cart of {CART_MASS:g} kg, pushed by the arms, with a drive lag of {LAG * 1e3:g} ms.",
+            "Reference: the solver's time against the effort on a plant equal to the model. Without friction and cart "
+            "in the reference, the feedback has to make up for both.",
+            "Plant: time against the tracking error's difference from the fullest plant. The data hold effort and "
+            "completed runs. A level is enough if neither error nor completion changes by more than a fifth.",
         ),
         chosen=(
             "References at the cart level: a conservative one is made at once and costs the loop more. Plants at the "
-            "cart level; a drive's lag changes effort, hardly error. `plan` and `run` say where a scene differs."
+            "cart level; a drive's lag changes effort, hardly error. `plan` and `run` report scenes that differ."
         ),
     )  # fmt: skip
 
@@ -88,7 +88,7 @@ def _panels(scene: Itinerary, *, seeds: int) -> list[Panel]:
         f"{scene.name}: motion", "s per second of motion",
         f"arms' distance from the fullest level after {WINDOW:g} s (scaled)", why=_WHY,
         points=tuple(p for p in found.points if p.method != fullest),
-        missing=(Missing(fullest, "", "the fullest level: what the others are measured by"),),
+        missing=(Missing(fullest, "", "the fullest level, to which the others are compared"),),
     )  # fmt: skip
     made = {level: max(plan.reference.solve_seconds, _PLAN_FLOOR) for level, plan in plans.items()}
     efforts = {level: runs.effort for level, runs in evidence.references.items()}
@@ -133,8 +133,9 @@ def plant_at(level: str, arms: ArmChainParameters) -> PlantParameters:
 
 
 def motions(reference: Reference, arms: ArmChainParameters) -> Panel:
-    """Return seconds per second of motion, and the rms scaled error of a window against the fullest level, of every
-    level on a reference's own motion.
+    """Return the time per second of motion and the rms scaled error of every level on a reference's motion.
+
+    The error is that after a window, against the fullest level.
     """
     n = arms.count
     starts = np.linspace(reference.mesh[0], reference.mesh[-1] - WINDOW, WINDOWS)
@@ -162,7 +163,7 @@ def motions(reference: Reference, arms: ArmChainParameters) -> Panel:
 
 
 def _flown(plant: PlantParameters, first: Array, inputs: Array) -> Array:
-    """Return states (N, S) after `inputs` (K, S), held for a tick each, from the cart level's states (N, S)."""
+    """Return states (N, S) after `inputs` (K, S), each held for a tick, from the cart level's states (N, S)."""
     step = plant_step(plant.arms.count, plant.level, friction=plant.arms.friction)
     state = first if plant.level is PlantLevel.CART else np.vstack([first, inputs[0]])
     given = np.zeros((step.size_in, state.shape[1]))
@@ -175,7 +176,7 @@ def _flown(plant: PlantParameters, first: Array, inputs: Array) -> Array:
 
 
 def _tick(level: str, arms: ArmChainParameters, first: Array, command: float) -> Callable[[], Array]:
-    """Return what a tick of a level costs, as a function to be timed."""
+    """Return a function to time that computes a tick of a level."""
     if level in _LOWER:
         own = arms.frictionless() if level == "conservative" else arms
         equations, numbers, size = equations_of(own, _LOWER[level]), own.base(), 2 * arms.count
@@ -191,14 +192,14 @@ def _tick(level: str, arms: ArmChainParameters, first: Array, command: float) ->
 
 
 def can_be_conservative(itinerary: Itinerary) -> bool:
-    """Tell whether a scene can do without friction and cart in its reference: one walk from orbit to orbit, in one."""
+    """True if a scene's reference can omit friction and cart: one walk between orbits, in one piece."""
     alone = len(itinerary.parts) == 1 and isinstance(itinerary.parts[0], WalkPart)
     return alone and not itinerary.keeps and (itinerary.start, itinerary.finish) == ("orbit", "orbit")
 
 
 def gather(itinerary: Itinerary, *, seeds: int) -> tuple[Evidence, dict[str, Plan]]:
-    """Return a scene's evidence: its reference's levels on the model itself, its plant's levels; and its plans."""
-    # Stays last no longer than what shows how all go on.
+    """Return a scene's evidence, from its reference's levels on the model and its plant's levels, and its plans."""
+    # Stays are limited to a duration that shows their course.
     parts = (
         replace(part, seconds=min(part.seconds, LONGEST_STAY)) if isinstance(part, HoldPart | OrbitPart) else part
         for part in itinerary.parts
@@ -206,8 +207,8 @@ def gather(itinerary: Itinerary, *, seeds: int) -> tuple[Evidence, dict[str, Pla
     short = replace(itinerary, parts=tuple(parts))
     levels = REFERENCE_LEVELS if can_be_conservative(itinerary) else REFERENCE_LEVELS[-1:]
     plans = {level: make_plan(replace(short, reference=replace(short.reference, level=level))) for level in levels}
-    # One run on a plant that is the model, started on the reference, and runs on plants of each level. The first is by
-    # feedback alone: what an adaptive law finds of the arms there is noise, and would pass for the reference's.
+    # One run uses a plant equal to the model, started on the reference; the others use plants of each level. The first
+    # uses feedback alone: the parameter estimates of an adaptive law would be noise, attributed to the reference.
     exact = replace(short.loop, mismatch=0.0, initial_error=0.0)
     if isinstance(exact.controller, AdaptiveSettings):
         exact = overridden(exact, RunOptions(controller=TvlqrSettings.kind))

@@ -1,10 +1,10 @@
 """Chart of log formats, their chunks and their compression: loss on a kill and size against the time of a message.
 
-Every format holds the same run. A message's time is the run's logging time over its messages, five or six a tick; the
-formats that are no messages hold the same numbers, and are divided by the same count.
+Every format holds the same run. The time of a message is the run's logging time over its messages, five or six per
+tick. Formats without messages hold the same numbers, and are divided by the same count.
 
-A kill takes what the process holds and leaves what it has handed to the system. So a copy of the file, made while the
-run goes on, is what a kill at that moment would have left; it is read by whatever the format offers for a cut file.
+A kill loses the data in the process and keeps those passed to the system. A copy of the file during the run is
+therefore equal to the remains after a kill. It is read with each format's method for cut files.
 """
 
 import csv
@@ -38,11 +38,11 @@ from dpcontrol.scenes.run_options import RunOptions
 pa, pq = Later("pyarrow"), Later("pyarrow.parquet")
 
 SURVIVES = 0.25
-"""Share of a run: a format that loses more on average keeps nothing worth having."""
+"""Limit of the mean loss as a share of a run; a format above it keeps too little."""
 _SEED = 5
 _WHY = (
-    "what is lost is a chunk and never more, and a chunk of 20 ms is as little as the loop itself holds back; longer "
-    "ones are quicker by little and lose more"
+    "the loss is one chunk at most, and a chunk of 20 ms is as short as the loop's buffer; longer "
+    "ones are slightly faster and lose more"
 )
 
 
@@ -78,15 +78,15 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
                         timed=False),
         ),
         reading=(
-            "Left: seconds of a run that a kill takes, the tick under way included; npz and parquet lose all of it: "
+            "Left: seconds of a run lost by a kill, including the current tick. npz and parquet lose all of it: "
             "they are readable only when complete.",
             "Middle: bytes of a tick, of formats that keep most of a run. MCAP holds messages with types, times and "
             "checksums; the tables hold bare columns of numbers.",
-            "Right: our own writer by length of chunk and zstd's level: longer chunks pack better and lose more.",
+            "Right: the package's writer by length of chunk and zstd's level: longer chunks pack better and lose more.",
         ),
         chosen=(
-            "Chunks of 20 ms at zstd's level 1, written as arrays: making the messages included, no slower than mcap's "
-            "own writer with ready-made ones, and never more lost than a chunk. Higher levels: twice the time for 2 %."
+            "Chunks of 20 ms at zstd's level 1, written as arrays: including message assembly no slower than mcap's "
+            "writer with prepared ones, and never more lost than a chunk. Higher levels: twice the time for 2 %."
         ),
     )  # fmt: skip
 
@@ -97,7 +97,7 @@ def _size(point: Point) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LoggedRun:
-    """A run's ticks, and where its log is or shall be."""
+    """Ticks of a run, and the path of its log."""
 
     ticks: Ticks
     log: Path
@@ -106,19 +106,19 @@ class LoggedRun:
 
     @cached_property
     def messages(self) -> Messages:
-        """The log's messages, ready-made."""
+        """Prepared messages of the log."""
         return messages_of(self.log)
 
     @cached_property
     def rows(self) -> Array:
-        """All numbers of the ticks side by side (K, M)."""
+        """All numbers of the ticks as columns (K, M)."""
         t = self.ticks
         assert t.truth is not None
         return np.column_stack([t.times, t.measured, t.estimates, t.references, t.truth, t.control])
 
     @cached_property
     def lines(self) -> list[list[float]]:
-        """The rows as Python's numbers."""
+        """The rows as Python numbers."""
         return self.rows.tolist()
 
     @cached_property
@@ -128,14 +128,14 @@ class LoggedRun:
 
 
 class Format(ABC):
-    """A way to log: `begin` a file, hand over ticks in order, `end` it; `left` reads what a kill leaves."""
+    """A log format: `begin` a file, `add` ticks in order, `end` it; `left` reads the remains after a kill."""
 
     method: str
     setting: str
     default = False
     outside = True
     block = 1
-    """Ticks that are handed over at once."""
+    """Ticks passed at once."""
 
     @abstractmethod
     def begin(self, path: Path, run: LoggedRun) -> None:
@@ -143,7 +143,7 @@ class Format(ABC):
 
     @abstractmethod
     def add(self, first: int, until: int) -> None:
-        """Take the ticks from `first` up to `until`."""
+        """Write the ticks from `first` up to `until`."""
 
     @abstractmethod
     def end(self) -> None:
@@ -151,10 +151,10 @@ class Format(ABC):
 
     @abstractmethod
     def left(self, path: Path) -> int:
-        """Return how many ticks can be read of a cut file."""
+        """Return the number of readable ticks in a cut file."""
 
     def growing(self, path: Path) -> Path:
-        """Return where the file is while it grows."""
+        """Return the path of the growing file."""
         return path
 
 
@@ -170,7 +170,7 @@ class Blocks(Format):
 
     def begin(self, path: Path, run: LoggedRun) -> None:
         self._ticks = run.ticks
-        # The loop hands over twenty at a time.
+        # The loop passes twenty ticks at a time.
         self.block = min(20, max(1, round(self._chunk * run.rate_hz)))
         self._log = LogWriter(path, arm_lengths=run.arm_lengths, rate_hz=run.rate_hz, chunk_seconds=self._chunk,
                               compression=self._level)  # fmt: skip
@@ -192,7 +192,7 @@ class Blocks(Format):
 
 
 class ByMessage(Format):
-    """The mcap package's own writer, one message at a time."""
+    """The writer of the mcap package, one message at a time."""
 
     def __init__(self, chunk_bytes: int, compression: str = "zstd") -> None:
         self.method = "mcap's writer"
@@ -243,7 +243,7 @@ class Lines(Format):
 
 
 class Arrays(Format):
-    """NumPy's .npz, written when the run has ended; compressed or not."""
+    """NumPy's .npz, written after the run; compressed or not."""
 
     def __init__(self, *, compressed: bool) -> None:
         self.method, self.setting = "npz", "compressed" if compressed else "plain"
@@ -312,7 +312,7 @@ def _hand_over(kind: Format, first: int, until: int) -> None:
 
 
 def trials(kinds: list[Format], folder: Path, run: LoggedRun, *, kills: int, progress: Progress) -> Panel:
-    """Return what formats lose of a run at kills against the seconds of a message."""
+    """Return the loss of each format at kills against the seconds of a message."""
     count = len(run.ticks.times)
 
     def written(kind: Format, path: Path) -> tuple[Format, Path]:
@@ -338,13 +338,13 @@ def trials(kinds: list[Format], folder: Path, run: LoggedRun, *, kills: int, pro
 
 
 def losses(kind: Format, path: Path, run: LoggedRun, *, kills: int) -> list[float]:
-    """Return the seconds lost at kills at random ticks; a tick that was under way counts."""
+    """Return the seconds lost at kills at random ticks, including the current tick."""
     count = len(run.ticks.times)
     moments = np.sort(np.random.default_rng(_SEED).integers(count // 10, count, kills))
     lost, done = [], 0
     kind.begin(path, run)
     for k, moment in enumerate(moments.tolist()):
-        # What is handed over in blocks waits until a block is full.
+        # Ticks passed in blocks wait until a block is full.
         until = moment // kind.block * kind.block
         _hand_over(kind, done, until)
         done = until

@@ -1,12 +1,12 @@
-"""Times of repeated work: processor time of this process on one core, the first call apart.
+"""Times of repeated work: processor time of this process on one core, with the first call separate.
 
-Processor time leaves out what other programs take of a busy machine, but not that a processor is at times half as quick
-as at others, for a tenth of a second or for many. So what is to be compared is measured in turns, and between the turns
-a yardstick, work of scipy alone. A short measurement that took d beside yardsticks of a mean of y counts as
+Processor time excludes other programs on a busy machine. However, a processor can run at half speed, for a tenth of a
+second or for many. The candidates are therefore measured in turns, with a yardstick of scipy alone between the turns.
+A short measurement d, beside yardsticks with mean y, counts as
 
     d ỹ / y,        ỹ the median of all yardsticks
 
-(a long one averages over such times itself), and the median of the repeats counts. Work shorter than the clock's grain
+(a long one averages over such periods), and the median of the repeats counts. Work shorter than the clock's resolution
 is repeated within one measurement.
 """
 
@@ -32,20 +32,18 @@ T = TypeVar("T")
 Key = TypeVar("Key", bound=Hashable)
 
 GRAIN = 2e-3
-"""s: what one measurement takes at least."""
+"""Least duration of a measurement, s."""
 _FIRST_GUESS = 20
-"""Calls from which the time of one short call is guessed."""
+"""Number of calls that estimates the time of one short call."""
 _EVERY = 0.02
-"""s from one yardstick to the next: less than the machine keeps one speed, and many times a yardstick's own time."""
+"""Time between yardsticks, s: shorter than the machine's speed changes, much longer than a yardstick."""
 _SHORT = 0.05
-"""s: below, a measurement is corrected by the yardsticks beside it; medians of 15 then spread a third as much."""
+"""Limit of the correction by adjacent yardsticks, s; below it medians of 15 then spread a third as much."""
 
 
 @dataclass(frozen=True)
 class Timed(Generic[T]):
-    """Median seconds of a call, the extra seconds of the first one, the first one's result, and the yardstick's median
-    seconds meanwhile.
-    """
+    """Median seconds of a call, extra seconds and result of the first one, and the yardstick's median seconds."""
 
     seconds: float
     start_up: float
@@ -54,7 +52,7 @@ class Timed(Generic[T]):
 
 
 def yardstick() -> float:
-    """Return processor seconds of a flight by scipy's DOP853, without anything of this project's."""
+    """Return the processor seconds of a flight by scipy's DOP853, without any code of this package."""
 
     def rate(_: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.array([10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]])
@@ -79,10 +77,12 @@ def timed_in_turns(
 ) -> dict[Key, Timed[T]]:
     """Call each function once, then measure all of them once in each of `rounds`, for at least `grain` s each.
 
-    most: s of a function's own after which it is measured no more, if it was `least` times. worth: says of a key and
-    its first result whether its time is of interest; else the first call's is all there is. starts_up: False for work
-    that compiles nothing, whose first call counts like the others. beside: seconds of the yardstick. progress: called
-    at each first call and each round.
+    Args:
+        most: measuring time of a function, s, after which it is skipped once measured `least` times.
+        worth: decides by key and first result; without worth the first call is the only one.
+        starts_up: False for work without compilation, whose first call counts like the others.
+        beside: duration of the yardstick, s.
+        progress: called at each first call and each round.
     """
     speed = _Speed(clock, beside)
     measured = {key: _Measured(function, grain, speed) for key, function in functions.items()}
@@ -100,7 +100,7 @@ def timed_in_turns(
 
 
 class _Speed:
-    """How long the yardstick took, over the clock's time."""
+    """Duration of the yardstick over the clock's time."""
 
     def __init__(self, clock: Callable[[], float], beside: Callable[[], float]) -> None:
         self.clock, self._beside = clock, beside
@@ -108,7 +108,7 @@ class _Speed:
         self._took: list[float] = []
 
     def ask(self, *, now: bool = False) -> None:
-        """Measure the yardstick, if the last one is some time ago."""
+        """Measure the yardstick unless the last measurement is recent."""
         if now or not self._when or self.clock() - self._when[-1] >= _EVERY:
             self._took.append(self._beside())
             self._when.append(self.clock())
@@ -119,7 +119,7 @@ class _Speed:
         return statistics.median(self._took)
 
     def at(self, begin: float, end: float) -> float:
-        """Return the mean seconds of the yardsticks before and after a stretch of time."""
+        """Return the mean seconds of the yardsticks before and after a period."""
         before = int(np.searchsorted(self._when, begin, side="right")) - 1
         after = int(np.searchsorted(self._when, end, side="left"))
         return (self._took[max(before, 0)] + self._took[min(after, len(self._took) - 1)]) / 2
@@ -135,7 +135,7 @@ class _Measured(Generic[T]):
         self.going = True
 
     def start(self, *, worth: Callable[[T], bool], starts_up: bool) -> None:
-        """Make the first call, and find how many calls make a measurement."""
+        """Make the first call, and determine the number of calls in a measurement."""
         self._first = once = self.stretch()
         self._result = self._last
         self.going = worth(self._result)
@@ -151,7 +151,7 @@ class _Measured(Generic[T]):
         self._calls = max(1, round(self._grain * _FIRST_GUESS / (end - begin))) if end > begin else 1000
 
     def stretch(self) -> tuple[float, float]:
-        """Make the calls of one measurement; return when it began and ended."""
+        """Make the calls of one measurement; return its begin and end."""
         self._speed.ask()
         begin = self._speed.clock()
         for _ in range(self._calls):
@@ -161,7 +161,7 @@ class _Measured(Generic[T]):
         return begin, end
 
     def timed(self) -> Timed[T]:
-        """Return what was found."""
+        """Return the result of all measurements."""
         first = self._corrected(*self._first)
         found = [self._corrected(begin, end) / self._calls for begin, end in self.found]
         seconds = statistics.median(found) if found else first
@@ -174,7 +174,7 @@ class _Measured(Generic[T]):
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Keep this process on one core while the block runs, where the system allows it."""
+    """Restrict this process to one core while the block runs, if the system allows it."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -188,7 +188,7 @@ def one_core() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Alternative(Generic[T]):
-    """A method at one setting: `work` is what is timed; it does `units` of what a point's time is of."""
+    """A method at one setting: `work` is timed and does `units` units of a point's time."""
 
     method: str
     setting: str
@@ -200,7 +200,7 @@ class Alternative(Generic[T]):
 
 @dataclass(frozen=True)
 class Judged:
-    """What is thought of a result: its error, further measures, a note."""
+    """Judgement of a result: its error, further measures, a note."""
 
     error: float
     others: Mapping[str, float] = field(default_factory=dict)
@@ -211,12 +211,10 @@ def compare(
     alternatives: Sequence[Alternative[T]], judge: Callable[[Alternative[T], T], Judged | str], rounds: int = 31,
     *, starts_up: bool = True, **turns: Any,
 ) -> Panel:  # fmt: skip
-    """Time alternatives in turns and judge each with what its first call returns: a text is why it has no point.
+    """Time alternatives in turns and judge the result of each first call; a text is the reason for a missing point.
 
-    Returns the points as a diagram that has no title yet.
-
-    Work that raises an ArithmeticError, RuntimeError or GoalMissed has none either. rounds, starts_up and turns: of
-    `timed_in_turns`.
+    Returns the points as a diagram without a title. Work that raises an ArithmeticError, RuntimeError or GoalMissed has
+    no point. `rounds`, `starts_up` and `turns` are passed to `timed_in_turns`.
     """
     judged: dict[int, Judged | str] = {}
 

@@ -1,22 +1,23 @@
-"""Chart of what tubes buy: flights found along tubes against direct optimisation that does not know them.
+"""Chart of the value of tubes: flights found along tubes against direct optimisation without them.
 
-Every flight is one program, whoever solves it:
+Every flight is one program, regardless of the method:
 
     minimise ∫ u² dt      subject to  ẋ = f(x, u), the cart's limits, x(0) on one sustained orbit, x(T) on the other
 
-at the cart level with friction, by one transcription, solver, tolerance and limit of iterations. The methods differ in
-where the search starts: on the orbit that shadows the tubes' connection; on a smooth curve from end to end; on that
-curve with random waves; on what random inputs do from the start; on what the cross-entropy method (CEM) finds, which
-shoots forward with held inputs; on where a homotopy leads from waves (`dpcontrol.bench.homotopy`). The end state holds
-the winding, so what converges turns each arm as often as asked.
+It is solved at the cart level with friction, by one transcription, solver, tolerance and limit of iterations. The
+methods differ in the start of the search: the orbit that shadows the tubes' connection, a smooth curve from end to end,
+that curve with random waves, or the motion under random inputs. Two more start from the result of the cross-entropy
+method (CEM), which shoots forward with held inputs, or of a homotopy from waves (`dpcontrol.bench.homotopy`). The end
+state includes
+the winding, so every solution turns each arm the required number of times.
 
-What is charted is computed again from the equations of motion as any textbook has them, by scipy alone: every interval
-from its own first state, and the effort as one more state. A flight counts if no interval ends farther than `GAP`
-(scaled) from where the next begins. Each is then followed by the shipped law on plants that are off by 5 %.
+The charted figures are computed again from textbook equations of motion, by scipy alone: every interval from its first
+state, and the effort as one more state. A flight counts if no interval ends farther than `GAP` (scaled) from the start
+of the next. The shipped law then follows each on plants that are off by 5 %.
 
-The others' settings were tuned on flights that are not charted: waves (0.15 to 2 rad, 3, 6 and 12 harmonics) and inputs
-(0.3, 1 m/s²) on an outer turn at 0 J, eight tries each or more; CEM, waves and the homotopy's prices there and on a
-crossing at 0.25 J, four tries of each setting or more.
+The settings of the other methods were tuned on flights outside the chart. Waves (0.15 to 2 rad, 3, 6 and 12 harmonics)
+and inputs (0.3, 1 m/s²) used an outer turn at 0 J, eight tries each or more. CEM, waves and the homotopy's prices used
+this and a crossing at 0.25 J, four tries of each setting or more.
 
 Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4; Rubinstein & Kroese,
 The Cross-Entropy Method (2004), ch. 5.
@@ -67,21 +68,21 @@ from dpcontrol.walks.walks import resolve
 
 LIMITS = Limits()
 SETTINGS = ReferenceSettings(pendulum_weight=0.0, cart_weight=0.0)
-"""Of every search: the product's own, but for the cost, which is the effort alone."""
+"""Settings of every search: the package's, except for the cost, which is the effort alone."""
 GAP = 1e-4
-"""Scaled: what may lie between an interval's end and the next one's start."""
+"""Largest scaled distance between an interval's end and the next one's start."""
 TUBES, STRAIGHT, WAVES, INPUTS, CEM, HOMOTOPY = (
     "along tubes", "smooth curve", "curve with waves", "random inputs", "CEM, then collocation", "homotopy from waves",
 )  # fmt: skip
 MISMATCH, SEEDS, BLOWN = 0.05, 24, 16
-"""Of the plants that flights are followed on; how many there are, and how many when they are struck."""
+"""Mismatch and number of the plants for following flights, and their number under blows."""
 
 
 @dataclass(frozen=True, eq=False)
 class ChartedFlight:
-    """From a state of one sustained orbit to a state of another: the problem, whose guess shadows the tubes.
+    """A flight from a state of one sustained orbit to a state of another, as a problem with a guess from the tubes.
 
-    seconds: of one processor, for orbits, tubes, connections and the shadowing orbit.
+    `seconds` of one processor cover orbits, tubes, connections and the shadowing orbit.
     """
 
     name: str
@@ -91,7 +92,7 @@ class ChartedFlight:
 
     @property
     def ends(self) -> tuple[Array, Array]:
-        """The states (6,) at start and end, on the angles that hold the winding."""
+        """States (6,) at start and end, with angles that include the winding."""
         return self.problem.end_states()
 
 
@@ -126,21 +127,27 @@ def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> C
 
 
 def lasting(problem: ReferenceProblem, duration: float) -> ReferenceProblem:
-    """Return the problem with the same ends in another time, s."""
+    """Return the problem with the same ends and another duration, s."""
     start, end = problem.end_states()
     guess = smooth_guess(start[:4], end[:4], duration)
     return ReferenceProblem(problem.equations, problem.parameters, guess, duration, problem.limits, problem.ends)
 
 
-# --- Independent of the engine: equations by hand, scipy's integrator, effort as a state.
+# --- Independent of the engine: equations written out, scipy's integrator, effort as a state.
 
 
 @dataclass(frozen=True)
 class Recomputed:
     """A flight recomputed by scipy alone.
 
-    effort ∫u² m²/s³; peak m/s²; gap, miss: the largest scaled distances between
-    intervals and from the ends; position m, velocity m/s: the cart's largest; turns: of each arm, end to end.
+    Attributes:
+        effort: ∫u², m²/s³.
+        peak: m/s².
+        gap: largest scaled distance between intervals.
+        miss: largest scaled distance from the ends.
+        position: largest of the cart, m.
+        velocity: largest of the cart, m/s.
+        turns: of each arm, end to end.
     """
 
     effort: float
@@ -152,7 +159,7 @@ class Recomputed:
     turns: tuple[int, int]
 
     def flies(self, limits: Limits) -> bool:
-        """Return whether it is a motion, from end to end, within limits but for rounding."""
+        """True for a motion from end to end within limits, up to rounding."""
         near = 1 + 1e-6
         inside = self.position <= near * limits.position and self.velocity <= near * limits.velocity
         return max(self.gap, self.miss) <= GAP and inside and self.peak <= near * limits.acceleration
@@ -181,7 +188,7 @@ def motion_rate(arms: ArmChainParameters, x: Array, u: Array) -> Array:
 
 
 def recomputed(arms: ArmChainParameters, motion: Trajectory, ends: tuple[Array, Array]) -> Recomputed:
-    """Return what scipy makes of a motion: all intervals side by side, each from its own first state."""
+    """Return the scipy evaluation of a motion: all intervals in parallel, each from its first state."""
     lengths, scale = np.diff(motion.mesh), state_scale(6, LIMITS)
     inputs = BarycentricInterpolator(motion.method.points, motion.inputs[..., 0].T)
     count = len(lengths)
@@ -215,7 +222,7 @@ def recomputed(arms: ArmChainParameters, motion: Trajectory, ends: tuple[Array, 
 
 @dataclass(frozen=True, eq=False)
 class Try:
-    """One search: by what method, seconds of one processor, and what it came to, None where it did not converge."""
+    """One search: method, seconds of one processor, and result, None without convergence."""
 
     method: str
     seconds: float
@@ -223,12 +230,12 @@ class Try:
 
     @property
     def effort(self) -> float:
-        """∫u² in m²/s³; infinite where it did not converge."""
+        """∫u² in m²/s³; infinite without convergence."""
         return float("inf") if self.motion is None else self.motion.effort
 
 
 def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = None, *, spent: float = 0.0) -> Try:
-    """Return what collocation makes of a first trajectory, by default the problem's guess; spent: s on finding it."""
+    """Return the collocation result from a first trajectory (by default the guess); `spent` s went into finding it."""
     began = time.process_time()
     if first is None:
         first = first_trajectory(problem, method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval))
@@ -238,21 +245,21 @@ def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = 
 
 
 def led(method: str, problem: ReferenceProblem, generator: np.random.Generator) -> Try:
-    """Return what collocation makes of where the homotopy leads from the problem's guess with random waves."""
+    """Return the collocation result from a homotopy that starts at the guess with random waves."""
     began = time.process_time()
     states, inputs, step = by_homotopy(replace(problem, guess=with_waves(problem, generator)))
     return searched(method, problem, flown(problem, states, inputs, step), spent=time.process_time() - began)
 
 
 def along_tubes(one: ChartedFlight) -> Try:
-    """Return what the search makes of the shadowing orbit; its seconds hold those of tubes and connections."""
+    """Return the collocation result from the shadowing orbit; its seconds include tubes and connections."""
     return searched(TUBES, one.problem, spent=one.seconds)
 
 
 WAVE, HARMONICS = 0.5, 6
-"""rad: standard deviation of a wave of one half period; the k-th has a k-th of it."""
+"""Standard deviation of a wave of one half period, rad; the k-th has a k-th of it."""
 PUSH, KNOTS = 0.3, 12
-"""m/s²: standard deviation of random inputs, linear between so many knots."""
+"""Standard deviation of random inputs, m/s², linear between this number of knots."""
 
 
 def with_waves(problem: ReferenceProblem, generator: np.random.Generator) -> Guess:
@@ -271,7 +278,7 @@ def with_waves(problem: ReferenceProblem, generator: np.random.Generator) -> Gue
 
 
 _STEP = 0.01
-"""s: of shooting; the plant's step of order 8 errs by less than 1e-7 then."""
+"""Step of shooting, s; at this step the plant's method of order 8 errs by less than 1e-7."""
 
 
 @cache
@@ -294,7 +301,7 @@ def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> 
 
 
 def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) -> Trajectory:
-    """Return what was shot, states (K + 1, 6) and held inputs (K,), as a first trajectory on the even mesh."""
+    """Return a shot motion, states (K + 1, 6) and held inputs (K,), as a first trajectory on the even mesh."""
     method, mesh = method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval)
     times, clock = times_on(mesh, method.support), step * np.arange(len(states))
     rows = np.stack([np.interp(times, clock, column) for column in states.T], axis=-1)
@@ -303,21 +310,23 @@ def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) 
 
 
 def with_inputs(problem: ReferenceProblem, arms: ArmChainParameters, generator: np.random.Generator) -> Trajectory:
-    """Return what random inputs do from the start."""
+    """Return the motion from the start under random inputs."""
     count = int(np.ceil(problem.duration / _STEP))
     step = problem.duration / count
     knots = generator.normal(size=KNOTS) * PUSH
     inputs = np.interp(np.arange(count) / count, np.linspace(0.0, 1.0, KNOTS), knots)
     states = shot(arms, problem.end_states()[0], np.repeat(inputs[:, None], 8, axis=1), step)[..., 0]
-    # A cart that ran off the track is no start for a search.
+    # A cart beyond the track is no start for a search.
     states[:, 4:] = 0.0
     return flown(problem, states, inputs, step)
 
 
 @dataclass(frozen=True)
 class CemSettings:
-    """Of the cross-entropy method: samples in a generation, those that are kept, generations, held inputs' length s,
-    standard deviation at the start m/s², weight of the squared scaled miss beside ∫u².
+    """Settings of the cross-entropy method.
+
+    They are samples and elite of a generation, generations, length of held inputs s, initial standard deviation m/s²,
+    and weight of the squared scaled miss relative to ∫u².
     """
 
     samples: int = 256
@@ -331,7 +340,7 @@ class CemSettings:
 def by_cem(
     problem: ReferenceProblem, arms: ArmChainParameters, generator: np.random.Generator, settings: CemSettings
 ) -> tuple[Trajectory, float]:
-    """Return the best that the cross-entropy method shoots, and by how much it misses the end, scaled."""
+    """Return the best motion of the cross-entropy method, and its scaled miss at the end."""
     start, end = problem.end_states()
     holds = int(np.ceil(problem.duration / settings.hold))
     each = int(np.ceil(problem.duration / holds / (2 * _STEP)))
@@ -356,7 +365,7 @@ def by_cem(
 
 
 def refined(problem: ReferenceProblem, motion: Trajectory) -> Reference | None:
-    """Return a motion on a mesh refined until the error between nodes is the product's; None where it cannot be."""
+    """Return a motion on a mesh refined to the package's error between nodes; None if this fails."""
     found = find_reference(problem, SETTINGS, near=motion)
     return found if found.converged else None
 
@@ -377,11 +386,13 @@ def resampled(motion: Trajectory, duration: float) -> Trajectory:
 
 @dataclass(frozen=True)
 class FollowedFlight:
-    """What the loop makes of a flight with a period of its orbits on either side.
+    """Loop results for a flight with a period of its orbits on either side.
 
-    completed: share of plants; effort: mean ∫u² of those that were, m²/s³, not-a-number if none; sensitivity: rad for a
-    unit of relative error of a parameter; blow: N m s on an arm, at any time, that half of the plants survive, 0 if not
-    asked.
+    Attributes:
+        completed: share of plants.
+        effort: mean ∫u² of completed runs, m²/s³, or not-a-number.
+        sensitivity: rad per unit of relative error of a parameter.
+        blow: N m s on an arm, at any time, survived by half of the plants, or 0.
     """
 
     completed: float
@@ -407,7 +418,7 @@ def _did(one: ChartedFlight, run: BatchRun) -> bool:
 
 
 def followed(one: ChartedFlight, motion: Reference, *, seeds: int, blows: bool = False) -> FollowedFlight:
-    """Return how the shipped law follows a flight on plants that are off by 5 %."""
+    """Return the results of the shipped law on a flight, for plants that are off by 5 %."""
     arms = load_model("lab").arms
     scene = load_itinerary("outer-turn").loop
     whole = between_orbits(one, motion)
@@ -433,7 +444,7 @@ def followed(one: ChartedFlight, motion: Reference, *, seeds: int, blows: bool =
     return FollowedFlight(len(done) / len(every), effort, sensitivity(arms, motion), blow)
 
 
-# --- What is charted.
+# --- Charted flights.
 
 FLIGHTS = (
     ("outer turn, -0.07 J", ("down-up +",), -0.07), ("outer turn, 0.1 J", ("down-up +",), 0.1),
@@ -445,14 +456,16 @@ WALKS = (1, 2, 4, 8)
 OFF, LOOP, WRAPS = "off tubes", ", loop at ±5 %", "along tubes, wobbles more"
 EQUILIBRIA = "between equilibria"
 _LOOKED_AT = 3
-"""Of the cheapest tries, until one flies on a refined mesh."""
+"""Number of cheapest tries, until one is valid on a refined mesh."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is done: tries from curves with waves, from random inputs, by CEM and by homotopy; those at each time of
-    a front and for each walk; runs of the loop; whether it is struck; times of a front as multiples of that along
-    tubes. quick: fronts without the loop.
+    """Amount of work.
+
+    It counts tries from curves with waves, from random inputs, by CEM and by homotopy, tries at each time of a front
+    and for each walk, and runs of the loop. Other fields select blows and the times of a front as multiples of that
+    along tubes. `quick` computes fronts without the loop.
     """
 
     waves: int
@@ -475,7 +488,7 @@ QUICK = Effort(2, 1, 1, 2, 0, 0, 6, False, (0.5, 1.0, 2.0), FLIGHTS[:1] + FLIGHT
 
 @dataclass(frozen=True, eq=False)
 class Charted:
-    """A flight that is charted, as scipy has it, and how the loop follows it where that was asked."""
+    """A charted flight: its evaluation by scipy, and the loop's results if computed."""
 
     method: str
     duration: float
@@ -485,24 +498,24 @@ class Charted:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One flight by every method: all tries, without their motions, and the cheapest of each method that flies."""
+    """One flight by every method: all tries, without their motions, and the cheapest valid one of each method."""
 
     name: str
     tries: tuple[tuple[str, float, float], ...]
     best: dict[str, Charted]
 
     def of(self, method: str) -> list[tuple[float, float]]:
-        """Return seconds and effort of a method's tries; effort is infinite where nothing was found."""
+        """Return seconds and effort of a method's tries; effort is infinite for failures."""
         return [(seconds, effort) for name, seconds, effort in self.tries if name == method]
 
     @property
     def ours(self) -> Charted:
-        """What was found along tubes."""
+        """The flight found along tubes."""
         return self.best[TUBES]
 
 
 def tries_of(one: ChartedFlight, effort: Effort, generator: np.random.Generator) -> Iterator[Try]:
-    """Yield the tries of every method that does not know the tubes."""
+    """Yield the tries of every method without tubes."""
     arms, smooth = load_model("lab").arms, lasting(one.problem, one.problem.duration)
     yield searched(STRAIGHT, smooth)
     for _ in range(effort.waves):
@@ -522,7 +535,7 @@ def tries_of(one: ChartedFlight, effort: Effort, generator: np.random.Generator)
 def charted(
     one: ChartedFlight, problem: ReferenceProblem, tries: Sequence[Try], *, seeds: int = 0, blows: bool = False
 ) -> Charted | None:
-    """Return the cheapest of some tries refined, checked and, with seeds, followed; None where none flies."""
+    """Return the cheapest of some tries refined, checked and, with seeds, followed; None if all are invalid."""
     for first in sorted(tries, key=lambda t: t.effort)[:_LOOKED_AT]:
         fine = None if first.motion is None else refined(problem, first.motion)
         if fine is None:
@@ -535,7 +548,7 @@ def charted(
 
 
 def by_method(one: ChartedFlight, tries: Sequence[Try], effort: Effort, *, feedback: bool) -> Compared:
-    """Return tries, by method the cheapest that flies, and how the loop follows that of the tubes and of the rest."""
+    """Return all tries, the cheapest valid one of each method, and loop results for the tubes' and the best other."""
     cheapest = min((t for t in tries if t.method != TUBES), key=lambda t: t.effort).method
     best: dict[str, Charted] = {}
     for method in dict.fromkeys(t.method for t in tries):
@@ -544,20 +557,21 @@ def by_method(one: ChartedFlight, tries: Sequence[Try], effort: Effort, *, feedb
         if (found := charted(one, one.problem, own, seeds=seeds, blows=effort.blows)) is not None:
             best[method] = found
     if TUBES not in best:
-        raise GoalMissed(f"{one.name}: what was found along tubes does not fly")
+        raise GoalMissed(f"{one.name}: the flight found along tubes is not valid")
     return Compared(one.name, tuple((t.method, t.seconds, t.effort) for t in tries), best)
 
 
 def compared(which: tuple[str, tuple[str, ...], float], effort: Effort) -> Compared:
-    """Return one flight by every method, at the time that it takes along tubes."""
+    """Return one flight by every method, at its duration along tubes."""
     one = flight(*which)
     generator = np.random.default_rng([20, *which[0].encode()])
     return by_method(one, [along_tubes(one), *tries_of(one, effort, generator)], effort, feedback=True)
 
 
 def front(which: tuple[str, tuple[str, ...], float], effort: Effort, *, resting: bool = False) -> list[Charted]:
-    """Return the cheapest flights that are found at each time, off tubes and along them, with and without wobbles more;
-    resting: between the equilibria of the flight's saddles, where there are no orbits and no tubes.
+    """Return the cheapest flights at each time, off tubes and along them, with and without additional wobbles.
+
+    `resting` flights join the equilibria of the saddles, without orbits and tubes.
     """
     one, arms = flight(*which), load_model("lab").arms
     problem = one.problem
@@ -569,7 +583,7 @@ def front(which: tuple[str, tuple[str, ...], float], effort: Effort, *, resting:
     found: list[Charted] = []
     middle = effort.factors.index(1.0)
     best: dict[float, Trajectory] = {}
-    # From the tubes' own time to longer ones, then to shorter ones: each time's best is a start for the next.
+    # From the tubes' time to longer ones, then to shorter ones: the best at each time is a start for the next.
     for factor, before in (
         (1.0, 0.0), *zip(effort.factors[middle + 1 :], effort.factors[middle:], strict=False),
         *zip(effort.factors[:middle][::-1], effort.factors[: middle + 1][::-1], strict=False),
@@ -589,7 +603,7 @@ def front(which: tuple[str, tuple[str, ...], float], effort: Effort, *, resting:
 
 
 def with_wobbles(one: ChartedFlight, arms: ArmChainParameters, effort: Effort) -> list[Charted]:
-    """Return the flight along tubes alone, and after one wobble more, two, … to the front's longest time."""
+    """Return the flight along tubes alone, and with one, two, … additional wobbles up to the front's longest time."""
     ours = along_tubes(one)
     fine = None if ours.motion is None else refined(one.problem, ours.motion)
     if fine is None:
@@ -608,7 +622,7 @@ def with_wobbles(one: ChartedFlight, arms: ArmChainParameters, effort: Effort) -
 
 
 def stop_by_stop(problem: ReferenceProblem, count: int) -> ReferenceProblem:
-    """Return the problem with a guess that knows the walk's turns: smooth curves between stops at even times."""
+    """Return the problem with a guess from the walk's turns: smooth curves between stops at even times."""
     start, end = problem.end_states()
     change, each = np.append((end - start)[:2] / count, [0.0, 0.0]), problem.duration / count
     turn = smooth_guess(np.zeros(4), change, each)
@@ -622,7 +636,7 @@ def stop_by_stop(problem: ReferenceProblem, count: int) -> ReferenceProblem:
 
 
 def walked(count: int, effort: Effort) -> Compared:
-    """Return a walk of so many turns of the outer arm by tubes and by what does not know them."""
+    """Return a walk of `count` turns of the outer arm, by tubes and by methods without them."""
     one = flight(f"{count} turns", ("down-up +",) * count, FLIGHTS[0][2])
     stops = stop_by_stop(one.problem, count)
     generator = np.random.default_rng([22, count])
@@ -635,7 +649,7 @@ Work = tuple[str, Any, Effort]
 
 
 def job_done(job: Work) -> Any:
-    """Do one of the chart's jobs, in whatever process."""
+    """Run one of the chart's jobs, in any process."""
     kind, what, effort = job
     if kind == "flight":
         return compared(what, effort)
@@ -655,7 +669,7 @@ def jobs_of(effort: Effort) -> list[Work]:
 
 
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart of what tubes buy; quick: two flights, fewer tries, three times of each front, short walks."""
+    """Return the chart of the value of tubes; quick: two flights and fewer tries."""
     effort, found = QUICK if quick else WHOLE, {}
     jobs = jobs_of(effort)
     keys = [(kind, str(what)) for kind, what, _ in jobs]
@@ -668,14 +682,14 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
 
 
 def page(results: dict[str, list[Any]]) -> PrecisionChart:
-    """Return the page of what was found, by kind of job."""
+    """Return the page of all results, by kind of job."""
     flights: list[Compared] = results["flight"]
     walks: list[Compared] = results["walk"][::-1]
     pairs = zip((flights[0], flights[-1]), results["front"], strict=False)
     fronts = {one.name: with_best_known(found, one) for one, found in pairs}
     return PrecisionChart(
         name="payoff",
-        title="What tubes buy: flights along tubes, and by direct optimisation that does not know them",
+        title="Value of tubes: flights along tubes, and by direct optimisation without them",
         parts=(
             success_panel(flights), effort_panel(flights), feedback_panel(flights),
             *(front_panel(f"Time set free: {name}", front) for name, front in fronts.items()),
@@ -684,9 +698,9 @@ def page(results: dict[str, list[Any]]) -> PrecisionChart:
         ),
         reading=(
             "All start and end in the same states, under the same limits, by the same program; low and left is better. "
-            "Above: a flight in the tubes' own time, by what the search starts from, and with feedback at ±5 %.",
-            "Then the cheapest flight that a few searches find at each time, and (loop) what is spent with feedback, "
-            "a period of each orbit included; between arms held still; the largest blow that half the runs survive.",
+            "Above: a flight in the tubes' time, by the start of the search, and with feedback at ±5 %.",
+            "Then the cheapest flight found by a few searches at each time, and (loop) the effort with feedback, with a "
+            "period of each orbit. Others are at rest at both ends. Last: the largest blow that half the runs survive.",
             "Walks of more turns follow in the last diagrams. All flights are computed again by scipy alone.",
         ),
         chosen=verdict(flights, walks, fronts),
@@ -694,7 +708,7 @@ def page(results: dict[str, list[Any]]) -> PrecisionChart:
 
 
 def with_best_known(front: Sequence[Charted], one: Compared) -> list[Charted]:
-    """Return a front with the cheapest flight off the tubes in their own time, of all tries, not its own alone."""
+    """Return a front with the cheapest flight off the tubes at their time, from all tries, not only the front's."""
     others = [c for method, c in one.best.items() if method != TUBES]
     if not others:
         return list(front)
@@ -721,11 +735,11 @@ def numbers(one: Charted) -> dict[str, float]:
 
 
 AS_CHEAP = 1.1
-"""Times the tubes' effort that a flight may take and count as one as cheap."""
+"""Multiple of the tubes' effort up to which a flight counts as equally cheap."""
 
 
 def as_cheap(one: Compared, method: str) -> int:
-    """Return how many of a method's tries are as cheap as the flight along tubes."""
+    """Return the number of a method's tries that are as cheap as the flight along tubes."""
     return sum(effort <= AS_CHEAP * one.ours.checked.effort for _, effort in one.of(method))
 
 
@@ -781,7 +795,7 @@ def effort_panel(flights: Sequence[Compared]) -> Panel:
 
 
 def feedback_panel(flights: Sequence[Compared]) -> Panel:
-    """Return the diagram of the loop's effort at ±5 % against the reference's own."""
+    """Return the diagram of the loop's effort at ±5 % against that of the reference."""
     points, missing = [], []
     for one in flights:
         for method, best in one.best.items():
@@ -789,7 +803,7 @@ def feedback_panel(flights: Sequence[Compared]) -> Panel:
             if loop is None:
                 continue
             if not loop.completed:
-                missing.append(Missing(name, short(one.name), "no run comes through"))
+                missing.append(Missing(name, short(one.name), "no run completes"))
                 continue
             points.append(
                 Point(name, short(one.name), best.checked.effort, loop.effort, default=method == TUBES,
@@ -815,7 +829,7 @@ def front_panel(title: str, found: Sequence[Charted]) -> Panel:
 
 
 def walk_panels(walks: Sequence[Compared]) -> tuple[Panel, ...]:
-    """Return the diagrams of seconds to a flight, and of failures, against the number of symbols; none of no walks."""
+    """Return the diagrams of seconds to a flight, and of failures, against the number of symbols, if any."""
     if not walks:
         return ()
     times, shares, missing = [], [], []
@@ -843,7 +857,7 @@ def walk_panels(walks: Sequence[Compared]) -> tuple[Panel, ...]:
 
 
 def robustness_panel(flights: Sequence[Compared]) -> Panel:
-    """Return the diagram of the largest blow survived; of sensitivity to the arms' parameters where none was struck."""
+    """Return the diagram of the largest blow survived, or without blows of the sensitivity to the arms' parameters."""
     points = []
     struck = all(c.followed is None or c.followed.blow for one in flights for c in one.best.values())
     for one in flights:
@@ -866,7 +880,7 @@ def short(name: str) -> str:
 
 
 def verdict(flights: Sequence[Compared], walks: Sequence[Compared], fronts: Mapping[str, Sequence[Charted]]) -> str:
-    """Return in a few sentences what the chart shows, whichever way it goes."""
+    """Return the chart's finding in a few sentences, for either outcome."""
     plain = [name for name in _methods(flights) if name != TUBES]
     tries = {name: [t for one in flights for t in one.of(name)] for name in plain}
     cheap = {name: sum(as_cheap(one, name) for one in flights) for name in plain}
@@ -880,7 +894,7 @@ def verdict(flights: Sequence[Compared], walks: Sequence[Compared], fronts: Mapp
     quickest = min(seconds, key=lambda name: seconds[name], default="")
     sentences = [
         f"along tubes each of {len(flights)} flights is found at once, in {min(ours):.1f} to {max(ours):.1f} s; "
-        f"of {len(every)} searches that do not know them {found / len(every):.0%} find one, the median "
+        f"of {len(every)} searches without tubes {found / len(every):.0%} find one, the median "
         f"{median(r for r in dearest if np.isfinite(r)):,.0f} times as costly",
         f"within {AS_CHEAP - 1:.0%} of the tubes' effort are {sum(cheap.values())} of them"
         + (f", at best one in {seconds[quickest]:.0f} s of one core ({quickest})" if seconds else ""),
@@ -893,7 +907,7 @@ def verdict(flights: Sequence[Compared], walks: Sequence[Compared], fronts: Mapp
 
 
 def loop_text(flights: Sequence[Compared]) -> str:
-    """Return what feedback adds, and how the loops on the best flights off the tubes compare."""
+    """Return a sentence on the cost of feedback, for the tubes' flights and the best others."""
     ratios, added = [], []
     for one in flights:
         loops = {m == TUBES: c.followed for m, c in one.best.items() if c.followed and c.followed.completed}
@@ -904,13 +918,13 @@ def loop_text(flights: Sequence[Compared]) -> str:
     if not ratios:
         return ""
     return (
-        f"with feedback at ±{MISMATCH:.0%} the whole takes {min(added):.0f} to {max(added):.0f} times the reference's "
-        f"effort, off the tubes {min(ratios):.2f} to {max(ratios):.2f} times what it takes along them"
+        f"with feedback at ±{MISMATCH:.0%} the loop takes {min(added):.0f} to {max(added):.0f} times the reference's "
+        f"effort, off the tubes {min(ratios):.2f} to {max(ratios):.2f} times the effort along them"
     )
 
 
 def cheaper_text(name: str, found: Sequence[Charted]) -> str:
-    """Return where on a front a flight off the tubes is cheaper than that along them, and by how much."""
+    """Return the time on a front at which a flight off the tubes is cheaper than along them, and the ratio."""
     (ours,) = [c for c in found if c.method == TUBES]
     off = [c for c in found if c.method == OFF]
     cheap = [c for c in off if c.checked.effort < ours.checked.effort / 1.02]
@@ -924,7 +938,7 @@ def cheaper_text(name: str, found: Sequence[Charted]) -> str:
 
 
 def walk_text(one: Compared) -> str:
-    """Return how the longest walk goes."""
+    """Return a sentence on the longest walk."""
     tries = [t for name in _methods([one]) if name != TUBES for t in one.of(name)]
     found = [effort for _, effort in tries if np.isfinite(effort)]
     text = f"{one.name}: {one.of(TUBES)[0][0]:.1f} s along tubes, {len(found)} of {len(tries)} searches without"

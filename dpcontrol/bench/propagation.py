@@ -3,7 +3,7 @@
 All methods start from the same states and are judged at the same time against 113-bit arithmetic. The energy drift is
 the largest change of H over the flight's end states, over the energy scale.
 
-One-step schemes as machine code: what the product's propagators are compared with.
+One-step schemes in machine code, for comparison with the package's propagators:
 
 Runge-Kutta of order 4 on (θ, ω), and Gauss collocation with s stages on canonical coordinates (q, p), which is
 symplectic; s = 1 is the implicit midpoint rule. The stages' equations are solved by a fixed number of substitutions.
@@ -61,7 +61,7 @@ def symplectic_gauss(equations: Equations, stages: int) -> ca.Function:
     slope = ca.gradient(energy(ca.vertcat(z[:n], rates), p), z)
     f = ca.Function("canonical", [z, p], [ca.cse(ca.vertcat(slope[n:], -slope[:n]))])
     first = ca.vertcat(x[:n], ca.mtimes(mass(x, p), x[n:]))
-    # As the method that transcribes references has it: its points, and integrals of the polynomials through them.
+    # Points and integrals are those of the transcription method for references.
     method = gauss(stages)
     powers = method.points[:, None] ** np.arange(stages + 1)
     a = np.linalg.solve(powers[:, :-1].T, (powers[:, 1:] / np.arange(1, stages + 1)).T).T
@@ -80,7 +80,7 @@ def _step(equations: Equations, h: ca.SX, following: ca.SX) -> ca.Function:
 
 
 class Stepper:
-    """Flies states (N, S) by steps of one length, parameters (p,) and inputs (m,) held; not to be shared."""
+    """Flies states (N, S) by steps of one length, with held parameters (p,) and inputs (m,); not to be shared."""
 
     def __init__(self, function: ca.Function, parameters: Array, *, lanes: int = 0) -> None:
         self._step = Compiled(function)
@@ -112,7 +112,7 @@ def buffered_rate(equations: Equations, parameters: Array, command: float = 0.0)
         if array.size:
             buffer.set_arg(k, memoryview(array.data))
     buffer.set_res(0, memoryview(out.data))
-    # The run points into the buffer and the arrays but owns none of them: they must live as long as it does.
+    # The buffer only refers to the run's objects and arrays, which must live as long as it.
     keep = (function, buffer, held)
 
     def rate(_: float, state: Array, keep: object = keep) -> Array:
@@ -125,18 +125,18 @@ def buffered_rate(equations: Equations, parameters: Array, command: float = 0.0)
 
 ENERGY = 0.2
 SWING = (1.7, 2.2, 0.0, 0.0)
-"""Let go at rest: an error of the start grows five-millionfold in 10 s."""
+"""Start from rest: an initial error grows five-millionfold in 10 s."""
 SWING_SECONDS = 10.0
 TUBE_PERIODS = 2.0
 LANES = 64
 ENERGY_ROUNDING = 1e-14
-"""Of the energy, over its scale."""
+"""Rounding of the energy, over its scale."""
 TOLERANCES = (0.0, 1e-12, 1e-9, 1e-6)
-"""Of Taylor's method; zero: that of rounding."""
+"""Tolerances of Taylor's method; zero stands for rounding."""
 STEPS = (5e-4, 1e-3, 2e-3, 5e-3)
 MOST_CALLS = 60_000
 TICK, COMMAND = 1e-3, 5.0
-"""s and m/s²."""
+"""Duration in s and command in m/s² of a tick."""
 TICK_ROUNDING = 1e-15
 
 
@@ -172,20 +172,20 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
         ),
         reading=(
             "A mark is a method at a setting: left is faster, low is nearer to 113-bit arithmetic; same start.",
-            "Grey joins the front: nothing is both faster and nearer than a mark there. A ring: what dpcontrol takes.",
-            "Energy gained or lost (third diagram) stays small in symplectic schemes even where the motion is far off.",
+            "Grey joins the front: no method is both faster and nearer than its marks. A ring: dpcontrol's choice.",
+            "Energy gained or lost (third diagram) stays small in symplectic schemes even if the motion is far off.",
         ),
         chosen=(
             "Taylor's method at the tolerance of rounding, eight trajectories at once where there are many: a looser "
-            "tolerance saves less than half of the time and costs the digits. Ticks of many plants take DOP853's step "
-            "as machine code, the filter's model one step of order 4."
+            "tolerance saves less than half of the time and costs the digits. Ticks of many plants use DOP853's step "
+            "in machine code, the filter's model one step of order 4."
         ),
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Work:
-    """States (K, N) to be flown for `duration` s, and where they arrive (K, N) by 113-bit arithmetic."""
+    """States (K, N) to propagate for `duration` s, and their final states (K, N) in 113-bit arithmetic."""
 
     system: System
     states: Array
@@ -219,7 +219,7 @@ def work_of(system: System, states: Array, duration: float) -> Work:
 
 
 def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Panel:
-    """Fly each candidate; what cannot be flown is missing with its reason."""
+    """Fly each candidate; failures are missing with their reason."""
 
     def judge(_: Alternative[Array], arrived: Array) -> Judged | str:
         if not np.isfinite(arrived).all():
@@ -230,7 +230,7 @@ def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progre
 
 
 def candidates(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Array]]:
-    """Return all methods, which fly a work's states; slow ones fly fewer. batches: also many at once."""
+    """Return all methods for a work's states; slow ones fly fewer. `batches` adds many trajectories at once."""
     few = work.states[: 2 if quick else 4]
     return [
         *_taylor(work, batches=batches),
@@ -241,12 +241,12 @@ def candidates(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Ar
 
 
 def _each(fly: Callable[..., Array], states: Array, *args: Any, **more: Any) -> Callable[[], Array]:
-    """Return what flies one state after the other."""
+    """Return a function that flies one state after the other."""
     return lambda: np.array([fly(x, *args, **more) for x in states])
 
 
 def _together(fly: Callable[..., Array], states: Array, *args: Any, **more: Any) -> Callable[[], Array]:
-    """Return what flies all states at once, as columns."""
+    """Return a function that flies all states at once, as columns."""
     return lambda: fly(states.T, *args, **more).T
 
 
@@ -255,7 +255,7 @@ def _taylor(work: Work, *, batches: bool) -> Iterator[Alternative[Array]]:
     for tolerance in TOLERANCES:
         one = Propagator(work.system.equations, work.system.parameters, tolerance=tolerance)
         label, count = f"{tolerance:.0e}" if tolerance else "rounding", len(states)
-        # The product flies one trajectory by itself, many in a batch.
+        # The package flies a single trajectory alone, many in a batch.
         yield Alternative("Taylor", label, _each(one.flow, states, seconds), not (tolerance or batches), units=count)
         if batches:
             many = partial(one.flows, states, np.full(count, seconds))
@@ -285,7 +285,7 @@ def _stepped(work: Work, *, batches: bool, quick: bool) -> Iterator[Alternative[
 def _casadi(work: Work, states: Array) -> Iterator[Alternative[Array]]:
     e, parameters = work.system.equations, ca.DM(work.system.parameters)
     program = {"x": e.state, "p": e.parameters, "ode": e.rate}
-    # The error shows where steps stalled.
+    # The error shows any stalled steps.
     patient = {"max_num_steps": 1_000_000, "disable_internal_warnings": True}
     cases: list[tuple[str, str, str, dict[str, Any]]] = [
         (kind.upper(), f"{tolerance:.0e}", kind, {"reltol": tolerance, "abstol": tolerance, **patient})
@@ -308,7 +308,7 @@ def _by_casadi(flow: ca.Function, x: Array, **known: Any) -> Array:
 def _scipy(work: Work, states: Array, *, quick: bool) -> Iterator[Alternative[Array]]:
     rate = buffered_rate(work.system.equations, work.system.parameters)
     cases = [(method, tolerance, {}) for method in ("DOP853", "LSODA") for tolerance in (1e-12, 1e-9, 1e-6)]
-    # Radau may repeat a last step of nearly no length without end: the rate's calls are counted.
+    # Radau may repeat a tiny last step endlessly, so the rate's calls are counted.
     more = {"jac": lambda _, x: work.system.numeric.jacobian(x), "max_step": 0.05}
     cases += [("Radau", tolerance, more) for tolerance in ((1e-6,) if quick else (1e-8, 1e-6))]
     for method, tolerance, options in cases:
@@ -344,8 +344,8 @@ def tick_states(arms: ArmChainParameters) -> Array:
 
 
 def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array:
-    """Return where the states are a tick later, from 113-bit arithmetic."""
-    # The held input joins the parameters, which the extended propagator takes exactly.
+    """Return the states one tick later, from 113-bit arithmetic."""
+    # The held input joins the parameters, which the extended propagator uses exactly.
     held = replace(equations, inputs=ca.SX.zeros(0), parameters=ca.vertcat(equations.parameters, equations.inputs))
     flow = ExtendedPropagator(held, np.append(parameters, COMMAND))
     tick = extended(np.array([TICK]))[0]
@@ -355,8 +355,8 @@ def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array
 def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]:
     """Return the diagrams of a tick's time and error: of one run, and of many at once.
 
-    The arms have friction, the cart's acceleration is held for a millisecond. Plants take one step of DOP853, one run
-    as many; the filter's model takes one step of order 4. Each is the default of its own use.
+    The arms have friction, and the cart's acceleration is held for a millisecond. Plants take one step of DOP853, in
+    one run or in many. The filter's model takes one step of order 4. Each is the default of its use.
     """
     equations, parameters = equations_of(arms, Level.CART), arms.base()
     states = tick_states(arms)

@@ -1,12 +1,12 @@
 """Draw charts: each to NAME.png, and to NAME.json with its points, machine, versions and commit.
 
-A chart drawn again, held against an earlier drawing: methods keep their order on each front, defaults their worth.
+A chart can be compared with an earlier drawing: methods keep their order on each front, defaults their quality.
 
-Two times that differ by less than `TIED` are a tie: either may come first, and a point that stands off a front by no
-more may be on it in one drawing and not in the other. Everything else must be as it was.
+Two times that differ by less than `TIED` are a tie in either order. A point within this share of a front may be on it
+in one drawing and not in the other. Everything else must be unchanged.
 
-A default's time is compared in units of a yardstick's beside it, work of other packages only, so that drawings of
-different machines, and of a busy one, can be held against each other.
+A default's time is compared in units of an adjacent yardstick, which runs only other packages. Drawings of different
+or busy machines are therefore comparable.
 """
 
 import json
@@ -52,7 +52,7 @@ from dpcontrol.review.style import FAINT, INK, LIMIT, REFERENCE, STABLE
 
 @dataclass(frozen=True)
 class DrawnChart:
-    """A chart that was made, its files, and the seconds that it took."""
+    """A finished chart, its files, and its duration in seconds."""
 
     chart: ChartPage
     picture: Path
@@ -61,13 +61,13 @@ class DrawnChart:
 
 
 _SECONDS = {False: (90.0, 1400.0), True: (10.0, 90.0)}
-"""What a chart takes on one processor, and one that uses several, in s, by whether they are quick."""
+"""Cost of a chart on one processor and on several, s, by whether they are quick."""
 _MEMORY = 4e8
-"""Bytes that a process takes which draws charts."""
+"""Memory of a process that draws charts, bytes."""
 
 
 def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
-    """Return what making charts will take."""
+    """Return the expected cost of charts."""
     mapped = sum(name in GROUPS["edges"] for name in names)
     at_once = max(min(processors(), mapped), 1)
     spread, many = sum(name in SPREAD for name in names), min(processors(), AT_ONCE)
@@ -80,18 +80,21 @@ def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
 def draw_charts(
     names: Sequence[str], folder: Path, *, quick: bool = False, yes: bool = False, progress: Progress = no_progress
 ) -> tuple[DrawnChart, ...]:
-    """Make charts (all where `names` is empty); yes: however long that takes.
+    """Draw charts (all if `names` is empty).
 
-    Those with times are made first, one after the other in this process, on one core, the others idle. Maps of failure
-    hold none: as many are drawn at once as there are cores.
+    Timed charts come first, sequentially in this process, on one core, with the others idle. Maps of failure have no
+    times and are drawn in parallel on all cores.
+
+    Args:
+        yes: accept any duration.
 
     Raises:
-        InputError: an unknown name, a folder that cannot be written to, or charts that would take too long.
-        GoalMissed: processes that draw maps died again and again.
+        InputError: a name is unknown, the folder is not writable, or the charts would take too long.
+        GoalMissed: the processes that draw maps failed repeatedly.
     """
     chosen = check_names(tuple(names))
     announce(charts_cost(chosen, quick=quick), yes=yes)
-    # Asked before the work, so that a checkout that is edited meanwhile does not mislead.
+    # Read before the work, so that later edits of the checkout do not matter.
     made_with = {"quick": quick, "machine": machine(), "versions": versions(), "commit": commit()}
     draw = partial(draw_chart, folder=folder, made_with=made_with)
     maps = [name for name in chosen if name in GROUPS["edges"]]
@@ -106,7 +109,7 @@ def draw_charts(
                 drawn[name] = draw(name, progress=part_of(_named(name, progress), begin, end))
     if maps:
         progress(f"{len(maps)} maps of failure", len(drawn) / len(chosen))
-        remedy = "Charts that were done are saved: name those that are missing"
+        remedy = "Finished charts are saved: name the missing ones"
         for name, done in in_processes(draw, maps, min(processors(), len(maps)), remedy=remedy):
             drawn[name] = done
             left = ", ".join(name for name in maps if name not in drawn)
@@ -115,7 +118,7 @@ def draw_charts(
 
 
 def _named(name: str, progress: Progress) -> Progress:
-    """Return a progress whose words begin with a chart's name."""
+    """Return a progress whose text begins with a chart's name."""
     return lambda what, done: progress(what if what.startswith(name) else f"{name}: {what}", done)
 
 
@@ -155,18 +158,18 @@ def _processor() -> str:
 
 
 TIED = ALLOWED
-"""Share by which two times may differ and count as equal: what is off a front by no more may be a default, too."""
+"""Relative difference of times that count as equal; a default this close to a front may leave it."""
 SLOWER = 2.0
-"""Times what it took that a default may take: machines and their loads differ by less."""
+"""Tolerated ratio of a default's time to the earlier one: machines and their loads differ by less."""
 WORSE = 3.0
-"""Times its earlier error that its error may be: rounding differs by less from build to build."""
+"""Tolerated ratio of a default's error to the earlier one: rounding differs by less from build to build."""
 
 
 def earlier_panels(folder: Path, name: str) -> tuple[Panel, ...]:
-    """Return a chart's panels as an earlier drawing in `folder` has them.
+    """Return a chart's panels from an earlier drawing in `folder`.
 
     Raises:
-        InputError: there is no earlier drawing, or it is not one.
+        InputError: the drawing is missing or invalid.
     """
     file = Path(folder) / f"{name}.json"
     try:
@@ -176,7 +179,7 @@ def earlier_panels(folder: Path, name: str) -> tuple[Panel, ...]:
             f"no earlier drawing {file}: {error.strerror or error}; draw it with --out {folder}"
         ) from error
     except (ValueError, LookupError, TypeError) as error:
-        raise InputError(f"{file} is no drawing of a chart: {error}; draw it anew with --out {folder}") from error
+        raise InputError(f"{file} is no drawing of a chart: {error}; draw it again with --out {folder}") from error
 
 
 def _panel(document: Mapping[str, Any]) -> Panel:
@@ -187,7 +190,7 @@ def _panel(document: Mapping[str, Any]) -> Panel:
 
 
 def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
-    """Return a sentence for each front that is not as it was, ties apart."""
+    """Return a sentence for each changed front, except ties."""
     known = {panel.title: panel for panel in before}
     found = []
     for panel in after:
@@ -197,7 +200,7 @@ def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
 
 
 def _changes(before: Panel, after: Panel) -> list[str]:
-    # What one drawing lacks was not measured (another package that is not installed), and has no place.
+    # Points missing in one drawing were not measured (another package is not installed) and are skipped.
     names = {p.name for p in before.points} & {p.name for p in after.points}
     before, after = (replace(p, points=tuple(x for x in p.points if x.name in names)) for p in (before, after))
     was, now = ({p.name: p for p in panel.points} for panel in (before, after))
@@ -214,12 +217,12 @@ def _changes(before: Panel, after: Panel) -> list[str]:
 
 
 def losses(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
-    """Return a sentence for each default that became slower or less accurate than its namesake was."""
+    """Return a sentence for each default that became slower or less accurate."""
     return slower(before, after) + less_accurate(before, after)
 
 
 def slower(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
-    """Return a sentence for each default that takes more of what its panel has along x than its namesake did."""
+    """Return a sentence for each default with a larger x value than before."""
     found = []
     for panel, was, now in _defaults(before, after):
         if panel.timed and not (was.yardstick and now.yardstick):
@@ -232,7 +235,7 @@ def slower(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
 
 
 def less_accurate(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
-    """Return a sentence for each default that errs by more than its namesake did."""
+    """Return a sentence for each default with a larger error than before."""
     return tuple(
         f"{panel.title}: {now.name} errs by {now.error:.2g}, and did by {was.error:.2g}"
         for panel, was, now in _defaults(before, after)
@@ -241,7 +244,7 @@ def less_accurate(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str,
 
 
 def _defaults(before: Sequence[Panel], after: Sequence[Panel]) -> Iterator[tuple[Panel, Point, Point]]:
-    """Yield each panel with a default of it and what that was before."""
+    """Yield each panel with one of its defaults, now and before."""
     known = {(panel.title, p.name): p for panel in before for p in panel.points}
     for panel in after:
         for now in panel.defaults:
@@ -252,16 +255,16 @@ def _defaults(before: Sequence[Panel], after: Sequence[Panel]) -> Iterator[tuple
 MARKS = "osD^v<>Pph*X8d"
 COLOURS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15", "#c2185b", "#0f8b8d", "#5b6470")
 FLOOR = 1e-17
-"""Where an error of exactly zero is drawn."""
+"""Drawn position of an error of exactly zero."""
 WIDTH, HEIGHT = 6.4, 5.6
 _FEW, _MANY = 6.0, 100.0
-"""Ranges of a logarithmic axis: below the first 1, 2, 5 are too few labels, from the second on powers are enough."""
+"""Ranges of a logarithmic axis: below the first 1, 2, 5 give too few labels, from the second on powers are enough."""
 _FOR_LEGEND = 0.3
-"""Share of a map's height that is kept free above what it shows."""
+"""Free share of a map's height above its contents."""
 
 
 def figure(page: ChartPage) -> Figure:
-    """Return a page's picture: its diagrams side by side, methods in one colour and mark throughout."""
+    """Return a page's picture: its diagrams side by side, each method with one colour and mark throughout."""
     columns = 2 if len(page.parts) == 4 and isinstance(page, PrecisionChart) else min(len(page.parts), 3)
     rows = -(-len(page.parts) // columns)
     picture = Figure(figsize=(WIDTH * columns, HEIGHT * rows + 1.0), layout="constrained", dpi=110)
@@ -284,7 +287,7 @@ def figure(page: ChartPage) -> Figure:
     text = [fill(line, int(WIDTH * columns * 13)) for line in page.reading]
     picture.supxlabel("\n".join(text), fontsize=9, color=INK, x=0.01, ha="left")
     if panels:
-        # Where labels fit is known once the axes have their places.
+        # The space for labels is known once the axes have their positions.
         picture.draw_without_rendering()
         for axis, panel in zip(axes, panels, strict=False):
             _label_settings(axis, panel, looks)
@@ -308,14 +311,14 @@ def _draw_map(axis: Any, one: EdgeMap) -> None:
         axis.set_xscale("log")
     axis.set_yscale("log")
     names = {b.x: b.line for b in sorted(one.borders, key=lambda b: b.x)}
-    # Places that are only numbered show the lines' names.
+    # Numbered positions show the lines' names.
     named = not one.log_x and list(names) == list(range(len(names)))
     labels = list(names.values()) if named else [f"{x:.4g}" for x in names]
     axis.set_xticks(list(names), labels, fontsize=8, rotation=20 if named else 0)
     axis.xaxis.set_minor_locator(NullLocator())
     low, high = axis.get_ylim()
     axis.set_ylim(low, high * (high / low) ** _FOR_LEGEND)
-    # Most borders span less than a decade: its parts are labelled too.
+    # Most borders span less than a decade, so its parts are labelled too.
     _readable_ticks(axis.yaxis, many=10 * _MANY)
     axis.legend(fontsize=7, loc="upper left", framealpha=0.85)
 
@@ -358,26 +361,26 @@ def _draw_panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> N
 
 
 def _share_axis(axis: Any, most: float) -> None:
-    """Show shares from none to all, or to somewhat more than the most where that is a tenth at the most."""
+    """Show shares from zero to one, or slightly beyond the maximum if it is at most a tenth."""
     top = 1.0 if most > 0.15 or most == 0 else 1.2 * most
-    # A little below zero, so that marks at zero are whole; labels stand from zero on.
+    # The axis starts slightly below zero to show whole marks; labels start at zero.
     axis.set_ylim(-0.05 * top, 1.05 * top)
     axis.set_yticks([tick for tick in MaxNLocator(6).tick_values(0.0, top) if 0 <= tick <= 1.001 * top])
     axis.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
 _RING, _LABEL, _CLEAR = 15.0, 8.0, 10.0
-"""In points: a ring's diameter, the height of a label's letters, and the width that a mark is given."""
+"""Diameter of a ring, height of a label's letters, and width of a mark, in points."""
 _AWAY = np.array([0.0, 6.0, 12.0, 20.0, 30.0, 42.0, 60.0])
-"""Distances between mark and label that are tried, in points; a line leads over those from `_LED` on."""
+"""Tried distances between mark and label, in points; from `_LED` on a line connects them."""
 _LED = 10.0
 _ALONG = np.linspace(0.3, 0.8, 8)
-"""Shares of the way from a mark to its label at which a line is watched."""
+"""Tested points of the line from a mark to its label, as shares of its length."""
 _SIDES = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1)])
 
 
 def _label_settings(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
-    """Write each setting beside its mark, where it covers least of marks, rings, the front and other labels."""
+    """Write each setting beside its mark, with the least overlap with marks, rings, the front and other labels."""
     unit = axis.figure.dpi / 72
     renderer = axis.figure._get_renderer()
 
@@ -402,7 +405,7 @@ def _label_settings(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) 
         offsets = np.tile(_SIDES, (len(_AWAY), 1)) * (size / 2 + unit * away[:, None] + extent / 2)
         boxes = np.array([_box(spot + offset, extent) for offset in offsets])
         outside = extent.prod() - _common(boxes, axis.bbox.extents)
-        # A line to a label is to miss other labels, and they it.
+        # A line to a label must not cross other labels, and conversely.
         dots = np.array([[_box(spot + share * offset, 3 * unit) for share in _ALONG] for offset in offsets])
         crossed = sum(_common(dots.reshape(-1, 4), label).reshape(len(offsets), -1).sum(axis=1) for label in labels)
         covered = sum(_common(boxes, other) for other in taken)
@@ -423,12 +426,12 @@ def _box(middle: Array, size: Array | float) -> Array:
 
 
 def _common(boxes: Array, other: Array) -> Array:
-    """Return the areas that boxes (K, 4) share with another."""
+    """Return the overlap areas of boxes (K, 4) with another."""
     return np.clip(np.minimum(boxes[:, 2:], other[2:]) - np.maximum(boxes[:, :2], other[:2]), 0, None).prod(axis=1)
 
 
 def _readable_ticks(axis: Any, many: float = _MANY) -> None:
-    """Keep labels of a logarithmic axis apart: powers of ten; 1, 2, 5 where it holds few; else a few round numbers."""
+    """Thin labels of a logarithmic axis: powers of ten, 1, 2, 5 on short ranges, otherwise a few round numbers."""
     low, high = axis.get_view_interval()
     axis.set_minor_formatter(NullFormatter())
     if high / low >= many:

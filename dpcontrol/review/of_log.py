@@ -255,8 +255,8 @@ def _without_plan(log: RunLog) -> str:
     """Return the text shown for a log in place of a verdict."""
     seconds = float(log.time[-1] - log.time[0])
     said = log.metadata.get(SUMMARY) or (
-        f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; without a plan in the log there is nothing "
-        "to judge"
+        f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; the log has no plan, so the motion "
+        "is not judged"
     )
     return f"{said}; {recovered_note(log)}" if log.recovered else said
 

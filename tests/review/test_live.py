@@ -101,7 +101,7 @@ def test_a_view_that_is_killed_ends_and_the_run_goes_on(plan, watched, monkeypat
         return entered
 
     monkeypatch.setattr(LiveView, "__enter__", killed)
-    with pytest.warns(Remark, match="the live view ended before the run did"):
+    with pytest.warns(Remark, match="the live view ended before the run"):
         run = runs.run_plan(plan, live=True)
     assert run.converged
 
