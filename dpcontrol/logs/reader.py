@@ -712,9 +712,9 @@ def check_replaced(
     The record of the run identifies the command. A log from a rig is always rejected, because it cannot be repeated.
 
     Args:
-        path: path of the new log.
-        metadata: record of the new run: settings, seed, hashes.
-        recovers: file from which the new log is recovered; only an earlier recovery of it is replaced.
+        path: of the new log.
+        metadata: its record: settings, seed, hashes.
+        recovers: source of the recovery, if any.
         force: replace any file.
 
     Raises:
@@ -840,13 +840,13 @@ class TopicSummary:
     """Messages of one topic.
 
     Attributes:
-        topic: name of the topic.
-        type: schema of the messages.
-        units: units of their numbers.
-        count: number of messages.
+        topic: name.
+        type: schema.
+        units: of the numbers.
+        count: of messages.
         first_s: first time, s.
         last_s: last time, s.
-        rate_hz: mean rate, Hz; None for fewer than two messages or no time between.
+        rate_hz: mean rate, Hz, or None.
     """
 
     topic: str

@@ -48,7 +48,7 @@ from dpcontrol.logs.reader import (
 from dpcontrol.logs.writer import CHUNK_SECONDS
 
 _BEGINNING = re.compile(
-    # A chunk up to its compression; an attachment without times, as this package writes; metadata of this package.
+    # A chunk up to its compression, an attachment without times, or metadata, all as this package writes them.
     rb"\x06.{36}\x04\x00\x00\x00zstd|\x09.{6}\x00{18}..\x00\x00|\x0c.{12}dpcontrol\.",
     re.DOTALL,
 )
@@ -59,13 +59,13 @@ class SoundChunk:
     """A chunk with a valid checksum.
 
     Attributes:
-        body: body of the chunk's record.
-        size: unpacked size, bytes.
-        checksum: of the unpacked content.
-        sequences: first and last sequence number by channel.
-        times: first and last tick in ns, or None without ticks.
-        schemas: schemas that the chunk declares, by number.
-        channels: channels that the chunk declares, by number.
+        body: of the record.
+        size: unpacked, bytes.
+        checksum: unpacked.
+        sequences: first and last number by channel.
+        times: first and last tick in ns, or None.
+        schemas: declared ones by number.
+        channels: declared ones by number.
     """
 
     body: memoryview
@@ -187,7 +187,7 @@ class Recovery:
         end_s: time of the last tick, s.
         ticks_lost: ticks missing inside, and at the end if the file records their number.
         milliseconds_lost: duration of the lost ticks, ms.
-        gaps: (from, to) of each gap, s.
+        gaps: (from, to) of each, s.
         end_known: True if the file records how the run ended.
         chunks_dropped: chunks that are damaged or cut.
         chunks_repeated: duplicates that were dropped.

@@ -14,7 +14,7 @@ Apart from its numbers, every message's bytes are known in advance. A block of K
 array of K copies of a template, filled column by column.
 
 For viewers of ROS 2 logs the arms are described as a URDF, with the poses of its links. The plane of motion is x to the
-right and z up, seen along +y. A joint's coordinate is the arm's *absolute* angle from hanging, counter-clockwise: at
+right and z up, seen along +y. A joint's coordinate is the arm's *absolute* angle from hanging, counter-clockwise. At
 each elbow a link turns back by the inner arm's angle (a mimic joint with multiplier -1), so the next arm hangs at zero.
 Source: the URDF specification (joint, mimic, origin).
 """
@@ -99,11 +99,11 @@ def robot_description(
     """Return the URDF of the pendulum.
 
     Args:
-        arm_lengths: (n,) in m, pivot to elbow, elbow to elbow, last elbow to tip.
-        has_cart: True if the pivot is on a cart; then the base is a track.
-        limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s².
-        prefix: beginning of the name of every link and joint.
-        ghost: True to draw the arms grey, half transparent and without the track.
+        arm_lengths: (n,) in m.
+        has_cart: True for a cart on a track.
+        limits: the cart's position in m, velocity in m/s, acceleration in m/s².
+        prefix: of all names.
+        ghost: True for grey arms without track.
     """
     reach, speed = (limits[0], limits[1]) if limits else (max(sum(arm_lengths), 0.1), 3.0)
     ink = _INK["ghost" if ghost else "robot"]

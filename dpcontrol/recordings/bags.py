@@ -1,10 +1,10 @@
 """Columns of ROS bags (version 1, and version 2 as a folder) and of MCAP files with ROS messages.
 
-A column name starts with its topic:
+A column name starts with its topic.
 
-    /joint_states/arm_1/position    of sensor_msgs/JointState: a joint's position, velocity or effort
-    /encoders.data[1]               of any other message: a field, and one element of a list
-    log_time, TOPIC.header.stamp    times in seconds: of recording, or from the message's header
+    /joint_states/arm_1/position    of sensor_msgs/JointState: position, velocity or effort
+    /encoders.data[1]               of other messages: a field, one element of a list
+    log_time, TOPIC.header.stamp    times in seconds, of recording or from the header
 
 The topic of the first column sets the sample times. Values of other topics are interpolated to these times.
 """

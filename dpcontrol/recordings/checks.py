@@ -1,8 +1,8 @@
 """Find and name faults in samples of time and angles; repair them only on request.
 
-Checks of the samples, in order: time that repeats or runs backward (time), values that are not finite (nan), missing
-samples (gaps), angles wrapped into one turn (wrap), outlying rates (spikes), uneven sampling (sampling). Jumps and too
-few samples cannot be repaired and are rejected.
+Samples are first checked for time that repeats or runs backward (time), values that are not finite (nan) and missing
+samples (gaps). Then follow angles wrapped into one turn (wrap), outlying rates (spikes) and uneven sampling (sampling).
+Jumps and too few samples cannot be repaired and are rejected.
 
 The next checks compare the samples with the mapping: units, columns, signs and zero. The rates must be the derivative
 of the angles. If they are not, the correcting factor reveals the mistake: 180/π a unit, -1 a sign, another arm's
@@ -12,8 +12,8 @@ mean shows that the zero is upright.
 The last check compares the recorded motion roughly with the arms of a model. Over windows of h = 20 ms the recorded
 angles accelerate by (θ_{k+h} - 2 θ_k + θ_{k-h}) / h². The model accelerates by its equations at θ_k and
 (θ_{k+h} - θ_{k-h}) / 2h, with the cart's motion as input. Encoders of step q blur the recorded value by q √(i/2) / h²
-for arm i. If both differ by more than a third of their size, the recording is not of these arms: columns are exchanged,
-an encoder is stuck, a sign is wrong, or the model is of other arms.
+for arm i. If both differ by more than a third of their size, the recording is not of these arms. Possible causes are
+exchanged columns, a stuck encoder, a wrong sign or a model of other arms.
 """
 
 from collections.abc import Sequence
@@ -59,11 +59,11 @@ class Samples:
     """K samples of a file, converted to SI units and the package's directions.
 
     Attributes:
-        where: file and part of it, for messages.
-        rows: (K,) number of each sample in that part, from 1.
+        where: file and part, for messages.
+        rows: (K,) sample numbers, from 1.
         time: (K,) s.
-        values: (K, m) angles in the first n columns, then all other measurements.
-        names: (m,) names of these columns: `ANGLE` 1, ….
+        values: (K, m) angles, then other measurements.
+        names: (m,) column names: `ANGLE` 1, ….
     """
 
     where: str

@@ -260,8 +260,7 @@ def import_recording(
 
     Args:
         path: a MATLAB (.mat), CSV (.csv, .tsv, .txt), Parquet (.parquet) or MCAP (.mcap) file, or a ROS bag.
-        mapping: name or path of a mapping. The default is `joint-states` for MCAP files and bags, `table` for other
-            tables, and for MATLAB files the matching kind of the MultiArm-Pendulum data set.
+        mapping: name or path of a mapping; by default one that matches the kind of file.
         repairs: names of permitted repairs.
         progress: called with a label and the completed share.
 
