@@ -700,7 +700,7 @@ def page(results: dict[str, list[Any]]) -> PrecisionChart:
             "All start and end in the same states, under the same limits, by the same program; low and left is better. "
             "Above: a flight in the tubes' time, by the start of the search, and with feedback at ±5 %.",
             "Then the cheapest flight found by a few searches at each time, and (loop) the effort with feedback, with "
-            "a period of each orbit. Others are at rest at both ends. Last: the largest blow that half the runs survive.",
+            "a period of each orbit. Others are at rest at both ends. Last: the largest blow survived by half the runs.",
             "Walks of more turns follow in the last diagrams. All flights are computed again by scipy alone.",
         ),
         chosen=verdict(flights, walks, fronts),
