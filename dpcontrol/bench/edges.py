@@ -104,7 +104,7 @@ def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
         return replace(step_border(arms, saddle, **method), x=float(saddles.index(saddle)))
 
     def never_taken(h: float, _: str) -> str:
-        return f"never taken: the simulated bench splits what is longer than {split:g} s"
+        return f"never taken: the simulated bench splits steps longer than {split:g} s"
 
     maps = [
         (
@@ -148,7 +148,7 @@ def stability(tableau: tuple[Array, Array], z: complex) -> complex:
 
 
 def predicted_step(tableau: tuple[Array, Array], values: Complex) -> float:
-    """Return the step in s at which the first of the eigenvalues `values` in 1/s, all damped, has |R| = 1."""
+    """Return the smallest step in s with |R| = 1 for one of the damped eigenvalues `values` in 1/s."""
 
     def growth(step: float) -> float:
         return max(abs(stability(tableau, s * step)) for s in values) - 1
@@ -236,7 +236,7 @@ def seeds_chart(quick: bool, progress: Progress) -> EdgeChart:
         title="Where seeds of tubes end: connections of Down-Up with itself",
         reading=(
             "Left: the nearest seeds, right: the farthest, for a search that finds every connection of that energy; "
-            "beyond either it says \"at least\" so many, and why.",
+            "beyond either it reports \"at least\" a number, and the reason.",
             f"Too near, rounding is decisive: of {draws} searches with different rounding, at least half find all.",
             "Rounding relative to the distance hides intersections; too far, seeds leave the manifold by the square of "
             "their distance.",

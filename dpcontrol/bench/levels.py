@@ -88,7 +88,7 @@ def _panels(scene: Itinerary, *, seeds: int) -> list[Panel]:
         f"{scene.name}: motion", "s per second of motion",
         f"arms' distance from the fullest level after {WINDOW:g} s (scaled)", why=_WHY,
         points=tuple(p for p in found.points if p.method != fullest),
-        missing=(Missing(fullest, "", "the fullest level, to which the others are compared"),),
+        missing=(Missing(fullest, "", "the fullest level, the basis of comparison"),),
     )  # fmt: skip
     made = {level: max(plan.reference.solve_seconds, _PLAN_FLOOR) for level, plan in plans.items()}
     efforts = {level: runs.effort for level, runs in evidence.references.items()}

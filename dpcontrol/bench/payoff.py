@@ -700,7 +700,7 @@ def page(results: dict[str, list[Any]]) -> PrecisionChart:
             "All start and end in the same states, under the same limits, by the same program; low and left is better. "
             "Above: a flight in the tubes' time, by the start of the search, and with feedback at ±5 %.",
             "Then the cheapest flight found by a few searches at each time, and (loop) the effort with feedback, with "
-            "a period of each orbit. Others are at rest at both ends. Last: the largest blow survived by half the runs.",
+            "a period of each orbit. Others are at rest at both ends. Last: largest blow survived by half the runs.",
             "Walks of more turns follow in the last diagrams. All flights are computed again by scipy alone.",
         ),
         chosen=verdict(flights, walks, fronts),
@@ -924,7 +924,7 @@ def loop_text(flights: Sequence[Compared]) -> str:
 
 
 def cheaper_text(name: str, found: Sequence[Charted]) -> str:
-    """Return the time on a front at which a flight off the tubes is cheaper than along them, and the ratio."""
+    """Return a sentence on the time and saving of the cheapest flight off the tubes on a front."""
     (ours,) = [c for c in found if c.method == TUBES]
     off = [c for c in found if c.method == OFF]
     cheap = [c for c in off if c.checked.effort < ours.checked.effort / 1.02]

@@ -61,7 +61,7 @@ class DrawnChart:
 
 
 _SECONDS = {False: (90.0, 1400.0), True: (10.0, 90.0)}
-"""Cost of a chart on one processor and on several, s, by whether they are quick."""
+"""Cost of a chart on one processor and on several, s, for full and quick charts."""
 _MEMORY = 4e8
 """Memory of a process that draws charts, bytes."""
 

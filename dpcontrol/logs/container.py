@@ -262,7 +262,7 @@ SUFFIX = ".partial"
 
 
 def open_partial(path: Path) -> tuple[Path, FileIO]:
-    """Create the unbuffered file in which the log `path` grows; return its name and the open file.
+    """Create the unbuffered partial file of the log `path`; return its name and the open file.
 
     Raises:
         OSError: the file cannot be created.

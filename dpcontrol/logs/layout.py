@@ -408,7 +408,7 @@ def record_type(message: Message) -> np.dtype:
 
 
 RETURN, REST, START, RESUME, LAP, CATCH = "return", "at rest", "start", "resume", "lap", "catch"
-"""Names of the events at which a run leaves its itinerary and returns to it. The first event of a log is also a start
+"""Names of the events for leaving and rejoining the itinerary. The first event of a log is also a start
 and describes the controller.
 """
 

@@ -1,8 +1,8 @@
 """Read logs that another program has rewritten, by topic and message name.
 
 Filters, mergers and converters renumber channels, repack messages and may drop topics, messages, metadata or
-attachments. The messages themselves do not change: they remain CDR with ROS 2's definitions. A tick is a time at which
-every state topic of the log has a message. The contents of the original file are unknown, so neither integrity nor
+attachments. The messages themselves do not change: they remain CDR with ROS 2's definitions. A tick is a time with
+a message in every state topic of the log. The contents of the original file are unknown, so neither integrity nor
 completeness can be checked.
 
 Sources: OMG DDS-RTPS 2.3, section 10 (CDR); sensor_msgs/JointState, std_msgs/String of ROS 2's `common_interfaces`.
@@ -23,7 +23,7 @@ from dpcontrol.logs import layout
 from dpcontrol.logs.layout import TickLayout
 
 _LENGTH = re.compile(r'xyz="0 [-\d.e]+ (-[\d.e-]+)"')
-"""Distance below the joint at which a link's shape is drawn in the URDF. The last shape marks the link's far end."""
+"""Distance of a link's shape below its joint in the URDF. The last shape marks the link's far end."""
 _LINK = re.compile(r'<link name="arm_(\d+)_link">(.*?)</link>', re.DOTALL)
 
 

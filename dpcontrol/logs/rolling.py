@@ -44,7 +44,7 @@ class Digest:
 
     Attributes:
         number: number of the file, from 1.
-        session: how often the night was started or resumed, from 1.
+        session: number of starts of the night so far.
         first: time of the first tick since the start of the night, s.
         end: end of the period after the last tick, s since the start of the night.
         ticks: number of ticks.

@@ -44,7 +44,7 @@ ANGLE, RATE, CART, COMMAND = "angle", "rate", "the cart's position", "the comman
 FEWEST_SAMPLES = 20
 _FILLED_IN_A_ROW = 10
 _GAP = 1.5
-"""Periods in a time step from which a sample counts as missing."""
+"""Least number of periods in a time step with a missing sample."""
 _UNEVEN = 0.2
 """Tolerance for the time of a sample, as a share of a period: clocks jitter by a few hundredths."""
 _JUMP, _FASTEST_RATE = 0.3, 100.0

@@ -214,7 +214,7 @@ def _period(sampling: Table) -> float:
 
 
 def _direction(angles: Table) -> tuple[tuple[float, ...], tuple[float, ...], bool]:
-    """Return sign, zero in rad and whether outer angles are relative, from single values or lists in [angles]."""
+    """Return sign, zero in rad and True for relative outer angles, from single values or lists in [angles]."""
     rest = angles.remaining()
     for key in rest:
         if key not in _DIRECTION:
@@ -296,7 +296,7 @@ def import_recording(
 
 
 def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
-    """Return the first known mapping whose columns all exist, or else the first of all."""
+    """Return the first known mapping whose columns all exist, otherwise the first of all."""
     for name in _KNOWN:
         mapping = load_mapping(name)
         wanted = (*mapping.state_cells[:1], *mapping.angle_columns, *mapping.rate_columns, mapping.cart_column)

@@ -37,7 +37,7 @@ from dpcontrol.logs import LogWriter, Mode, RunLog, check_replaced, control_fiel
 from dpcontrol.logs.container import MAGIC
 
 KIND, REPLAYED = "recording", "replay"
-"""The metadata `kind` of an imported log, and of a log on which a model was replayed."""
+"""The metadata `kind` of an imported log, and of a replay's log."""
 SUMMARY = "summary"
 """Metadata key of a replay: a sentence on the quality of the model's prediction."""
 

@@ -407,7 +407,7 @@ def _bars(
     colour: str,
     row: int | None = None,
 ) -> None:
-    """Draw a histogram, failed runs upon completed ones; within a given row it is scaled to that."""
+    """Draw a histogram, failed runs stacked on completed ones; a given row sets the scale."""
     counts = [np.histogram(np.clip(1e3 * values, edges[0], edges[-1]), edges)[0] for values in (good, bad)]
     scale = 1.0 if row is None else 0.85 / max(int(np.add(*counts).max()), 1)
     look = {"width": np.diff(edges), "align": "edge", "alpha": 0.75}
@@ -666,7 +666,7 @@ def draw_preflight(found: Preflight) -> Figure:
         row, column = divmod(len(found.borders), columns)
         place = (_LEFT + column * _WIDE / columns, 0.485 - row * (tall + 0.06), _WIDE / columns - 0.03, tall)
         _legend(figure.add_axes(place))
-        figure.text(_LEFT, 0.618, "How far each border is: where half as many runs complete", **heading)
+        figure.text(_LEFT, 0.618, "Borders: half as many runs complete", **heading)
     helps = "Gain of each change, on the same seeds; lines: two standard errors"
     none = "Gain of changes: none tried, because no run failed or none was compared"
     figure.text(_LEFT, 0.277, helps if found.changes else none, **heading)
@@ -753,8 +753,8 @@ def _border(axes: Axes, border: HazardBorder) -> None:
 def _legend(axes: Axes) -> None:
     axes.axis("off")
     lines = [
-        (style.INK, "● share that completes, of those"), ("", "    that do on the bench as it is"),
-        (style.GOOD, "- - the bench as it is"), (style.LIMIT, "│ border, with its 95 % interval"),
+        (style.INK, "● share that completes, of those"), ("", "    that do on the bench as described"),
+        (style.GOOD, "- - the bench as described"), (style.LIMIT, "│ border, with its 95 % interval"),
         ("", "to the right: worse"),
     ]  # fmt: skip
     for k, (colour, text) in enumerate(lines):

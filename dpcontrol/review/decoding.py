@@ -100,7 +100,7 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
 
 
 def _due(plan: Reference, arms: int) -> list[float]:
-    """Return the plan's time at which its reference crosses each section, s: for a transfer its middle.
+    """Return the time of each section crossing in the plan's reference, s: for a transfer its middle.
 
     The time stored with a symbol is that of the shadowed orbit, not of the reference.
     """

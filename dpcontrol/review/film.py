@@ -41,7 +41,7 @@ _FINE = 2
 _HEAD, _ROW, _FOOT = 0.42, 0.2, 0.42
 _GHOST, _TRACK = "#c3c9d0", "#dfe3e7"
 _TRACE, _PIECES = 0.9, 12
-"""Duration of the visible tip path, s, and number of shades in which it fades."""
+"""Duration of the visible tip path, s, and number of shades as it fades."""
 _COLOURS = 96
 _SECONDS = {".gif": 0.03, ".webp": 0.05, ".mp4": 0.03}
 """Time to draw and write a frame, s; a GIF also keeps every frame in memory until its end."""

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 RATE = 50.0
 """Rate of the displayed rows, Hz."""
 _MOST = getattr(select, "PIPE_BUF", 512)
-"""Size up to which a write to a pipe is atomic, bytes."""
+"""Largest atomic write to a pipe, bytes."""
 _ROOM = 1 << 20
 """Capacity of the pipe, bytes, on systems that can set it: a minute of rows."""
 _HEAD = struct.Struct("<cI")

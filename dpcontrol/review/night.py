@@ -2,7 +2,7 @@
 
     uptime = time on the itinerary / known time
 
-A fall is a tick at which the supervisor gave up the itinerary. The time until the itinerary is joined again is one
+At a fall the supervisor gives up the itinerary. The time until the itinerary is joined again is one
 absence, regardless of further falls in it. The files' digests are read one by one; a missing digest, as after a killed
 run, is computed from the log.
 """

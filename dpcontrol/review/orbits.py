@@ -102,7 +102,7 @@ def draw_rotating_families(families: Sequence[RotatingFamily]) -> Figure:
     traces, periods = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
     shapes = figure.add_subplot(grid[:, 1])
     for family in families:
-        # Adjacent runs share a member, so that lines of two kinds meet.
+        # Adjacent runs share a member to join lines of two kinds.
         for kind, members in _runs(family.members):
             energies = [m.energy for m in members]
             traces.plot(energies, [m.trace for m in members], color=KINDS[kind], linewidth=1.6)

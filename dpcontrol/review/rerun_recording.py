@@ -56,7 +56,7 @@ _BINS = 30_000
 _ON_THE_WAY = "on the way"
 _BAND_POINTS = 4000
 _EDGE = np.array([-1e-6, 0.0, 1e-6])
-"""Offsets at which the edge of a band is sampled, s."""
+"""Sampling offsets at the edge of a band, s."""
 
 
 _NO_GAPS: Array = np.zeros(0)

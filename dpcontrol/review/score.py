@@ -399,7 +399,7 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
 _BEGUN = 0.5
 """Greatest distance of a run from its reference at a valid start, rad."""
 _UNSEEN = 0.05
-"""Time in which no arm of a bench makes half a turn, s."""
+"""Longest time without a possible half turn of an arm, s."""
 
 
 def _unseen(flown: Flown) -> str:

@@ -18,7 +18,7 @@ from dpcontrol.review.series import arm_points
 _WIDE, _NAMES, _HEAD, _EDGE = 13.0, 0.65, 0.95, 0.12
 """Inches: page, names beside the pictures, header; and the margin."""
 _POSES, _TRACE = 9, 240
-"""Number of times at which the arms, and their tip's path, are drawn."""
+"""Number of drawn poses of the arms, and points of their tip's path."""
 _FAINTEST = 0.12
 
 

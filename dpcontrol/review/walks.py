@@ -202,7 +202,7 @@ NAMED = 20
 TIME = colormaps["viridis"]
 _TOGETHER = 0.05
 LIFTED_TURNS = 2.2
-"""Whole turns of an angle up to which the orbit in space is not drawn modulo a turn."""
+"""Most whole turns of an angle before the orbit in space is drawn modulo a turn."""
 
 
 def is_lifted(story: WalkStory) -> bool:

@@ -77,7 +77,7 @@ def draw_interior(interior: TubeInterior, periodic: tuple[RotatingOrbit, ...] = 
 
 
 def _marker(interior: TubeInterior) -> float:
-    """Return the marker area, points², at which neighbours of the start's grid overlap."""
+    """Return the marker area, points², that makes neighbours of the start's grid overlap."""
     spans = np.ptp(interior.points, axis=0)
     across = max(len(np.unique(np.round(interior.points[:, k], 9))) for k in (0, 1))
     # A cut spans about half of an axis that is 230 points long either way.
