@@ -82,7 +82,8 @@ def run_command(
         metavar="ADDRESS",
         group=BENCH,
         help="Run in real time on the bench at udp://HOST:PORT (see `dpcontrol rig`), or, with udp alone, on one "
-        'started for the run. A real bench needs an itinerary with start = "rest".',
+        "started for the run; or on FILE.py:CLASS, a rig in Python, as fast as it answers. A real bench needs an "
+        'itinerary with start = "rest".',
     ),
     program: Path | None = option(
         "--controller-program",
@@ -128,6 +129,12 @@ def run_command(
         raise click.UsageError("--real-time is for runs on a rig: give --rig udp as well")
     if address is None and (key_file or insecure):
         raise click.UsageError("--key-file and --insecure are for runs on a rig: give --rig as well")
+    own = address if address is not None and ".py:" in address else None
+    if own is not None and (real_time or key_file or insecure or hours is not None):
+        raise click.UsageError(
+            "--real-time, --key-file, --insecure and --hours are for benches at udp://: leave them out with --rig "
+            "FILE.py:CLASS"
+        )
     if address is not None and library is not None:
         raise click.UsageError("--controller-library is for runs on the simulated bench; on a rig run main_udp.c")
     if hours is None and (resume or keep_every != 1 or file_minutes != 10.0):
@@ -141,6 +148,7 @@ def run_command(
         raise click.UsageError("--controller-program controls the example bench of a run: give --rig udp as well")
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"--controller-program {program}: there is no such program that may be run; compile it first")
+    from dpcontrol.loop.own import load_own
     from dpcontrol.review.picture import LIVE_REMEDY, check_viewer
     from dpcontrol.scenes.evidence import run_remarks
     from dpcontrol.scenes.itinerary import load_itinerary
@@ -152,7 +160,9 @@ def run_command(
         if program is not None:
             raise click.UsageError("--live shows what the loop does, and a program does it here: give one of them")
         check_viewer(LIVE_REMEDY)
+    address = None if own else address
     link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
+    rig = None if own is None else load_own("rig", own)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     out = claim(out or default_log(scene))
     if hours is not None:
@@ -183,7 +193,8 @@ def run_command(
         plan = make_plan(scene, progress=progress, yes=yes)
         verdict = None
         if link is None:
-            verdict = run_plan(plan, out, library=library, force=force, live=live, progress=progress).score()
+            flown = run_plan(plan, out, library=library, rig=rig, force=force, live=live, progress=progress)
+            verdict = flown.score()
     if link is None:
         assert verdict is not None
         for line in run_remarks(scene):

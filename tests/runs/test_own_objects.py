@@ -171,3 +171,17 @@ def test_on_the_command_line_a_law_is_a_file_and_a_class(tmp_path: Path) -> None
         refused = dpcontrol("run", "outer-turn", "--controller", given)
         assert refused.code == 2
         assert said in refused.stderr
+
+
+def test_on_the_command_line_a_rig_is_a_file_and_a_class(tmp_path: Path) -> None:
+    log = tmp_path / "rig.mcap"
+    done = dpcontrol("run", "outer-turn", "--rig", f"{FILE}:Rig", "--controller", "tvlqr", "--out", str(log))
+    assert done.code == 0, done.stderr
+    assert dp.open_log(log).log.metadata["rig"] == "Rig"
+    for more, said in (("--hours=1", "leave them out"), ("--real-time", "leave them out")):
+        refused = dpcontrol("run", "outer-turn", "--rig", f"{FILE}:Rig", more)
+        assert refused.code == 2
+        assert said in refused.stderr
+    refused = dpcontrol("run", "outer-turn", "--rig", f"{FILE}:Mute")
+    assert refused.code == 2
+    assert "rig = Mute: it has no method read()" in refused.stderr
