@@ -278,6 +278,71 @@ class KnownMechanics(NamedTuple):
         return np.array([(k**2 + own + 1) / below, middle, (k**2 - own + 1) / below, middle, (k**2 - wide + 1) / below])
 
 
+class _Known(NamedTuple):
+    """The parts of a tick's inputs, by their names."""
+
+    memory: Mapping[str, ca.SX]
+    reading: Mapping[str, ca.SX]
+    row: Mapping[str, ca.SX]
+    numbers: Mapping[str, ca.SX]
+
+
+class _Acts(NamedTuple):
+    """When the command acts: the state (N,) then, and the cart's acceleration drive m/s².
+
+    back m/s²: feedback besides the row's. coming m/s²: what will act in the coming period, if it is known already.
+    """
+
+    ahead: ca.SX
+    drive: ca.SX
+    back: ca.SX
+    coming: ca.SX | None
+
+
+class _Law(NamedTuple):
+    """Feedforward and feedback, m/s²; finite: 1 if both are; doubted: see `TickEquations.law`; of a user's law, its
+    feedback by_own and its memory own."""
+
+    forward: ca.SX
+    feedback: ca.SX
+    finite: ca.SX
+    doubted: ca.SX
+    by_own: ca.SX
+    own: dict[str, ca.SX]
+
+
+class _Means(NamedTuple):
+    """What is judged; see `TickEquations.memory`. distance rad: of this tick; blind: 1 while a restart waits."""
+
+    nis: ca.SX
+    strain: ca.SX
+    silent: ca.SX
+    distance: ca.SX
+    blind: ca.SX
+    error: ca.SX
+
+
+class _Verdict(NamedTuple):
+    """The outcome, that which stopped the run or 0, the number of a stuck sensor or 0, and the watch's memory."""
+
+    outcome: ca.SX
+    stopped: ca.SX
+    sensor: ca.SX
+    watch: dict[str, ca.SX]
+
+
+class _Path(NamedTuple):
+    """What was made of the law: parts, wish and command, m/s²; what acts; 1 if it was cut; and the memory of it."""
+
+    forward: ca.SX
+    feedback: ca.SX
+    wish: ca.SX
+    command: ca.SX
+    acting: ca.SX
+    saturated: ca.SX
+    after: dict[str, ca.SX]
+
+
 @dataclass(frozen=True, eq=False)
 class TickEquations:
     """The tick of one filter, delay and law.
@@ -605,20 +670,13 @@ class TickEquations:
         command, memory = ca.vertsplit(out, [0, 1, out.shape[0]])
         return ca.if_else(row["own"], command - row["feedforward"], 0), {"own": memory}
 
-    def _stuck(
-        self,
-        m: Mapping[str, ca.SX],
-        r: Mapping[str, ca.SX],
-        c: Mapping[str, ca.SX],
-        wanted: ca.SX,
-        nis: ca.SX,
-        taken: ca.SX | None,
-    ) -> tuple[ca.SX, dict[str, ca.SX]]:
+    def _stuck(self, known: "_Known", nis: ca.SX, taken: ca.SX | None) -> tuple[ca.SX, dict[str, ca.SX]]:
         """The number of the first stuck sensor, from 1, and the watch's memory.
 
         taken (2n,): by how much the filter's update has changed the angles and rates that were predicted, if known.
         """
-        n, period = self.filter.arms, self.filter.period
+        n, period, wanted = self.filter.arms, self.filter.period, known.row["wanted"]
+        m, r, c = known.memory, known.reading, known.numbers
         fresh = _all(*(r["present"][i] for i in range(n + 1)))
         after: dict[str, list[ca.SX]] = {
             name: [] for name in ("last", "step", "same", "begin", "away", "pulled", "strained", "held_back")
@@ -709,32 +767,29 @@ class TickEquations:
         }
 
     def _finish(
-        self,
-        m: Mapping[str, ca.SX],
-        r: Mapping[str, ca.SX],
-        row: Mapping[str, ca.SX],
-        c: Mapping[str, ca.SX],
-        e: Mapping[str, ca.SX],
-        ahead: ca.SX,
-        drive: ca.SX,
-        back: ca.SX,
-        coming: ca.SX | None = None,
-        *,
-        predicts: bool,
+        self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", *, predicts: bool
     ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """All after the estimate: memory and report.
+        """All after the estimate e: memory and report."""
+        law = self._by_law(known, e, acts)
+        means = self._means(known, e, predicts=predicts)
+        verdict = self._verdict(known, e, acts, law, means, predicts=predicts)
+        path = self._path(known, e, acts, law, verdict)
+        return self._memory(known, e, law, means, verdict, path, predicts=predicts), self._report(
+            known, e, acts, law, means, verdict, path
+        )
 
-        drive m/s²: the cart's acceleration in the state ahead. back m/s²: feedback besides the row's. coming m/s²: what
-        will act in the coming period, if it is known already.
-        """
-        n, size, period = self.filter.arms, self.filter.equations.dimension, self.filter.period
-        forward = row["feedforward"]
-        by_row, doubted = self.law(row, ahead, drive, e["z"][size:], c["trust"])
-        by_own, own = self._by_own(m, row, ahead, c["parameters"])
-        feedback = back + by_row + by_own
-        was = m["stopped"] > 0
+    def _by_law(self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts") -> "_Law":
+        """Feedforward and feedback before limits, and what they leave to the memory."""
+        row, c, size = known.row, known.numbers, self.filter.equations.dimension
+        by_row, doubted = self.law(row, acts.ahead, acts.drive, e["z"][size:], c["trust"])
+        by_own, own = self._by_own(known.memory, row, acts.ahead, c["parameters"])
+        feedback = acts.back + by_row + by_own
+        finite = ca.logic_and(e["sound"], _finite(row["feedforward"] + feedback))
+        return _Law(row["feedforward"], feedback, finite, doubted, by_own, own)
 
-        # The means.
+    def _means(self, known: "_Known", e: Mapping[str, ca.SX], *, predicts: bool) -> "_Means":
+        """What is judged: of the innovations, of silence, and of the distance from the reference."""
+        m, r, c, n, period = known.memory, known.reading, known.numbers, self.filter.arms, self.filter.period
         judged = ca.logic_and(e["used"] > 0, e["sound"])
         # A blow is over in a tick: it alone is no reason to give the estimate up.
         by_position = ca.fmin(e["nis"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
@@ -746,32 +801,33 @@ class TickEquations:
         if predicts:
             # By what was read, which is true where an estimate is wrong. Another estimator's turns are not known here.
             angles = [ca.if_else(r["present"][i], r["measured"][i] - e["turns"][i], angles[i]) for i in range(n)]
-        distance = _largest([ca.fabs(angles[i] - row["wanted"][i]) for i in range(n)])
+        distance = _largest([ca.fabs(angles[i] - known.row["wanted"][i]) for i in range(n)])
         blind = ca.logic_and(m["restart"], ca.logic_not(e["used"] > 0))
-        known = ca.logic_and(e["sound"], ca.logic_not(blind))
-        error = m["error"] + ca.if_else(known, (distance - m["error"]) * min(period / TRACKING_MEMORY, 1), 0)
-        finite = ca.logic_and(e["sound"], _finite(forward + feedback))
+        seen = ca.logic_and(e["sound"], ca.logic_not(blind))
+        error = m["error"] + ca.if_else(seen, (distance - m["error"]) * min(period / TRACKING_MEMORY, 1), 0)
+        return _Means(nis, strain, silent, distance, blind, error)
 
-        # The verdict, written so that NaN stops the run.
-        lost = ca.logic_not(_all(finite, nis <= c["lost_estimate"], _finite(distance + ca.sum1(e["z"][:n]))))
+    def _verdict(
+        self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", means: "_Means", *, predicts: bool
+    ) -> "_Verdict":
+        """The outcome, written so that NaN stops the run."""
+        m, c, n = known.memory, known.numbers, self.filter.arms
+        finite = _all(law.finite, means.nis <= c["lost_estimate"], _finite(means.distance + ca.sum1(e["z"][:n])))
+        lost = ca.logic_not(finite)
         restarts = ca.logic_and(lost, m["restarts"] < c["restarts"] - 0.5)
-        x, v, sent = ahead[2 * n], ahead[2 * n + 1], m["velocity"]
-        farthest = self._stopping_point(x, v, c)
-        # What was sent and does not show yet, for a drive that lags.
-        heading = m["heading"]
-        farthest = ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, heading, c), -_BIG))
-        leaves = farthest >= c["travel"]
+        leaves = self._farthest(known, acts) >= c["travel"]
         # A cart that runs after arms that have fallen is not what ended the run.
-        fallen = ca.logic_and(leaves, distance > c["lost_tracking"])
-        astray = error > ca.if_else(m["held"], ca.fmax(c["lost_tracking"], LOST_AFTER_FALLBACK), c["lost_tracking"])
+        fallen = ca.logic_and(leaves, means.distance > c["lost_tracking"])
+        most = ca.if_else(m["held"], ca.fmax(c["lost_tracking"], LOST_AFTER_FALLBACK), c["lost_tracking"])
+        astray = means.error > most
         holds = _all(astray, c["can_hold"], ca.logic_not(m["held"]))
-        moves = _all(c["resynchronise"] > 0, error > c["resynchronise"], m["moved"] > TRACKING_MEMORY)
+        moves = _all(c["resynchronise"] > 0, means.error > c["resynchronise"], m["moved"] > TRACKING_MEMORY)
         taken = e.get("relative", e["z"])[: 2 * n] - m["z"][: 2 * n] if predicts else None
-        sensor, watch = self._stuck(m, r, c, row["wanted"], ca.if_else(restarts, 0, strain), taken)
+        sensor, watch = self._stuck(known, ca.if_else(restarts, 0, means.strain), taken)
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrules those before it.
         for condition, code in (
-            (r["switch"], Outcome.SWITCH),
+            (known.reading["switch"], Outcome.SWITCH),
             (moves, Outcome.RESYNCHRONISE),
             (holds, Outcome.HOLD),
             # A restart does not help against a stuck sensor, nor does holding on.
@@ -783,86 +839,129 @@ class TickEquations:
                     (ca.logic_and(astray, ca.logic_not(holds)), Outcome.TRACKING_LOST),
                     (leaves, Outcome.CART),
                     (fallen, Outcome.FALLEN),
-                    (silent > c["missing"], Outcome.SILENT),
+                    (means.silent > c["missing"], Outcome.SILENT),
                     (lost, Outcome.ESTIMATE_LOST),
                 )
             ),
         ):
             outcome = ca.if_else(condition, int(code), outcome)
-        outcome = ca.if_else(was, int(Outcome.GO_ON), outcome)
+        outcome = ca.if_else(m["stopped"] > 0, int(Outcome.GO_ON), outcome)
         stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m["stopped"])
-        stop, again = stopped > 0, ca.eq(outcome, int(Outcome.RESTART))
-        falls, moved = ca.eq(outcome, int(Outcome.HOLD)), ca.eq(outcome, int(Outcome.RESYNCHRONISE))
+        return _Verdict(outcome, stopped, sensor, watch)
 
-        # The path.
-        most, fastest = c["acceleration"], c["velocity"]
-        forward = ca.if_else(ca.logic_or(stop, ca.logic_not(finite)), 0, forward)
-        feedback = ca.if_else(finite, feedback, 0)
+    def _farthest(self, known: "_Known", acts: "_Acts") -> ca.SX:
+        """Where the cart comes to rest if it brakes now, m from the centre."""
+        m, c, n = known.memory, known.numbers, self.filter.arms
+        x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m["velocity"]
+        farthest = self._stopping_point(x, v, c)
+        # What was sent and does not show yet, for a drive that lags.
+        return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m["heading"], c), -_BIG))
+
+    def _path(
+        self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", verdict: "_Verdict"
+    ) -> "_Path":
+        """The command within the drive's limits, and what acts in the coming period."""
+        m, c, period, n = known.memory, known.numbers, self.filter.period, self.filter.arms
+        most, fastest, sent, stop = c["acceleration"], c["velocity"], m["velocity"], verdict.stopped > 0
+        forward = ca.if_else(ca.logic_or(stop, ca.logic_not(law.finite)), 0, law.forward)
+        feedback = ca.if_else(law.finite, law.feedback, 0)
         feedback = ca.if_else(stop, _within(-sent / period, BRAKING * most), feedback)
         wish = forward + feedback
         command = _within(wish, most)
-        queue = {} if coming is not None else {"sent": ca.vertcat(m["sent"][1:], command)}
         velocity = _within(sent + command * period, fastest)
         # Braking to rest leaves what rounding leaves.
         velocity = ca.if_else(ca.fabs(velocity) > AT_REST, velocity, 0)
-        still = ca.if_else(_all(was, ca.logic_not(ca.fabs(sent) > 0)), m["still"] + period, 0)
+        still = ca.if_else(_all(m["stopped"] > 0, ca.logic_not(ca.fabs(sent) > 0)), m["still"] + period, 0)
+        queue, coming = {}, acts.coming
         if coming is None:
+            queue = {"sent": ca.vertcat(m["sent"][1:], command)}
             coming = c["share"] * queue["sent"][0] + (1 - c["share"]) * queue["sent"][1]
-        acting, moved_on = self._acting(coming, e["z"][size - 1], m.get("drive", ca.SX(0)), c)
+        place = self.filter.equations.dimension - 1
+        acting, moved_on = self._acting(coming, e["z"][place], m.get("drive", ca.SX(0)), c)
         saturated = ca.logic_or(ca.fabs(wish) > most, ca.fabs(velocity) >= fastest)
-        newly_cut = ca.logic_and(saturated, ca.logic_not(m["cut"]))
-        newly_doubted = ca.if_else(m["doubts"], 0, doubted)
+        heading, v = m["heading"], acts.ahead[2 * n + 1]
+        heading = _within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
+        shaped, kept = self._shaped(known, command)
+        after = {**queue, "velocity": velocity, "heading": heading, "still": still, "drive": moved_on, **kept}
+        return _Path(forward, feedback, wish, shaped, acting, saturated, after)
+
+    def _shaped(self, known: "_Known", command: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """The command to the drive, and the memory of its shaping."""
+        if not self.shapes:
+            return command, {}
+        # What the drive, the shaping and the belt make of a command is a lag, which the filter knows.
+        (b0, b1, b2, a1, a2), (first, second) = (
+            ca.vertsplit(known.numbers["notch"]),
+            ca.vertsplit(known.memory["shaped"]),
+        )
+        shaped = b0 * command + first
+        return shaped, {"shaped": ca.vertcat(b1 * command - a1 * shaped + second, b2 * command - a2 * shaped)}
+
+    def _memory(
+        self, known: "_Known", e: Mapping[str, ca.SX], law: "_Law", means: "_Means", verdict: "_Verdict",
+        path: "_Path", *, predicts: bool,
+    ) -> dict[str, ca.SX]:  # fmt: skip
+        """What is kept for the next tick."""
+        m, period = known.memory, self.filter.period
+        falls, again = ca.eq(verdict.outcome, int(Outcome.HOLD)), ca.eq(verdict.outcome, int(Outcome.RESTART))
+        moved = ca.eq(verdict.outcome, int(Outcome.RESYNCHRONISE))
+        memory = {
+            "turns": e["turns"], **{name: e[name] for name in ("timing", "timed", "lateness")},
+            "strain": means.strain, "error": ca.if_else(falls, 0, means.error),
+            "nis": ca.if_else(again, 0, means.nis), "silent": means.silent,
+            "restarts": m["restarts"] * (1 - min(period / RESTART_MEMORY, 1)) + again,
+            "held": ca.if_else(falls, 1, m["held"]), "moved": ca.if_else(moved, 0, m["moved"] + period),
+            "restart": ca.logic_or(again, means.blind), "stopped": verdict.stopped, "acted": path.acting,
+            "cut": path.saturated, "doubts": ca.logic_or(m["doubts"], law.doubted > 0), **verdict.watch,
+            **self._expected_cart(verdict.watch, path.acting), **law.own, **path.after,
+            **self._predicted(known, e, means, path.acting, predicts=predicts),
+        }  # fmt: skip
+        if self.plays:
+            memory["mark"] = e["mark"]
+        if self.split:
+            memory["origin"] = m["origin"]
+        return memory
+
+    def _predicted(
+        self, known: "_Known", e: Mapping[str, ca.SX], means: "_Means", acting: ca.SX, *, predicts: bool
+    ) -> dict[str, ca.SX]:
+        """The filter's prediction over the coming period; without `predicts`, its memory as it is."""
+        m, c = known.memory, known.numbers
+        if not predicts:
+            return {"z": m["z"], "covariance": m["covariance"]}
+        start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
+        covariance = unpack(e["covariance"], self.filter.dimension)
+        doubt = self.filter.doubt(covariance, acting - m["acted"], means.nis)
+        following, jacobian, noise = self.filter.predicted(start, acting, c["parameters"], c["process"], doubt, origin)
+        return {"z": following, "covariance": propagated(jacobian, covariance, noise)}
+
+    def _report(
+        self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", means: "_Means",
+        verdict: "_Verdict", path: "_Path",
+    ) -> dict[str, ca.SX]:  # fmt: skip
+        """What the loop and the log are given."""
+        m, size, stop = known.memory, self.filter.equations.dimension, verdict.stopped > 0
+        newly_cut = ca.logic_and(path.saturated, ca.logic_not(m["cut"]))
+        newly_doubted = ca.if_else(m["doubts"], 0, law.doubted)
         repeats = ca.SX(0)
-        for i in range(n + 1):
-            repeats = ca.if_else(ca.eq(sensor, i + 1), watch["same"][i], repeats)
-        mode = ca.if_else(stop, int(Mode.ABORTED), ca.if_else(saturated, int(Mode.SATURATED), c["mode"]))
+        for i in range(self.filter.arms + 1):
+            repeats = ca.if_else(ca.eq(verdict.sensor, i + 1), verdict.watch["same"][i], repeats)
+        tracks = ca.if_else(path.saturated, int(Mode.SATURATED), known.numbers["mode"])
         # Reports and logs hold relative errors, the filter logarithms.
         extras, sigmas = e["z"][:, :], e["sigmas"][:, :]
         for i in self.filter.shares:
             sigmas[i] *= ca.exp(extras[i])
             extras[i] = ca.exp(extras[i]) - 1
-
-        heading = _within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
-        memory = {
-            **queue, "velocity": velocity, "heading": heading, "turns": e["turns"],
-            **{name: e[name] for name in ("timing", "timed", "lateness")}, "strain": strain,
-            "error": ca.if_else(falls, 0, error), "nis": ca.if_else(again, 0, nis), "silent": silent,
-            "restarts": m["restarts"] * (1 - min(period / RESTART_MEMORY, 1)) + again,
-            "held": ca.if_else(falls, 1, m["held"]),
-            "moved": ca.if_else(moved, 0, m["moved"] + period), "restart": ca.logic_or(again, blind),
-            "stopped": stopped, "still": still, "acted": acting, "cut": saturated,
-            "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch, **self._expected_cart(watch, acting), **own,
+        return {
+            "state": e["z"][:size], "wish": path.wish, "feedforward": path.forward, "feedback": path.feedback,
+            "acting": path.acting, "saturated": path.saturated, "nis": e["nis"],
+            "mode": ca.if_else(stop, int(Mode.ABORTED), tracks), "sigmas": sigmas, "extra": extras[size:],
+            "command": path.command, "outcome": verdict.outcome, "stop": stop,
+            "done": path.after["still"] > SETTLING, "newly_cut": newly_cut, "doubted": newly_doubted,
+            "sensor": verdict.sensor, "repeats": repeats, "error": means.error, "mean_nis": means.nis,
+            "silent": means.silent, "used": e["used"], "ahead": acts.ahead, "notable": verdict.outcome + stop,
+            "news": newly_cut + newly_doubted, "own": law.by_own + known.row["feedforward"],
         }  # fmt: skip
-        if predicts:
-            start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
-            covariance = unpack(e["covariance"], self.filter.dimension)
-            doubt, known = self.filter.doubt(covariance, acting - m["acted"], nis), (c["parameters"], c["process"])
-            following, jacobian, noise = self.filter.predicted(start, acting, *known, doubt, origin)
-            memory["z"] = following
-            memory["covariance"] = propagated(jacobian, covariance, noise)
-        else:
-            memory |= {"z": m["z"], "covariance": m["covariance"]}
-        if self.plays:
-            memory["mark"] = e["mark"]
-        shaped = command
-        if self.shapes:
-            # What the drive, the shaping and the belt make of a command is a lag, which the filter knows.
-            (b0, b1, b2, a1, a2), (first, second) = ca.vertsplit(c["notch"]), ca.vertsplit(m["shaped"])
-            shaped = b0 * command + first
-            memory["shaped"] = ca.vertcat(b1 * command - a1 * shaped + second, b2 * command - a2 * shaped)
-        if self.split:
-            memory["origin"] = m["origin"]
-        memory["drive"] = moved_on
-        report = {
-            "state": e["z"][:size], "wish": wish, "feedforward": forward, "feedback": feedback, "acting": acting,
-            "saturated": saturated, "nis": e["nis"], "mode": mode, "sigmas": sigmas, "extra": extras[size:],
-            "command": shaped, "outcome": outcome, "stop": stop, "done": still > SETTLING, "newly_cut": newly_cut,
-            "doubted": newly_doubted, "sensor": sensor, "repeats": repeats,
-            "error": error, "mean_nis": nis,
-            "silent": silent, "used": e["used"], "ahead": ahead, "notable": outcome + stop,
-            "news": newly_cut + newly_doubted, "own": by_own + row["feedforward"],
-        }  # fmt: skip
-        return memory, report
 
     def _stopping_point(self, position: ca.SX, velocity: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
         """Where the cart comes to rest if it brakes now: m from the centre, in the direction of its motion.
@@ -881,7 +980,8 @@ class TickEquations:
         z, drive = e["z"], m.get("drive", ca.SX(0))
         for command in on_their_way(m["sent"], c["share"], whole=self.whole, lead=self.lead):
             z, drive = self._moved(z, drive, command, c)
-        after, report = self._finish(m, r, t, c, e, self._seen(z, r), drive, ca.SX(0), predicts=True)
+        acts = _Acts(self._seen(z, r), drive, ca.SX(0), None)
+        after, report = self._finish(_Known(m, r, t, c), e, acts, predicts=True)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
         return _function("tick", {"memory": memory, "reading": reading, "row": row, "numbers": numbers}, out)
 
@@ -910,7 +1010,8 @@ class TickEquations:
         ahead, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
         drive = ca.SX.sym("drive")
         coming = None if self.unrolled else ca.SX.sym("coming")
-        after, report = self._finish(m, r, t, c, e, ahead, drive, back, coming, predicts=predicts)
+        acts = _Acts(ahead, drive, back, coming)
+        after, report = self._finish(_Known(m, r, t, c), e, acts, predicts=predicts)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
         inputs = {"memory": memory, "reading": reading, "row": row, "numbers": numbers, "sensed": sensed}
         inputs |= {"ahead": ahead, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
