@@ -204,11 +204,11 @@ class Attempt:
 
 def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
     """Return success if at least half of the answers succeed, otherwise the number of failures and one message."""
-    said = [answer.says for answer in answers if not answer.works]
-    if 2 * len(said) <= len(answers):
+    messages = [answer.says for answer in answers if not answer.works]
+    if 2 * len(messages) <= len(answers):
         return Attempt(True)
-    first = next(filter(None, said), "")
-    return Attempt(False, first and f"{len(said)} of {len(answers)} {lost}; {first}")
+    first = next(filter(None, messages), "")
+    return Attempt(False, first and f"{len(messages)} of {len(answers)} {lost}; {first}")
 
 
 @dataclass(frozen=True)

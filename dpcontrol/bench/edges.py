@@ -103,7 +103,7 @@ def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
         # Equilibria are not numbers, so their lines are placed side by side.
         return replace(step_border(arms, saddle, **method), x=float(saddles.index(saddle)))
 
-    def never_taken(h: float, _: str) -> str:
+    def unused_step(h: float, _: str) -> str:
         return f"never taken: the simulated bench splits steps longer than {split:g} s"
 
     maps = [
@@ -114,7 +114,7 @@ def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
         )
         for title, tableau, step, says in (
             ("Model of controllers and filters: Runge-Kutta 4", RK4, model_step(arms), _run_at),
-            ("Plant: 12 stages of DOP853", DOP, plant_step(arms), never_taken),
+            ("Plant: 12 stages of DOP853", DOP, plant_step(arms), unused_step),
         )
     ]  # fmt: skip
     return EdgeChart(
@@ -203,10 +203,10 @@ def step_border(
 def _run_at(h: float, saddle: str) -> str:
     """Return the message of a run with a period of the step's length, arms held at the equilibrium."""
     try:
-        stand = held_at_rest(1 / h, saddle=saddle, seconds=60.0)
+        loop_case = held_at_rest(1 / h, saddle=saddle, seconds=60.0)
     except (InputError, GoalMissed) as error:
         return str(error)
-    return stand.run(acceleration=STRONG, error=HELD_ERROR).says
+    return loop_case.run(acceleration=STRONG, error=HELD_ERROR).says
 
 
 RIGHT = 1e-9
@@ -435,7 +435,7 @@ WITHOUT_FILTER = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
+class LoopCase:
     """A controller at a rate in Hz on its model.
 
     A run succeeds if its angles end within `near` rad of the reference, over its last tenth.
@@ -486,7 +486,7 @@ def farthest_at_last(run: BatchRun) -> float:
     return float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
 
 
-def held_at_rest(rate: float, *, saddle: str = SADDLE, seconds: float = 8.0) -> Stand:
+def held_at_rest(rate: float, *, saddle: str = SADDLE, seconds: float = 8.0) -> LoopCase:
     """Return the lab's arms held at an equilibrium for `seconds`.
 
     Raises:
@@ -497,17 +497,17 @@ def held_at_rest(rate: float, *, saddle: str = SADDLE, seconds: float = 8.0) -> 
     controller = hold_controller(lab.system.equilibrium(saddle), model, HoldSettings(), seconds=seconds)
     settings = LoopSettings(seed=0, rate=rate, controller=HoldSettings())
     reference = still(controller.state, seconds, method=method_named("radau-7"), limits=Limits(), interval=1.0)
-    return Stand(reference, lab.arms, model, controller, settings, near=0.1)
+    return LoopCase(reference, lab.arms, model, controller, settings, near=0.1)
 
 
 @cache
-def moving(rate: float) -> Stand:
+def moving(rate: float) -> LoopCase:
     """Return the planned turn of the outer arm, followed by TVLQR."""
     scene = load_itinerary(WALK)
     model = sampled_model(scene.model.arms, rate)
     reference = make_plan(scene).reference
     controller = tracking_controller(reference, model, TvlqrSettings())
-    return Stand(reference, scene.model.arms, model, controller, LoopSettings(seed=0, rate=rate), near=0.3)
+    return LoopCase(reference, scene.model.arms, model, controller, LoopSettings(seed=0, rate=rate), near=0.3)
 
 
 LATE = EdgeMap("Known delay, by rate", "rate of the loop, Hz", "delay, s", far="lost")
@@ -563,38 +563,38 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
     )  # fmt: skip
 
 
-def delay_border(stand: Stand, *, error: float, ratio: float, predicted: float | None = None) -> Border:
+def delay_border(loop_case: LoopCase, *, error: float, ratio: float, predicted: float | None = None) -> Border:
     """Return the border of the known delay in s, after an error in rad at the start."""
-    rate, middle = stand.settings.rate, predicted or 0.2
+    rate, middle = loop_case.settings.rate, predicted or 0.2
     return find_border(
-        lambda delay: stand.run(acceleration=WEAK, error=error, delay=delay), x=rate, line=f"{rate:g} Hz",
+        lambda delay: loop_case.run(acceleration=WEAK, error=error, delay=delay), x=rate, line=f"{rate:g} Hz",
         near=middle / 4, far=3 * middle, predicted=predicted, ratio=ratio, unit=1 / rate,
     )  # fmt: skip
 
 
-def mismatch_border(stand: Stand, delay: float, *, ratio: float, predicted: float | None = None) -> Border:
+def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float, predicted: float | None = None) -> Border:
     """Return the border of the plant's mismatch at a delay in s, in one direction of all parameters."""
     near, far = (predicted / 4, min(2.5 * predicted, 0.6)) if predicted else (0.01, 0.6)
     return find_border(
-        lambda mismatch: stand.run(acceleration=STRONG, mismatch=mismatch, delay=delay), x=delay,
+        lambda mismatch: loop_case.run(acceleration=STRONG, mismatch=mismatch, delay=delay), x=delay,
         line=f"{1e3 * delay:g} ms", near=near, far=far, predicted=predicted, ratio=ratio,
     )  # fmt: skip
 
 
 def held_delay_border(rate: float, *, ratio: float) -> Border:
     """Return the border of the delay in s at `rate` Hz, for held arms, with its prediction."""
-    stand = held_at_rest(rate)
-    predicted = longest_delay(stand, stand.drawn_error(HELD_ERROR), acceleration=WEAK)
-    return delay_border(stand, error=HELD_ERROR, ratio=ratio, predicted=predicted)
+    loop_case = held_at_rest(rate)
+    predicted = longest_delay(loop_case, loop_case.drawn_error(HELD_ERROR), acceleration=WEAK)
+    return delay_border(loop_case, error=HELD_ERROR, ratio=ratio, predicted=predicted)
 
 
-def longest_delay(stand: Stand, error: Array, *, acceleration: float) -> float:
+def longest_delay(loop_case: LoopCase, error: Array, *, acceleration: float) -> float:
     """Return the longest delay in s after which `acceleration` m/s² can correct an initial `error` (N,)."""
-    a, b = stand.linear()
+    a, b = loop_case.linear()
     values, left = np.linalg.eig(a.T)
     first = int(np.argmax(np.abs(values)))
     growth, direction = float(values[first].real), np.real(left[:, first])
-    rate = float(np.log(growth)) * stand.settings.rate
+    rate = float(np.log(growth)) * loop_case.settings.rate
     # One held period: b (e^{λT} - 1)/λ.
     reach = float(direction @ b) * rate / (growth - 1)
     return float(np.log(acceleration * abs(reach) / (rate * abs(float(direction @ error)))) / rate)
@@ -602,18 +602,18 @@ def longest_delay(stand: Stand, error: Array, *, acceleration: float) -> float:
 
 def held_mismatch_border(delay: float, *, ratio: float) -> Border:
     """Return the border of the plant's mismatch at a delay in s, for held arms, with its prediction."""
-    stand = held_at_rest(MISMATCH_RATE, seconds=20.0)
-    controller, believed = stand.controller, stand.linear()
+    loop_case = held_at_rest(MISMATCH_RATE, seconds=20.0)
+    controller, believed = loop_case.controller, loop_case.linear()
     assert isinstance(controller, HoldController)
 
     def grows(mismatch: float) -> bool:
-        plant, ticks = stand.linear(mismatch), round(delay * MISMATCH_RATE)
+        plant, ticks = loop_case.linear(mismatch), round(delay * MISMATCH_RATE)
         loop = loop_matrix(plant, believed, gain=controller.gain, delay=ticks)
         return bool(np.abs(np.linalg.eigvals(loop)).max() >= 1)
 
     # The first border counts: the eigenvalue may return into the circle.
     predicted = next(filter(grows, np.geomspace(1e-3, 0.6, 60).tolist()), None)
-    return mismatch_border(stand, delay, ratio=ratio, predicted=predicted)
+    return mismatch_border(loop_case, delay, ratio=ratio, predicted=predicted)
 
 
 def loop_matrix(
@@ -851,11 +851,11 @@ class FollowedReference:
         drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=believed + delay * rate)
         other = self.assembly.under(replace(self.assembly.settings, drive=drive))
         runs = replace(other, law=self.assembly.controller, believed_delay=believed).batch(range(self.seeds))
-        failed = [why for run in runs if (why := _astray(run))]
+        failed = [why for run in runs if (why := _failure_reason(run))]
         return Attempt(2 * len(failed) < self.seeds, failed[0] if failed else "")
 
 
-def _astray(run: BatchRun) -> str:
+def _failure_reason(run: BatchRun) -> str:
     """Return the reason why a run left its reference, or ""."""
     if run.ending is not Ending.FINISHED:
         return run.reason

@@ -95,7 +95,7 @@ def timed_in_turns(
             count, spent = len(own.found), sum(end - begin for begin, end in own.found)
             if own.going and count < number and (spent < most or count < least):
                 own.found.append(own.stretch())
-    speed.ask(now=True)
+    speed.measure(now=True)
     return {key: own.timed() for key, own in measured.items()}
 
 
@@ -107,7 +107,7 @@ class _Speed:
         self._when: list[float] = []
         self._took: list[float] = []
 
-    def ask(self, *, now: bool = False) -> None:
+    def measure(self, *, now: bool = False) -> None:
         """Measure the yardstick unless the last measurement is recent."""
         if now or not self._when or self.clock() - self._when[-1] >= _EVERY:
             self._took.append(self._beside())
@@ -152,12 +152,12 @@ class _Measured(Generic[T]):
 
     def stretch(self) -> tuple[float, float]:
         """Make the calls of one measurement; return its begin and end."""
-        self._speed.ask()
+        self._speed.measure()
         begin = self._speed.clock()
         for _ in range(self._calls):
             self._last = self._function()
         end = self._speed.clock()
-        self._speed.ask()
+        self._speed.measure()
         return begin, end
 
     def timed(self) -> Timed[T]:

@@ -185,8 +185,8 @@ def earlier_panels(folder: Path, name: str) -> tuple[Panel, ...]:
 def _panel(document: Mapping[str, Any]) -> Panel:
     known = {f.name for f in fields(Point)}
     points = tuple(Point(**{name: value for name, value in p.items() if name in known}) for p in document["points"])
-    told = {name: document[name] for name in ("title", "x_label", "y_label", "floor", "judged", "timed")}
-    return Panel(points=points, **told)
+    titles = {name: document[name] for name in ("title", "x_label", "y_label", "floor", "judged", "timed")}
+    return Panel(points=points, **titles)
 
 
 def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
@@ -206,9 +206,9 @@ def _changes(before: Panel, after: Panel) -> list[str]:
     was, now = ({p.name: p for p in panel.points} for panel in (before, after))
     fronts = [{p.name for p in panel.front} for panel in (before, after)]
     left = {name: after.off_front(now[name]) for name in sorted(fronts[0] - fronts[1])}
-    came = {name: before.off_front(was[name]) for name in sorted(fronts[1] - fronts[0])}
+    joined = {name: before.off_front(was[name]) for name in sorted(fronts[1] - fronts[0])}
     found = [f"{name} was on the front, and is {off:.0%} off it" for name, off in left.items() if off > TIED]
-    found += [f"{name} was {off:.0%} off the front, and is on it" for name, off in came.items() if off > TIED]
+    found += [f"{name} was {off:.0%} off the front, and is on it" for name, off in joined.items() if off > TIED]
     for one, other in combinations(sorted(fronts[0] & fronts[1]), 2):
         ratios = [p[one].seconds / p[other].seconds for p in (was, now)]
         if max(ratios) > 1 + TIED and min(ratios) < 1 / (1 + TIED):

@@ -193,7 +193,7 @@ class VerifiedFile:
         check_channels(self.path, self.tick, schemas=self.schemas, channels=self.channels, writer=self._writer)
 
     @property
-    def ours(self) -> bool:
+    def is_native(self) -> bool:
         """True if the header names this program as the writer."""
         return self.library.startswith("dpcontrol ")
 
@@ -665,13 +665,13 @@ def read_log(path: Path | str) -> RunLog:
         InputError: the file is missing, empty, cut off, damaged, not an MCAP file or not a log of a run.
     """
     file = _open(Path(path))
-    found = None if file.ours else _rewritten(file)
+    found = None if file.is_native else _rewritten(file)
     try:
         if found is None:
             with file.decoding():
                 return _decode(file)
     except InputError:
-        found = _rewritten(file) if file.ours else None
+        found = _rewritten(file) if file.is_native else None
         if found is None:
             raise
     with file.decoding():
@@ -902,13 +902,13 @@ def summarise(path: Path | str) -> LogSummary:
         InputError: the file is missing, cut off, damaged or not a log of this program.
     """
     file = _open(Path(path))
-    found = None if file.ours else _rewritten(file)
+    found = None if file.is_native else _rewritten(file)
     try:
         if found is None:
             with file.decoding():
                 return _summary(file, file.tick, file.metadata[layout.LAYOUT_RECORD], _spans(file))
     except InputError:
-        found = _rewritten(file) if file.ours else None
+        found = _rewritten(file) if file.is_native else None
         if found is None:
             raise
     spans = {

@@ -83,7 +83,7 @@ class SoundChunk:
 
     def messages(self) -> tuple[bytes, list[ChunkMessages]]:
         """Return the message records without schemas and channels, and the offset of each."""
-        start, batch = _walked(self.body)
+        start, batch = _message_start(self.body)
         found = []
         for channel, offsets in batch.others.items():
             times = gathered(batch.data, offsets, layout.RECORD_HEADER)["log_time"].astype(np.int64)
@@ -116,7 +116,7 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
         place = match.start()
         opcode, length = struct.unpack_from("<BQ", data, place)
         end = place + 9 + length
-        if end <= len(data) and _take(found, opcode, view[place + 9 : end]):
+        if end <= len(data) and _accept(found, opcode, view[place + 9 : end]):
             place = end
             if len(found.chunks) % 500 == 0:
                 progress("reading valid records", place / len(data))
@@ -126,7 +126,7 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
     return found
 
 
-def _take(found: Salvage, opcode: int, body: memoryview) -> bool:
+def _accept(found: Salvage, opcode: int, body: memoryview) -> bool:
     """Add a record if its checksum agrees; return True if it was added."""
     try:
         if opcode == Opcode.CHUNK:
@@ -151,7 +151,7 @@ def _chunk(body: memoryview) -> SoundChunk:
     _, _, size, checksum, _, _ = CHUNK_HEAD.unpack_from(body)
     if size > LARGEST_CHUNK or not checksum:
         raise ValueError("a chunk is too large, or carries no checksum")
-    _, batch = _walked(body)
+    _, batch = _message_start(body)
     sequences, times = {}, None
     for channel, offsets in batch.others.items():
         heads = gathered(batch.data, [offsets[0], offsets[-1]], layout.RECORD_HEADER)
@@ -164,7 +164,7 @@ def _chunk(body: memoryview) -> SoundChunk:
     return SoundChunk(body, size, checksum, sequences, times, schemas, channels)
 
 
-def _walked(body: memoryview) -> tuple[int, Batch]:
+def _message_start(body: memoryview) -> tuple[int, Batch]:
     """Return the offset of a chunk's first message, and its records."""
     batch = Batch(unpacked(body, zstandard.ZstdDecompressor()))
     start = max((end for _, _, end in batch.declared), default=0)
@@ -233,7 +233,7 @@ def recover(
     if out is not None:
         checked_other_file(Path(out), path, what="the log to recover")
     found = salvage(data, progress=part_of(progress, 0.0, 0.6))
-    described = _only(path, found, layout.LAYOUT_RECORD)
+    described = _single_record(path, found, layout.LAYOUT_RECORD)
     if described is None or not any(chunk.times for chunk in found.chunks):
         raise InputError(f"{path} cannot be recovered: {_nothing(found)}; make the log again with `dpcontrol run`")
     try:
@@ -247,7 +247,7 @@ def recover(
         read_log(path)
         return replace(done, lost="")
     done = replace(done, log=_free_name(path) if out is None else Path(out))
-    check_replaced(done.log, _only(path, found, layout.RUN_RECORD) or {}, recovers=path, force=force)
+    check_replaced(done.log, _single_record(path, found, layout.RUN_RECORD) or {}, recovers=path, force=force)
     _write(found, chunks, described=described, tick=tick, done=done, progress=part_of(progress, 0.6, 1.0))
     return done
 
@@ -270,7 +270,7 @@ def _free_name(path: Path) -> Path:
     return next(name for name in names if not name.exists())
 
 
-def _only(path: Path, found: Salvage, name: str) -> dict[str, str] | None:
+def _single_record(path: Path, found: Salvage, name: str) -> dict[str, str] | None:
     """Return the record of this name, or None.
 
     Raises:
@@ -318,7 +318,7 @@ def _account(
     """List the recovered and the missing parts of the log."""
     ticked = [(*c.sequences[layout.MEASURED_CHANNEL], *c.times) for c in chunks if c.times is not None]
     period = 1 / float(described["rate_hz"])
-    result = _only(path, found, layout.RESULT_RECORD)
+    result = _single_record(path, found, layout.RESULT_RECORD)
     end_s = ticked[-1][3] / 1e9
     missing, gaps = ticked[0][0], [(0.0, ticked[0][2] / 1e9)] if ticked[0][0] else []
     for (_, last, _, before), (first, _, after, _) in pairwise(ticked):
@@ -332,7 +332,7 @@ def _account(
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise InputError(f"{path}: its layout names no list of attachments but {names!r:.80}; nothing can be recovered")
     attachments_lost = tuple(name for name in names if name not in found.attachments)
-    before = _only(path, found, layout.RECOVERY_RECORD) or {}
+    before = _single_record(path, found, layout.RECOVERY_RECORD) or {}
     lost = [before[layout.LOST]] if before.get(layout.LOST) else []
     if missing:
         shown = ", ".join(f"{a:.3f} to {b:.3f} s" for a, b in gaps[:_SHOWN_GAPS])
@@ -389,8 +389,8 @@ def _write(
             for name in done.attachments:
                 file.add_attachment(name, found.attachments[name])
             file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
-            said = {layout.LOST: done.lost, "source": done.source.name}
-            file.add_metadata(layout.RECOVERY_RECORD, sealed(layout.RECOVERY_RECORD, said))
+            record_values = {layout.LOST: done.lost, "source": done.source.name}
+            file.add_metadata(layout.RECOVERY_RECORD, sealed(layout.RECOVERY_RECORD, record_values))
             file.add_channels(tick.schemas, latched=layout.LATCHED)
             for k, chunk in enumerate(chunks):
                 file.add_chunk(*chunk.messages())

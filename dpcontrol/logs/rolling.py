@@ -31,7 +31,7 @@ from dpcontrol.logs.writer import LogWriter
 
 NIGHT_METADATA = "night"
 """Metadata record of each file, in JSON: its position in the night, see `RollingLog`."""
-_TOLD = (RETURN, REST, START, RESUME, LAP)
+_RECORDED = (RETURN, REST, START, RESUME, LAP)
 _LEAST_LEVEL = LEVELS["error"]
 _DEADLINES = "deadlines_"
 _SOON = 1e-6
@@ -108,9 +108,9 @@ class Digest:
         """Return the digest of the next file of the same session."""
         return Digest(number, self.session, on=self._now_on, limit=self.limit)
 
-    def take_event(self, time: float, level: str, name: str, text: str) -> None:
+    def add_event(self, time: float, level: str, name: str, text: str) -> None:
         """Add an event; all earlier ticks must have been added."""
-        if name in _TOLD or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
+        if name in _RECORDED or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
             self.events.append((time, level, name, text))
         else:
             self.others[name] = self.others.get(name, 0) + 1
@@ -121,7 +121,7 @@ class Digest:
         elif name == RETURN or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
             self._now_on = False
 
-    def take_ticks(self, times: Array, period: float, state: Array, reference: Array, extras: Array | None) -> None:
+    def add_ticks(self, times: Array, period: float, state: Array, reference: Array, extras: Array | None) -> None:
         """Add ticks.
 
         Args:
@@ -148,7 +148,7 @@ class Digest:
             self._counted += len(extras)
             self._last_sigmas = extras[-1]
 
-    def take_result(self, values: Mapping[str, str]) -> None:
+    def add_result(self, values: Mapping[str, str]) -> None:
         """Add the results of a session at its end."""
         own = {name.removeprefix(_DEADLINES): value for name, value in values.items() if name.startswith(_DEADLINES)}
         self.deadlines = {name: float(value) for name, value in own.items()}
@@ -195,16 +195,16 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
             span = np.searchsorted(log.extras.time, [log.time[first] - _SOON, log.time[until - 1] + _SOON])
             extras = both[span[0] : span[1]]
         rows = slice(first, until)
-        digest.take_ticks(log.time[rows], period, state[rows], log.reference[rows], extras)
+        digest.add_ticks(log.time[rows], period, state[rows], log.reference[rows], extras)
 
     for event in log.events:
         until = int(np.searchsorted(log.time, event.time - _SOON))
         take(done, until)
-        digest.take_event(*event)
+        digest.add_event(*event)
         done = max(done, until)
     take(done, len(log.time))
     digest.close(() if log.extras is None else log.extras.names)
-    digest.take_result(log.metadata)
+    digest.add_result(log.metadata)
     digest.memory, digest.size = math.nan, size
     return digest
 
@@ -280,7 +280,7 @@ class RollingLog:
             assert state is not None
             reference = rows["reference"]
             assert reference is not None
-            self._digest.take_ticks(times[done:until], self._period, state, reference, rows.get("extras"))
+            self._digest.add_ticks(times[done:until], self._period, state, reference, rows.get("extras"))
             self._try(lambda writer, span=slice(done, until), own=rows: writer.ticks(times[span], **own))
             done = until
 
@@ -289,12 +289,12 @@ class RollingLog:
         time = time_s + self._begin
         if time >= self._until - _SOON:
             self._roll(time)
-        self._digest.take_event(time, level, name, text)
+        self._digest.add_event(time, level, name, text)
         self._try(lambda writer: writer.event(time, level, name, text))
 
     def result(self, **values: str) -> None:
         """Record the results of the run in the last file."""
-        self._digest.take_result(values)
+        self._digest.add_result(values)
         self._try(lambda writer: writer.result(**values))
 
     def _roll(self, now: float) -> None:

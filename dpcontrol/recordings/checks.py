@@ -122,7 +122,7 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
     for step in (_timed, _forward, _finite, _whole, _continuous, _steady, _even):
         done = [step(segment, repairs, period) for segment in segments]
         segments = [piece for pieces, _ in done for piece in pieces]
-        notes += [f"{samples.where}: {note}" for _, said in done for note in said]
+        notes += [f"{samples.where}: {note}" for _, shown in done for note in shown]
     usable = [segment for segment in segments if len(segment.time) >= FEWEST_SAMPLES]
     if not usable:
         raise InputError(f"{samples.where} has {len(samples.time)} samples; a segment needs {FEWEST_SAMPLES} or more")
@@ -133,7 +133,7 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
     return usable, notes
 
 
-def _asked(repair: str, repairs: frozenset[str], fault: str) -> None:
+def _require_repair(repair: str, repairs: frozenset[str], fault: str) -> None:
     """Reject a fault whose repair was not requested."""
     if repair not in repairs:
         raise InputError(f"{fault}; correct the recording, or give --repair {repair}: {REPAIRS[repair]}")
@@ -157,7 +157,7 @@ def _timed(samples: Samples, repairs: frozenset[str], period: float) -> Repaired
     fault = f"{samples.at(int(np.argmax(late)))}: the time is missing or not finite ({late.sum()} such rows)"
     if late.all():
         raise InputError(f"{fault}; no time is left: give [sampling] period in the mapping instead of a column")
-    _asked("nan", repairs, fault)
+    _require_repair("nan", repairs, fault)
     # A sample without time cannot be placed. It is dropped, and the gap is detected below.
     return [samples.taken(~late)], [f"{late.sum()} rows without time dropped"]
 
@@ -172,7 +172,7 @@ def _forward(samples: Samples, repairs: frozenset[str], period: float) -> Repair
     # A time that falls back permanently hides all rows after it.
     behind = samples.time <= np.concatenate([[-np.inf], np.maximum.accumulate(samples.time)[:-1]])
     fault = f"{samples.at(index)} {what} ({behind.sum()} rows do not come after all before them)"
-    _asked("time", repairs, fault)
+    _require_repair("time", repairs, fault)
     if behind.mean() > _MOST_LEFT_OUT:
         raise InputError(f"{fault}; too many to drop: give [sampling] period in place of the time column")
     return [samples.taken(~behind)], [f"{behind.sum()} rows with repeated or earlier times dropped"]
@@ -185,7 +185,7 @@ def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaire
     index, column = _first(bad)
     rows: NDArray[np.bool_] = np.any(bad, axis=1, keepdims=True)[:, 0]
     count, good = int(rows.sum()), ~rows
-    _asked("nan", repairs, f"{samples.at(index)}: {samples.names[column]} is not finite ({count} such rows)")
+    _require_repair("nan", repairs, f"{samples.at(index)}: {samples.names[column]} is not finite ({count} such rows)")
     if good.sum() < FEWEST_SAMPLES:
         raise InputError(f"{samples.where}: {count} of {len(rows)} rows are not finite; too few are left")
     keep, values = np.ones(len(rows), bool), samples.values.copy()
@@ -226,10 +226,10 @@ def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired
     index = int(gaps[0])
     if len(gaps) > max(5, _MOST_LEFT_OUT * len(steps)):
         fault = f"{samples.at(index)}: {len(gaps)} of {len(steps)} steps differ from {spacing:.6g} s"
-        _asked("sampling", repairs, fault)
+        _require_repair("sampling", repairs, fault)
         return [samples], []
     fault = f"{samples.at(index)}: the next sample comes {steps[index]:.6g} s later, not {spacing:.6g} s"
-    _asked("gaps", repairs, f"{fault} ({len(gaps)} such gaps)")
+    _require_repair("gaps", repairs, f"{fault} ({len(gaps)} such gaps)")
     pieces = np.split(np.arange(len(samples.time)), gaps + 1)
     return [samples.taken(piece) for piece in pieces], [f"cut at {len(gaps)} gaps"]
 
@@ -251,7 +251,7 @@ def _steady(samples: Samples, repairs: frozenset[str], period: float) -> Repaire
     fault = f"{samples.at(index)}: {name} is {value:.4g} rad/s {others}"
     if spikes.mean() > _MOST_LEFT_OUT:
         raise InputError(f"{fault}; these are not rates: check unit and columns")
-    _asked("spikes", repairs, fault)
+    _require_repair("spikes", repairs, fault)
     values = samples.values.copy()
     values[:, columns] = np.where(spikes, median, rates)
     return [replace(samples, values=values)], [f"{spikes.sum()} spikes of rates replaced"]
@@ -268,7 +268,7 @@ def _even(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
     if off[worst] <= _UNEVEN * spacing and drift.max() <= max(_UNEVEN * spacing, 1e-4 * np.ptp(samples.time)):
         return [samples], []
     fault = f"{samples.at(worst)}: the step of time there is {off[worst]:.3g} s off {spacing:.6g} s: uneven sampling"
-    _asked("sampling", repairs, fault)
+    _require_repair("sampling", repairs, fault)
     inside = grid[: int((samples.time[-1] - samples.time[0]) / spacing + 1e-6) + 1]
     even = _cubic(samples.time, samples.values, inside)
     rows = samples.rows[np.searchsorted(samples.time, inside, side="right") - 1]
@@ -286,7 +286,7 @@ def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Rep
     if wraps.any():
         index, arm = _first(wraps)
         fault = f"{samples.at(index + 1)}: {samples.names[arm]} jumps by a turn ({wraps.sum()} such jumps)"
-        _asked("wrap", repairs, f"{fault}: it is wrapped")
+        _require_repair("wrap", repairs, f"{fault}: it is wrapped")
         angles = np.unwrap(angles, axis=0)
         samples = replace(samples, values=np.column_stack([angles, samples.values[:, samples.arms :]]))
         steps = np.diff(angles, axis=0)
@@ -462,10 +462,10 @@ def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str)
         off.append(np.sqrt(max(apart, 0.0)) / max(largest, 1e-300))
         if len(off) == 1 and (off[0] < _CONTRADICTS or sizes[0][1].max() < _LEAST):
             return ""
-    said = [" and ".join(f"{value:.3g}" for value in size) for size in sizes[0]]
+    shown = [" and ".join(f"{value:.3g}" for value in size) for size in sizes[0]]
     text = (
-        f"the model {model} contradicts the recording: its arms would accelerate by {said[1]} rad/s² (rms), the "
-        f"recorded ones accelerate by {said[0]}, and the difference is {off[0]:.2g} times as large as the larger"
+        f"the model {model} contradicts the recording: its arms would accelerate by {shown[1]} rad/s² (rms), the "
+        f"recorded ones accelerate by {shown[0]}, and the difference is {off[0]:.2g} times as large as the larger"
     )
     best = int(np.argmin(off))
     if _BETTER * off[best] < off[0]:

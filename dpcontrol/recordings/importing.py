@@ -289,7 +289,7 @@ def import_recording(
         _check_columns(path, chosen, "a bag")
         stretches, period = [_of_columns(path, chosen, read_bag(path, chosen.named), chosen.period)], chosen.period
     else:
-        chosen = given or _with_rates_that_are_there(load_mapping("table"), path)
+        chosen = given or _without_missing_rates(load_mapping("table"), path)
         stretches, period = _table(path, chosen), chosen.period
     progress("checking", 0.5)
     return _recording(path, chosen, stretches, period=period, repairs=allowed)
@@ -309,7 +309,7 @@ def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
     return load_mapping(_KNOWN[0])
 
 
-def _with_rates_that_are_there(mapping: Mapping, path: Path) -> Mapping:
+def _without_missing_rates(mapping: Mapping, path: Path) -> Mapping:
     """Return the mapping, without its rates if a table has none of their columns."""
     there = table_columns(path)
     return mapping if any(name in there for name in mapping.rate_columns) else replace(mapping, rate_columns=())
@@ -331,8 +331,8 @@ def _table(path: Path, mapping: Mapping) -> list[Samples]:
 def _of_columns(path: Path, mapping: Mapping, columns: dict[str, Array], period: float) -> Samples:
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
-        said = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise InputError(f"{path}: the columns differ in length ({said}); a row needs a value of each")
+        shown_lengths = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise InputError(f"{path}: the columns differ in length ({shown_lengths}); a row needs a value of each")
 
     groups = {
         ANGLE: mapping.angle_columns, RATE: mapping.rate_columns, CART: (mapping.cart_column,),
@@ -442,9 +442,9 @@ def _recording(
     parts: list[Samples] = []
     notes: list[str] = []
     for stretch in stretches:
-        found, said = sound_segments(stretch, period=period, repairs=repairs)
+        found, shown_lengths = sound_segments(stretch, period=period, repairs=repairs)
         parts += found
-        notes += said
+        notes += shown_lengths
     spacing = period or float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
     if not 1e-6 <= spacing <= 0.1:
         raise InputError(

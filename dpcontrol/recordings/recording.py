@@ -203,8 +203,8 @@ def load_recording(path: Path | str) -> Recording:
     with suppress(OSError), path.open("rb") as file:
         head = file.read(len(MAGIC))
         if head != MAGIC[: len(head)]:
-            said = f"{path} is not a log (it begins with {head!r})"
-            raise InputError(f"{said}; import a recording with `dpcontrol import` first")
+            metadata = f"{path} is not a log (it begins with {head!r})"
+            raise InputError(f"{metadata}; import a recording with `dpcontrol import` first")
     return recording_of(read_log(path))
 
 
@@ -220,12 +220,12 @@ def recording_of(log: RunLog) -> Recording:
             f"{log.path}: its time runs backward after {log.time[back[0]]:.3f} s; record it again, or import the "
             "original with `--repair time`"
         )
-    said = {"title": log.path.stem, "source": log.path.name, "segments": f"0:{k}"}
+    metadata = {"title": log.path.stem, "source": log.path.name, "segments": f"0:{k}"}
     command = log.controls.get("applied")
     if log.metadata.get("kind") in (KIND, REPLAYED):
-        said = {"title": log.path.stem, "source": "", "segments": "", **log.metadata}
-        command = log.controls.get("command") if said.get("command") else None
-    segments = _segments(said["segments"])
+        metadata = {"title": log.path.stem, "source": "", "segments": "", **log.metadata}
+        command = log.controls.get("command") if metadata.get("command") else None
+    segments = _segments(metadata["segments"])
     if not segments or any(not 0 <= first < end <= k for first, end in segments):
         raise InputError(f"{log.path}: its segments do not fit its {k} samples; import the recording again")
     period = _period(log)
@@ -237,8 +237,8 @@ def recording_of(log: RunLog) -> Recording:
                 f"nominal period is {period:g} s; import the recording again"
             )
     return Recording(
-        name=said["title"],
-        source=said["source"],
+        name=metadata["title"],
+        source=metadata["source"],
         dt=period,
         time=log.time,
         angles=log.measured[:, :n],
@@ -307,8 +307,8 @@ def cart_motion(part: Recording) -> CartMotion | None:
     velocity, felt = (smoothed_derivative(position, period, order) for order in (1, 2))
     if command is not None:
         sent = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
-        told = smoothed_derivative(_integral(sent, command, period), period, 2)
-        missed, moved = (float(np.sqrt(np.mean(np.square(a)))) for a in (told - felt, felt))
+        predicted = smoothed_derivative(_integral(sent, command, period), period, 2)
+        missed, moved = (float(np.sqrt(np.mean(np.square(a)))) for a in (predicted - felt, felt))
         if missed <= _EXPLAINED * moved:
             return CartMotion(position, velocity, command, True)
     acceleration = (felt + np.append(felt[1:], felt[-1])) / 2

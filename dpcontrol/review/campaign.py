@@ -63,8 +63,8 @@ class Group:
         return self._line(without=_KIND)
 
     def _line(self, *, without: str = "") -> str:
-        said = self.names.get(_CASE, "").split(", ")
-        parts = (n for column, n in self.names.items() if column != without and f"{column}={n}" not in said)
+        named = self.names.get(_CASE, "").split(", ")
+        parts = (n for column, n in self.names.items() if column != without and f"{column}={n}" not in named)
         return " · ".join(parts) or "all runs"
 
 
@@ -244,7 +244,7 @@ def _symbols(
 
 def _reasons(table: dict[str, list[Any]], done: Rows) -> tuple[tuple[str, int], ...]:
     texts = table.get("reason") or table.get("ending") or [""] * len(done)
-    counts = Counter(plain_reason(str(texts[k] or "not said")) for k in np.flatnonzero(~done))
+    counts = Counter(plain_reason(str(texts[k] or "not named")) for k in np.flatnonzero(~done))
     return tuple(counts.most_common())
 
 
@@ -352,7 +352,7 @@ def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
     for label, symbol, count in summary.failed_symbols:
         axes.bar(symbol, count, bottom=bottoms[symbol], color=colours[label], alpha=0.85)
         bottoms[symbol] += count
-    axes.set_xticks(numbers, ["not said" if symbol == 0 else str(symbol) for symbol in numbers])
+    axes.set_xticks(numbers, ["not named" if symbol == 0 else str(symbol) for symbol in numbers])
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(0, 1.1 * max(bottoms.values()) + 0.5)
 

@@ -67,8 +67,8 @@ class RunComparison:
     @property
     def status(self) -> str:
         """Sentence on the alignment of the runs."""
-        said = [f"{run.name} {run.aligned_by}" for run in self.runs]
-        return f"aligned at symbol {self.symbol}, at {self.moment:.3f} s: {'; '.join(said)}"
+        alignment = [f"{run.name} {run.aligned_by}" for run in self.runs]
+        return f"aligned at symbol {self.symbol}, at {self.moment:.3f} s: {'; '.join(alignment)}"
 
     @property
     def title(self) -> str:
@@ -100,10 +100,10 @@ def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
     latest = max(moment for moment, _ in moments)
     names = [view.path.stem for view in runs]
     compared = []
-    for k, (view, (moment, said)) in enumerate(zip(runs, moments, strict=True)):
+    for k, (view, (moment, alignment)) in enumerate(zip(runs, moments, strict=True)):
         delay = latest - moment
         name = names[k] if names.count(names[k]) == 1 else f"{names[k]} ({k + 1})"
-        compared.append(ComparedRun(name, style.RUNS[k], view.delayed(delay), delay, said))
+        compared.append(ComparedRun(name, style.RUNS[k], view.delayed(delay), delay, alignment))
     return RunComparison(tuple(compared), symbol, latest)
 
 

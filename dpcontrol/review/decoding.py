@@ -250,7 +250,7 @@ def planned_wraps(notes: PlanNotes, stop: int) -> float | None:
         return None
     if "polished" in notes:
         # A plan's crossings already count its wobbles, which need not last the orbit's period.
-        return None if (asked := notes["wraps"][stop]) is None else float(asked)
+        return None if (required := notes["wraps"][stop]) is None else float(required)
     gap = (leaving["phase_out"] - arriving["phase_in"]) % 1.0
     spare = leaving["time"] - arriving["time"] - arriving["time_in"] - leaving["time_out"]
     return spare / _period(notes, stop + 1) - gap
@@ -327,10 +327,10 @@ def shortfall(plan: Reference) -> str:
             return f"it starts {near}; raise lead_in to {(notes['lead_in'] or 0) + 1}"
         text = f"symbol {k} of {len(symbols)} ({symbols[k - 1]['text']!r}) comes {near}"
         return f"{text}; raise " + ("the wraps there by 1" if k < len(symbols) else _longer(notes))
-    for k, asked in enumerate(notes["wraps"]):
+    for k, required in enumerate(notes["wraps"]):
         made = planned_wraps(notes, k)
-        if made is not None and asked is not None and abs(made - asked) > _COUNTED:
-            return f"wraps at stop {k + 1} are {made:.1f} instead of {asked}; ask for {round(made)} wraps there"
+        if made is not None and required is not None and abs(made - required) > _COUNTED:
+            return f"wraps at stop {k + 1} are {made:.1f} instead of {required}; ask for {round(made)} wraps there"
     if gap := last_gap(times, angles, plan, rate_hz=10 / _GRID):
         return (
             f"over the last period it is up to {gap:.2f} rad from the orbit about {stops[-1]['saddle']} "

@@ -86,11 +86,11 @@ class Film:
         figure.text(0.02, 1 - 0.2 / height, shorten(view.title, 78, placeholder=" …"), **look)
         scene = figure.add_axes((0.0, below / height, 1.0, _SCENE / height))
         self._draw_scene(scene)
-        told = None
+        strip_axes = None
         if strips:
-            told = figure.add_axes((0.09, (_FOOT - 0.04) / height, 0.89, _ROW * len(strips) / height))
-            story(told, view, span=self.stretch, legend=False)
-        return _image(figure), scene, told
+            strip_axes = figure.add_axes((0.09, (_FOOT - 0.04) / height, 0.89, _ROW * len(strips) / height))
+            story(strip_axes, view, span=self.stretch, legend=False)
+        return _image(figure), scene, strip_axes
 
     def _extent(self) -> tuple[Range, Range]:
         """Return the range of arms, ghost and cart in the film along x and y, m."""
@@ -132,7 +132,7 @@ class Film:
 
     def frame(self, number: int) -> Image.Image:
         """Return a frame, counted from zero."""
-        still, scene, told = self.still
+        still, scene, strip_axes = self.still
         view, reach = self.view, sum(self.view.arm_lengths)
         time, row = float(self.times[number]), int(self.rows[number])
         frame = still.copy()
@@ -142,8 +142,10 @@ class Film:
         past = [f"{k + 1}: {name}" for k, (name, at, done) in enumerate(view.symbols) if (done or at) <= time]
         if past:
             draw.text((right, top + 1.4 * _font().size), past[-1], fill=style.NOTE, font=_font(), anchor="rt")
-        if told is not None:
-            draw.line(_placed(frame, told, [time, time], told.get_ylim()), fill=style.LIMIT, width=2 * _FINE)
+        if strip_axes is not None:
+            draw.line(
+                _placed(frame, strip_axes, [time, time], strip_axes.get_ylim()), fill=style.LIMIT, width=2 * _FINE
+            )
         if row < 0:
             middle = _placed(frame, scene, [np.mean(scene.get_xlim())], [np.mean(scene.get_ylim())])[0]
             draw.text(middle, "no data", fill=style.MARK, font=_font(), anchor="mm")

@@ -247,7 +247,7 @@ def series_of(log: RunLog) -> RunView:
         reference = None
     breaks = np.flatnonzero(np.diff(log.time) > 1.5 / log.rate_hz) + 1
     state, what = (estimate, "estimate") if truth is None else (truth, "plant")
-    if state is None or (what == "estimate" and _stands_in(state, log.measured, n)):
+    if state is None or (what == "estimate" and _repeats_measurement(state, log.measured, n)):
         state, what, estimate = _measured(log, breaks), "measured", None
     control = {name: clean(values) for name, values in log.controls.items()}
     sigma = None
@@ -307,7 +307,7 @@ def clean(values: Array) -> Array:
     return values if sound.all() else np.where(sound, values, np.nan)
 
 
-def _stands_in(state: Array, measured: Array, arms: int) -> bool:
+def _repeats_measurement(state: Array, measured: Array, arms: int) -> bool:
     """True if an estimate merely repeats the measured angles, without rates."""
     return np.array_equal(state[:, :arms], measured[:, :arms]) and not state[:, arms : 2 * arms].any()
 

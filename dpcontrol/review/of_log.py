@@ -254,11 +254,11 @@ def _placed_orbits(plan: Reference, notes: PlanNotes) -> tuple[PlacedOrbit, ...]
 def _without_plan(log: RunLog) -> str:
     """Return the text shown for a log in place of a verdict."""
     seconds = float(log.time[-1] - log.time[0])
-    said = log.metadata.get(SUMMARY) or (
+    sentence = log.metadata.get(SUMMARY) or (
         f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; the log has no plan, so the motion "
         "is not judged"
     )
-    return f"{said}; {recovered_note(log)}" if log.recovered else said
+    return f"{sentence}; {recovered_note(log)}" if log.recovered else sentence
 
 
 def _arms(log: RunLog, name: str) -> ArmChainParameters | None:

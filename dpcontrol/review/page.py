@@ -503,7 +503,7 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
     pivot, width, tip = view.pivot, 0.05 * reach, style.arm_colour(arms - 1)
     rows = film_rows(view, times)
     for i, (time, row) in enumerate(zip(times, rows, strict=True)):
-        at = frame_place(view, i)
+        at = frame_position(view, i)
         if not view.time[0] <= time <= view.time[-1]:
             axes.text(at, 0, f"no data at\n{time:.2f} s", ha="center", va="center", fontsize=8.5, color=style.MARK)
             continue
@@ -533,7 +533,7 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
     axes.axis("off")
 
 
-def frame_place(view: RunView, frame: int) -> float:
+def frame_position(view: RunView, frame: int) -> float:
     """Return the drawn position of the pivot of a frame, m."""
     return frame * _FRAME_STEP * sum(view.arm_lengths)
 

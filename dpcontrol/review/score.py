@@ -362,13 +362,13 @@ def _done(wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
     end = "at rest" if notes["saddles"].get(name) == lowest else "on the last orbit"
     symbols = "the symbol done" if total == 1 else f"all {total} symbols done in order"
     counted = [count for count in wraps if count is not None]
-    asked = f", wraps {counted} as asked" if counted else ""
-    return f"{symbols}{asked}, and {end} to the end"
+    required = f", wraps {counted} as asked" if counted else ""
+    return f"{symbols}{required}, and {end} to the end"
 
 
 def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     """Return the reason why the run is not completed, naming the symbol, or an empty string."""
-    if unknown := _unseen(flown):
+    if unknown := _unobserved(flown):
         return unknown
     notes, matched, lost = plan_notes(plan), decoded.matched, decoded.lost
     stops, symbols = notes["stops"], notes["symbols"]
@@ -390,9 +390,9 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     last = f"after symbol {len(symbols)} of {len(symbols)} ({symbols[-1]['text']!r})" if symbols else "to be kept"
     if lost is not None:
         return f"left the last orbit {last}: {far}{ended}"
-    for k, (asked, done) in enumerate(zip(notes["wraps"], decoded.wraps, strict=False)):
-        if asked is not None and asked != done:
-            return f"wraps at stop {k + 1} are {done} instead of {asked}, before symbol {k + 2}"
+    for k, (required, done) in enumerate(zip(notes["wraps"], decoded.wraps, strict=False)):
+        if required is not None and required != done:
+            return f"wraps at stop {k + 1} are {done} instead of {required}, before symbol {k + 2}"
     return _limits(flown) or _last_orbit(flown, plan, last=last, ended=early)
 
 
@@ -402,7 +402,7 @@ _UNSEEN = 0.05
 """Longest time without a possible half turn of an arm, s."""
 
 
-def _unseen(flown: Flown) -> str:
+def _unobserved(flown: Flown) -> str:
     """Return a note on gaps in the time stamps that hide the arms' motion, or an empty string."""
     steps = np.diff(flown.time)
     if not len(steps):

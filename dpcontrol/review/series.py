@@ -224,13 +224,15 @@ def extra_charts(view: RunView) -> tuple[Chart, ...]:
 def margins_chart(margins: Margins) -> Chart:
     """Return the loop's margins of gain, delay and lag along the reference, at the middle of each window."""
     time, least = margins.times + margins.windows / 2, margins.least()
-    said = {name: 1e3 * value if name in ("delay", "lag") else value for name, (value, _) in least.items()}
+    figures = {name: 1e3 * value if name in ("delay", "lag") else value for name, (value, _) in least.items()}
     gain, delay, lag = style.ARMS[0], style.ARMS[1], style.ARMS[2]
     lines = (
-        Line("low", "least gain", f"gain {said['gain_low']:.2g}–{said['gain_high']:.2g}", time, margins.low, gain),
+        Line(
+            "low", "least gain", f"gain {figures['gain_low']:.2g}–{figures['gain_high']:.2g}", time, margins.low, gain
+        ),
         Line("high", "greatest gain", "", time, margins.high, gain),
-        Line("delay", "delay", f"delay {said['delay']:.3g}", time, 1e3 * margins.delay, delay),
-        Line("lag", "lag", f"lag {said['lag']:.3g}", time, 1e3 * margins.lag, lag),
+        Line("delay", "delay", f"delay {figures['delay']:.3g}", time, 1e3 * margins.delay, delay),
+        Line("lag", "lag", f"lag {figures['lag']:.3g}", time, 1e3 * margins.lag, lag),
     )
     title = "Margins (×, ms)"
     return Chart("", title, title, lines, log=True)
@@ -483,11 +485,11 @@ _MOTIONS = {
 def _motions(view: RunView) -> Iterator[Span]:
     """Yield the periods of a run on its itinerary, returning to rest, and starting again."""
     # The first event of a log describes its controller.
-    told = [event for event in view.events if event.name in _MOTIONS and (event.name, event.time) != (START, 0.0)]
-    if not any(event.name == RETURN for event in told):
+    changes = [event for event in view.events if event.name in _MOTIONS and (event.name, event.time) != (START, 0.0)]
+    if not any(event.name == RETURN for event in changes):
         return
-    ends = [*(event.time for event in told[1:]), view.time_range[1]]
-    for event, end in zip(told, ends, strict=True):
+    ends = [*(event.time for event in changes[1:]), view.time_range[1]]
+    for event, end in zip(changes, ends, strict=True):
         if end > event.time:
             yield Span(event.time, end, *_MOTIONS[event.name], "motion")
 

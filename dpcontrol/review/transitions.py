@@ -55,11 +55,11 @@ def draw_transitions(summary: ReferenceSummary) -> Figure:
     tall = cell * high / half
     height = _HEAD + tall * len(names) + _EDGE
     figure = new_figure(_WIDE, height, notes["title"] or notes["itinerary"])
-    said = (
+    caption = (
         "From each row's equilibrium to each column's: the arms at equal times, later ones darker, the tip's path;\n"
         "duration, and the cart's greatest distance from its start in the middle. All pictures share one scale."
     )
-    figure.text(0.015, 1 - 0.42 / height, said, va="top", fontsize=9.5, color=style.NOTE)
+    figure.text(0.015, 1 - 0.42 / height, caption, va="top", fontsize=9.5, color=style.NOTE)
     for i, source in enumerate(names):
         bottom = 1 - (_HEAD + (i + 1) * tall) / height
         beside = {"va": "center", "fontsize": 9.5, "color": style.INK}

@@ -25,7 +25,7 @@ from dpcontrol.review.motion import PlanView, RunView, Stay
 from dpcontrol.review.page import (
     badge,
     draw_chart,
-    frame_place,
+    frame_position,
     mark_times,
     new_figure,
     quiet,
@@ -342,7 +342,7 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
         axes = figure.add_axes((0.01, (top - tall) / height, wide, tall / height))
         page.draw_film(axes, view, times.ravel())
         for k in range(len(times)):
-            badge(axes, first + k + 1, frame_place(view, k * times.shape[1]) - 0.3 * sum(view.arm_lengths),
+            badge(axes, first + k + 1, frame_position(view, k * times.shape[1]) - 0.3 * sum(view.arm_lengths),
                   axes.get_ylim()[1])  # fmt: skip
         top -= tall
     share = body / height

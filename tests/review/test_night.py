@@ -27,7 +27,7 @@ Events = list[tuple[float, str, str, str]]
 def digest(number: int, first: float, events: Events, *, on: bool = True, zero: float = 0.0, **more: float) -> Digest:
     one = Digest(number, first=first, end=first + 600, ticks=600_000, on=on, limit=0.4, cart=0.3, **more)  # type: ignore[arg-type]
     for event in events:
-        one.take_event(*event)
+        one.add_event(*event)
     one.extras, one.size = {"zero_1": (zero, 1e-3)}, 1
     one.squares, one.followed, one.memory = 600_000 * 2 * 0.01**2, 600_000, 4e8 + number * 1e6
     return one
