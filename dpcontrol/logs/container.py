@@ -87,7 +87,10 @@ _ENTRY_BYTES = 16
 
 @dataclass(frozen=True)
 class ChunkMessages:
-    """Messages of one channel in a chunk: times in ns and offsets of their records, both (K,)."""
+    """Messages of one channel in a chunk.
+
+    Times (K,) are in ns; offsets (K,) are those of their records.
+    """
 
     channel: int
     times: NDArray[np.int64]
@@ -115,7 +118,9 @@ def _chunk_index_bytes(index: ChunkIndex) -> bytes:
 
 
 class McapFile:
-    """Writes one MCAP file to an unbuffered binary stream: header, metadata and attachments, chunks, summary.
+    """Writes one MCAP file to an unbuffered binary stream.
+
+    The order is header, metadata and attachments, chunks, summary.
 
     Checksums of each chunk and of the whole data section are always written.
 
@@ -155,7 +160,10 @@ class McapFile:
         self._write(record)
 
     def add_attachment(self, name: str, data: bytes) -> None:
-        """Write an attachment; its times are zero because simulated time has no date."""
+        """Write an attachment with times zero.
+
+        Simulated time has no date.
+        """
         guessed = "application/toml" if name.endswith(".toml") else mimetypes.guess_type(name)[0]
         media_type = guessed or "application/octet-stream"
         about = {"create_time": 0, "log_time": 0, "name": name, "media_type": media_type}
@@ -165,7 +173,9 @@ class McapFile:
         self._write(record)
 
     def add_channels(self, topics: Mapping[str, tuple[str, bytes]], *, latched: Set[str] = frozenset()) -> None:
-        """Register the channels of CDR messages, numbered from 1 in the order of `topics`.
+        """Register the channels of CDR messages, numbered from 1.
+
+        The order is that of `topics`.
 
         Args:
             topics: schema name and definition by topic; written with the next chunk.
@@ -184,7 +194,7 @@ class McapFile:
             self._unwritten.append(_bytes_of(channel))
 
     def add_chunk(self, data: bytes, messages: Iterable[ChunkMessages]) -> None:
-        """Write one compressed chunk with its message indexes, and flush it to the operating system."""
+        """Write one compressed chunk with its indexes, and flush it."""
         messages = [part for part in messages if len(part.times)]
         head = b"".join(self._unwritten)
         self._unwritten.clear()
@@ -262,7 +272,9 @@ SUFFIX = ".partial"
 
 
 def open_partial(path: Path) -> tuple[Path, FileIO]:
-    """Create the unbuffered partial file of the log `path`; return its name and the open file.
+    """Create the unbuffered partial file of the log `path`.
+
+    Return its name and the open file.
 
     Raises:
         OSError: the file cannot be created.
@@ -276,7 +288,10 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
 
 
 def partials_of(path: Path) -> tuple[Path, ...]:
-    """Return the partial files of the log `path`, abandoned or still growing, oldest first."""
+    """Return the partial files of the log `path`, oldest first.
+
+    They are abandoned or still growing.
+    """
     with suppress(OSError):
         names = [file for file in path.parent.iterdir() if file.suffix == SUFFIX and file.name.startswith(path.name)]
         return tuple(sorted(names, key=lambda file: file.stat().st_mtime))
@@ -293,7 +308,7 @@ def moved_away(path: Path, stream: FileIO) -> bool:
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush a rename in `folder` to the disk, if the system supports it."""
+    """Flush a rename in `folder` to the disk, if supported."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -317,7 +332,10 @@ def sealed(name: str, values: Mapping[str, str]) -> dict[str, str]:
 
 
 def unsealed(name: str, record: Mapping[str, str]) -> dict[str, str] | None:
-    """Return the values of a record without its checksum, or None if that is missing or wrong."""
+    """Return the values of a record without its checksum.
+
+    The result is None if the checksum is missing or wrong.
+    """
     values = {key: value for key, value in record.items() if key != _KEY}
     return values if record.get(_KEY) == _checksum(name, values) else None
 
@@ -378,7 +396,7 @@ class MessageWriter:
         }
 
     def add(self, messages: Sequence[Message]) -> None:
-        """Write messages one by one, and flush complete chunks to the operating system."""
+        """Write messages one by one, and flush complete chunks."""
         for m in messages:
             self._writer.add_message(self._channels[m.channel_id], m.log_time, m.data, m.publish_time, m.sequence)
         self._buffer.flush()
@@ -390,7 +408,7 @@ class MessageWriter:
 
 
 def ticks_left(path: Path) -> int:
-    """Return the number of readable ticks in a file that may be cut anywhere."""
+    """Return the number of readable ticks in a possibly cut file."""
     count, measured = 0, set()
     with path.open("rb") as stream:
         try:

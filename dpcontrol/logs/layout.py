@@ -47,7 +47,10 @@ class Message:
         self.data.extend(bytes(-(len(self.data) - len(ENCAPSULATION)) % size))
 
     def number(self, kind: str, value: int = 0, *, name: str | None = None) -> None:
-        """Append an integer of numpy format `kind` ("<u4", "<i4", "u1"); `name` makes it a field."""
+        """Append an integer of numpy format `kind` ("<u4", "<i4", "u1").
+
+        A `name` makes it a field.
+        """
         size = int(kind[-1])
         self._aligned(size)
         if name is not None:
@@ -61,13 +64,13 @@ class Message:
         self.data += bytes(8 * count)
 
     def double_sequence(self, count: int, *, name: str) -> None:
-        """Append a sequence of `count` float64 zeros; an empty sequence is its length prefix only."""
+        """Append a sequence of `count` float64 zeros with a length prefix."""
         self.number("<u4", count)
         if count:
             self.doubles(count, name=name)
 
     def string(self, text: str) -> None:
-        """Append a string; NUL ends a CDR string, so it is dropped from `text`."""
+        """Append a string without NUL, which ends a CDR string."""
         content = text.replace("\0", "").encode() + b"\0"
         self.number("<u4", len(content))
         self.data += content
@@ -273,14 +276,17 @@ def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
 
 
 def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
-    """Return the names of the state's entries in order: `angle_1 …`, `rate_1 …`, then the cart's."""
+    """Return the names of the state's entries in order.
+
+    They are `angle_1 …`, `rate_1 …`, then the cart's.
+    """
     arms_part = tuple(f"{what}_{i + 1}" for what in ("angle", "rate") for i in range(arms))
     return arms_part + (("cart_position", "cart_velocity") if has_cart else ())
 
 
 @dataclass(frozen=True)
 class TickLayout:
-    """Messages of one tick in the order of writing, and the channels of a log.
+    """Messages of a tick in order of writing, and the channels.
 
     Attributes:
         arms: number of arms.
@@ -306,7 +312,7 @@ class TickLayout:
 
     @cached_property
     def widths(self) -> dict[str, int]:
-        """Row width of the measured positions, of each part in the order of `PARTS`, and of the extras."""
+        """Row widths of measured positions, parts and extras, by name."""
         joints = len(self.names)
         widths = dict.fromkeys(("measured", *PARTS), 2 * joints)
         widths |= {"measured": joints, "rates": joints, "control": len(self.fields)}
@@ -314,7 +320,9 @@ class TickLayout:
 
     @cached_property
     def rooms(self) -> tuple[tuple[str, str, slice, str, slice], ...]:
-        """Places of the numbers: topic, field and joints of its message; part ("measured" or of `PARTS`), columns.
+        """Places of the numbers in messages and rows.
+
+        Each has topic, field and joints of its message, part ("measured" or of `PARTS`) and columns.
 
         All are slices, because indexing by number is too slow for the few ticks of a chunk.
         """
@@ -373,7 +381,7 @@ class TickLayout:
 
     @cached_property
     def block_type(self) -> np.dtype:
-        """The structured type of a whole tick: one field for each topic, in order of writing."""
+        """Structured type of a tick: a field for each topic, in order."""
         formats = [record_type(message) for message in self.messages.values()]
         offsets = list(self.block_offsets.values())
         size = len(self.block_template)
@@ -414,7 +422,10 @@ and describes the controller.
 
 
 class Flight(NamedTuple):
-    """Ticks `first` to `end` of a run on its itinerary, starting at time `at` s of the planned reference."""
+    """Ticks `first` to `end` of a run on its itinerary.
+
+    They start at time `at` s of the planned reference.
+    """
 
     first: int
     end: int
@@ -426,12 +437,17 @@ _JOINS = re.compile(r"on the itinerary from t = (\d+\.\d+) s of the reference: (
 
 
 def joined_text(at: float, what: str) -> str:
-    """Return the log text for joining the itinerary at time `at` s of the reference."""
+    """Return the log text for joining the itinerary.
+
+    The time `at` s is that of the reference.
+    """
     return _JOINED.format(at, what)
 
 
 def joined_at(text: str) -> tuple[float, int, int] | None:
-    """Return the reference time s, the symbol and the attempt in the text of a joining event; None for other texts.
+    """Return reference time s, symbol and attempt in a joining event's text.
+
+    The result is None for other texts.
 
     Symbol and attempt count from 1, and are 0 if the text lacks them.
     """

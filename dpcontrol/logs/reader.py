@@ -118,7 +118,10 @@ class VerifiedFile:
             damaged(self.path, f"its messages do not decode: {error}", cause=error)
 
     def values(self, name: str) -> dict[str, str]:
-        """Return the values of a metadata record, empty if it is missing or its checksum differs."""
+        """Return the values of a metadata record.
+
+        The result is empty if the record is missing or its checksum differs.
+        """
         return unsealed(name, self.metadata.get(name, {})) or {}
 
     @cached_property
@@ -136,7 +139,9 @@ class VerifiedFile:
         return described_layout(self.path, described)
 
     def messages(self) -> Iterator[tuple[int, int, bytes]]:
-        """Yield channel, time in ns and body of every message, and store the schemas and channels found.
+        """Yield channel, time in ns and body of every message.
+
+        Schemas and channels are stored as they are found.
 
         Raises:
             Exception: one of `MALFORMED`.
@@ -238,7 +243,9 @@ def _other_messages(channel: Channel, schemas: Mapping[int, Schema], name: str, 
 def check_channels(
     path: Path, tick: TickLayout, *, schemas: Mapping[int, Schema], channels: Mapping[int, Channel], writer: str = ""
 ) -> None:
-    """Reject a log whose channels differ from its layout, as after rewriting by another program.
+    """Reject a log whose channels differ from its layout.
+
+    Rewriting by another program can cause this.
 
     Raises:
         InputError: a topic is missing, holds other messages or has another number.
@@ -262,7 +269,9 @@ def check_channels(
 
 
 def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> bytes:
-    """Return the records in a chunk after checking its checksum; one decompressor serves any number of chunks.
+    """Return the records in a chunk after checking its checksum.
+
+    One decompressor serves any number of chunks.
 
     Raises:
         Exception: one of `MALFORMED`: the chunk does not unpack, or its checksum differs.
@@ -444,7 +453,7 @@ class Batch:
             raise ValueError("a record runs over the end of its chunk")
 
     def extras(self, tick: TickLayout) -> Array:
-        """Return times (M, 1) in s, standard deviations and values from the messages of the extras.
+        """Return times (M, 1) in s, standard deviations and values of extras.
 
         Raises:
             ValueError: a message differs from the layout.
@@ -456,7 +465,9 @@ class Batch:
         return np.column_stack([found["log_time"] / 1e9, found["row"]])
 
     def rows(self, tick: TickLayout) -> dict[str, Array]:
-        """Return the ticks' times (K,) in s, and the rows (K, width) of each part, by name.
+        """Return the ticks' times (K,) in s, and rows by part.
+
+        Rows are (K, width).
 
         Raises:
             ValueError: the messages of a tick differ from the layout.
@@ -515,7 +526,10 @@ _LEVEL_NAMES = {number: name for name, number in layout.LEVELS.items()}
 
 
 class Event(NamedTuple):
-    """An event of a run: time in s, level (a key of `LEVELS`), originating part, sentence."""
+    """An event of a run.
+
+    It has a time in s, a level (a key of `LEVELS`), an originating part and a sentence.
+    """
 
     time: float
     level: str
@@ -583,7 +597,10 @@ class RunLog:
 
     @property
     def parts(self) -> frozenset[str]:
-        """Members of "rates", "estimate", "reference", "truth" and "control" in the log; `measured` always exists."""
+        """Members of "rates", "estimate", "reference", "truth", "control" in the log.
+
+        Every log has `measured`.
+        """
         found = {*self.states} | ({"control"} if self.controls else set())
         return frozenset(found | ({"rates"} if self.rates is not None else set()))
 
@@ -630,7 +647,9 @@ class RunLog:
         return InputError(f"{self.path} has no {topic}: it is a recording, not a run; give a log of `dpcontrol run`")
 
     def frame(self) -> "DataFrame":
-        """Return a pandas table: one row for each tick, indexed by `time` in s.
+        """Return a pandas table with one row per tick.
+
+        Its index is `time` in s.
 
         Columns, if the log has them: `measured.arm_1` …, `rates.arm_1` …, `estimate.angle_1`, `estimate.rate_1`,
         `estimate.cart_position`, `estimate.cart_velocity`, the same for `reference` and `truth`, `control.command` ….
@@ -659,7 +678,9 @@ class RunLog:
 
 
 def read_log(path: Path | str) -> RunLog:
-    """Return the run logged in `path`; a log that another program has rewritten is read by its topics.
+    """Return the run logged in `path`.
+
+    A log that another program has rewritten is read by its topics.
 
     Raises:
         InputError: the file is missing, empty, cut off, damaged, not an MCAP file or not a log of a run.
@@ -707,7 +728,7 @@ _INCIDENTAL = ("version", "commit", "plan", "plant_parameters", "drawn")
 def check_replaced(
     path: Path | str, metadata: Mapping[str, str], *, recovers: Path | None = None, force: bool = False
 ) -> None:
-    """Reject an existing file at the path of a new log that the same command would not make.
+    """Reject an existing file that the same command would not make.
 
     The record of the run identifies the command. A log from a rig is always rejected, because it cannot be repeated.
 
@@ -743,7 +764,9 @@ def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: t
 
 
 def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, ...] = ()) -> None:
-    """Reject the log of a run that a different command made; keys in `also` are not compared.
+    """Reject the log of a run that a different command made.
+
+    Keys in `also` are not compared.
 
     Raises:
         InputError: the log is not readable, or entries differ.
@@ -966,14 +989,19 @@ def _topic(topic: str, kind: str, span: tuple[int, int, int] | None) -> TopicSum
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of two logs: number of equal messages, and a sentence on the first difference, or None."""
+    """Comparison of two logs: equal messages and first difference.
+
+    The difference is a sentence, or None.
+    """
 
     messages: int
     difference: str | None
 
 
 def compare_messages(one: Path | str, other: Path | str) -> Comparison:
-    """Compare two logs message by message: topics, order, times and every byte; metadata may differ.
+    """Compare two logs message by message.
+
+    Topics, order, times and every byte count; metadata may differ.
 
     If `one` was recovered or ends early, the messages it lacks are skipped in `other`.
 

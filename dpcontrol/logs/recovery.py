@@ -82,7 +82,10 @@ class SoundChunk:
         return self.size, self.checksum, tuple(sorted(self.sequences.items()))
 
     def messages(self) -> tuple[bytes, list[ChunkMessages]]:
-        """Return the message records without schemas and channels, and the offset of each."""
+        """Return the message records and the offset of each.
+
+        Schemas and channels are omitted.
+        """
         start, batch = _message_start(self.body)
         found = []
         for channel, offsets in batch.others.items():

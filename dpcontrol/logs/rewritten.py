@@ -29,7 +29,10 @@ _LINK = re.compile(r'<link name="arm_(\d+)_link">(.*?)</link>', re.DOTALL)
 
 @dataclass
 class Topic:
-    """Messages of one topic in file order: times in ns and CDR bodies."""
+    """Messages of one topic in file order.
+
+    Times are in ns, bodies in CDR.
+    """
 
     schema: str
     definition: bytes
@@ -40,7 +43,10 @@ class Topic:
 def by_topic(
     messages: Iterable[tuple[int, int, bytes]], channels: Mapping[int, Channel], schemas: Mapping[int, Schema]
 ) -> dict[str, Topic]:
-    """Return the CDR topics of messages (channel, time in ns, body); channels may be added during iteration."""
+    """Return the CDR topics of messages (channel, time in ns, body).
+
+    Channels may be added during iteration.
+    """
     found: dict[str, Topic] = {}
     for number, time, body in messages:
         channel = channels.get(number)
@@ -54,7 +60,10 @@ def by_topic(
 
 
 def mixed(topics: Mapping[str, Topic]) -> str:
-    """Return a topic with different messages at one time, a sign of two runs; "" if no topic has any."""
+    """Return a topic with different messages at one time, or "".
+
+    Such a topic is a sign of two runs.
+    """
     for name in (one for one in _TICKED if one in topics):
         times, bodies = topics[name].times, topics[name].bodies
         if len(set(zip(times, bodies, strict=True))) > len(set(times)):
@@ -106,7 +115,10 @@ def _joints(body: bytes) -> tuple[tuple[str, ...], tuple[float, ...], tuple[floa
 
 @dataclass(frozen=True)
 class Rewritten:
-    """A log read topic by topic: tick layout, description in the form of the layout record, and rows."""
+    """A log read topic by topic.
+
+    It consists of tick layout, rows and a description in the form of the layout record.
+    """
 
     tick: TickLayout
     described: dict[str, str]
@@ -117,7 +129,9 @@ class Rewritten:
 
 
 def found_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> Rewritten | None:
-    """Return the log in these topics; None if they do not hold the joints of a pendulum.
+    """Return the log in these topics, or None for other contents.
+
+    The topics must hold the joints of a pendulum.
 
     Args:
         topics: messages by topic.

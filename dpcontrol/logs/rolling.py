@@ -154,7 +154,10 @@ class Digest:
         self.deadlines = {name: float(value) for name, value in own.items()}
 
     def close(self, names: tuple[str, ...]) -> None:
-        """Complete the digest at the end of the file; `names` are those of the extras."""
+        """Complete the digest at the end of the file.
+
+        The `names` are those of the extras.
+        """
         if self._counted and names:
             sigmas, means = self._last_sigmas[: len(names)], self._sums[len(names) :] / self._counted
             self.extras = {
@@ -164,7 +167,10 @@ class Digest:
 
 
 def resident_memory() -> float:
-    """Return the resident memory of this process, bytes; NaN if the system does not report it."""
+    """Return the resident memory of this process, bytes.
+
+    The result is NaN if the system does not report it.
+    """
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
     except (OSError, ValueError, IndexError):
@@ -173,7 +179,9 @@ def resident_memory() -> float:
 
 
 def digest_of_log(log: RunLog, *, size: int) -> Digest:
-    """Return the digest of one file of a night, computed from the log.
+    """Return the digest of one file of a night.
+
+    It is computed from the log.
 
     Raises:
         InputError: the log is not a file of a night.
@@ -210,7 +218,9 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
 
 
 class RollingLog:
-    """Writes a log of many files through the interface of `LogWriter`; a context manager.
+    """Writes a log of many files, like a `LogWriter`.
+
+    It is a context manager.
 
     Args:
         folder: folder of the files.
@@ -255,7 +265,10 @@ class RollingLog:
         self._file_ends(begin)
 
     def path(self, number: int, suffix: str = ".mcap") -> Path:
-        """Return the path of a file, or of its companion with another suffix."""
+        """Return the path of a file or of its companion.
+
+        The suffix selects the companion.
+        """
         return self.folder / f"{self.name}-{number:04d}{suffix}"
 
     def __enter__(self) -> "RollingLog":
@@ -268,7 +281,10 @@ class RollingLog:
         self._writer = None
 
     def ticks(self, time_s: Any, **parts: Array | None) -> None:
-        """Log K periods of the loop; see `LogWriter.ticks`. Times count from the start of this session."""
+        """Log K periods of the loop; see `LogWriter.ticks`.
+
+        Times count from the start of this session.
+        """
         times = np.asarray(time_s, dtype=float) + self._begin
         done = 0
         while done < len(times):

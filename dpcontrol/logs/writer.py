@@ -54,7 +54,10 @@ _INK = {
 
 
 def link_frames(arms: int, *, has_cart: bool, prefix: str = "") -> tuple[tuple[str, str], ...]:
-    """Return (parent, child) of every moving frame, in the order of `link_poses`, starting with `world` to base."""
+    """Return (parent, child) of every moving frame.
+
+    The order is that of `link_poses`, starting with `world` to base.
+    """
     names = ["base", *(["cart_link"] if has_cart else [])]
     for i in range(1, arms + 1):
         names += [f"arm_{i}_link", f"elbow_{i}_link"]
@@ -193,7 +196,10 @@ Row = NDArray[np.float64]
 
 
 class Note(NamedTuple):
-    """A single message before the tick in `row` of the chunk: topic, time in ns and content."""
+    """A single message before the tick in `row` of the chunk.
+
+    Its time is in ns.
+    """
 
     row: int
     topic: str
@@ -239,7 +245,9 @@ class ChunkEncoder:
     def encode(
         self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]
     ) -> tuple[bytes, list[ChunkMessages]]:
-        """Return the bytes of a chunk and the offsets of its messages, in order of arrival.
+        """Return the bytes of a chunk and its messages' offsets.
+
+        Messages are in order of arrival.
 
         Args:
             times: (K,) of the ticks, ns.
@@ -349,12 +357,18 @@ class ChunkEncoder:
 
 
 def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the number, from 0, of the last message of the slow rate due at each of the times (K,) in ns."""
+    """Return the number of the last slow message due at each time.
+
+    Numbers count from 0; `times` (K,) are in ns.
+    """
     return np.floor(times * (layout.SLOW_RATE / _SECOND) + 1e-6).astype(np.int64)
 
 
 class TickBuffer:
-    """Room for `size` ticks of a layout with all parts; the first tick decides which parts a log has."""
+    """Room for `size` ticks of a layout with all parts.
+
+    The first tick decides which parts a log has.
+    """
 
     def __init__(self, tick: TickLayout, *, size: int) -> None:
         self.size, self.filled, self.last = size, 0, 0.0
@@ -363,7 +377,7 @@ class TickBuffer:
         self._rooms = {name: np.zeros((size, width)) for name, width in tick.widths.items()}
 
     def checked(self, times: Row, given: Mapping[str, Row | None]) -> dict[str, Row]:
-        """Return the given rows (K, …) of `measured` and the parts, by name.
+        """Return the given rows (K, …) of `measured` and parts, by name.
 
         Raises:
             ValueError: rows of another shape, decreasing times, or a part in some ticks only.
@@ -394,7 +408,10 @@ class TickBuffer:
         return count
 
     def ticks(self) -> tuple[NDArray[np.int64], dict[str, Row]]:
-        """Return the times (K,) in ns and the rows of the log's parts; views, valid until the next tick."""
+        """Return the times (K,) in ns and the rows of the parts.
+
+        Both are views, valid until the next tick.
+        """
         names = {"measured", *({"extras"} & self._rooms.keys())} | (self.parts or frozenset())
         times = np.rint(self._time[: self.filled] * 1e9).astype(np.int64)
         return times, {name: self._rooms[name][: self.filled] for name in names}
@@ -541,7 +558,9 @@ class LogWriter:
         control: Row | None = None,
         extras: Row | None = None,
     ) -> None:
-        """Log K periods of the loop; all but `measured` in every tick of a log or in none.
+        """Log K periods of the loop.
+
+        Every tick of a log has the same parts; only `measured` is required.
 
         Args:
             time_s: (K,) times since the start in s, not before the last tick's time.
@@ -577,11 +596,17 @@ class LogWriter:
         self.ticks([time_s], measured=measured[None], **rows)
 
     def result(self, **values: str) -> None:
-        """Add results as metadata at the end of the log; they may differ when the run is repeated."""
+        """Add results as metadata at the end of the log.
+
+        They may differ when the run is repeated.
+        """
         self._result.update(values)
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Log an event; `level` is debug, info, warn, error or fatal, `name` the originating part."""
+        """Log an event.
+
+        The level is debug, info, warn, error or fatal, and `name` is the originating part.
+        """
         if level not in layout.LEVELS:
             raise ValueError(f"event level {level!r}: must be one of {', '.join(layout.LEVELS)}")
         time_ns = round(time_s * 1e9)

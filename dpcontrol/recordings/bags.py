@@ -30,12 +30,17 @@ _JOINT = re.compile(r"/([^/]+)/(position|velocity|effort)")
 
 
 def is_bag(path: Path) -> bool:
-    """True if the path is a bag: a .bag or .mcap file, or a folder with metadata.yaml."""
+    """True if the path is a bag.
+
+    Bags are .bag or .mcap files, or folders with metadata.yaml.
+    """
     return path.suffix.lower() in (".bag", ".mcap") or (path.is_dir() and (path / "metadata.yaml").is_file())
 
 
 def read_bag(path: Path, columns: Sequence[str]) -> dict[str, Array]:
-    """Return the named columns (K,) of a bag; a message without the number gives nan.
+    """Return the named columns (K,) of a bag.
+
+    A message without the number gives nan.
 
     Raises:
         InputError: the file cannot be read, or lacks a topic, joint or field; lists the existing ones.

@@ -56,7 +56,7 @@ _MOST_LEFT_OUT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """K samples of a file, converted to SI units and the package's directions.
+    """K samples of a file in SI units and the package's directions.
 
     Attributes:
         where: file and part, for messages.
@@ -78,7 +78,10 @@ class Samples:
         return sum(name.startswith(ANGLE) for name in self.names)
 
     def of(self, kind: str) -> Array | None:
-        """Return the columns (K, …) of one kind, such as `RATE`, or None without any."""
+        """Return the columns (K, …) of one kind, or None.
+
+        A kind is for example `RATE`.
+        """
         columns = [k for k, name in enumerate(self.names) if name.startswith(kind)]
         return self.values[:, columns] if columns else None
 
@@ -429,7 +432,10 @@ _MOVES = 0.05
 
 
 def constant_angles(recording: Recording) -> tuple[str, ...]:
-    """Return a sentence on each constant angle, if others vary or all are constant."""
+    """Return a sentence on each constant angle.
+
+    It requires that others vary or that all are constant.
+    """
     reach = np.ptp(recording.angles, axis=0)
     most, mover = float(reach.max()), int(np.argmax(reach)) + 1
     if most == 0:
@@ -444,7 +450,10 @@ def constant_angles(recording: Recording) -> tuple[str, ...]:
 
 
 def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str) -> str:
-    """Return a sentence on the contradiction between a model's arms and a recording; "" if it is small."""
+    """Return a sentence on the contradiction between arms and recording.
+
+    It is "" if the contradiction is small.
+    """
     if arms.count != recording.arms:
         return f"the recording has {recording.arms} arms and the model {model} {arms.count}; give the matching model"
     orders = list(permutations(range(arms.count)))

@@ -61,7 +61,9 @@ _DIRECTION = ("sign", "zero", "relative")
 
 @dataclass(frozen=True)
 class Mapping:
-    """Rules for reading a recording. Lists start at the inner arm and have one value for all arms or one for each.
+    """Rules for reading a recording.
+
+    Lists start at the inner arm and have one value for all arms or one for each.
 
     Attributes:
         angle_columns: empty if `state_cells` name cell arrays with the rows of all angles, then of all rates.
@@ -105,7 +107,10 @@ class Mapping:
         return (*self.angle_columns, *self.rate_columns, *filter(None, single))
 
     def angles(self, values: Array) -> Array:
-        """Return absolute angles (K, n) from hanging, rad, counter-clockwise, for file values (K, n)."""
+        """Return absolute angles (K, n), rad, for file values (K, n).
+
+        They count from hanging, counter-clockwise.
+        """
         n = values.shape[1]
         angles = values * self.angle_scale * _each(self.sign, n) - _each(self.zero, n)
         return np.cumsum(angles, axis=1) if self.relative else angles
@@ -116,7 +121,10 @@ class Mapping:
         return np.cumsum(rates, axis=1) if self.relative else rates
 
     def lengths(self, arms: int) -> tuple[float, ...]:
-        """Return a length for each of `arms` arms; the last one is repeated if the mapping has fewer."""
+        """Return a length for each of `arms` arms.
+
+        The last one is repeated if the mapping has fewer.
+        """
         given = self.arm_lengths[:arms]
         return given + (self.arm_lengths[-1],) * (arms - len(given))
 
@@ -126,7 +134,9 @@ def _each(values: tuple[float, ...], arms: int) -> Array:
 
 
 def load_mapping(name: str) -> Mapping:
-    """Return the mapping in a TOML file, given by path or by the name of a shipped one.
+    """Return the mapping in a TOML file.
+
+    It is given by path or by the name of a shipped one.
 
     Raises:
         InputError: the mapping is missing, or its file has a mistake; reports file, table, key, value and range.
@@ -489,7 +499,9 @@ _MISSING = ("", "nan", "na", "null", "none", "-")
 
 
 def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
-    """Return the named columns (K,) of a .csv or .parquet file; an empty cell is nan.
+    """Return the named columns (K,) of a .csv or .parquet file.
+
+    An empty cell is nan.
 
     Raises:
         InputError: the file cannot be read, is not a table, lacks a column, or holds text in place of numbers.
@@ -522,7 +534,10 @@ def _check(path: Path, header: Sequence[str], columns: Sequence[str]) -> None:
 
 
 def table_columns(path: Path) -> list[str]:
-    """Return the names of a table's columns; empty if it cannot be read, which a later step reports."""
+    """Return the names of a table's columns.
+
+    The result is empty for an unreadable table, which a later step reports.
+    """
     try:
         if path.suffix.lower() == ".parquet":
             with _parquet_file(path) as file:
@@ -702,7 +717,9 @@ def _with_objects(path: Path) -> dict[str, Any]:
 
 
 def column(variables: dict[str, Any], name: str, *, file: Path) -> Array:
-    """Return the numbers (K,) at `name`: a variable with optional fields, cells `{i}` and rows `(i,:)`.
+    """Return the numbers (K,) at `name`.
+
+    The name is a variable with optional fields, cells `{i}` and rows `(i,:)`.
 
     For a signal logged by Simulink (structure with time, time series) the values are returned.
 

@@ -44,7 +44,9 @@ SUMMARY = "summary"
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """K samples of n arms in SI units; angles absolute from hanging, counter-clockwise, unwrapped.
+    """K samples of n arms in SI units.
+
+    Angles are absolute from hanging, counter-clockwise and unwrapped.
 
     Attributes:
         name: name of the recording.
@@ -81,7 +83,10 @@ class Recording:
         return self.angles.shape[1]
 
     def segment(self, index: int) -> "Recording":
-        """Return the segment of this 0-based index as a recording with the original times."""
+        """Return the segment of this 0-based index as a recording.
+
+        It keeps the original times.
+        """
         rows = slice(*self.segments[index])
         columns = {name: getattr(self, name) for name in ("time", "angles", "rates", "cart", "command")}
         cut = {name: None if values is None else values[rows] for name, values in columns.items()}
@@ -92,7 +97,10 @@ class Recording:
         return [self.segment(index) for index in range(len(self.segments))]
 
     def document(self) -> dict[str, Any]:
-        """Return the output of `dpcontrol import --json`, except the names of log and source."""
+        """Return the output of `dpcontrol import --json`.
+
+        The names of log and source are omitted.
+        """
         segments = [
             {"index": k, "start": float(one.time[0]), "samples": len(one.time), "duration": float(np.ptp(one.time))}
             for k, one in enumerate(self.split())
@@ -151,7 +159,9 @@ def write_samples(
     attachments: Mapping[str, bytes] | None = None,
     force: bool = False,
 ) -> Path:
-    """Write measurements, states (K, N) and control fields (K,) by name as a log; return its path.
+    """Write measurements, states and control fields as a log.
+
+    States are (K, N), control fields (K,) by name. Return the path.
 
     Args:
         pieces: first row, end row, level and text of the event of each segment; `verb` is the event's name.
@@ -193,7 +203,9 @@ def write_samples(
 
 
 def load_recording(path: Path | str) -> Recording:
-    """Return the recording in a log of `dpcontrol import` or `replay`; a run's log becomes one segment.
+    """Return the recording in a log of `dpcontrol import` or `replay`.
+
+    A run's log becomes one segment.
 
     Raises:
         InputError: the file cannot be read, is not a log, or holds too few samples.
@@ -275,7 +287,9 @@ _EXPLAINED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class CartMotion:
-    """Cart motion at K samples: position m, velocity m/s, and acceleration m/s² held until the next sample.
+    """Cart motion at K samples.
+
+    It has position m, velocity m/s, and acceleration m/s² held until the next sample.
 
     `commanded` is True if the acceleration comes from the command, False if from the position.
     """
@@ -287,7 +301,10 @@ class CartMotion:
 
 
 def cart_motion(part: Recording) -> CartMotion | None:
-    """Return the cart's motion in a recording of one segment, or None if the cart was clamped."""
+    """Return the cart's motion in a recording of one segment.
+
+    The result is None if the cart was clamped.
+    """
     period, command = part.dt, part.command
     if part.cart is None:
         if command is None or not command.any():
@@ -316,7 +333,10 @@ def cart_motion(part: Recording) -> CartMotion | None:
 
 
 def smoothed_derivative(values: Array, period: float, order: int = 1) -> Array:
-    """Return the derivative of samples (K, …) by cubics through 20 ms; zero for fewer than five samples."""
+    """Return the derivative of samples (K, …) by cubics through 20 ms.
+
+    It is zero for fewer than five samples.
+    """
     # The import is slow, and models not derived from recordings do not need it.
     from scipy.signal import savgol_filter
 
@@ -344,7 +364,9 @@ _SIMULATED, _WRITTEN, _SAMPLE_BYTES = 1.5e-6, 15e-6, 150.0
 
 
 def swings_cost(swings: int, seconds: float, *, written: bool) -> Cost:
-    """Return the expected cost of simulating `swings` swings of `seconds` s, and of writing a log if `written`.
+    """Return the expected cost of simulating `swings` swings of `seconds` s.
+
+    If `written`, it includes writing a log.
 
     Raises:
         InputError: the number or the duration of the swings is out of range.
@@ -359,7 +381,9 @@ def swings_cost(swings: int, seconds: float, *, written: bool) -> Cost:
 
 
 def random_swings(arms: ArmChainParameters, *, swings: int, seconds: float, seed: int, name: str) -> Recording:
-    """Return a recording of swings released at random angles, with encoder zeros wrong by up to 2 mrad.
+    """Return a recording of swings released at random angles.
+
+    Encoder zeros are wrong by up to 2 mrad.
 
     Raises:
         InputError: the seed is negative.
@@ -382,7 +406,9 @@ def simulated_recording(
     zeros: Array | None = None,
     name: str = "simulated",
 ) -> Recording:
-    """Return a recording of free swings of these arms from rest, one from each of `starts` (n,) rad.
+    """Return a recording of free swings of these arms from rest.
+
+    One swing begins at each of `starts` (n,) rad.
 
     Args:
         arms: parameters of the arms.

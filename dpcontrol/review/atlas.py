@@ -35,7 +35,9 @@ BRANCHES = {
 
 @dataclass(frozen=True, eq=False)
 class TubePart:
-    """One branch of a tube in space: trajectories (M, N) up to its section, and their end points (K, N).
+    """One branch of a tube in space.
+
+    It has trajectories (M, N) up to its section, and their end points (K, N).
 
     `sense` is the sign of the final crossing, 0 without one.
     """
@@ -53,7 +55,10 @@ class TubePart:
 
 
 def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array]]:
-    """Return the cuts of a kind's tubes as runs: (stable, sign of the crossing, points (K, 2) within a period)."""
+    """Return the cuts of a kind's tubes as runs.
+
+    A run has (stable, sign of the crossing, points (K, 2) within a period).
+    """
     found = []
     for stable, saddle, hit in ((False, kind.source, kind.hits[0]), (True, kind.target, kind.hits[1])):
         cut = atlas.cut(saddle, kind.section, hit)
@@ -68,14 +73,20 @@ def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array
 
 
 def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
-    """Return the point (q, p/p₀) of a connection on its section, q within a period."""
+    """Return the point (q, p/p₀) of a connection on its section.
+
+    The angle q is within a period.
+    """
     _, period = section_axes(connection.section, atlas.periods)
     q, p = connection.point
     return np.array([q - (np.rint(q / period) * period if period else 0.0), p])
 
 
 def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
-    """Return both branches of a saddle's tubes up to a cut: unstable, and stable by time reversal."""
+    """Return both branches of a saddle's tubes up to a cut.
+
+    The stable tube is found by time reversal.
+    """
     parts = []
     for stable in (False, True):
         for branch in (1, -1):
@@ -90,7 +101,10 @@ def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
 
 
 def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind | None:
-    """Return the last kind searched between two saddles (the one with connections, if any has), or None."""
+    """Return the last kind searched between two saddles, or None.
+
+    Kinds with connections are preferred.
+    """
     kinds = [kind for kind in atlas.kinds if (kind.source, kind.target) == (source, target)]
     return kinds[-1] if kinds else None
 
@@ -101,14 +115,20 @@ def connections_of(atlas: Atlas, kind: AtlasKind) -> tuple[AtlasConnection, ...]
 
 
 def stable_direction(atlas: Atlas, cut: AtlasCut, direction: int) -> int:
-    """Return the sign of a stable tube's crossing of the section, given its unstable image's."""
+    """Return the sign of a stable tube's crossing of the section.
+
+    It follows from its unstable image's.
+    """
     normal = np.asarray(cut.section.normal)
     # Under time reversal a crossing changes sides unless the reverser also flips the section.
     return -direction * int(np.sign(normal @ atlas.reverser @ normal))
 
 
 def colours(connections: tuple[AtlasConnection, ...]) -> dict[str, str]:
-    """Return a colour for each connection by name; mirror images (the other sense) share one."""
+    """Return a colour for each connection by name.
+
+    Mirror images (the other sense) share one.
+    """
     chosen: dict[str, str] = {}
     keys: list[tuple[object, ...]] = []
     for c in sorted(connections, key=lambda c: -round(c.transversality_angle, 3)):
@@ -130,7 +150,9 @@ def draw_cuts(
     legend: bool = True,
     sense: int | None = None,
 ) -> None:
-    """Draw both tubes' cuts of a kind and mark its connections (those of `shown`), labelled by `numbers`.
+    """Draw both tubes' cuts of a kind and mark its connections.
+
+    Those of `shown` are marked and labelled by `numbers`.
 
     `sense` selects the crossings to draw; None draws both.
     """
@@ -169,14 +191,17 @@ def draw_cuts(
 
 
 def placed(atlas: Atlas, orbit: AtlasOrbit, winding: Sequence[int] = ()) -> Array:
-    """Return an orbit of an atlas as a closed curve (M, N), shifted by whole turns."""
+    """Return an orbit as a closed curve (M, N), shifted by turns."""
     turns = np.zeros(len(atlas.periods))
     turns[: len(winding)] = winding
     return np.vstack([orbit.samples, orbit.samples[:1]]) + turns * atlas.turn_lengths
 
 
 def one_of_each(connections: tuple[AtlasConnection, ...]) -> list[AtlasConnection]:
-    """Return one connection of positive sense for each colour; the others are its images."""
+    """Return one connection of positive sense for each colour.
+
+    The others are its images.
+    """
     look, kept = colours(connections), {}
     for c in connections:
         if c.sense > 0:
@@ -196,7 +221,9 @@ def draw_row(
     flat: bool = False,
     share: float = 1.65,
 ) -> Axes:
-    """Draw a kind's cuts left and the flights of `shown` right, with their numbers; return the axes of the cuts.
+    """Draw a kind's cuts left and the flights of `shown` right.
+
+    Flights have numbers. Return the axes of the cuts.
 
     Args:
         numbers: labels by connection name.
@@ -220,7 +247,10 @@ def draw_row(
 
 
 def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: str, *, labelled: bool = True) -> None:
-    """Draw a flight with both orbits in the plane of the first two coordinates, from its source's named position."""
+    """Draw a flight with both orbits in the plane of coordinates.
+
+    It starts at its source's named position.
+    """
     for saddle, winding in ((connection.source, ()), (connection.target, connection.winding)):
         orbit = next(o for o in atlas.orbits if o.saddle == saddle)
         closed = placed(atlas, orbit, winding)
@@ -265,7 +295,9 @@ def draw_space(
     sense: int | None = None,
     saddles: tuple[str, ...] | None = None,
 ) -> None:
-    """Draw the tubes of cuts, all orbits, and flights, in 3-D axes with ticks every `steps` half turns.
+    """Draw the tubes of cuts, all orbits, and flights in space.
+
+    The axes have ticks every `steps` half turns.
 
     Flights start at their source's named position. If they end whole turns away, the target orbit is drawn there.
 
@@ -291,7 +323,10 @@ def draw_space(
 
 
 def draw_atlas(atlas: Atlas) -> Figure:
-    """Return the atlas on one page: tubes, orbits and flights in space, and the cuts of every kind."""
+    """Return the atlas on one page.
+
+    It shows tubes, orbits and flights in space, and the cuts of every kind.
+    """
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
     title = f"{atlas.title} at {atlas.energy:g} J: {len(atlas.orbits)} orbits, {len(atlas.connections)} connections"
     figure = new_figure(16, 8.6, title)

@@ -45,7 +45,10 @@ _MOST_LETTERS = 90
 
 @dataclass(frozen=True)
 class Group:
-    """Runs with equal `names`, by column, and a mismatch or level of trouble between two bounds."""
+    """Runs with equal `names` and similar mismatch or trouble.
+
+    The mismatch or level lies between two bounds.
+    """
 
     names: dict[str, str]
     share: Share
@@ -249,7 +252,7 @@ def _reasons(table: dict[str, list[Any]], done: Rows) -> tuple[tuple[str, int], 
 
 
 def plain_reason(reason: str) -> str:
-    """Return the reason for a run's end or failure, without its numbers and remedy."""
+    """Return the reason for a run's failure, without numbers and remedy."""
     text = _NUMBER.sub("…", _EARLY.split(reason)[-1].split(";")[0].strip())
     return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"
 
@@ -431,7 +434,10 @@ class Known:
 
 @dataclass(frozen=True)
 class EndingShare:
-    """Number of runs with an ending, its reason without numbers, and a seed with its full reason."""
+    """Number of runs with an ending.
+
+    It has the reason without numbers, and a seed with its full reason.
+    """
 
     ending: str
     reason: str
@@ -441,13 +447,19 @@ class EndingShare:
 
     @property
     def words(self) -> str:
-        """Short text of the ending; "at the end, but not as asked" for finished runs off their target."""
+        """Short text of the ending.
+
+        Finished runs off their target have "at the end, but not as asked".
+        """
         return "at the end, but not as asked" if self.ending == "finished" else self.ending
 
 
 @dataclass(frozen=True)
 class ShareAt:
-    """A value of a trouble on some seeds: completed runs, and those of the same seeds on the described bench."""
+    """Completed runs at a value of a trouble.
+
+    For comparison it holds those of the same seeds on the described bench.
+    """
 
     value: float
     runs: int
@@ -466,7 +478,7 @@ _NEAR = 1.25
 
 @dataclass(frozen=True)
 class HazardBorder:
-    """Border of a trouble: its value at half the completed runs of the described bench.
+    """Border of a trouble, at half the described bench's completed runs.
 
     Attributes:
         setting: the run setting.
@@ -491,7 +503,10 @@ class HazardBorder:
 
     @property
     def margin(self) -> float | None:
-        """Factor by which the bench may worsen; None without this trouble or without a known border."""
+        """Factor by which the bench may worsen, or None.
+
+        It is None without this trouble or without a known border.
+        """
         if self.border is None or not self.set or math.isinf(self.set):
             return None
         return self.set / self.border if self.falling else self.border / self.set
@@ -503,7 +518,10 @@ class HazardBorder:
 
     @property
     def order(self) -> tuple[bool, float, str]:
-        """Sort key that puts the nearest border first, and those without a margin last."""
+        """Sort key that puts the nearest border first.
+
+        Those without a margin are last.
+        """
         return self.margin is None, self.margin or 0.0, self.name
 
     @property
@@ -514,7 +532,10 @@ class HazardBorder:
 
     @property
     def sure(self) -> bool:
-        """True if its interval is known and within a quarter of it, unlike at slowly falling shares."""
+        """True if its interval is known and within a quarter of it.
+
+        At slowly falling shares it is wider.
+        """
         if self.border is None or self.low is None or self.high is None:
             return False
         return max(self.low, self.high) <= _NEAR * self.border and min(self.low, self.high) >= self.border / _NEAR
@@ -529,7 +550,9 @@ class HazardBorder:
 
 @dataclass(frozen=True)
 class Improvement:
-    """A change on the same seeds: `rescued` of `failing` runs now complete, `lost` of `completing` no longer do.
+    """A change on the same seeds.
+
+    Of `failing` runs, `rescued` now complete; of `completing` ones, `lost` no longer do.
 
     Attributes:
         options: run settings of the change.
@@ -552,7 +575,10 @@ class Improvement:
 
     @property
     def error(self) -> float:
-        """Standard error of the gain; two more of each kind keep it above zero (Agresti and Coull, 1998)."""
+        """Standard error of the gain.
+
+        Two more of each kind keep it above zero (Agresti and Coull, 1998).
+        """
         variance = 0.0
         up, down = (1 - self.rate, self.rescued, self.failing), (self.rate, self.lost, self.completing)
         for weight, hits, count in (up, down):
@@ -593,7 +619,10 @@ class Preflight:
 
     @property
     def likely(self) -> bool | None:
-        """True if at least nine of ten runs complete, False if less than half do, None in between."""
+        """True if at least nine of ten runs complete.
+
+        The value is False if less than half do, and None in between.
+        """
         return True if self.share.low >= 0.9 else False if self.share.high < 0.5 else None
 
     @property

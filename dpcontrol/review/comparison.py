@@ -58,7 +58,10 @@ class ComparedRun:
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Runs on one clock, with the symbol of alignment (from 1) and its time, s."""
+    """Runs on one clock, aligned at a symbol.
+
+    The symbol counts from 1; its time is in s.
+    """
 
     runs: tuple[ComparedRun, ...]
     symbol: int
@@ -78,7 +81,7 @@ class RunComparison:
 
     @property
     def span(self) -> Range:
-        """Range from the first start to the last end of the runs and their plans, s."""
+        """Range of the runs and their plans on the clock, s."""
         ends = [run.view.span for run in self.runs]
         return min(begin for begin, _ in ends), max(end for _, end in ends)
 
@@ -119,7 +122,10 @@ def _moment(view: RunView, k: int) -> tuple[float, str]:
 
 
 def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
-    """Return the common charts: a line for each run, with the first run's reference and levels."""
+    """Return the common charts with a line for each run.
+
+    The first run's reference and levels are included.
+    """
     first = comparison.runs[0].view
     every = [charts(run.view) for run in comparison.runs]
     track = f", track ±{1000 * first.limits[0]:g}" if first.limits else ""

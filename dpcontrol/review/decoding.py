@@ -38,7 +38,10 @@ _BESIDE = 5e-3
 
 @dataclass(frozen=True)
 class Visit:
-    """A stay at a stop: angles (n,) of the saddle, rad, and the first and last tick near them."""
+    """A stay at a stop.
+
+    It has the saddle's angles (n,), rad, and the first and last tick near them.
+    """
 
     angles: tuple[float, ...]
     first: int
@@ -80,7 +83,10 @@ def shortest_period(notes: PlanNotes) -> float:
 
 
 def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
-    """Decode angles (K, n) at times (K,) s, the first of them on the plan's clock."""
+    """Decode angles (K, n) at times (K,) s.
+
+    The first time is on the plan's clock.
+    """
     notes = plan_notes(plan)
     due = _due(plan, angles.shape[1])
     crossings = _crossings(time, angles, plan, due, carries=True)
@@ -241,7 +247,9 @@ def _period(notes: PlanNotes, stop: int) -> float:
 
 
 def planned_wraps(notes: PlanNotes, stop: int) -> float | None:
-    """Return the unrounded wraps at an interior stop, counted from 0, from the plan's times.
+    """Return the unrounded wraps at an interior stop.
+
+    They are counted from 0 and result from the plan's times.
 
     None beside a transfer, and at stops that change the orbit.
     """
@@ -283,7 +291,9 @@ def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
 
 
 def last_gap(time: Array, angles: Array, plan: Reference, *, rate_hz: float) -> float:
-    """Return the distance, rad, by which angles (K, n) leave the last orbit over its last period; 0 if near enough.
+    """Return the distance of the last period from the last orbit, rad.
+
+    Angles are (K, n). The result is 0 if they are near enough.
 
     At an equilibrium the last period is at most as long as the plan's stay there.
     """
@@ -309,7 +319,10 @@ _REST = 'friction keeps it off that orbit; set finish = "rest"'
 
 
 def shortfall(plan: Reference) -> str:
-    """Return the reason why even an exact run of the reference fails, with a remedy, or an empty string."""
+    """Return the reason why an exact run of the reference fails.
+
+    The text includes a remedy; it is "" if the run succeeds.
+    """
     notes = plan_notes(plan)
     stops, symbols = notes["stops"], notes["symbols"]
     times = np.arange(0.0, plan.duration, _GRID / 10)
@@ -349,7 +362,10 @@ def _longer(notes: PlanNotes) -> str:
 
 
 def orbit_distance(states: Array, stop: StopNote, plan: Reference) -> float:
-    """Return the least scaled distance between states (K, 2n+2) and a stop's orbit on its turns."""
+    """Return the least scaled distance between states and a stop's orbit.
+
+    States are (K, 2n+2); the orbit is taken on the stop's turns.
+    """
     notes, n = plan_notes(plan), len(stop["angles"])
     curve = plan.extra[f"orbit_{orbit_index(notes, stop)}"][:, : 2 * n] / np.repeat([1.0, _RATE_UNIT], n)
     home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])

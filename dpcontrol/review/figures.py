@@ -61,7 +61,7 @@ SADDLE = "down-up"
 
 
 def tubes_page(gallery: Gallery) -> Page:
-    """Draw the tubes of Down-Up at -0.07 J up to the section, and their cuts."""
+    """Draw the tubes of Down-Up at -0.07 J and their cuts."""
     atlas = gallery.atlas("lab", ENERGY, (1, 1))
     kind = kind_of(atlas, SADDLE, SADDLE)
     assert kind is not None
@@ -147,7 +147,10 @@ def _page(atlas: Atlas, saddles: list[str], lead: str, differs: str) -> Page:
 
 
 def numbered(connections: tuple[AtlasConnection, ...], kept: list[AtlasConnection]) -> dict[str, str]:
-    """Return the number of each connection by name; connections of one colour share a number."""
+    """Return the number of each connection by name.
+
+    Connections of one colour share a number.
+    """
     look = colours(connections)
     number = {look[c.name]: str(k + 1) for k, c in enumerate(kept)}
     return {c.name: number[look[c.name]] for c in connections if look[c.name] in number and np.isfinite(c.point[1])}
@@ -203,7 +206,10 @@ _TURNS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three
 
 
 def draw_repeated(gallery: Gallery, *, turns: int) -> Page:
-    """Draw connections of Down-Up at -0.07 J that turn the outer arm several times, with their angles over time."""
+    """Draw connections of Down-Up that turn the outer arm several times.
+
+    The energy is -0.07 J. Their angles are drawn over time.
+    """
     # The outer arm passes hanging once per turn: for two turns the unstable tube's second crossing is the last.
     hits = (turns, 1)
     title, ordinal, times, number = _TURNS[turns]
@@ -250,7 +256,7 @@ _HIGHEST = 0.45
 
 
 def families_page(gallery: Gallery) -> Page:
-    """Draw the families about Down-Up and Up-Down of the lab pendulum from birth to 0.45 J."""
+    """Draw the families about Down-Up and Up-Down up to 0.45 J."""
     system = gallery.system("lab")
     births = {name: point.energy for name, point in equilibria(system).items() if point.kind.startswith("index-1")}
     families = [lyapunov_family(system, name, energies=(birth + 1e-4, _HIGHEST)) for name, birth in births.items()]
@@ -356,7 +362,10 @@ _ON_MIRROR = 1e-5  # rad
 
 
 def branches_page(gallery: Gallery) -> Page:
-    """Draw first-hit homoclinics of both saddles and the heteroclinics of the lab pendulum against energy."""
+    """Draw first-hit connections of the lab pendulum against energy.
+
+    They are homoclinics of both saddles and heteroclinics.
+    """
     diagrams = [
         gallery.branches("lab", source, target, part_of(gallery.progress, k / len(KINDS), (k + 1) / len(KINDS)))
         for k, (source, target) in enumerate(KINDS)
@@ -513,7 +522,9 @@ class Drawn:
 def draw_figures(
     names: Sequence[str], gallery: Gallery, folder: Path, *, progress: Progress = no_progress
 ) -> tuple[Drawn, ...]:
-    """Draw figures (all if `names` is empty) to NAME.png in `folder`, and their captions to captions.json there.
+    """Draw figures to NAME.png in `folder`, all if `names` is empty.
+
+    Their captions are written to captions.json there.
 
     Captions of figures drawn there earlier are kept.
 

@@ -62,7 +62,10 @@ class Film:
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:
-        """(K,) tick of each frame; -1 without a pose, or in a gap of more than two frames or ticks."""
+        """(K,) tick of each frame, or -1.
+
+        Frames without a pose, or in a gap of more than two frames or ticks, have -1.
+        """
         time = self.view.time
         rows = np.searchsorted(time, self.times - 1e-9).clip(0, len(time) - 1)
         near = np.abs(time[rows] - self.times) <= 2 / min(RATE, self.view.rate_hz)
@@ -76,7 +79,10 @@ class Film:
 
     @cached_property
     def still(self) -> tuple[Image.Image, Axes, Axes | None]:
-        """Static image at twice the size, with the axes of the pendulum and of the story, if any."""
+        """Static image at twice the size, with its axes.
+
+        The axes are those of the pendulum and of the story, if any.
+        """
         view, strips = self.view, story_rows(self.view)
         below = _FOOT + _ROW * len(strips) if strips else 0.0
         height = _HEAD + _SCENE + below
@@ -229,7 +235,9 @@ def write_film(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> Path:
-    """Write a film in real time, 25 frames per second; the suffix selects GIF, WebP or (with imageio-ffmpeg) MP4.
+    """Write a film in real time, 25 frames per second.
+
+    The suffix selects GIF, WebP or (with imageio-ffmpeg) MP4.
 
     The same view gives the same bytes.
 

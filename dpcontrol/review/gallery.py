@@ -30,7 +30,7 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Page:
-    """A figure with a caption that states its content and any differences from the paper."""
+    """A figure with its caption and its differences from the paper."""
 
     figure: Figure
     caption: str

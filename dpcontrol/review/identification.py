@@ -94,7 +94,10 @@ def _profile(axes: Axes, curve: LossProfile, *, first: bool) -> None:
 
 
 def draw_design(design: Design, *, title: str) -> Figure:
-    """Return a figure that compares designs: swings over their first two angles, the cart's sines over frequency."""
+    """Return a figure that compares designs.
+
+    Swings are drawn over their first two angles, the cart's sines over frequency.
+    """
     figure = new_figure(14.0, 6.2, f"Accuracy expected from a recording of {design.settings.seconds:g} s: {title}")
     grid = figure.add_gridspec(
         1, 3, left=0.06, right=0.985, top=0.84, bottom=0.12, wspace=0.3, width_ratios=(1.1, 1, 0.9)

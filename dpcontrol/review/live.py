@@ -51,7 +51,9 @@ _MEMORY = "1GB"
 
 
 class LiveView:
-    """A sink that shows a run live and drops rows under load; a context manager.
+    """A sink that shows a run live and drops rows under load.
+
+    It is a context manager.
 
     Args:
         start: log of the run before its first row, with scene, model and reference attached.
@@ -152,7 +154,9 @@ class Sinks:
 
 @dataclass
 class Shown:
-    """The displayed part of a run: recording, log before the first row, plan and last rows (K, D).
+    """The displayed part of a run.
+
+    It holds recording, log before the first row, plan and last rows (K, D).
 
     A row holds the time in s, measurement, estimate, reference, the columns of `control_fields` and, if known, the
     true state; units as in `Ticks`.
@@ -165,7 +169,10 @@ class Shown:
 
     @classmethod
     def of(cls, recording: "rr.RecordingStream", start: RunLog) -> "Shown":
-        """Return the initial view: the plan with its orbits and tubes, without flight data."""
+        """Return the initial view, without flight data.
+
+        It shows the plan with its orbits and tubes.
+        """
         from dpcontrol.references.reference import summarised
         from dpcontrol.review.of_log import reference_view
         from dpcontrol.review.score import plan_of
@@ -214,7 +221,10 @@ class Shown:
 
 
 def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tuple[Array, tuple[Event, ...]]]:
-    """Yield rows (K, D) and events as they arrive, until the pipe or the viewer is closed."""
+    """Yield rows (K, D) and events as they arrive.
+
+    The end is the closing of the pipe or the viewer.
+    """
     kept, closed = b"", False
     while not closed and (viewer is None or viewer.poll() is None):
         ready, _, _ = select.select([pipe], [], [], _PAUSE)
@@ -254,7 +264,10 @@ def _opened(address: str) -> "tuple[str, subprocess.Popen[Any] | None]":
 
 
 def show(file: Path, address: str) -> None:
-    """Show the data on standard input; `file` is the pickled log before its first row, deleted after reading."""
+    """Show the data on standard input.
+
+    The pickled log before its first row is `file`, deleted after reading.
+    """
     with contextlib.suppress(AttributeError, OSError):
         os.nice(10)
         # Linux weighs sessions by this, not by their niceness.

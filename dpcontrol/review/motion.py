@@ -21,7 +21,7 @@ from dpcontrol.references.reference import ReferenceSummary
 
 @dataclass(frozen=True)
 class PlacedOrbit:
-    """A periodic orbit of the pendulum, or an equilibrium, at a stop of a plan.
+    """A periodic orbit or an equilibrium at a stop of a plan.
 
     Attributes:
         name: displayed name, such as "down-up at -0.07 J".
@@ -36,7 +36,9 @@ class PlacedOrbit:
 
 @dataclass(frozen=True)
 class TubeCurve:
-    """The part of a tube that a plan uses: trajectories between a stop's orbit and a symbol's section.
+    """The part of a tube that a plan uses.
+
+    Its trajectories lie between a stop's orbit and a symbol's section.
 
     Attributes:
         stable: True if it leads to the orbit, False if from it.
@@ -114,7 +116,9 @@ _DRIVEN = ("command", "applied", "feedforward")
 
 @dataclass(frozen=True, eq=False)
 class RunView:
-    """Data to draw of a run, a recording or a reference: N ticks of a pendulum of n arms, and their plan.
+    """Data to draw of a run, a recording or a reference.
+
+    There are N ticks of a pendulum of n arms, and their plan.
 
     States are angles, rates and, with a cart, its position and velocity: 2n + 2 columns, or 2n. Missing data and their
     substitutes are None; values that cannot be drawn are nan.
@@ -195,25 +199,31 @@ class RunView:
 
     @property
     def time_range(self) -> tuple[float, float]:
-        """The first and the last time in s, at least one period of the loop apart."""
+        """First and last time in s, at least one period apart."""
         first = float(self.time[0])
         return first, max(float(self.time[-1]), first + 1 / self.rate_hz)
 
     @property
     def span(self) -> tuple[float, float]:
-        """The time range in s, to the end of the plan if that is later."""
+        """Time range in s, extended to the end of the plan."""
         begin, end = self.time_range
         return begin, max(end, self.plan.duration or end)
 
     @property
     def symbols(self) -> tuple[tuple[str, float, float | None], ...]:
-        """Name, planned crossing time and actual one (or None) of each symbol, s."""
+        """Name, planned and actual crossing time of each symbol, s.
+
+        A missing time is None.
+        """
         done = (*self.crossings, *[None] * len(self.plan.symbols))
         return tuple((name, at, seen) for (at, name), seen in zip(self.plan.symbols, done, strict=False))
 
     @property
     def moment(self) -> float:
-        """Time of the most informative still picture, s: the first symbol, or the middle."""
+        """Time of the most informative still picture, s.
+
+        It is that of the first symbol, or the middle.
+        """
         first, last = self.time_range
         at = self.plan.symbols[0][0] if self.plan.symbols else (first + last) / 2
         # In a run that ended before its first symbol the last moments are the most informative.
@@ -301,7 +311,10 @@ def _cart_acceleration(velocity: Array, time: Array) -> Array:
 
 
 def clean(values: Array) -> Array:
-    """Return values with nan for absurd ones; unchanged arrays are not copied, since logs are long."""
+    """Return values with nan for absurd ones.
+
+    Unchanged arrays are not copied, since logs are long.
+    """
     with np.errstate(invalid="ignore"):
         sound = np.abs(values) < LARGEST
     return values if sound.all() else np.where(sound, values, np.nan)

@@ -43,7 +43,10 @@ _GAP = 0.5
 
 @dataclass(frozen=True)
 class NightSpan:
-    """A part of a night from first to end, s, of one kind; `cause` is that of the preceding fall, or ""."""
+    """A part of a night of one kind; times in s.
+
+    The `cause` is that of the preceding fall, or "".
+    """
 
     first: float
     end: float
@@ -53,7 +56,7 @@ class NightSpan:
 
 @dataclass(frozen=True)
 class Fall:
-    """A fall at a time s, with a short cause and the logged text.
+    """A fall at a time s, with its cause and logged text.
 
     `back` is the time until the itinerary was joined again, s, from the first of consecutive falls, or None.
     """
@@ -66,7 +69,9 @@ class Fall:
 
 @dataclass(frozen=True)
 class Drift:
-    """Course of one estimated parameter: mean over the first file and the last, and change per hour.
+    """Course of one estimated parameter.
+
+    It has the mean over the first file and the last, and the change per hour.
 
     The change is that of a straight line through the files' means; not-a-number for a single file.
     """
@@ -168,7 +173,10 @@ class Night:
         return tuple(dict.fromkeys(name for digest in self.digests for name in digest.extras))
 
     def course(self, name: str) -> tuple[Array, Array]:
-        """Return hours (K,) and means (K,) of a parameter, by file, without a short last file."""
+        """Return hours (K,) and means (K,) of a parameter, by file.
+
+        A short last file is omitted.
+        """
         own = [digest for digest in self.digests if name in digest.extras]
         least = _SHORT * max(digest.end - digest.first for digest in own)
         hours, values = np.array(
@@ -188,14 +196,20 @@ class Night:
 
     @property
     def memory_growth(self) -> float:
-        """Memory of the process at the end relative to the session's first file; not-a-number if unknown."""
+        """Final memory of the process relative to the session's first file.
+
+        It is not-a-number if unknown.
+        """
         last = self.digests[-1]
         of_session = [d.memory for d in self.digests if d.session == last.session and math.isfinite(d.memory)]
         return of_session[-1] / of_session[0] if of_session else math.nan
 
     @property
     def deadlines(self) -> dict[str, float] | None:
-        """Deadline statistics of a rig: counts of all sessions, the worst delay in s; None in simulation."""
+        """Deadline statistics of a rig, or None in simulation.
+
+        Counts cover all sessions; the worst delay is in s.
+        """
         kept = [digest.deadlines for digest in self.digests if digest.deadlines]
         counts = {name: sum(int(one[name]) for one in kept) for name in ("ticks", "missed", "lost", "held")}
         return {**counts, "worst": max(one["worst"] for one in kept)} if kept else None
@@ -366,7 +380,10 @@ _REMAINDER = 5.0
 
 
 def draw_night(night: Night) -> "Figure":
-    """Return one page on a night: strips of half an hour, times to return, causes, drift of the parameters."""
+    """Return one page on a night.
+
+    It shows strips of half an hour, times to return, causes, and drift of the parameters.
+    """
     from dpcontrol.review.page import new_figure
 
     last = max(span.end for span in night.spans)

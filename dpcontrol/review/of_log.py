@@ -63,7 +63,10 @@ _NAME = re.compile(r"h(?P<unstable>\d+)\.(?P<stable>\d+)(?::(?P<section>[\w-]+))
 
 
 def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
-    """Return the tubes in a plan's notes, each once, except for symbols whose tubes cannot be computed."""
+    """Return the tubes in a plan's notes, each once.
+
+    Symbols whose tubes cannot be computed are skipped.
+    """
     made: dict[tuple[Any, ...], TubeCurve] = {}
     flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
     for k, symbol in enumerate(notes["symbols"]):
@@ -130,7 +133,9 @@ def _at(curves: list[TubeCurve], section: Section, *, lift: Array, height: float
 
 
 def run_view(log: RunLog) -> RunView:
-    """Return the data to draw of a log; a log without a plan, as from a bench, has few.
+    """Return the data to draw of a log.
+
+    A log without a plan, as from a bench, has few.
 
     Raises:
         InputError: the plan in the log is damaged.
@@ -190,12 +195,17 @@ def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) 
 
 
 def limits_of(plan: Reference) -> tuple[float, float, float]:
-    """Return the cart's limits in a plan: position in m, velocity in m/s, acceleration in m/s²."""
+    """Return the cart's limits in a plan.
+
+    They are position in m, velocity in m/s, and acceleration in m/s².
+    """
     return plan.limits.position, plan.limits.velocity, plan.limits.acceleration
 
 
 def plan_view(plan: Reference, *, system: System | None) -> PlanView:
-    """Return the requirements of a plan, with its tubes if the pendulum is known.
+    """Return the requirements of a plan.
+
+    Tubes are included if the pendulum is known.
 
     Raises:
         InputError: the notes are not those of a plan.
@@ -278,7 +288,9 @@ def _system(log: RunLog) -> System | None:
 
 
 def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
-    """Return the true values of the estimated parameters, if a simulated log has them; see `RunView`.
+    """Return the known true values of the estimated parameters.
+
+    Only simulated logs have them; see `RunView`.
 
     With the cart's acceleration as input only ratios to M12 count (one arm: M11), so the errors are those of ratios.
     The drive's error is the cart's acceleration in excess of the loop's command.
@@ -337,7 +349,9 @@ _ARM = 0.2  # m: arm length drawn for a reference without arms
 
 
 def read_reference_view(file: Path) -> RunView:
-    """Return the data to draw of a reference's file; its error between nodes is measured again.
+    """Return the data to draw of a reference's file.
+
+    Its error between nodes is measured again.
 
     Raises:
         InputError: the file is not a reference, or its notes are not those of a plan.
@@ -350,7 +364,9 @@ def read_reference_view(file: Path) -> RunView:
 
 
 def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
-    """Return the data to draw of a reference, with its input as the command.
+    """Return the data to draw of a reference.
+
+    Its input is the command.
 
     Raises:
         InputError: its notes are not those of a plan.
@@ -385,7 +401,10 @@ def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
 
 
 def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> RunView:
-    """Return the data to draw of a sustained orbit's period, beside its Lyapunov orbit; arm_lengths in m."""
+    """Return the data to draw of a sustained orbit's period.
+
+    Its Lyapunov orbit is beside it; arm_lengths are in m.
+    """
     lyapunov = orbit.lyapunov
     time = np.arange(0.0, orbit.period, 1 / _RATE)
     states = orbit.state(time)

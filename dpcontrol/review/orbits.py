@@ -22,7 +22,10 @@ _SHADES = colormaps["viridis"]
 
 
 def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
-    """Return a page on one system's families, at least one, as a figure."""
+    """Return a page on the families of one system.
+
+    There must be at least one family.
+    """
     count = len(families)
     figure = new_figure(5.6 + 3.9 * count, 5.0, title)
     grid = figure.add_gridspec(

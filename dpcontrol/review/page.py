@@ -50,7 +50,7 @@ DOTTED, DASHED = (0, (2, 2)), (0, (5, 3))
 
 
 class ShownFigure(Figure):
-    """A figure that a notebook displays as the value of a cell, and that `show` displays elsewhere.
+    """A figure displayed by notebook cells, and elsewhere by `show`.
 
     pyplot does not manage it: a figure that pyplot manages appears a second time at the end of a notebook's cell.
     """
@@ -62,7 +62,9 @@ class ShownFigure(Figure):
         return picture.getvalue()
 
     def show(self, warn: bool = True) -> None:
-        """Display the figure once: below the cell of a notebook, otherwise in a window that blocks until it is closed.
+        """Display the figure once, in a notebook or a window.
+
+        Outside notebooks the window blocks until it is closed.
 
         `warn` has no effect; pyplot warns if its backend has no windows.
         """
@@ -81,7 +83,10 @@ class ShownFigure(Figure):
 
 
 def new_figure(width: float, height: float, title: str = "") -> Figure:
-    """Return an empty white figure of a size in inches with a title."""
+    """Return an empty white figure with a title.
+
+    Width and height are in inches.
+    """
     figure = ShownFigure(figsize=(width, height), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)
     if title:
@@ -120,7 +125,7 @@ def save_figure(figure: Figure, path: Path | str) -> None:
 
 
 def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "", size: float = 9.5) -> None:
-    """Set a panel's title, the labels of its axes, and its plain frame and grid."""
+    """Set a panel's title, axis labels, and plain frame and grid."""
     if title:
         axes.set_title(title, loc="left", fontsize=size, color=style.INK, pad=4)
     axes.set_xlabel(x, fontsize=SMALL, color=style.NOTE, labelpad=1)
@@ -134,7 +139,10 @@ def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "", size: float 
 
 
 def quiet_space(axes: Axes, *, angular: bool, steps: tuple[float, float] = (1.0, 1.0)) -> None:
-    """Label the axes of (first coordinate, second, first rate) in space; ticks every `steps` half turns."""
+    """Label the axes of a panel in space.
+
+    They are (first coordinate, second, first rate), with ticks every `steps` half turns.
+    """
     for which, label, step in zip("xy", ("θ₁ (rad)", "θ₂ (rad)") if angular else ("x", "y"), steps, strict=True):
         getattr(axes, f"set_{which}label")(label, fontsize=9)
         if angular:
@@ -145,7 +153,10 @@ def quiet_space(axes: Axes, *, angular: bool, steps: tuple[float, float] = (1.0,
 
 
 def key(on: Axes | Figure, entries: Iterable[tuple[str, str | dict[str, Any]]], **where: Any) -> None:
-    """Add a legend without a frame to a panel or a page; entries are labels with a colour or a line style."""
+    """Add a legend without a frame to a panel or a page.
+
+    Entries are labels with a colour or a line style.
+    """
     handles = []
     for label, given in entries:
         look: dict[str, Any] = {"color": given} if isinstance(given, str) else given
@@ -165,7 +176,10 @@ _BESIDE_TITLE = 62
 
 
 def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
-    """Tick the "x" or "y" axis in multiples of π, by `step` of them or adapted to the data."""
+    """Tick the "x" or "y" axis in multiples of π.
+
+    The step is `step` of them or adapted to the data.
+    """
     axis = axes.xaxis if which == "x" else axes.yaxis
     if step is None:
         low, high = axis.get_view_interval()
@@ -176,7 +190,10 @@ def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
 
 
 def label_in_pi(axis: Axis) -> None:
-    """Label an axis of half turns, with enough digits to distinguish its ends."""
+    """Label an axis of half turns with enough digits.
+
+    The digits distinguish its ends.
+    """
 
     def text(value: float, _: object) -> str:
         low, high = axis.get_view_interval()
@@ -188,7 +205,10 @@ def label_in_pi(axis: Axis) -> None:
 
 
 def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
-    """Return a series (K,) of a view, thinned to its peaks, with nan in its gaps to interrupt lines."""
+    """Return a series (K,) of a view, thinned to its peaks.
+
+    In its gaps nan interrupts lines.
+    """
     rows = extreme_rows(values, bins=_BINS)
     time, values = time[rows], values[rows]
     if not len(view.breaks):
@@ -223,7 +243,9 @@ def badge(axes: Axes, number: int, x: float, y: float, *, size: float = 7.5) -> 
 
 
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
-    """Return a curve (K, D) as runs with each coordinate within one period about zero, split at the bounds.
+    """Return a curve (K, D) as runs within one period about zero.
+
+    It is split at the bounds.
 
     `periods` is (D,), None or zero for coordinates without a period.
     """
@@ -244,7 +266,10 @@ _UNIT = np.array([1 / np.pi, 1.0])
 
 
 def draw_chart(axes: Axes, chart: Chart, view: RunView) -> None:
-    """Draw a chart's lines, bands, levels and limits; a line of a view other than `view` has no gaps."""
+    """Draw a chart's lines, bands, levels and limits.
+
+    A line of a view other than `view` has no gaps.
+    """
     quiet(axes, chart.title)
     axes.margins(x=0)
     scale = 1 / np.pi if chart.half_turns else chart.scale
@@ -323,7 +348,10 @@ def _named_level(axes: Axes, level: LevelLine) -> None:
 
 
 def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True) -> None:
-    """Draw runs in one arm's phase plane, each in its colour, over the orbits and tubes of the first."""
+    """Draw runs in one arm's phase plane.
+
+    Each has a colour. Orbits and tubes are those of the first run.
+    """
     first, _ = runs[0]
     quiet(axes, f"Arm {first.arm + 1}: ω{style.number(first.arm)} (rad/s) over θ{style.number(first.arm)}")
     entries: list[tuple[str, dict]] = []
@@ -387,7 +415,7 @@ def story_rows(view: RunView, *, span: Range | None = None) -> list[Strip]:
 
 
 def story(axes: Axes, view: RunView, *, span: Range | None = None, legend: bool = True) -> None:
-    """Draw over time, from the top: planned stays, decoded stays, and the controller's modes.
+    """Draw planned stays, decoded stays and modes over time.
 
     `span` is the time range to show, s; by default that of the motion and its plan.
     """
@@ -493,7 +521,9 @@ _FRAME_STEP = 2.12
 
 
 def draw_film(axes: Axes, view: RunView, times: Array) -> None:
-    """Draw the arms at several times (K,) s, the reference grey behind them, the tip's path since the last frame.
+    """Draw the arms at several times (K,) s.
+
+    The reference is grey behind them. The tip's path begins at the last frame.
 
     Times outside the motion are skipped.
     """
@@ -539,7 +569,10 @@ def frame_position(view: RunView, frame: int) -> float:
 
 
 def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
-    """Return the x and y limits in m for `draw_film`: the vertical range of the arms in its frames."""
+    """Return the x and y limits in m for `draw_film`.
+
+    Vertically they cover the arms in its frames.
+    """
     rows, reach = film_rows(view, times), sum(view.arm_lengths)
     shown = [view.state] if view.reference is None else [view.state, view.reference]
     both = np.concatenate([states[rows, : view.arms] for states in shown])
@@ -562,7 +595,9 @@ def film_rows(view: RunView, times: Array) -> NDArray[np.int64]:
 
 
 def film_times(view: RunView, *, frames: int, until: float = np.inf) -> Array:
-    """Return (frames,) times for a filmstrip, distributed among the symbols' crossings, otherwise evenly.
+    """Return (frames,) times for a filmstrip.
+
+    They are distributed among the symbols' crossings, otherwise evenly.
 
     On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. For a run
     that failed, the last quarter of the frames covers its end. `until` is the latest time, s.
@@ -606,7 +641,10 @@ _ABOVE = 0.04
 
 
 def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
-    """Return the page as a figure; `more` are charts over time in addition to the view's."""
+    """Return the page of a view as a figure.
+
+    The charts in `more` are added to the view's.
+    """
     left, middle = list(series.motion_charts(view)), [*series.check_charts(view), *series.extra_charts(view), *more]
     while len(left) > len(middle) + 1:
         middle.insert(0, left.pop())

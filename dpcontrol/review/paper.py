@@ -34,7 +34,10 @@ _REACHED, _FORBIDDEN = "#dbe9f6", "#8d959e"
 
 
 def landscape_page(gallery: Gallery) -> Page:
-    """Draw potential energies as landscapes, and Hill's regions at four energies, of three bodies and the pendulum."""
+    """Draw potential energies and Hill's regions at four energies.
+
+    Both are drawn for three bodies and the pendulum.
+    """
     figure = new_figure(13.5, 6.6, "Energy landscapes and Hill's regions: higher energies open more saddles")
     grid = figure.add_gridspec(
         2, 5, left=0.012, right=0.985, top=0.88, bottom=0.07, wspace=0.36, hspace=0.22, width_ratios=[1.45, 1, 1, 1, 1]
@@ -125,7 +128,10 @@ WHOLE: dict[str, Extent] = {"L1": ((-1.15, 1.25), (-1.15, 1.15)), "L2": ((-2.2, 
 
 
 def three_body_page(gallery: Gallery) -> Page:
-    """Draw L1's and L2's Lyapunov orbits, their tubes to x = 1 - μ, and the first connections both ways."""
+    """Draw L1's and L2's orbits, their tubes and first connections.
+
+    The section is x = 1 - μ. Both directions are drawn.
+    """
     atlas = gallery.atlas("three-body", BETWEEN_ENERGY, None)
     pairs = (("L1", "L2"), ("L2", "L1"))
     figure = new_figure(14, 10.4, f"Three bodies: heteroclinic connections of L1 and L2 at energy {BETWEEN_ENERGY:g}")
@@ -147,7 +153,10 @@ def three_body_page(gallery: Gallery) -> Page:
 
 
 def three_body_homoclinics_page(gallery: Gallery) -> Page:
-    """Draw the homoclinic connections of L1 and of L2: tubes, cuts on y = 0, x < 0, and the orbits."""
+    """Draw the homoclinic connections of L1 and of L2.
+
+    The page shows tubes, cuts on y = 0, x < 0, and the orbits.
+    """
     rows = [(gallery.atlas("three-body", energy, (1, 1)), saddle, saddle, WHOLE[saddle])
             for saddle, energy in HOMOCLINIC_ENERGIES.items()]  # fmt: skip
     figure = new_figure(14, 10.4, "Three bodies: homoclinic connections of L1 and of L2")
@@ -250,7 +259,10 @@ _POSES = 7
 
 
 def lyapunov_orbits_page(gallery: Gallery) -> Page:
-    """Draw Lyapunov orbits about both saddles in the phase plane of either arm, and the motion of one."""
+    """Draw Lyapunov orbits about both saddles in both phase planes.
+
+    The motion of one is also drawn.
+    """
     system = gallery.system("lab")
     figure = new_figure(13, 7.8, "Lyapunov orbits of the lab pendulum, in the phase plane of either arm")
     panels = figure.subplots(2, 3, gridspec_kw={
@@ -309,7 +321,10 @@ _TURNING = {"down-up": ("outer", "θ₂ = 2πk", "θ₁"), "up-down": ("inner", 
 
 
 def senses_page(gallery: Gallery, *, saddle: str) -> Page:
-    """Draw a saddle's tubes at 0.2 J in space and their cuts, separately for the two senses of rotation."""
+    """Draw a saddle's tubes at 0.2 J and their cuts.
+
+    The two senses of rotation are separate.
+    """
     atlas = gallery.atlas("lab", SENSES_ENERGY, (1, 1))
     kind = kind_of(atlas, saddle, saddle)
     assert kind is not None
@@ -385,7 +400,10 @@ def cuts_page(gallery: Gallery) -> Page:
 
 
 def heteroclinic_orbits_page(gallery: Gallery) -> Page:
-    """Draw heteroclinic connections at 0.2 J in (θ₁, θ₂, ω₁), between both Lyapunov orbits."""
+    """Draw heteroclinic connections at 0.2 J in (θ₁, θ₂, ω₁).
+
+    Both Lyapunov orbits are included.
+    """
     atlas = gallery.atlas("lab", SENSES_ENERGY, (1, 1))
     figure = new_figure(13, 6.2, f"Heteroclinic orbits in (θ₁, θ₂, ω₁) at {SENSES_ENERGY:g} J")
     words = []
@@ -423,7 +441,10 @@ _SHADOWED = "down-up +"
 
 
 def shadowing_page(gallery: Gallery) -> Page:
-    """Draw a homoclinic connection, an orbit that follows it twice, and a periodic orbit that follows it forever."""
+    """Draw a homoclinic connection and two orbits that shadow it.
+
+    One follows it twice, the other is periodic.
+    """
     system = gallery.system("lab")
     orbit = lyapunov_orbit(system, "down-up", energy=-0.07)
     search = find_connections(orbit, orbit)
@@ -473,7 +494,10 @@ _RETURN_FLIGHT = 2.0
 
 
 def returning_search(system: System) -> ConnectionSearch:
-    """Search homoclinics of Down-Up at 0.2 J that cross θ₁ = θ₂ twice."""
+    """Search homoclinics of Down-Up that cross θ₁ = θ₂ twice.
+
+    The energy is 0.2 J.
+    """
     orbit = lyapunov_orbit(system, "down-up", energy=SENSES_ENERGY)
     return find_connections(
         orbit, orbit, hits=(1, 2), section=system.named_sections["aligned"],
@@ -482,7 +506,10 @@ def returning_search(system: System) -> ConnectionSearch:
 
 
 def returning_page(gallery: Gallery) -> Page:
-    """Draw homoclinics of Down-Up that pass Up-Down's side and return through θ₁ = θ₂ the other way."""
+    """Draw homoclinics of Down-Up that cross θ₁ = θ₂ and return.
+
+    They pass Up-Down's side.
+    """
     system = gallery.system("lab")
     search = returning_search(system)
     back = [c for c in search.connections if not any(c.winding)]
@@ -558,7 +585,10 @@ _FALL = 60.0
 
 
 def up_up_states(system: System) -> Array:
-    """Return the states (K, N) at the first crossing of θ₂ = 2πk on the unstable manifold of Up-Up."""
+    """Return the first crossings of θ₂ = 2πk on Up-Up's unstable manifold.
+
+    They are states (K, N).
+    """
     top = system.equilibria["up-up"]
     values, vectors = np.linalg.eig(system.numeric.jacobian(top))
     rising = np.argsort(np.real(values))[-2:]
@@ -579,7 +609,10 @@ def _spread(count: int) -> tuple[Array, Array]:
 
 
 def up_up_page(gallery: Gallery) -> Page:
-    """Draw the intersections of Up-Up's unstable and stable manifolds with θ₂ = 2πk, as points."""
+    """Draw the intersections of Up-Up's manifolds with θ₂ = 2πk.
+
+    Unstable and stable manifold are drawn as points.
+    """
     system = gallery.system("lab")
     states, section = up_up_states(system), system.sections["down-up", "down-up"]
     points = section_points(system, section, states)

@@ -71,7 +71,9 @@ LIVE_REMEDY = "leave out --live, and draw the log with `dpcontrol review LOG --p
 
 
 def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
-    """Return the viewer's executable; `remedy` is the advice for a user without a display.
+    """Return the viewer's executable.
+
+    The `remedy` is advice for a user without a display.
 
     Raises:
         InputError: there is no viewer, or no display to open it on.
@@ -89,7 +91,9 @@ def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
 
 
 def viewer_command(*arguments: str) -> tuple[list[str], dict[str, str]]:
-    """Return command and environment of a viewer that accepts local connections only and reports nothing.
+    """Return command and environment of a private viewer.
+
+    It accepts local connections only and reports nothing.
 
     Raises:
         InputError: there is no viewer, or no display to open it on.
@@ -98,7 +102,9 @@ def viewer_command(*arguments: str) -> tuple[list[str], dict[str, str]]:
 
 
 def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
-    """Open a recording in a separate viewer, which outlives this process and accepts local connections only.
+    """Open a recording in a separate viewer.
+
+    The viewer outlives this process and accepts local connections only.
 
     Args:
         recording: the recording.
@@ -123,7 +129,9 @@ def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
 
 
 def view_in_window(shown: Any, name: str) -> Path:
-    """Open a viewer on a review; return its recording, which is removed when the viewer is closed or fails.
+    """Open a viewer on a review and return its recording.
+
+    The recording is removed when the viewer is closed or fails.
 
     Raises:
         InputError: the viewer or the display is missing, or the viewer ended at once.
@@ -142,7 +150,10 @@ def view_in_window(shown: Any, name: str) -> Path:
 
 
 def missing_renderer() -> str | None:
-    """Return the reason why the viewer cannot draw without a screen, or None if it might."""
+    """Return the obstacle to drawing without a screen, or None.
+
+    None means that the viewer might be able to.
+    """
     if not installed("rerun"):
         return "rerun-sdk is not installed (pip install 'dpcontrol[viewer]')"
     if viewer_program() is None:
@@ -160,7 +171,9 @@ def missing_renderer() -> str | None:
 
 
 def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seconds: float = _SECONDS) -> str | None:
-    """Write a picture (PNG) of the viewer showing the recording from `write`, at `moment` (s).
+    """Write a picture (PNG) of the viewer at `moment` (s).
+
+    The viewer shows the recording from `write`.
 
     The viewer runs under a separate process, which is ended with all its children after `seconds`.
     Returns None if the picture was written, otherwise the reason.
@@ -249,7 +262,9 @@ def write_recording(shown: Shown, path: Path) -> None:
 
 
 def write_picture(shown: Shown, path: Path | str) -> Picture:
-    """Write a PNG of a review: from the Rerun viewer if this machine can render it, otherwise from matplotlib.
+    """Write a PNG of a review.
+
+    It comes from the Rerun viewer if this machine can render it, otherwise from matplotlib.
 
     Raises:
         InputError: the file cannot be written.
@@ -296,7 +311,10 @@ def _bound(program: Path, folder: Path) -> Path:
 
 
 def take(program: Path, recording: Path, picture: Path, *, moment: float) -> str | None:
-    """Write `picture`; return None, or the reason for failure. No time limit applies: set one from outside."""
+    """Write `picture`; return None, or the reason for failure.
+
+    No time limit applies: set one from outside.
+    """
     from rerun.experimental import ViewerClient
 
     with socket.socket() as probe:

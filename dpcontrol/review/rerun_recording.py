@@ -63,7 +63,7 @@ _NO_GAPS: Array = np.zeros(0)
 
 
 def follow(recording: rr.RecordingStream, path: str, look: Any, time: Array, columns: Any) -> None:
-    """Record values that change at times (K,) s under a path, with constant style."""
+    """Record values at times (K,) s under a path, in constant style."""
     recording.log(path, look, static=True)
     recording.send_columns(path, indexes=[rr.TimeColumn(TIMELINE, duration=time)], columns=columns)
 
@@ -178,7 +178,10 @@ _FAR = 60.0
 
 
 def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, boxes: list[Box] | None = None) -> None:
-    """Record the phase plane of each arm under `home/arm_K`, with grid lines across its box."""
+    """Record the phase plane of each arm under `home/arm_K`.
+
+    Grid lines cross its box.
+    """
     for arm in range(view.arms):
         at, shown = f"{home}/arm_{arm + 1}", plane(view, arm)
         reading_lines(recording, at, boxes[arm] if boxes else bounds(shown), scale=_RATE)
@@ -201,7 +204,7 @@ def record_places(recording: rr.RecordingStream, home: str, view: RunView) -> No
 
 
 def bounds(*planes: Plane) -> Box:
-    """Return the bounds of an arm's phase planes, as drawn, without far outliers."""
+    """Return the drawn bounds of phase planes, without far outliers."""
     parts = [points for plane in planes for _, points in plane.orbits]
     parts += [points for plane in planes for some in (plane.run, *plane.strands.values()) for points in some]
     every = np.concatenate([part * _SCALE for part in parts]) if parts else np.zeros((1, 2))
@@ -223,7 +226,9 @@ def _strips(recording: rr.RecordingStream, at: str, strips: list[Array], colours
 def reading_lines(
     recording: rr.RecordingStream, at: str, box: Box, *, scale: float, turning: bool = True, dark: bool = False
 ) -> None:
-    """Draw grid lines with labels: at round values across, and at multiples of π or round values along.
+    """Draw grid lines with labels.
+
+    They are at round values across, and at multiples of π or round values along.
 
     Args:
         scale: drawn length of one unit across.
@@ -266,7 +271,7 @@ _DEPTH = -0.05
 
 
 def trace_tip(recording: rr.RecordingStream, path: str, view: RunView, *, frame: str | None = None) -> None:
-    """Trace the tip over the last moments, in the plane of the outermost arm.
+    """Trace the tip in the outermost arm's plane, over recent moments.
 
     `frame` is a frame of the log's transforms, if any.
     """
@@ -283,7 +288,10 @@ def trace_tip(recording: rr.RecordingStream, path: str, view: RunView, *, frame:
 
 
 def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> None:
-    """Draw the moving arms, the grey reference behind them, the cart, and the track within its limits."""
+    """Draw the moving arms, the reference, the cart and the track.
+
+    The reference is grey, behind the arms. The track ends at the limits.
+    """
     rows = trace_rows(view)
     reach = sum(view.arm_lengths)
     if view.has_cart:
@@ -364,7 +372,10 @@ def blueprint(view: RunView, *, from_log: bool, growing: bool = False) -> rrb.Bl
 def page(
     columns: Sequence[rrb.Container], shares: Sequence[float], *, timeline: str = TIMELINE, growing: bool = False
 ) -> rrb.Blueprint:
-    """Return a blueprint of columns of views with widths in proportion to their shares, without side panels."""
+    """Return a blueprint of columns of views, without side panels.
+
+    Widths are in proportion to their shares.
+    """
     playing: dict[str, Any] = {"play_state": "following"} if growing else {}
     return rrb.Blueprint(
         rrb.Horizontal(*columns, column_shares=shares[: len(columns)]),
@@ -399,7 +410,10 @@ def summary_view() -> rrb.View:
 
 
 def plane_view(arm: int, home: str, box: Box, *, name: str, free: float = 0.1) -> rrb.View:
-    """Return the view of an arm's phase plane; `free` is the margin for labels, as a share of the box."""
+    """Return the view of an arm's phase plane.
+
+    The margin for labels is `free`, as a share of the box.
+    """
     left, right, top, bottom = box
     wide, high = free * (right - left), free * (bottom - top)
     return rrb.Spatial2DView(
@@ -411,7 +425,10 @@ def plane_view(arm: int, home: str, box: Box, *, name: str, free: float = 0.1) -
 
 
 def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
-    """Return the views of charts, with a legend for named levels or several runs; `growing`: see `blueprint`."""
+    """Return the views of charts.
+
+    Named levels or several runs have a legend. For `growing` see `blueprint`.
+    """
     corner = rrb.Corner2D.RightTop
     return [
         rrb.TimeSeriesView(
@@ -443,7 +460,9 @@ SCENE = "scene"
 
 
 def write_recording(view: RunView, path: Path) -> None:
-    """Write the recording of a view to `path` (`*.rrd`); a log must still exist at its original path.
+    """Write the recording of a view to `path` (`*.rrd`).
+
+    A log must still exist at its original path.
 
     Raises:
         InputError: the recording cannot be written, or the log was removed.
@@ -468,7 +487,9 @@ def write_recording(view: RunView, path: Path) -> None:
 
 @contextmanager
 def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> Iterator[rr.RecordingStream]:
-    """Yield a recording with blueprint and summary; it becomes the file `path` if the block ends without an error.
+    """Yield a recording with blueprint and summary.
+
+    It becomes the file `path` if the block ends without an error.
 
     Raises:
         InputError: it cannot be written.

@@ -38,7 +38,10 @@ HARDEST_METADATA = "hardest_acceleration"
 
 @dataclass(frozen=True)
 class Thinking:
-    """Duration of a tick of controller and estimator, s: median and 99th percentile."""
+    """Duration of a tick, s: median and 99th percentile.
+
+    A tick consists of controller and estimator.
+    """
 
     median: float
     within_99: float
@@ -186,7 +189,10 @@ class Flown:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a plan: completion, symbols done, wraps at the stops reached, and a sentence on the fault, or ""."""
+    """Verdict on a plan.
+
+    It holds completion, symbols done, wraps at the stops reached, and a sentence on the fault, or "".
+    """
 
     symbols: int
     wraps: tuple[int | None, ...]
@@ -194,7 +200,9 @@ class Verdict:
 
 
 def counted(flights: Sequence[Flight], *, rate_hz: float) -> list[tuple[NDArray[np.intp], Array]]:
-    """Return the ticks of each flight that count, and their times in the plan's reference, s; no flight is omitted.
+    """Return the ticks of each flight that count, and their times.
+
+    Times are those of the plan's reference, s. No flight is omitted.
 
     Ticks after the restart point of a later flight do not count.
     """
@@ -209,7 +217,9 @@ def counted(flights: Sequence[Flight], *, rate_hz: float) -> list[tuple[NDArray[
 
 
 def spliced(flown: Flown, plan: Reference) -> Flown:
-    """Return the counted part of a run on the plan's clock and turns: each flight up to the restart of a later one.
+    """Return the counted part of a run on the plan's clock.
+
+    It consists of each flight up to the restart of a later one.
 
     Symbols completed before a fall remain completed; of a repeated part the last flight counts.
     """
@@ -301,7 +311,10 @@ def _hardest(log: RunLog) -> float | None:
 
 
 def flights_of(log: RunLog) -> tuple[Flight, ...]:
-    """Return a run's periods on the itinerary in its last lap, from its events; empty without recovery."""
+    """Return the last lap's periods on the itinerary, from events.
+
+    Without recovery the result is empty.
+    """
     flights: list[Flight] = []
     under_way: Flight | None = None
     for event in log.events:

@@ -67,7 +67,10 @@ class Line:
 
 @dataclass(frozen=True)
 class LevelLine:
-    """A constant in a chart; kind: "limit" of the cart, end of the expected "band", or "named" level."""
+    """A constant in a chart.
+
+    Its kind is "limit" of the cart, end of the expected "band", or "named" level.
+    """
 
     key: str
     name: str
@@ -135,7 +138,9 @@ class Strip:
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """An arm's phase plane: curves (K, 2) of angles in rad and rates in rad/s, whole turns counted.
+    """An arm's phase plane.
+
+    Curves (K, 2) have angles in rad and rates in rad/s, with whole turns counted.
 
     arm: counted from zero.
     strands: of the tubes, by stability.
@@ -154,7 +159,10 @@ class Plane:
 
 
 def motion_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return the charts of the motion: angles, rates, and, if they exist, cart and acceleration."""
+    """Return the charts of the motion.
+
+    They show angles, rates, and, if they exist, cart and acceleration.
+    """
     n = view.arms
     found = [_angles(view), _rates(view)]
     if view.has_cart:
@@ -170,7 +178,10 @@ def motion_charts(view: RunView) -> tuple[Chart, ...]:
 
 
 def check_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return the charts of the run's quality, as far as known: errors, energy, NIS; for a reference its mesh."""
+    """Return the charts of the run's quality, as far as known.
+
+    They show errors, energy and NIS, or a reference's mesh.
+    """
     makers = (_velocity, _tracking_error, _estimation_error, _energy, _nis, _mesh, _node_errors)
     return tuple(chart for make in makers if (chart := make(view)) is not None)
 
@@ -187,7 +198,10 @@ EXTRA_CHARTS = (
 
 
 def extra_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return the charts of the estimated parameters, ±2σ, with the truth if it is known."""
+    """Return the charts of the estimated parameters, ±2σ.
+
+    The truth is added if it is known.
+    """
     extras, found = view.extras, []
     left = {} if extras is None else dict.fromkeys(extras.names)
     for begins, key, title, unit, scale in EXTRA_CHARTS:
@@ -222,7 +236,10 @@ def extra_charts(view: RunView) -> tuple[Chart, ...]:
 
 
 def margins_chart(margins: Margins) -> Chart:
-    """Return the loop's margins of gain, delay and lag along the reference, at the middle of each window."""
+    """Return the loop's margins of gain, delay and lag.
+
+    They belong to the middle of each window along the reference.
+    """
     time, least = margins.times + margins.windows / 2, margins.least()
     figures = {name: 1e3 * value if name in ("delay", "lag") else value for name, (value, _) in least.items()}
     gain, delay, lag = style.ARMS[0], style.ARMS[1], style.ARMS[2]
@@ -446,7 +463,9 @@ def _stairs(view: RunView, values: Array, colour: str) -> Line:
 
 
 def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
-    """Return the planned and the flown itinerary, its symbols, and the controller's modes, as far as they exist.
+    """Return the strips of itinerary, symbols and modes that exist.
+
+    The itinerary has a planned and a flown strip.
 
     `until` is the planned end of the run, s; the plan's end by default.
     """
@@ -501,7 +520,7 @@ def _stays(stays: tuple[Stay, ...]) -> Iterator[Span]:
 
 
 def plane(view: RunView, arm: int) -> Plane:
-    """Return an arm's phase plane, with the orbits and tubes used by the plan."""
+    """Return an arm's phase plane with the plan's orbits and tubes."""
     columns = [arm, view.arms + arm]
     step = max(1, len(view.time) // _MOST)
     walked = view.state[:, columns]
@@ -528,7 +547,9 @@ def _known(points: Array) -> list[Array]:
 
 
 def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:
-    """Return the pivot, the elbows and the tip, seen from the pivot, x right and y up.
+    """Return pivot, elbows and tip relative to the pivot.
+
+    The x axis points right and y up.
 
     Args:
         angles: (K, n) absolute, from hanging, counter-clockwise; rad.
@@ -543,7 +564,10 @@ def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:
 
 
 def smoothed_nis(view: RunView) -> tuple[Array, Array]:
-    """Return times (K,) and means (K,) of the NIS over stretches of ticks with a measurement."""
+    """Return times (K,) and means (K,) of the NIS.
+
+    Means are over stretches of ticks with a measurement.
+    """
     nis = np.full(len(view.time), np.nan) if view.nis is None else view.nis
     known = np.isfinite(nis)
     return means_of(view.time[known]), means_of(nis[known])
@@ -555,14 +579,20 @@ def gap_times(view: RunView) -> Array:
 
 
 def spans(time: Array, flags: NDArray[np.bool_]) -> list[Range]:
-    """Return start and end in s of each stretch of ticks with true (N,) `flags`, at least a tick's width."""
+    """Return start and end in s of each stretch with true flags.
+
+    The `flags` are (N,). A stretch lasts at least a tick.
+    """
     padded_flags = np.concatenate([[False], flags, [False]])
     edges = np.flatnonzero(padded_flags[1:] != padded_flags[:-1])
     return [(float(time[a]), float(time[min(b, len(time) - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def mode_spans(view: RunView) -> list[tuple[float, float, str]]:
-    """Return start and end in s and the name of each stretch of constant mode, or "unknown mode"."""
+    """Return start, end and name of each stretch of constant mode.
+
+    Times are in s. Other numbers are "unknown mode".
+    """
     if view.control is None or "mode" not in view.control:
         return []
     names = {float(mode): mode.name.lower() for mode in Mode}
@@ -576,7 +606,10 @@ def mode_spans(view: RunView) -> list[tuple[float, float, str]]:
 
 
 def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
-    """Return the rows of the least and the greatest of values (N,) in each of `bins`, and the last; all if few."""
+    """Return the rows of the extremes of values (N,) in `bins`.
+
+    The last row is included. Few values are all returned.
+    """
     size = len(values) // bins
     if size < 3:
         return np.arange(len(values))
@@ -595,7 +628,9 @@ _EDGE = 0.06
 
 
 def ticked(low: float, high: float) -> Range:
-    """Return bounds near these with at least two multiples of a power of ten, which the viewer labels.
+    """Return bounds near these with at least two labels.
+
+    The viewer labels multiples of a power of ten.
 
     The bound is extended to the nearer next multiple, or to both if they are equally near.
     """
@@ -614,7 +649,7 @@ def ticked(low: float, high: float) -> Range:
 
 
 def padded(values: Array) -> Range:
-    """Return the range of finite `values`, extended by a tenth on either side."""
+    """Return the range of finite `values`, extended by a tenth."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     margin = 0.1 * (high - low) or 0.1 * abs(high) or 1e-3

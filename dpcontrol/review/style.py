@@ -70,12 +70,15 @@ def rgb(colour: str) -> tuple[int, int, int]:
 
 
 def number(i: int) -> str:
-    """Return the number of an arm, counted from zero, as a subscript from one."""
+    """Return the number of an arm as a subscript.
+
+    The argument counts from zero, the subscript from one.
+    """
     return str(i + 1).translate(_SUBSCRIPTS)
 
 
 def in_pi(half_turns: float, *, digits: int = 3) -> str:
-    """Return a number of half turns as an angle in units of π."""
+    """Return half turns as an angle in units of π."""
     if abs(half_turns) < 1e-9:
         return "0"
     text = f"{half_turns:.{digits}g}"

@@ -23,7 +23,9 @@ _FAINTEST = 0.12
 
 
 def draw_transitions(summary: ReferenceSummary) -> Figure:
-    """Draw each transfer of a reference in the cell of its two equilibria; repeated ones once.
+    """Draw each transfer in the cell of its two equilibria.
+
+    Repeated ones are drawn once.
 
     Raises:
         InputError: the reference has no transfers between equilibria, or does not name its arms.

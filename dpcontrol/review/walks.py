@@ -44,7 +44,9 @@ _MOST_SAMPLES = 40_000
 
 @dataclass(frozen=True)
 class Wobble:
-    """A period near a periodic orbit: from start to end (s) about `saddle`, with its number of wraps.
+    """A period near a periodic orbit, with its number of wraps.
+
+    It lasts from start to end (s) about `saddle`.
 
     `closing` marks a closed walk's stop between its last and its first symbol.
     """
@@ -68,21 +70,21 @@ class WalkStory:
 
     @cached_property
     def curves(self) -> dict[str, OrbitCurve]:
-        """Periodic orbits of the walk, by saddle, in the order of its visits."""
+        """Periodic orbits of the walk, by saddle, in visiting order."""
         chain = self.orbit.connections
         orbits = {orbit.saddle: orbit for orbit in (chain[0].source, *(c.target for c in chain))}
         return {saddle: OrbitCurve(orbit) for saddle, orbit in orbits.items()}
 
     @cached_property
     def times(self) -> Array:
-        """Times (K,) in s of the samples, from the walk's start to its end."""
+        """Times (K,) of the samples over the whole walk, s."""
         shortest = min(curve.orbit.period for curve in self.curves.values())
         count = min(round(_PER_PERIOD * self.orbit.duration / shortest), _MOST_SAMPLES)
         return np.linspace(0.0, self.orbit.duration, max(count, 2))
 
     @cached_property
     def states(self) -> Array:
-        """States (K, N) at the times, with whole turns of the angles counted."""
+        """States (K, N) at the times, with whole turns counted."""
         return self.orbit.sample(self.times)
 
     @cached_property
@@ -96,7 +98,10 @@ class WalkStory:
         return bool(np.isfinite(self.orbit.connections[0].source.system.periods).any())
 
     def wobbles(self) -> list[Wobble]:
-        """Return the periods whose wraps are counted: before the walk, at each stop, and after it."""
+        """Return the periods whose wraps are counted.
+
+        They lie before the walk, at each stop, and after it.
+        """
         orbit, chain = self.orbit, self.orbit.connections
         arrivals = [t + c.time_in for t, c in zip(orbit.symbol_times, chain, strict=True)]
         departures = [t - c.time_out for t, c in zip(orbit.symbol_times, chain, strict=True)]
@@ -114,7 +119,10 @@ class WalkStory:
         return [*out, Wobble(start, end, first, orbit.wraps_realised[-1], closing=True)]
 
     def view(self, model: str) -> RunView:
-        """Return the walk of a model as a `RunView`: wobbles as stays, symbols, periodic orbits."""
+        """Return the walk of a model as a `RunView`.
+
+        Wobbles become stays; symbols and periodic orbits are included.
+        """
         orbit, count = self.orbit, len(self.orbit.symbol_times)
         kind = "A periodic orbit" if orbit.periodic else "An orbit"
         energy = f"{orbit.connections[0].source.energy:g}{' J' if self.has_angles else ''}"
@@ -152,7 +160,10 @@ class WalkStory:
         return "; ".join(parts)
 
     def coordinates(self) -> Chart:
-        """Return the angles over time, whole turns counted; positions for a system without angles."""
+        """Return the angles over time, whole turns counted.
+
+        A system without angles has positions.
+        """
         names = ("θ₁ inner arm", "θ₂ outer arm") if self.has_angles else ("x", "y")
         lines = tuple(
             Line(name, name, name, self.times, self.states[:, k], style.arm_colour(k))
@@ -174,7 +185,7 @@ class WalkStory:
 
 
 def symbol_text(connection: Connection) -> str:
-    """Return a connection's symbol in an itinerary: "down-up +", "down-up > up-down -"."""
+    """Return a connection's symbol, such as "down-up > up-down -"."""
     sense = "+" if connection.sense > 0 else "-"
     source, target = connection.source.saddle, connection.target.saddle
     return f"{source} {sense}" if source == target else f"{source} > {target} {sense}"
@@ -206,12 +217,18 @@ LIFTED_TURNS = 2.2
 
 
 def is_lifted(story: WalkStory) -> bool:
-    """True if the orbit in space counts whole turns, as long as it does not span too many."""
+    """True if the orbit in space counts whole turns.
+
+    It does so as long as it does not span too many.
+    """
     return bool(np.ptp(story.states[:, :2], axis=0).max() <= LIFTED_TURNS * 2 * np.pi) or not story.has_angles
 
 
 def space(axes: Axes, story: WalkStory) -> None:
-    """Draw the orbit in (first coordinate, second, first rate), coloured by time, over the periodic orbits."""
+    """Draw the orbit in space, coloured by time, over periodic orbits.
+
+    Space is (first coordinate, second, first rate).
+    """
     rate = story.states.shape[1] // 2
     picked = [0, 1, rate]
     lifted = is_lifted(story)
@@ -297,7 +314,10 @@ def _base_orbits(story: WalkStory, lifted: bool) -> list[tuple[Array, str]]:
 
 
 def plane(axes: Axes, story: WalkStory) -> None:
-    """Draw the orbit in the plane of positions, coloured by time, for a system without arms."""
+    """Draw the orbit in the plane of positions, coloured by time.
+
+    This is for a system without arms.
+    """
     for saddle, curve in story.curves.items():
         closed = np.vstack([curve.samples, curve.samples[:1]])
         axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
@@ -323,7 +343,10 @@ FILM_SYMBOLS = 48
 
 
 def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, model: str) -> Figure:
-    """Return the page as a figure; arm_lengths (n,) in m, None for a system without arms and film."""
+    """Return the page of a walk as a figure.
+
+    The arm_lengths (n,) are in m, or None for a system without arms and film.
+    """
     story = WalkStory(orbit, arm_lengths)
     view = story.view(model)
     filmed = [] if arm_lengths is None else _film_rows(story, view)
@@ -368,7 +391,10 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
 
 
 def film_shape(count: int) -> tuple[int, int, int]:
-    """Return (rows, symbols in a row, poses of a symbol) of the film of `count` symbols."""
+    """Return rows, symbols per row and poses per symbol of a film.
+
+    The film has `count` symbols.
+    """
     count = min(count, FILM_SYMBOLS)
     poses = 9 if count == 1 else 7 if count == 2 else 5 if count <= 6 else 3 if count <= 16 else 1
     rows = int(np.ceil(count * poses / 18))

@@ -18,7 +18,9 @@ from dpcontrol.tubes.intersections import InteriorSettings, Outline, Returns, Tu
 
 
 def draw_interior(interior: TubeInterior, periodic: tuple[RotatingOrbit, ...] = ()) -> Figure:
-    """Return a figure with the start and its forward returns above, its backward returns below.
+    """Return a figure of the start and its returns.
+
+    Start and forward returns are above, backward returns below.
 
     Args:
         interior: points inside the tube, with their returns.
@@ -126,7 +128,10 @@ _ACROSS = {"down-up": 110, "up-down": 200}
 
 
 def within_both(interior: TubeInterior) -> TubeInterior:
-    """Return the points also inside a stable cut of the same direction, coloured about their middle."""
+    """Return the points also inside a stable cut, coloured again.
+
+    The cut has the same direction; colours are about the points' middle.
+    """
     own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
     stable = [o for o in interior.outlines if o.stable and o.direction == own.direction]
     kept = np.zeros(len(interior.points), dtype=bool)
@@ -153,7 +158,10 @@ def within_both(interior: TubeInterior) -> TubeInterior:
 
 
 def kept_inside(interior: TubeInterior, arm: int) -> tuple[RotatingOrbit, ...]:
-    """Return the symmetric orbits that turn `arm` and cross inside both tubes' cuts at every lap."""
+    """Return the symmetric orbits that stay inside both tubes' cuts.
+
+    They turn `arm` and cross the cuts at every lap.
+    """
     orbit, section = interior.orbit, interior.section
     own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
     stable = [o for o in interior.outlines if o.stable and o.direction == own.direction]
@@ -171,7 +179,10 @@ def kept_inside(interior: TubeInterior, arm: int) -> tuple[RotatingOrbit, ...]:
 
 
 def wheels_page(gallery: Gallery, *, saddle: str) -> Page:
-    """Draw three returns each way of the inside of a saddle's unstable tube, and the periodic orbits inside."""
+    """Draw the returns of the inside of a saddle's unstable tube.
+
+    There are three each way. Periodic orbits inside are marked.
+    """
     system, energy = gallery.system("lab"), WHEEL_ENERGIES[saddle]
     orbit = lyapunov_orbit(system, saddle, energy=energy)
     manifold = UnstableManifold(orbit)
