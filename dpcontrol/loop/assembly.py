@@ -251,7 +251,7 @@ class Assembly:
     ) -> ControlLoop:
         """Return a loop for any rig, simulated or real.
 
-        rate_noise, (n, 1) rad/s by tick, until, keep: see `ControlLoop`; until: the itinerary is repeated up to then.
+        rate_noise, (n, 1) rad/s by tick, keep: see `ControlLoop`. until: tick up to which the itinerary is repeated.
         recovery: in place of the assembly's own. library: see `ticker`.
 
         Raises:
@@ -263,19 +263,16 @@ class Assembly:
             what = what if recovery is None else "on_fall"
             raise InputError(f"run: a controller's library knows nothing of {what}; run it without")
         ticker = self.ticker(library=library)
-        falls = None if recovery is None else FallRecovery(recovery, self.controller, laps=until > 0)
+        falls = None if recovery is None else FallRecovery(recovery, self.controller, until=until)
         return ControlLoop(
             ticker, limits=self.limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, recovery=falls,
-            until=until, keep=keep, progress=progress,
+            keep=keep, progress=progress,
         )  # fmt: skip
 
     def draw(self, *, seed: int | None = None, mismatch: float | None = None) -> BenchDraw:
         """Return what is drawn for a run, by another seed or mismatch than the settings' if one is given."""
-        given = {"seed": seed, "mismatch": mismatch}
-        return self.settings.draw(
-            self.arms, ticks=self.controller.ticks + 1, uncertainty=self.uncertainty,
-            **{name: value for name, value in given.items() if value is not None},
-        )  # fmt: skip
+        ticks = self.controller.ticks + 1
+        return self.settings.draw(self.arms, ticks=ticks, uncertainty=self.uncertainty, seed=seed, mismatch=mismatch)
 
     def simulate(
         self,

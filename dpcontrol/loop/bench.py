@@ -418,6 +418,27 @@ class BenchDraw:
 _ENDLESS = 1 << 60
 
 
+@dataclass(frozen=True)
+class Unlike:
+    """How the plant differs from the model.
+
+    mismatch: share by which its parameters differ; model_uncertainty: factor on the standard errors of the model's
+    `uncertainty`, by which they differ besides, zero for none. initial_error rad: uniform ± on each angle of the first
+    state. friction: factor on that of the plant drawn. plant: arms of its own, about which it is drawn in place of the
+    model's.
+    """
+
+    mismatch: float = 0.0
+    model_uncertainty: float = 0.0
+    uncertainty: Uncertainty | None = None
+    initial_error: float = 0.0
+    friction: float = 1.0
+    plant: ArmChainParameters | None = None
+
+
+_ALIKE = Unlike()
+
+
 def draw_bench(
     arms: ArmChainParameters,
     settings: BenchSettings,
@@ -425,19 +446,9 @@ def draw_bench(
     seed: int,
     ticks: int,
     period: float,
-    mismatch: float = 0.0,
-    model_uncertainty: float = 0.0,
-    uncertainty: Uncertainty | None = None,
-    initial_error: float = 0.0,
-    friction: float = 1.0,
-    plant: ArmChainParameters | None = None,
+    unlike: Unlike = _ALIKE,
 ) -> BenchDraw:
     """Draw a run of `ticks` ticks, `period` s each, of the bench with these arms as the model.
-
-    mismatch: share by which the plant's parameters differ; model_uncertainty: factor on the standard errors of the
-    model's `uncertainty`, by which they differ besides, zero for none. initial_error rad: uniform ± on each angle of
-    the first state. friction: factor on that of the plant drawn. plant: arms of its own, about which it is drawn in
-    place of the model's.
 
     Raises:
         InputError: settings that do not fit these arms or this period; an uncertainty is asked for and not known.
@@ -480,22 +491,22 @@ def draw_bench(
     stream("missed", lambda source, count: np.floor(source.uniform(size=(count, n)) + lost).astype(np.int64), lost)
     normal("noise", np.array([*[sensors.noise] * n, sensors.cart_noise]))
     normal("rate_noise", np.full(n, sensors.rate_noise))
-    if model_uncertainty and uncertainty is None:
+    if unlike.model_uncertainty and unlike.uncertainty is None:
         raise InputError(
-            f"run: model_uncertainty = {model_uncertainty!r}: the model has no [uncertainty] to draw from; identify it "
-            "from recordings, or use a mismatch"
+            f"run: model_uncertainty = {unlike.model_uncertainty!r}: the model has no [uncertainty] to draw from; "
+            "identify it from recordings, or use a mismatch"
         )
-    likely = plant or arms
-    if model_uncertainty and uncertainty is not None:
-        likely = uncertainty.drawn(arms, random("model"), scale=model_uncertainty)
-    true_arms = likely.mismatched(mismatch, random("plant"))
-    if friction != 1.0:
-        true_arms = true_arms.with_friction(friction)
+    likely = unlike.plant or arms
+    if unlike.model_uncertainty and unlike.uncertainty is not None:
+        likely = unlike.uncertainty.drawn(arms, random("model"), scale=unlike.model_uncertainty)
+    true_arms = likely.mismatched(unlike.mismatch, random("plant"))
+    if unlike.friction != 1.0:
+        true_arms = true_arms.with_friction(unlike.friction)
     strokes = shares("pushes", blows.pushes, 3), shares("knocks", blows.knocks, 2)
     return BenchDraw(
         seed=seed, ticks=ticks, period=period,
         plant=settings.plant(true_arms, within("play", 0.5 if settings.mechanics.play else 0.0)),
-        initial_error=within("initial_error", initial_error),
+        initial_error=within("initial_error", unlike.initial_error),
         initial_rate=within("initial_rate", settings.mechanics.initial_rate),
         zeros=within("zero_errors", sensors.zero_error),
         drift=np.copysign(sensors.zero_drift / 3600, within("zero_drift", sensors.zero_drift)),

@@ -13,7 +13,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from dpcontrol.loop.bench import (
     MechanicsSettings,
     SensorSettings,
     StreamReader,
+    Unlike,
     draw_bench,
 )
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings
@@ -69,9 +69,8 @@ class ControlLoop:
     rate_noise, (n, 1) rad/s by tick: what is added to the rates that the controller steers by, as where rates are
     measured and not estimated (Wiebe et al., Open-source dual-purpose acrobot and pendubot platform, IEEE RAM 2024);
     the estimator itself goes on without it. fallback: used when the supervisor gives the reference up; without one the
-    run ends then, or `recovery` says how it goes on. until: the tick at which a run that recovers ends at the latest,
-    0 for none. keep: whether the result holds all ticks, or only the last block of them. The rig's `truth`, where it
-    has one, is recorded and never used.
+    run ends then, or `recovery` says how it goes on. keep: whether the result holds all ticks, or only the last block
+    of them. The rig's `truth`, where it has one, is recorded and never used.
     """
 
     def __init__(
@@ -83,12 +82,12 @@ class ControlLoop:
         rate_noise: StreamReader | None = None,
         fallback: NearestKeeper | None = None,
         recovery: FallRecovery | None = None,
-        until: int = 0,
         keep: bool = True,
         progress: Progress = no_progress,
     ) -> None:
         self.ticker, self.limits, self.sink, self.fallback, self.progress = ticker, limits, sink, fallback, progress
-        self._rate_noise, self._recovery, self._until, self._keep = rate_noise, recovery, until, keep
+        self._rate_noise, self._recovery, self._keep = rate_noise, recovery, keep
+        self._until = 0 if recovery is None else recovery.until
         self.count = ticker.count
         self.ending, self.reason, self._stopped = Ending.FINISHED, "came to the reference's end", False
         self._period, self._arms = ticker.program.period, ticker.program.model.arms
@@ -388,19 +387,22 @@ class LoopSettings(Settings, table="run"):
         *,
         ticks: int,
         uncertainty: Uncertainty | None = None,
-        **instead: Any,
+        seed: int | None = None,
+        mismatch: float | None = None,
     ) -> BenchDraw:
         """Return what is drawn for a run of `ticks` ticks with these arms as the model; see `draw_bench`.
 
-        instead: seed or mismatch in place of the settings' own.
+        seed, mismatch: in place of the settings' own.
         """
-        given, plant = {"seed": self.seed, "mismatch": self.mismatch, **instead}, self.plant
+        plant = self.plant
         own = plant.own if isinstance(plant, OwnPlant) else None
-        drawn = draw_bench(
-            arms, self.bench, ticks=ticks, period=1 / self.rate, model_uncertainty=self.model_uncertainty,
-            uncertainty=uncertainty, initial_error=self.initial_error, friction=self.friction,
-            plant=None if isinstance(plant, OwnPlant) else plant, **given,
+        unlike = Unlike(
+            self.mismatch if mismatch is None else mismatch, self.model_uncertainty, uncertainty, self.initial_error,
+            self.friction, None if isinstance(plant, OwnPlant) else plant,
         )  # fmt: skip
+        drawn = draw_bench(
+            arms, self.bench, seed=self.seed if seed is None else seed, ticks=ticks, period=1 / self.rate, unlike=unlike
+        )
         if own is None or not own.symbolic:
             return replace(drawn, own=own)
         return replace(drawn, plant=replace(drawn.plant, components=(*drawn.plant.components, own.thing)))

@@ -202,11 +202,12 @@ class Choice:
 class FallRecovery:
     """The choice of motions in one run.
 
-    laps: whether the itinerary begins anew where its reference ends, without end.
+    until: the tick at which the run ends at the latest, the itinerary beginning anew where its reference ends; 0: the
+    run ends with its reference.
     """
 
-    def __init__(self, plan: RecoveryPlan, main: Controller, *, laps: bool = False) -> None:
-        self._plan, self._main, self._laps = plan, main, laps
+    def __init__(self, plan: RecoveryPlan, main: Controller, *, until: int = 0) -> None:
+        self._plan, self._main, self.until = plan, main, until
         self.motion = Motion.ITINERARY
         self.falls = 0
         self._near = False
@@ -232,7 +233,7 @@ class FallRecovery:
         """Remember by what flights are judged; return what is told of the first motion."""
         self._bounds = {name: ticker.number(name) for name in calming_bounds(self._plan.limits)}
         ticker.prepare_to_hold()
-        if self._laps:
+        if self.until:
             self._meets = meeting_tick(ticker.references, round(LAST_SECONDS / ticker.program.period))
         return self._resumed()
 
@@ -442,7 +443,7 @@ class FallRecovery:
         """Return what is told where the reference ends with tick k and the run goes on; none: it ends."""
         if self.motion is not Motion.ITINERARY:
             return ()
-        if not self._laps:
+        if not self.until:
             return self._held(k, ticker)
         return self._lapped(k, ticker.references[-1], ticker)
 

@@ -6,7 +6,7 @@ so that a log that carries the reference can be scored and reviewed alone.
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib import import_module
@@ -19,7 +19,15 @@ from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
-from dpcontrol.references.reference import ByReference, PlanNotes, Reference, load_reference, plan_notes, save_reference
+from dpcontrol.references.reference import (
+    ByReference,
+    PlanNotes,
+    Reference,
+    StartNote,
+    load_reference,
+    plan_notes,
+    save_reference,
+)
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
 from dpcontrol.scenes.run_options import RunOptions
 
@@ -259,10 +267,16 @@ def _starts_file(plan: Plan) -> Path:
     return cache_file("plans", f"{scene.name}-starts", content_hash(json.dumps(content)))
 
 
-def recoverable(plan: Plan, *, fresh: bool = False, progress: Progress = no_progress, **listening: Any) -> Plan:
+def recoverable(
+    plan: Plan,
+    *,
+    fresh: bool = False,
+    found: "Callable[[StartNote, Reference | None], None] | None" = None,
+    progress: Progress = no_progress,
+) -> Plan:
     """Return a plan with ways from rest to its stops, where its runs go on after a fall; from the cache unless `fresh`.
 
-    listening: `found` of `planned_starts`, which is called with each start that is not in the cache.
+    found: see `planned_starts`; called with each start that is not in the cache.
 
     Raises:
         GoalMissed: the first stop cannot be reached from rest.
@@ -273,9 +287,8 @@ def recoverable(plan: Plan, *, fresh: bool = False, progress: Progress = no_prog
     if not fresh and "starts" in (known := with_kept_starts(plan)).notes:
         return known
     # By name, as above: a plan without starts does not depend on what makes them.
-    starts, arrays = import_module("dpcontrol.scenes.starts").planned_starts(
-        scene, plan.reference, progress=progress, **listening
-    )
+    made = import_module("dpcontrol.scenes.starts")
+    starts, arrays = made.planned_starts(scene, plan.reference, found=found or made.no_listener, progress=progress)
     reference = replace(
         plan.reference,
         notes={**plan.reference.notes, "starts": starts},

@@ -15,7 +15,7 @@ from dpcontrol.dynamics.chain import base_ratios
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.identification.identify import IdentificationSettings, identify
 from dpcontrol.logs import read_log
-from dpcontrol.loop.bench import draw_bench
+from dpcontrol.loop.bench import Unlike, draw_bench
 from dpcontrol.recordings.recording import load_recording
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model
@@ -161,7 +161,7 @@ def test_a_run_tells_the_plant_that_it_was_made_on(logged: Path, tmp_path: Path)
     done = dpcontrol("identify", logged, "--model", "lab", "--out", tmp_path / "plant.toml", "--json")
     assert done.code == 0, done.stderr
     scene, ticks = load_itinerary("outer-turn"), len(read_log(logged).time)
-    drawn = draw_bench(scene.model.arms, scene.loop.bench, seed=3, ticks=ticks, period=1e-3, mismatch=0.02)
+    drawn = draw_bench(scene.model.arms, scene.loop.bench, seed=3, ticks=ticks, period=1e-3, unlike=Unlike(0.02))
     plant = base_ratios(drawn.plant.arms)
     found = list(done.document["parameters"].values())[: len(plant)]
     for told, true in zip(found, plant, strict=True):

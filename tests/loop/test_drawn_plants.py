@@ -16,6 +16,7 @@ from dpcontrol.loop.bench import (
     DisturbanceSettings,
     DriveSettings,
     SensorSettings,
+    Unlike,
     draw_bench,
 )
 from dpcontrol.loop.loop import LoopSettings
@@ -47,8 +48,8 @@ def _draw(
     scale: float, seed: int = 3, *, mismatch: float = 0.0, uncertainty: Uncertainty | None = KNOWN_TO
 ) -> BenchDraw:
     return draw_bench(
-        LAB, NOISY, seed=seed, ticks=200, period=1e-3, mismatch=mismatch, model_uncertainty=scale,
-        uncertainty=uncertainty, initial_error=0.02,
+        LAB, NOISY, seed=seed, ticks=200, period=1e-3,
+        unlike=Unlike(mismatch, scale, uncertainty, initial_error=0.02),
     )  # fmt: skip
 
 

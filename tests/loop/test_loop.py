@@ -12,7 +12,7 @@ from dpcontrol.control.tracking import FeedforwardSettings, TrackingController, 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs.layout import control_fields
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.bench import DriveSettings, SensorSettings, draw_bench
+from dpcontrol.loop.bench import DriveSettings, SensorSettings, Unlike, draw_bench
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult, LoopSink, SinkBeside, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
@@ -134,7 +134,9 @@ def test_a_late_command_that_nobody_expects_is_worse(
     # Beyond the margin: the unstable direction grows by half in that time.
     slow = replace(REAL, drive=DriveSettings(delay=50.0))
     expected = Assembly(turn[1], LAB, slow).simulate()
-    draw = draw_bench(LAB, slow.bench, seed=0, ticks=controller.ticks + 1, period=1e-3, initial_error=0.02)
+    draw = draw_bench(
+        LAB, slow.bench, seed=0, ticks=controller.ticks + 1, period=1e-3, unlike=Unlike(initial_error=0.02)
+    )
     loop = Assembly(turn[1], LAB, slow, law=controller, believed_delay=0.0).loop()
     unaware = loop.run(SimulatedRig(draw, slow.bench, limits=turn[1].limits, start=controller.first_state))
     assert expected.finished

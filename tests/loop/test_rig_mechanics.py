@@ -9,7 +9,7 @@ from shadowing_stand_in import LAB
 from dpcontrol.control.tick import KnownMechanics
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import parse_toml
-from dpcontrol.loop.bench import BenchSettings, MechanicsSettings, draw_bench
+from dpcontrol.loop.bench import BenchSettings, MechanicsSettings, Unlike, draw_bench
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
@@ -78,7 +78,7 @@ def test_first_rates_and_the_carts_place_are_those_of_the_start() -> None:
 
 
 def test_mechanics_leave_all_other_draws_of_a_seed_as_they_were() -> None:
-    given = {"seed": 3, "ticks": 50, "period": 1e-3, "mismatch": 0.05, "initial_error": 0.1}
+    given = {"seed": 3, "ticks": 50, "period": 1e-3, "unlike": Unlike(0.05, initial_error=0.1)}
     plain = draw_bench(LAB, BenchSettings(), **given)
     rough = draw_bench(LAB, BenchSettings(mechanics=MechanicsSettings(play=0.01, initial_rate=1.0, belt=30.0)), **given)
     assert rough.plant.arms == plain.plant.arms

@@ -19,6 +19,7 @@ from dpcontrol.loop.bench import (
     DriveSettings,
     Push,
     SensorSettings,
+    Unlike,
     draw_bench,
 )
 from dpcontrol.loop.simulated import SimulatedRig
@@ -33,7 +34,7 @@ RATE = arm_chain_equations(2, Level.CART).function()
 
 
 def drawn(settings: BenchSettings, *, ticks: int = 200, seed: int = 3, **given: float) -> BenchDraw:
-    return draw_bench(LAB, settings, seed=seed, ticks=ticks, period=PERIOD, **given)
+    return draw_bench(LAB, settings, seed=seed, ticks=ticks, period=PERIOD, unlike=Unlike(**given))
 
 
 def rig_of(settings: BenchSettings, *, start: np.ndarray = START, ticks: int = 200, **given: float) -> SimulatedRig:

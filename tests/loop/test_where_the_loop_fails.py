@@ -14,7 +14,7 @@ from shadowing_stand_in import LAB, StandIn
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.tracking import TrackingController, tracking_controller
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings, draw_bench
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings, Unlike, draw_bench
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
@@ -75,7 +75,7 @@ def ended(
         vars(assembly)["fallback"] = fallback
     draw = draw_bench(
         LAB, settings.bench, seed=settings.seed, ticks=controller.ticks + 1 + AFTER, period=1e-3,
-        mismatch=settings.mismatch, initial_error=settings.initial_error,
+        unlike=Unlike(settings.mismatch, initial_error=settings.initial_error),
     )  # fmt: skip
     log = Kept()
     loop = assembly.loop(sink=log)
