@@ -45,7 +45,10 @@ _SHOWN = 90
 
 @dataclass(frozen=True)
 class ChartTable:
-    """A table for display: title, column heads and rows of text, followed by notes, one per line."""
+    """A table for display.
+
+    It has a title, column heads and rows of text, followed by notes, one per line.
+    """
 
     title: str
     columns: tuple[str, ...]
@@ -55,7 +58,9 @@ class ChartTable:
 
 @dataclass(frozen=True)
 class Point:
-    """One method at one setting: cost of a unit of work (s, or the panel's x) and error (the panel's y).
+    """One method at one setting, with its cost and error.
+
+    Cost is that of a unit of work (s, or the panel's x); error is the panel's y.
 
     Attributes:
         default: True for the package's choice.
@@ -90,7 +95,10 @@ class Point:
 
 @dataclass(frozen=True)
 class Missing:
-    """A method and setting without a point, and the reason: it failed, or its package is not installed."""
+    """A method and setting without a point, and the reason.
+
+    It failed, or its package is not installed.
+    """
 
     method: str
     setting: str
@@ -99,7 +107,9 @@ class Missing:
 
 @dataclass(frozen=True)
 class Panel:
-    """One diagram: points for the same work, and the reason for keeping a default off the front.
+    """One diagram of points for the same work.
+
+    It holds the reason for keeping a default off the front.
 
     Attributes:
         start_up: time of each method's first use (compiling, building), s, excluded from its times.
@@ -151,7 +161,10 @@ class Panel:
         return tuple(p for p in self.points if p.default)
 
     def off_front(self, point: Point) -> float:
-        """Return the distance of a point from the front, as a share; 0 on it."""
+        """Return the distance of a point from the front.
+
+        It is a share, 0 on the front.
+        """
         error = self._error(point)
         fastest = min(p.seconds for p, e in self._running if e <= error)
         truest = min(e for p, e in self._running if p.seconds <= point.seconds)
@@ -164,7 +177,10 @@ class Panel:
         return "on the front" if point in self.front else f"{self.off_front(point):.0%} off the front"
 
     def complaints(self) -> tuple[str, ...]:
-        """Return a sentence for each default too far off the front, or off it without a reason."""
+        """Return a sentence for each default off the front without reason.
+
+        Defaults too far off count even with a reason.
+        """
         found = []
         for p in self.defaults if self.judged else ():
             off = self.off_front(p)
@@ -175,7 +191,10 @@ class Panel:
         return tuple(found)
 
     def document(self) -> dict[str, Any]:
-        """Return the panel as JSON data, with its front and the position of each default."""
+        """Return the panel as JSON data.
+
+        Its front and the position of each default are included.
+        """
         standing = [
             {"name": p.name, "off_front": self.off_front(p), "standing": self.standing(p)} for p in self.defaults
         ]
@@ -203,7 +222,10 @@ class Attempt:
 
 
 def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
-    """Return success if at least half of the answers succeed, otherwise the number of failures and one message."""
+    """Return success if at least half of the answers succeed.
+
+    Otherwise return the number of failures and one message.
+    """
     messages = [answer.says for answer in answers if not answer.works]
     if 2 * len(messages) <= len(answers):
         return Attempt(True)
@@ -248,7 +270,10 @@ class Border:
 
     @property
     def off(self) -> float | None:
-        """Difference of measured and predicted border, as a share; zero if the prediction lies between the sides."""
+        """Difference of measured and predicted border, as a share.
+
+        It is zero if the prediction lies between the sides.
+        """
         if self.measured is None or self.predicted is None or not self.near or not self.far:
             return None
         if min(self.near, self.far) <= self.predicted <= max(self.near, self.far):
@@ -267,7 +292,9 @@ def find_border(
     ratio: float = 1.1,
     unit: float = 0.0,
 ) -> Border:
-    """Return the border between a working value `near` and a failing value `far`, both positive, in either order.
+    """Return the border between `near`, which works, and `far`.
+
+    Both values are positive, in either order.
 
     Args:
         ratio: largest final ratio of the sides.
@@ -322,7 +349,10 @@ class EdgeMap:
     agrees: float = AGREES
 
     def complaints(self) -> tuple[str, ...]:
-        """Return a sentence for each border that is missing, contradicts its prediction, or fails silently."""
+        """Return a sentence for each border with a fault.
+
+        It is missing, contradicts its prediction, or fails silently.
+        """
         found = []
         for b in self.borders:
             where, predicted = f"{self.title}, {b.line}", f"predicted at {b.predicted or 0:.3g}"
@@ -355,8 +385,9 @@ class EdgeMap:
 
 @dataclass(frozen=True)
 class ChartPage:
-    """A page of `dpcontrol bench`: its name on the command line and of its files, title, three lines on how to read
-    it, the chosen settings, its diagrams.
+    """A page of `dpcontrol bench`.
+
+    It has a name for command line and files, a title, three reading hints, the choice and its diagrams.
 
     `PARTS` is the diagrams' name in JSON.
 
@@ -415,7 +446,10 @@ class EdgeChart(ChartPage):
 def measured_maps(
     progress: Progress, *plans: tuple[EdgeMap, Callable[[Any], Border], Sequence[Any]]
 ) -> tuple[EdgeMap, ...]:
-    """Return each map with its borders at its values, given (map without borders, border at a value, values)."""
+    """Return each map with its borders at its values.
+
+    The input has (map without borders, border at a value, values).
+    """
     total, maps, done = sum(len(values) for *_, values in plans), [], 0
     for one, border, values in plans:
         found = []

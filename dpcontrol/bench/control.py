@@ -77,7 +77,10 @@ Judge = Callable[[BatchRun], bool]
 
 @dataclass(frozen=True)
 class ControlTask:
-    """Task for comparing controllers: a reference, the arms, and the judge of a run."""
+    """Task for comparing controllers.
+
+    It has a reference, the arms, and the judge of a run.
+    """
 
     title: str
     reference: Reference
@@ -114,7 +117,10 @@ def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
 
 
 def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str] = ("", "")) -> Panel:
-    """Return error against the seconds of a tick for successful controllers, and reasons for the others."""
+    """Return error against the seconds of a tick.
+
+    Only successful controllers have points; the others have reasons.
+    """
     start_up: dict[str, float] = {}
     judged: dict[tuple[str, str], Judged | str] = {}
     tried: list[Alternative[None]] = []
@@ -131,7 +137,9 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
 
 
 def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *, seeds: int) -> Judged | str:
-    """Return the results of `seeds` runs at each mismatch, or a note if none succeeded at the small one.
+    """Return the results of `seeds` runs at each mismatch.
+
+    If none succeeded at the small one, return a note.
 
     The error is that of completed runs. Others: shares of completed runs at both, rms of the feedback in m/s² at the
     small one.
@@ -158,7 +166,9 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
 
 
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
-    """Return a judge of runs that last to their end, with angles within `near` rad of the orbit (M, n) at the end.
+    """Return a judge of runs that hold an orbit.
+
+    They must last to their end, with angles within `near` rad of the orbit (M, n).
 
     The last period is judged, by the least distance over phases and turns.
     """
@@ -189,7 +199,10 @@ def _completed(reference: Reference) -> Judge:
 
 
 def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -> Callable[[], None]:
-    """Return a function to time that runs a tick of the loop without its bench, along the path."""
+    """Return a function to time that runs a tick.
+
+    The loop moves along the path without its bench.
+    """
     ticker = Assembly(task.reference, task.arms, settings, law=controller).ticker()
     where = ticker.program.model.position_indices
     seen, ticks = controller.first_state[where], cycle(range(ticker.count))
@@ -309,7 +322,10 @@ _WHY = (
 
 
 def estimation_chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart; quick: two resolutions, one second of one swing, the UKF with and without zeros only."""
+    """Return the chart of estimation.
+
+    If quick, it has two resolutions, one second of one swing, and the UKF with and without zeros only.
+    """
     arms = load_model("lab").arms
     resolutions = (4000, 40_000) if quick else (512, 4000, 40_000, 400_000)
     seconds, seeds = (1.0, 1) if quick else (3.0, 3)
@@ -339,14 +355,20 @@ def estimation_chart(quick: bool, progress: Progress) -> PrecisionChart:
 
 @dataclass(frozen=True, eq=False)
 class KnownSwing:
-    """Commands (K,) m/s², true states (K, N), relative angles with the encoders' zeros and the cart (K, n+1)."""
+    """A swing with known input and states.
+
+    It has commands (K,) m/s², true states (K, N), and relative angles with zeros and the cart (K, n+1).
+    """
 
     commands: Array
     states: Array
     joints: Array
 
     def measured(self, counts: int) -> Array:
-        """Return absolute angles and the cart's position (K, n+1) as read by encoders of `counts` per turn."""
+        """Return absolute angles and the cart's position (K, n+1).
+
+        Encoders have `counts` per turn.
+        """
         n = self.joints.shape[1] - 1
         steps = np.array([2 * np.pi / counts] * n + [CART_RESOLUTION])
         read = np.rint(self.joints / steps) * steps
@@ -354,7 +376,10 @@ class KnownSwing:
 
 
 def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: float, zero_error: float) -> KnownSwing:
-    """Return a free-hand swing: parameters off by `mismatch`, zeros by `zero_error` rad, a sine of 0.5 m/s²."""
+    """Return a free-hand swing under a sine of 0.5 m/s².
+
+    Parameters are off by `mismatch`, zeros by `zero_error` rad.
+    """
     random = np.random.default_rng(seed)
     plant = arms.mismatched(mismatch, random)
     model = SampledModel(equations_of(plant, Level.CART), plant.base(), period=PERIOD)
@@ -399,7 +424,10 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
 
 
 def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: int) -> Judged:
-    """Return an estimator's error over the swings, and the shares of NIS and NEES inside their 95 % bands."""
+    """Return an estimator's error and consistency over the swings.
+
+    Consistency is the shares of NIS and NEES inside their 95 % bands.
+    """
     errors, nis, normalised = [], [], []
     m = swings[0].joints.shape[1]
     n = m - 1
@@ -431,7 +459,9 @@ def _nees(estimator: Estimator, estimate: Estimate, truth: Array, bias: Array, z
 
 
 def differences(rates: Array, last: Array, measured: Array, cutoff: float) -> Array:
-    """Return rates (m,) from positions `measured` (m,) and the positions `last` (m,) one period earlier.
+    """Return rates (m,) from two measurements of position.
+
+    They are `measured` (m,) and `last` (m,) one period earlier.
 
         v_k = a v_{k-1} + (1 - a) (z_k - z_{k-1}) / T,      a = e^{-2π f T}
 
@@ -444,7 +474,10 @@ def differences(rates: Array, last: Array, measured: Array, cutoff: float) -> Ar
 
 
 def derivative_trial(cutoff: float, swings: list[KnownSwing], *, counts: int) -> Judged:
-    """Return the error of measured positions and rates by `differences`, without a covariance."""
+    """Return the error of measured positions and rates by `differences`.
+
+    There is no covariance.
+    """
     errors = []
     for flown in swings:
         measured = flown.measured(counts)
@@ -468,5 +501,8 @@ def _scaled(away: Array, n: int) -> Array:
 
 
 def noise_of(arms: ArmChainParameters, counts: int) -> Array:
-    """Return the estimators' noise covariance (n+1, n+1) for encoders of `counts` per turn."""
+    """Return the estimators' noise covariance (n+1, n+1).
+
+    The encoders have `counts` per turn.
+    """
     return SensorSettings(counts=counts, cart_resolution=CART_RESOLUTION).covariance(arms.count)

@@ -117,7 +117,10 @@ def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
 
 
 def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]) -> float:
-    """Return the largest scaled error of the states matching `truths`; infinite if one is missing."""
+    """Return the largest scaled error of the states matching `truths`.
+
+    It is infinite if one is missing.
+    """
     if not len(states):
         return float("inf")
     error = max(float(np.min(orbit.system.scaled_distance(np.array(states), exact))) for _, exact in truths)
@@ -125,7 +128,10 @@ def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]
 
 
 def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progress, *, quick: bool) -> Panel:
-    """Return the diagram of searches: distance of the seeds, first phases, chord, tolerance."""
+    """Return the diagram of searches.
+
+    It varies distance of the seeds, first phases, chord and tolerance.
+    """
     base = ConnectionSettings()
     expected = len(find_connections(orbit, orbit).connections)
     distances, farthest = ((3e-3,), ()) if quick else ((3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-6), (1e-4, 1e-5, 1e-6))
@@ -164,7 +170,10 @@ def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
 
 
 def three_body_panel(*, quick: bool) -> Panel:
-    """Return the diagram of the three-body problem's L1-L2 connection, with hiten's stored point."""
+    """Return the diagram of the three-body problem's L1-L2 connection.
+
+    It includes hiten's stored point.
+    """
     system = load_model("three-body").system
 
     def ours() -> ConnectionSearch:
@@ -233,7 +242,9 @@ def transcription_chart(quick: bool, progress: Progress) -> PrecisionChart:
 
 
 def crossing_problem() -> ReferenceProblem:
-    """Return the problem of crossing from down-up to up-down with the lab's friction, 5.5 s.
+    """Return the problem of crossing from down-up to up-down.
+
+    It has the lab's friction and lasts 5.5 s.
 
     Raises:
         GoalMissed: the connection or its orbit was not found.
@@ -249,14 +260,20 @@ def crossing_problem() -> ReferenceProblem:
 
 
 def transcribed(problem: ReferenceProblem, name: str, interval: float, solver: str = "ipopt") -> Solved:
-    """Return the program's solution on even intervals of about `interval` s, from the problem's guess."""
+    """Return the program's solution from the problem's guess.
+
+    Even intervals have about `interval` s.
+    """
     settings = ReferenceSettings(method=name, solver=solver, interval=interval)
     first = first_trajectory(problem, method_named(name), even_mesh(problem.duration, interval))
     return solve(problem, first, settings=settings, limits=problem.limits)
 
 
 def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> tuple[Panel, Panel]:
-    """Return the diagrams of error between nodes and of cost, from the same solutions."""
+    """Return the diagrams of error between nodes and of cost.
+
+    Both come from the same solutions.
+    """
     finest = transcribed(problem, *FINEST).cost
     cases = [("ipopt", *case) for case in (QUICK if quick else QUICK + WHOLE)]
     cases += [("fatrop", *case) for case in (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]]
@@ -292,7 +309,10 @@ def _turns(*, quick: bool, quick_most: float = 1.2, most: float = 6.0) -> dict[s
 
 
 def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Panel:
-    """Return the diagram of whole searches, which refine the mesh to the tolerance between nodes."""
+    """Return the diagram of whole searches.
+
+    They refine the mesh to the tolerance between nodes.
+    """
     chosen = ReferenceSettings()
     starts = (("radau-5", 0.02), ("radau-7", 0.05), ("radau-9", 0.09))
     if not quick:
@@ -315,7 +335,10 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
 
 
 def rockit_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Panel:
-    """Return the diagram of the crossing's start without weight on the guess, also solved by rockit if installed."""
+    """Return the diagram of the crossing's start.
+
+    There is no weight on the guess. If rockit is installed, it solves the problem too.
+    """
     short = replace(problem, duration=STRETCH)
     settings = ReferenceSettings(pendulum_weight=0.0)
     finest = find_reference(short, replace(settings, method="radau-9", tolerance=1e-10))
@@ -357,7 +380,9 @@ def rockit_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) 
 
 
 def by_rockit(problem: ReferenceProblem, settings: ReferenceSettings, intervals: int) -> tuple[Array, Array]:
-    """Return times (K,) s and states (K, N) of rockit's optimum, by Radau collocation with 4 points an interval.
+    """Return times (K,) s and states (K, N) of rockit's optimum.
+
+    It uses Radau collocation with 4 points an interval.
 
     Equations, cost, ends and first guess are equal. rockit holds its input over an interval, so its optimum differs a
     little. The cost excludes the pendulum's distance from the guess, so `settings` must not weigh it.

@@ -131,12 +131,18 @@ def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def model_step(arms: ArmChainParameters) -> Step:
-    """Return the step of the controllers' and filters' model, of any length, with zero cart acceleration."""
+    """Return the model step of controllers and filters.
+
+    Its length is free; the cart acceleration is zero.
+    """
     return lambda x, h: sampled_model(arms, 1 / h).step(x, 0.0)
 
 
 def plant_step(arms: ArmChainParameters) -> Step:
-    """Return the step of simulated plants, of any length, with zero cart acceleration."""
+    """Return the step of simulated plants, of any length.
+
+    The cart acceleration is zero.
+    """
     stepper = Stepper(fixed_step(equations_of(arms, Level.CART)), arms.base())
     return lambda x, h: stepper.fly(x, h, step=h)
 
@@ -148,7 +154,10 @@ def stability(tableau: tuple[Array, Array], z: complex) -> complex:
 
 
 def predicted_step(tableau: tuple[Array, Array], values: Complex) -> float:
-    """Return the smallest step in s with |R| = 1 for one of the damped eigenvalues `values` in 1/s."""
+    """Return the smallest step in s with
+
+    R
+    """
 
     def growth(step: float) -> float:
         return max(abs(stability(tableau, s * step)) for s in values) - 1
@@ -159,7 +168,10 @@ def predicted_step(tableau: tuple[Array, Array], values: Complex) -> float:
 
 
 def decaying(arms: ArmChainParameters, saddle: str) -> tuple[Array, Complex, Complex, Complex]:
-    """Return the equilibrium (N,), the damped eigenvalues (m,) in 1/s, their right and left vectors (m, N)."""
+    """Return the equilibrium and its damped eigenvalues and vectors.
+
+    The equilibrium is (N,), eigenvalues (m,) are in 1/s, right and left vectors (m, N).
+    """
     e = equations_of(arms, Level.CART)
     state = np.concatenate([load_model("lab").system.equilibrium(saddle), np.zeros(2)])
     linear = ca.Function("linear", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate, e.state)])
@@ -251,12 +263,18 @@ def seeds_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def default_states(orbit: LyapunovOrbit) -> Array:
-    """Return the states (K, N) of all connections of the orbit to itself on their section, from default searches."""
+    """Return all connections of the orbit to itself, as states.
+
+    The states (K, N) on their section come from default searches.
+    """
     return np.array([c.state for c in find_connections(orbit, orbit).connections])
 
 
 def found_all(orbit: LyapunovOrbit, states: Array, distance: float) -> Attempt:
-    """Return success if a search finds exactly the connections of `states` (K, N), otherwise its message."""
+    """Return success if a search finds exactly these connections.
+
+    They are `states` (K, N). Otherwise return its message.
+    """
     found = find_connections(orbit, orbit, settings=ConnectionSettings(distance=distance))
     away = [float(np.min(orbit.system.scaled_distance(states, c.state))) for c in found.connections]
     if len(away) == len(states) and max(away) < RIGHT:
@@ -266,7 +284,10 @@ def found_all(orbit: LyapunovOrbit, states: Array, distance: float) -> Attempt:
 
 
 def near_border(orbit: LyapunovOrbit, states: Array, *, draws: int, ratio: float) -> Border:
-    """Return the seed distance at which half of the searches find all connections of `states` (K, N)."""
+    """Return the seed distance at which half of the searches succeed.
+
+    They must find all connections of `states` (K, N).
+    """
 
     def probe(distance: float) -> Attempt:
         answers = [found_all(orbit, states, distance * (1 + ANEW * draw)) for draw in range(draws)]
@@ -276,7 +297,10 @@ def near_border(orbit: LyapunovOrbit, states: Array, *, draws: int, ratio: float
 
 
 def far_border(orbit: LyapunovOrbit, states: Array, *, ratio: float) -> Border:
-    """Return the largest seed distance at which all connections of `states` (K, N) are found."""
+    """Return the largest seed distance that finds all connections.
+
+    They are those of `states` (K, N).
+    """
     probe = partial(found_all, orbit, states)
     return find_border(probe, x=orbit.energy, line=f"{orbit.energy:g} J", near=0.15, far=1.6, ratio=ratio)
 
@@ -313,14 +337,20 @@ def walks_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def round_trip(energy: float = ENERGY) -> tuple[Connection, ...]:
-    """Return the lab's first crossing from Down-Up to Up-Down and the first one back."""
+    """Return the lab's first crossing to Up-Down and back.
+
+    It starts at Down-Up.
+    """
     system = load_model("lab").system
     edges = find_edges(system, energy, pairs=[("down-up", "up-down"), ("up-down", "down-up")])
     return edges.between("down-up", "up-down")[0], edges.between("up-down", "down-up")[0]
 
 
 def rounding_floor(walk: Sequence[Connection], *, segments: int) -> float:
-    """Return the gap left by rounding between nodes, rad/s, with `segments` nodes in a period."""
+    """Return the gap left by rounding between nodes, rad/s.
+
+    A period has `segments` nodes.
+    """
     fastest = max(
         float(np.abs(c.orbit.sample(np.linspace(c.orbit.times[0], c.orbit.times[-1], 400)))[:, 2:].max()) for c in walk
     )
@@ -329,7 +359,10 @@ def rounding_floor(walk: Sequence[Connection], *, segments: int) -> float:
 
 
 def tolerance_border(walks: Sequence[Sequence[Connection]], *, segments: int, wraps: int, x: float) -> Border:
-    """Return the smallest tolerance at which half of the walks' orbits are found with `segments` nodes a period."""
+    """Return the smallest tolerance with orbits for half the walks.
+
+    A period has `segments` nodes.
+    """
 
     def probe(tolerance: float) -> Attempt:
         settings = ShadowingSettings(segments, newton=NewtonSettings(tolerance=tolerance))
@@ -379,21 +412,30 @@ def _walk() -> tuple[Itinerary, Callable[[Array], Array], float]:
 
 
 def problem_of(friction: float = 1.0, limits: Limits | None = None) -> ReferenceProblem:
-    """Return the turn with `friction` times the arms' own viscous friction, within `limits`."""
+    """Return the turn within `limits` with scaled viscous friction.
+
+    The factor `friction` applies to the arms' friction.
+    """
     itinerary, guess, duration = _walk()
     arms = replace(itinerary.model.arms, viscous=tuple(friction * k for k in itinerary.model.arms.viscous))
     return ReferenceProblem(equations_of(arms, Level.CART), arms.base(), guess, duration, limits=limits or Limits())
 
 
 def on_equal_intervals(problem: ReferenceProblem, interval: float) -> Reference:
-    """Return the result of one round on intervals of at most `interval` s, regardless of the guess's error."""
+    """Return the result of one round on equal intervals.
+
+    They have at most `interval` s, regardless of the guess's error.
+    """
     settings = ReferenceSettings(method=METHOD, interval=interval, tolerance=TOLERANCE, rounds=1)
     first = first_trajectory(problem, method_named(METHOD), even_mesh(problem.duration, interval))
     return find_reference(problem, settings, near=first)
 
 
 def mesh_border(friction: float, *, x: float) -> Border:
-    """Return the longest interval, s, that meets the tolerance between the turn's nodes in one round."""
+    """Return the longest interval, s, that meets the tolerance.
+
+    It applies between the turn's nodes in one round.
+    """
     problem = problem_of(friction)
     fine = on_equal_intervals(problem, FINE).max_error_between_nodes
     # The package accepts slightly less than the tolerance.
@@ -405,7 +447,10 @@ def mesh_border(friction: float, *, x: float) -> Border:
 
 
 def acceleration_border(track: float) -> Border:
-    """Return the least acceleration, m/s², for the turn on a track of ± `track` m."""
+    """Return the least acceleration, m/s², for the turn on a track.
+
+    The track has ± `track` m.
+    """
 
     def found(**limits: float) -> Reference:
         return find_reference(problem_of(limits=Limits(position=track, **limits)), ReferenceSettings(tolerance=1e-4))
@@ -468,12 +513,15 @@ class LoopCase:
         return Attempt(last < self.near, f"finished, but {last:.2g} rad away over its last tenth")
 
     def drawn_error(self, size: float) -> Array:
-        """Return the initial error (N,) of runs with errors up to `size` rad."""
+        """Return the initial error (N,) of runs, up to `size` rad."""
         drawn = replace(self.settings, initial_error=size).draw(self.arms, ticks=2).initial_error
         return np.concatenate([drawn, np.zeros(self.model.dimension - len(drawn))])
 
     def linear(self, mismatch: float = 0.0) -> tuple[Array, Array]:
-        """Return A (N, N) and B (N,) over a tick at the controller's first state, for a plant with `mismatch`."""
+        """Return A (N, N) and B (N,) over a tick.
+
+        They belong to the controller's first state and a plant with `mismatch`.
+        """
         plant = self.settings.draw(self.arms, ticks=2, mismatch=mismatch).plant.arms if mismatch else self.arms
         model = sampled_model(plant, self.settings.rate)
         a, b = model.linearised(self.controller.first_state[None, :], np.zeros(1))
@@ -481,7 +529,10 @@ class LoopCase:
 
 
 def farthest_at_last(run: BatchRun) -> float:
-    """Return the largest distance of the angles from the reference over a run's last tenth, rad."""
+    """Return the largest final distance of the angles, rad.
+
+    It is measured from the reference over a run's last tenth.
+    """
     tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
     return float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
 
@@ -517,7 +568,10 @@ WRONG = EdgeMap(
 
 
 def control_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of arms held at an equilibrium; quick: fewer rates and delays."""
+    """Return the chart of arms held at an equilibrium.
+
+    If quick, it has fewer rates and delays.
+    """
     ratio = 1.15 if quick else 1.06
     late = replace(LATE, theory=f"the first command comes when {WEAK:g} m/s² can no longer turn the fall")
     wrong = replace(WRONG, theory="largest eigenvalue of plant, prediction and gain together is 1")
@@ -564,7 +618,10 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def delay_border(loop_case: LoopCase, *, error: float, ratio: float, predicted: float | None = None) -> Border:
-    """Return the border of the known delay in s, after an error in rad at the start."""
+    """Return the border of the known delay in s.
+
+    The runs start with an error in rad.
+    """
     rate, middle = loop_case.settings.rate, predicted or 0.2
     return find_border(
         lambda delay: loop_case.run(acceleration=WEAK, error=error, delay=delay), x=rate, line=f"{rate:g} Hz",
@@ -573,7 +630,10 @@ def delay_border(loop_case: LoopCase, *, error: float, ratio: float, predicted: 
 
 
 def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float, predicted: float | None = None) -> Border:
-    """Return the border of the plant's mismatch at a delay in s, in one direction of all parameters."""
+    """Return the border of the plant's mismatch at a delay.
+
+    The delay is in s. All parameters change in one direction.
+    """
     near, far = (predicted / 4, min(2.5 * predicted, 0.6)) if predicted else (0.01, 0.6)
     return find_border(
         lambda mismatch: loop_case.run(acceleration=STRONG, mismatch=mismatch, delay=delay), x=delay,
@@ -582,14 +642,20 @@ def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float, predicte
 
 
 def held_delay_border(rate: float, *, ratio: float) -> Border:
-    """Return the border of the delay in s at `rate` Hz, for held arms, with its prediction."""
+    """Return the border of the delay for held arms, with prediction.
+
+    The delay is in s, `rate` in Hz.
+    """
     loop_case = held_at_rest(rate)
     predicted = longest_delay(loop_case, loop_case.drawn_error(HELD_ERROR), acceleration=WEAK)
     return delay_border(loop_case, error=HELD_ERROR, ratio=ratio, predicted=predicted)
 
 
 def longest_delay(loop_case: LoopCase, error: Array, *, acceleration: float) -> float:
-    """Return the longest delay in s after which `acceleration` m/s² can correct an initial `error` (N,)."""
+    """Return the longest delay in s that can be corrected.
+
+    The limit is `acceleration` m/s², the initial `error` is (N,).
+    """
     a, b = loop_case.linear()
     values, left = np.linalg.eig(a.T)
     first = int(np.argmax(np.abs(values)))
@@ -601,7 +667,10 @@ def longest_delay(loop_case: LoopCase, error: Array, *, acceleration: float) -> 
 
 
 def held_mismatch_border(delay: float, *, ratio: float) -> Border:
-    """Return the border of the plant's mismatch at a delay in s, for held arms, with its prediction."""
+    """Return the border of mismatch for held arms, with its prediction.
+
+    The delay is in s.
+    """
     loop_case = held_at_rest(MISMATCH_RATE, seconds=20.0)
     controller, believed = loop_case.controller, loop_case.linear()
     assert isinstance(controller, HoldController)
@@ -619,7 +688,9 @@ def held_mismatch_border(delay: float, *, ratio: float) -> Border:
 def loop_matrix(
     plant: tuple[Array, Array], believed: tuple[Array, Array], *, gain: Array, delay: int
 ) -> Array:  # fmt: skip
-    """Return the map of a tick for state and commands in flight (oldest first), both as deviations.
+    """Return the map of a tick for state and commands.
+
+    Commands are in flight, oldest first; both are deviations.
 
     Args:
         plant: A (N, N), B (N,) between ticks of the plant.
@@ -650,13 +721,19 @@ def held_orbit() -> SustainedOrbit:
 
 
 def pulses(orbit: SustainedOrbit, sections: int, *, seconds: float) -> OgyController:
-    """Return the law that holds an orbit by `sections` pulses a period of at most LIMIT m/s², without learning."""
+    """Return the law that holds an orbit by `sections` pulses.
+
+    A pulse has at most LIMIT m/s². The law does not learn.
+    """
     settings = OgySettings(sections=sections, pulse_limit=LIMIT, parameter_error=0.0)
     return ogy_controller(orbit, sampled_model(load_model("lab").arms, RATE), settings, seconds=seconds)
 
 
 def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of OGY; quick: fewer sections and seeds, wider borders, and shorter runs."""
+    """Return the chart of OGY.
+
+    If quick, it has fewer sections and seeds, wider borders, and shorter runs.
+    """
     orbit = held_orbit()
     sections, seeds, ratio, seconds = ((8,), 8, 1.6, 4.0) if quick else ((1, 2, 3, 4, 8, 16), 16, 1.12, 6.0)
     how: dict[str, Any] = {"seeds": seeds, "ratio": ratio}
@@ -688,7 +765,10 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, seeds: int) -> Attempt:
-    """Return success if at least half of the runs hold the orbit, otherwise the ending of the first failure."""
+    """Return success if at least half of the runs hold the orbit.
+
+    Otherwise return the ending of the first failure.
+    """
     whole = max(round(counts), 1)
     sensors = SensorSettings(counts=whole, cart_resolution=1e-6, zero_error=np.pi / whole)
     # Estimated zeros would need a third larger pulses at k = 16.
@@ -706,7 +786,7 @@ def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, se
 
 
 def limit_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
-    """Return the smallest limit of the pulses, m/s², that lets a law hold an orbit."""
+    """Return the smallest limit of pulses that holds an orbit, m/s²."""
 
     def probe(limit: float) -> Attempt:
         return holds(orbit, replace(law, pulse_limit=limit), counts=COUNTS, seeds=seeds)
@@ -715,7 +795,10 @@ def limit_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio
 
 
 def counts_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
-    """Return the fewest counts per turn that let a law hold an orbit, from coarse to impossibly fine encoders."""
+    """Return the fewest counts per turn that hold an orbit.
+
+    Encoders range from coarse to impossibly fine.
+    """
 
     def probe(counts: float) -> Attempt:
         return holds(orbit, law, counts=counts, seeds=seeds)
@@ -764,7 +847,10 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def arriving(rate: float, *, missing: float, seconds: float) -> float:
-    """Return the samples per s required for half of the runs to have no gap longer than `missing` s."""
+    """Return the least rate of samples without gaps in half the runs.
+
+    The rate is in samples per s; a gap is longer than `missing` s.
+    """
     ticks, gap = seconds * rate, math.floor(missing * rate + 1e-9) + 1
     # The number of gaps grows with p up to p = m / (m + 1); the border lies below.
 
@@ -775,7 +861,10 @@ def arriving(rate: float, *, missing: float, seconds: float) -> float:
 
 
 def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, seeds: int) -> Border:
-    """Return the samples per s required for half of the runs to hold the equilibrium for ten seconds."""
+    """Return the least rate of samples to hold the equilibrium.
+
+    Half of the runs must hold it for ten seconds; the rate is in samples per s.
+    """
     settings = LoopSettings(seed=0, rate=rate, controller=HoldSettings(), initial_error=0.01)
     controller = hold_controller(equilibrium, sampled_model(arms, rate), HoldSettings(), seconds=SECONDS)
     reference = still(controller.state, SECONDS, method=method_named("radau-7"), limits=Limits(), interval=1.0)
@@ -794,7 +883,10 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
 
 
 def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> float:
-    """Return the time after which a reading stuck at `since` s differs from a still arm's, s."""
+    """Return the time until a stuck reading is distinguishable, s.
+
+    The reading is stuck at `since` s, and the arm is not still.
+    """
     after = np.arange(0.0, orbit.period, 1e-3)
     angles = orbit.state(since + after)
     joint = angles[:, sensor] - (angles[:, sensor - 1] if sensor else 0.0)
@@ -802,7 +894,10 @@ def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> floa
 
 
 def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: float) -> Border:
-    """Return the time from the sticking of an encoder to the end of a run that holds an orbit, s."""
+    """Return the time from a stuck encoder to the run's end.
+
+    The run holds an orbit; the time is in s.
+    """
     model = sampled_model(arms, RATE)
     at = round((math.ceil(BEFORE / orbit.period) + phase) * orbit.period, 3)
     settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=at, stuck_sensor=1))
@@ -839,14 +934,20 @@ SHORT = 1.0
 
 @dataclass(frozen=True, eq=False)
 class FollowedReference:
-    """A loop that follows a reference, with its margins, in runs of `seeds` seeds."""
+    """A loop that follows a reference, with its margins.
+
+    Each trial runs `seeds` seeds.
+    """
 
     assembly: Assembly
     margins: Mapping[str, float]
     seeds: int
 
     def run(self, *, gain: float = 1.0, delay: float = 0.0, lag: float = 0.0) -> Attempt:
-        """Return success if half of the seeds stay at the reference with this deviation of the drive."""
+        """Return success if half of the seeds stay at the reference.
+
+        The drive deviates from the model by gain, delay s and lag s.
+        """
         believed, rate = self.assembly.delay, self.assembly.settings.rate
         drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=believed + delay * rate)
         other = self.assembly.under(replace(self.assembly.settings, drive=drive))

@@ -31,7 +31,9 @@ POOR = 1.1
 
 
 def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> PrecisionChart:
-    """Return the chart of an itinerary's effort over energies: of the reference, and of the loop at ±5 %.
+    """Return the chart of an itinerary's effort over energies.
+
+    It shows the effort of the reference, and of the loop at ±5 %.
 
     Raises:
         InputError: the itinerary is not one walk at one energy.
@@ -112,7 +114,10 @@ def only_walk(itinerary: Itinerary) -> WalkPart:
 
 
 def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, float]:
-    """Return the effort of reference and loop, and the share of completed runs, of a walk at its energy."""
+    """Return effort and share of completed runs of a walk.
+
+    The effort is that of reference and loop, at the walk's energy.
+    """
     # The plan is not cached: its notes quote the itinerary's text, which has another energy.
     reference, notes, arrays = planned(replace(itinerary, parts=(walk,)))
     if not reference.converged:
@@ -131,7 +136,10 @@ def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, floa
 
 
 def energy_text(own: float, points: Sequence[Point]) -> str:
-    """Return a sentence on energies with less effort under feedback; most completed runs count first."""
+    """Return a sentence on energies with less effort under feedback.
+
+    Most completed runs count first.
+    """
     loops = [p for p in points if p.method == "loop"]
     most = max(p.others["completed"] for p in loops)
     best = min((p for p in loops if p.others["completed"] == most), key=lambda p: p.error)

@@ -21,7 +21,10 @@ from dpcontrol.references.problem import ReferenceProblem, state_scale
 
 @dataclass(frozen=True)
 class HomotopySettings:
-    """Step of the mesh, s, sequence of prices of the virtual accelerations, and solver iterations at each price."""
+    """Settings of the homotopy.
+
+    They are the step of the mesh, s, prices of the virtual accelerations, and solver iterations per price.
+    """
 
     step: float = 0.025
     prices: tuple[float, ...] = (1e-2, 1.0, 1e2)
@@ -29,7 +32,10 @@ class HomotopySettings:
 
 
 def by_homotopy(problem: ReferenceProblem, settings: HomotopySettings | None = None) -> tuple[Array, Array, float]:
-    """Return states (K, N) and inputs (K,) from a homotopy that starts at the problem's guess, and their step, s."""
+    """Return states (K, N) and inputs (K,) from a homotopy.
+
+    It starts at the problem's guess. The last result is their step, s.
+    """
     settings = settings or HomotopySettings()
     e, nx = problem.equations, problem.equations.dimension
     n, count = nx // 2 - 1, int(np.ceil(problem.duration / settings.step)) + 1

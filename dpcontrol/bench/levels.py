@@ -55,7 +55,10 @@ _WHY = (
 
 
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart; quick: one scene and fewer seeds. The package's evidence covers all scenes."""
+    """Return the chart of model levels.
+
+    If quick, it has one scene and fewer seeds. The package's evidence covers all scenes.
+    """
     names = ("outer-turn",) if quick else ("outer-turn", "cross", "up-up")
     panels: list[Panel] = []
     for k, name in enumerate(names):
@@ -126,14 +129,19 @@ def _points(
 
 
 def plant_at(level: str, arms: ArmChainParameters) -> PlantParameters:
-    """Return these arms on the cart, on a cart with a drive, or on one that they push."""
+    """Return the plant of these arms at a level.
+
+    The arms are on the cart, on a cart with a drive, or on one that they push.
+    """
     lag = 0.0 if level == PlantLevel.CART else LAG
     mass, drag = (CART_MASS, CART_VISCOUS) if level == PlantLevel.FORCE else (0.0, 0.0)
     return PlantParameters(arms, lag=lag, cart_mass=mass, cart_viscous=drag)
 
 
 def motions(reference: Reference, arms: ArmChainParameters) -> Panel:
-    """Return the time per second of motion and the rms scaled error of every level on a reference's motion.
+    """Return time per second of motion and error of every level.
+
+    The error is the rms scaled one on a reference's motion.
 
     The error is that after a window, against the fullest level.
     """
@@ -192,13 +200,19 @@ def _tick(level: str, arms: ArmChainParameters, first: Array, command: float) ->
 
 
 def can_be_conservative(itinerary: Itinerary) -> bool:
-    """True if a scene's reference can omit friction and cart: one walk between orbits, in one piece."""
+    """True if a scene's reference can omit friction and cart.
+
+    It must be one walk between orbits, in one piece.
+    """
     alone = len(itinerary.parts) == 1 and isinstance(itinerary.parts[0], WalkPart)
     return alone and not itinerary.keeps and (itinerary.start, itinerary.finish) == ("orbit", "orbit")
 
 
 def gather(itinerary: Itinerary, *, seeds: int) -> tuple[Evidence, dict[str, Plan]]:
-    """Return a scene's evidence, from its reference's levels on the model and its plant's levels, and its plans."""
+    """Return a scene's evidence and plans.
+
+    It covers the reference's levels on the model, and the plant's levels.
+    """
     # Stays are limited to a duration that shows their course.
     parts = (
         replace(part, seconds=min(part.seconds, LONGEST_STAY)) if isinstance(part, HoldPart | OrbitPart) else part

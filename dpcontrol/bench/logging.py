@@ -47,7 +47,10 @@ _WHY = (
 
 
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart; quick: one second of a run, fewer kills, chunks and levels."""
+    """Return the chart of log formats.
+
+    If quick, it has one second of a run, fewer kills, chunks and levels.
+    """
     ticks, kills = (1000, 5) if quick else (4000, 20)
     chunks = (0.005, 0.02, 0.2) if quick else (0.005, 0.01, 0.02, 0.05, 0.2, 1.0)
     kinds: list[Format] = [Blocks(chunk) for chunk in chunks]
@@ -128,7 +131,10 @@ class LoggedRun:
 
 
 class Format(ABC):
-    """A log format: `begin` a file, `add` ticks in order, `end` it; `left` reads the remains after a kill."""
+    """A log format.
+
+    The order of calls is `begin`, `add` for ticks, `end`. The remains after a kill are read by `left`.
+    """
 
     method: str
     setting: str
@@ -216,7 +222,10 @@ class ByMessage(Format):
 
 
 class Lines(Format):
-    """Text, a line for each tick: CSV or JSON; flushed after every line or when Python's buffer is full."""
+    """Text with a line for each tick, CSV or JSON.
+
+    It is flushed after every line or when Python's buffer is full.
+    """
 
     def __init__(self, kind: str, *, flush: bool) -> None:
         self.method, self.setting = kind, "flushed" if flush else "buffered"
@@ -290,7 +299,7 @@ class RowGroups(Format):
 
 
 def recording(folder: Path, ticks: int) -> LoggedRun:
-    """Return the first ticks of a run of the outer turn, with its messages."""
+    """Return the first ticks of an outer turn, with its messages."""
     scene = load_itinerary("outer-turn").with_run(RunOptions(mismatch=0.02, initial_error=0.02), seed=3)
     arms = scene.model.arms
     flown = Assembly(make_plan(scene).reference, arms, scene.loop).simulate().ticks.between(0, ticks)
@@ -312,7 +321,10 @@ def _hand_over(kind: Format, first: int, until: int) -> None:
 
 
 def trials(kinds: list[Format], folder: Path, run: LoggedRun, *, kills: int, progress: Progress) -> Panel:
-    """Return the loss of each format at kills against the seconds of a message."""
+    """Return the loss of each format at kills against time.
+
+    The time is in seconds per message.
+    """
     count = len(run.ticks.times)
 
     def written(kind: Format, path: Path) -> tuple[Format, Path]:
@@ -338,7 +350,10 @@ def trials(kinds: list[Format], folder: Path, run: LoggedRun, *, kills: int, pro
 
 
 def losses(kind: Format, path: Path, run: LoggedRun, *, kills: int) -> list[float]:
-    """Return the seconds lost at kills at random ticks, including the current tick."""
+    """Return the seconds lost at kills at random ticks.
+
+    They include the current tick.
+    """
     count = len(run.ticks.times)
     moments = np.sort(np.random.default_rng(_SEED).integers(count // 10, count, kills))
     lost, done = [], 0

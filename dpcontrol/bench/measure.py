@@ -43,7 +43,10 @@ _SHORT = 0.05
 
 @dataclass(frozen=True)
 class Timed(Generic[T]):
-    """Median seconds of a call, extra seconds and result of the first one, and the yardstick's median seconds."""
+    """Median seconds of a call, and its start-up.
+
+    It also has the first result and the yardstick's median seconds.
+    """
 
     seconds: float
     start_up: float
@@ -52,7 +55,10 @@ class Timed(Generic[T]):
 
 
 def yardstick() -> float:
-    """Return the processor seconds of a flight by scipy's DOP853, without any code of this package."""
+    """Return the processor seconds of a flight by scipy's DOP853.
+
+    No code of this package takes part.
+    """
 
     def rate(_: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.array([10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]])
@@ -75,7 +81,9 @@ def timed_in_turns(
     beside: Callable[[], float] = yardstick,
     progress: Progress = no_progress,
 ) -> dict[Key, Timed[T]]:
-    """Call each function once, then measure all of them once in each of `rounds`, for at least `grain` s each.
+    """Call each function once, then measure all in turns.
+
+    Each of `rounds` measures every function for at least `grain` s.
 
     Args:
         most: measuring time of a function, s, after which it is skipped once measured `least` times.
@@ -135,7 +143,7 @@ class _Measured(Generic[T]):
         self.going = True
 
     def start(self, *, worth: Callable[[T], bool], starts_up: bool) -> None:
-        """Make the first call, and determine the number of calls in a measurement."""
+        """Make the first call, and determine the calls per measurement."""
         self._first = once = self.stretch()
         self._result = self._last
         self.going = worth(self._result)
@@ -174,7 +182,10 @@ class _Measured(Generic[T]):
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Restrict this process to one core while the block runs, if the system allows it."""
+    """Restrict this process to one core while the block runs.
+
+    This has no effect if the system does not allow it.
+    """
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -188,7 +199,10 @@ def one_core() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Alternative(Generic[T]):
-    """A method at one setting: `work` is timed and does `units` units of a point's time."""
+    """A method at one setting.
+
+    Its `work` is timed and does `units` units of a point's time.
+    """
 
     method: str
     setting: str
@@ -211,7 +225,9 @@ def compare(
     alternatives: Sequence[Alternative[T]], judge: Callable[[Alternative[T], T], Judged | str], rounds: int = 31,
     *, starts_up: bool = True, **turns: Any,
 ) -> Panel:  # fmt: skip
-    """Time alternatives in turns and judge the result of each first call; a text is the reason for a missing point.
+    """Time alternatives in turns and judge their first results.
+
+    If the judgement is a text, the point is missing for this reason.
 
     Returns the points as a diagram without a title. Work that raises an ArithmeticError, RuntimeError or GoalMissed has
     no point. `rounds`, `starts_up` and `turns` are passed to `timed_in_turns`.

@@ -80,7 +80,9 @@ MISMATCH, SEEDS, BLOWN = 0.05, 24, 16
 
 @dataclass(frozen=True, eq=False)
 class ChartedFlight:
-    """A flight from a state of one sustained orbit to a state of another, as a problem with a guess from the tubes.
+    """A flight between states of two sustained orbits.
+
+    It is a problem with a guess from the tubes.
 
     `seconds` of one processor cover orbits, tubes, connections and the shadowing orbit.
     """
@@ -98,7 +100,9 @@ class ChartedFlight:
 
 @cache
 def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> ChartedFlight:
-    """Return the flight of a walk's symbols between the sustained orbits of the lab's arms, at their phase 0.
+    """Return the flight of a walk's symbols between sustained orbits.
+
+    The orbits are those of the lab's arms, at their phase 0.
 
     Raises:
         GoalMissed: an orbit was not found.
@@ -159,14 +163,17 @@ class Recomputed:
     turns: tuple[int, int]
 
     def flies(self, limits: Limits) -> bool:
-        """True for a motion from end to end within limits, up to rounding."""
+        """True for a motion between the ends within limits.
+
+        Rounding is tolerated.
+        """
         near = 1 + 1e-6
         inside = self.position <= near * limits.position and self.velocity <= near * limits.velocity
         return max(self.gap, self.miss) <= GAP and inside and self.peak <= near * limits.acceleration
 
 
 def motion_rate(arms: ArmChainParameters, x: Array, u: Array) -> Array:
-    """Return ẋ (6, K) of states (6, K) under accelerations of the cart (K,).
+    """Return ẋ (6, K) of states (6, K) under cart accelerations (K,).
 
         A ω₁' + C cos(θ₁-θ₂) ω₂' = -C sin(θ₁-θ₂) ω₂² - G₁ sin θ₁ - (G₁/g) cos θ₁ u - k₁ ω₁ - k₂ (ω₁ - ω₂)
         B ω₂' + C cos(θ₁-θ₂) ω₁' =  C sin(θ₁-θ₂) ω₁² - G₂ sin θ₂ - (G₂/g) cos θ₂ u - k₂ (ω₂ - ω₁)
@@ -188,7 +195,10 @@ def motion_rate(arms: ArmChainParameters, x: Array, u: Array) -> Array:
 
 
 def recomputed(arms: ArmChainParameters, motion: Trajectory, ends: tuple[Array, Array]) -> Recomputed:
-    """Return the scipy evaluation of a motion: all intervals in parallel, each from its first state."""
+    """Return the scipy evaluation of a motion.
+
+    All intervals run in parallel, each from its first state.
+    """
     lengths, scale = np.diff(motion.mesh), state_scale(6, LIMITS)
     inputs = BarycentricInterpolator(motion.method.points, motion.inputs[..., 0].T)
     count = len(lengths)
@@ -235,7 +245,10 @@ class Try:
 
 
 def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = None, *, spent: float = 0.0) -> Try:
-    """Return the collocation result from a first trajectory (by default the guess); `spent` s went into finding it."""
+    """Return the collocation result from a first trajectory.
+
+    The default is the guess; `spent` s went into finding it.
+    """
     began = time.process_time()
     if first is None:
         first = first_trajectory(problem, method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval))
@@ -245,14 +258,20 @@ def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = 
 
 
 def led(method: str, problem: ReferenceProblem, generator: np.random.Generator) -> Try:
-    """Return the collocation result from a homotopy that starts at the guess with random waves."""
+    """Return the collocation result from a homotopy.
+
+    It starts at the guess with random waves.
+    """
     began = time.process_time()
     states, inputs, step = by_homotopy(replace(problem, guess=with_waves(problem, generator)))
     return searched(method, problem, flown(problem, states, inputs, step), spent=time.process_time() - began)
 
 
 def along_tubes(one: ChartedFlight) -> Try:
-    """Return the collocation result from the shadowing orbit; its seconds include tubes and connections."""
+    """Return the collocation result from the shadowing orbit.
+
+    Its seconds include tubes and connections.
+    """
     return searched(TUBES, one.problem, spent=one.seconds)
 
 
@@ -263,7 +282,10 @@ PUSH, KNOTS = 0.3, 12
 
 
 def with_waves(problem: ReferenceProblem, generator: np.random.Generator) -> Guess:
-    """Return the problem's guess with random waves on its angles, the rates to match."""
+    """Return the problem's guess with random waves on its angles.
+
+    The rates match them.
+    """
     base, order = problem.guess, np.arange(1, HARMONICS + 1)
     heights = generator.normal(size=(HARMONICS, 2)) * (WAVE / order)[:, None]
 
@@ -287,7 +309,10 @@ def _shot(arms: ArmChainParameters) -> Compiled:
 
 
 def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> Array:
-    """Return states (K + 1, 6, S) from one start (6,) under inputs (K, S), each held for a step, s."""
+    """Return the states from one start (6,) under held inputs.
+
+    States are (K + 1, 6, S), inputs (K, S), each held for a step, s.
+    """
     machine, (count, lanes) = _shot(arms), inputs.shape
     rows = np.empty((machine.size_in, lanes))
     rows[machine.slices["parameters"]] = arms.base()[:, None]
@@ -301,7 +326,10 @@ def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> 
 
 
 def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) -> Trajectory:
-    """Return a shot motion, states (K + 1, 6) and held inputs (K,), as a first trajectory on the even mesh."""
+    """Return a shot motion as a first trajectory.
+
+    It has states (K + 1, 6) and held inputs (K,) on the even mesh.
+    """
     method, mesh = method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval)
     times, clock = times_on(mesh, method.support), step * np.arange(len(states))
     rows = np.stack([np.interp(times, clock, column) for column in states.T], axis=-1)
@@ -340,7 +368,10 @@ class CemSettings:
 def by_cem(
     problem: ReferenceProblem, arms: ArmChainParameters, generator: np.random.Generator, settings: CemSettings
 ) -> tuple[Trajectory, float]:
-    """Return the best motion of the cross-entropy method, and its scaled miss at the end."""
+    """Return the best motion of the cross-entropy method.
+
+    Its scaled miss at the end is the second value.
+    """
     start, end = problem.end_states()
     holds = int(np.ceil(problem.duration / settings.hold))
     each = int(np.ceil(problem.duration / holds / (2 * _STEP)))
@@ -365,7 +396,10 @@ def by_cem(
 
 
 def refined(problem: ReferenceProblem, motion: Trajectory) -> Reference | None:
-    """Return a motion on a mesh refined to the package's error between nodes; None if this fails."""
+    """Return a motion on a refined mesh, or None on failure.
+
+    The mesh reaches the package's error between nodes.
+    """
     found = find_reference(problem, SETTINGS, near=motion)
     return found if found.converged else None
 
@@ -386,7 +420,9 @@ def resampled(motion: Trajectory, duration: float) -> Trajectory:
 
 @dataclass(frozen=True)
 class FollowedFlight:
-    """Loop results for a flight with a period of its orbits on either side.
+    """Loop results for a flight between two orbits.
+
+    The motion includes a period of each orbit on either side.
 
     Attributes:
         completed: share of plants.
@@ -402,7 +438,7 @@ class FollowedFlight:
 
 
 def between_orbits(one: ChartedFlight, motion: Reference) -> Reference:
-    """Return a period of the first orbit, the flight, and a period of the second, as one reference."""
+    """Return a period of each orbit and the flight as one reference."""
     start, end = one.ends
     pieces = [motion]
     for orbit, state, place in ((one.orbits[0], start, 0), (one.orbits[1], end, 2)):
@@ -418,7 +454,10 @@ def _did(one: ChartedFlight, run: BatchRun) -> bool:
 
 
 def followed(one: ChartedFlight, motion: Reference, *, seeds: int, blows: bool = False) -> FollowedFlight:
-    """Return the results of the shipped law on a flight, for plants that are off by 5 %."""
+    """Return the results of the shipped law on a flight.
+
+    The plants are off by 5 %.
+    """
     arms = load_model("lab").arms
     scene = load_itinerary("outer-turn").loop
     whole = between_orbits(one, motion)
@@ -488,7 +527,10 @@ QUICK = Effort(2, 1, 1, 2, 0, 0, 6, False, (0.5, 1.0, 2.0), FLIGHTS[:1] + FLIGHT
 
 @dataclass(frozen=True, eq=False)
 class Charted:
-    """A charted flight: its evaluation by scipy, and the loop's results if computed."""
+    """A charted flight: its evaluation by scipy, and the loop's results.
+
+    The latter may be missing.
+    """
 
     method: str
     duration: float
@@ -498,14 +540,20 @@ class Charted:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One flight by every method: all tries, without their motions, and the cheapest valid one of each method."""
+    """One flight by every method.
+
+    It has all tries, without their motions, and the cheapest valid one of each method.
+    """
 
     name: str
     tries: tuple[tuple[str, float, float], ...]
     best: dict[str, Charted]
 
     def of(self, method: str) -> list[tuple[float, float]]:
-        """Return seconds and effort of a method's tries; effort is infinite for failures."""
+        """Return seconds and effort of a method's tries.
+
+        The effort of failures is infinite.
+        """
         return [(seconds, effort) for name, seconds, effort in self.tries if name == method]
 
     @property
@@ -535,7 +583,10 @@ def tries_of(one: ChartedFlight, effort: Effort, generator: np.random.Generator)
 def charted(
     one: ChartedFlight, problem: ReferenceProblem, tries: Sequence[Try], *, seeds: int = 0, blows: bool = False
 ) -> Charted | None:
-    """Return the cheapest of some tries refined, checked and, with seeds, followed; None if all are invalid."""
+    """Return the cheapest of some tries refined and checked.
+
+    With seeds it is also followed. The result is None if all are invalid.
+    """
     for first in sorted(tries, key=lambda t: t.effort)[:_LOOKED_AT]:
         fine = None if first.motion is None else refined(problem, first.motion)
         if fine is None:
@@ -548,7 +599,10 @@ def charted(
 
 
 def by_method(one: ChartedFlight, tries: Sequence[Try], effort: Effort, *, feedback: bool) -> Compared:
-    """Return all tries, the cheapest valid one of each method, and loop results for the tubes' and the best other."""
+    """Return all tries, and the cheapest valid one of each method.
+
+    The tubes' flight and the best other one have loop results.
+    """
     cheapest = min((t for t in tries if t.method != TUBES), key=lambda t: t.effort).method
     best: dict[str, Charted] = {}
     for method in dict.fromkeys(t.method for t in tries):
@@ -569,7 +623,9 @@ def compared(which: tuple[str, tuple[str, ...], float], effort: Effort) -> Compa
 
 
 def front(which: tuple[str, tuple[str, ...], float], effort: Effort, *, resting: bool = False) -> list[Charted]:
-    """Return the cheapest flights at each time, off tubes and along them, with and without additional wobbles.
+    """Return the cheapest flights at each time.
+
+    They lie off tubes and along them, with and without additional wobbles.
 
     `resting` flights join the equilibria of the saddles, without orbits and tubes.
     """
@@ -603,7 +659,10 @@ def front(which: tuple[str, tuple[str, ...], float], effort: Effort, *, resting:
 
 
 def with_wobbles(one: ChartedFlight, arms: ArmChainParameters, effort: Effort) -> list[Charted]:
-    """Return the flight along tubes alone, and with one, two, … additional wobbles up to the front's longest time."""
+    """Return the flight along tubes, with and without additional wobbles.
+
+    Their number grows up to the front's longest time.
+    """
     ours = along_tubes(one)
     fine = None if ours.motion is None else refined(one.problem, ours.motion)
     if fine is None:
@@ -622,7 +681,10 @@ def with_wobbles(one: ChartedFlight, arms: ArmChainParameters, effort: Effort) -
 
 
 def stop_by_stop(problem: ReferenceProblem, count: int) -> ReferenceProblem:
-    """Return the problem with a guess from the walk's turns: smooth curves between stops at even times."""
+    """Return the problem with a guess from the walk's turns.
+
+    Smooth curves join stops at even times.
+    """
     start, end = problem.end_states()
     change, each = np.append((end - start)[:2] / count, [0.0, 0.0]), problem.duration / count
     turn = smooth_guess(np.zeros(4), change, each)
@@ -636,7 +698,10 @@ def stop_by_stop(problem: ReferenceProblem, count: int) -> ReferenceProblem:
 
 
 def walked(count: int, effort: Effort) -> Compared:
-    """Return a walk of `count` turns of the outer arm, by tubes and by methods without them."""
+    """Return a walk of `count` turns of the outer arm.
+
+    It is found by tubes and by methods without them.
+    """
     one = flight(f"{count} turns", ("down-up +",) * count, FLIGHTS[0][2])
     stops = stop_by_stop(one.problem, count)
     generator = np.random.default_rng([22, count])
@@ -669,7 +734,10 @@ def jobs_of(effort: Effort) -> list[Work]:
 
 
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart of the value of tubes; quick: two flights and fewer tries."""
+    """Return the chart of the value of tubes.
+
+    If quick, it has two flights and fewer tries.
+    """
     effort, found = QUICK if quick else WHOLE, {}
     jobs = jobs_of(effort)
     keys = [(kind, str(what)) for kind, what, _ in jobs]
@@ -708,7 +776,10 @@ def page(results: dict[str, list[Any]]) -> PrecisionChart:
 
 
 def with_best_known(front: Sequence[Charted], one: Compared) -> list[Charted]:
-    """Return a front with the cheapest flight off the tubes at their time, from all tries, not only the front's."""
+    """Return a front with the cheapest flight off the tubes.
+
+    That flight, at the tubes' time, is chosen from all tries, not only the front's.
+    """
     others = [c for method, c in one.best.items() if method != TUBES]
     if not others:
         return list(front)
@@ -739,7 +810,10 @@ AS_CHEAP = 1.1
 
 
 def as_cheap(one: Compared, method: str) -> int:
-    """Return the number of a method's tries that are as cheap as the flight along tubes."""
+    """Return the number of a method's tries with little effort.
+
+    They are as cheap as the flight along tubes.
+    """
     return sum(effort <= AS_CHEAP * one.ours.checked.effort for _, effort in one.of(method))
 
 
@@ -758,7 +832,10 @@ def _methods(found: Sequence[Compared]) -> list[str]:
 
 
 def success_panel(flights: Sequence[Compared]) -> Panel:
-    """Return the diagram of the share of tries that fail against the time of one."""
+    """Return the diagram of failing tries against time.
+
+    The share of failures is drawn against the time of one try.
+    """
     points = []
     for method in _methods(flights):
         for one in flights:
@@ -775,7 +852,10 @@ def success_panel(flights: Sequence[Compared]) -> Panel:
 
 
 def effort_panel(flights: Sequence[Compared]) -> Panel:
-    """Return the diagram of the effort of the best flight against the time of all tries."""
+    """Return the diagram of the best flight's effort against time.
+
+    The time is that of all tries.
+    """
     points, missing = [], []
     for method in _methods(flights):
         for one in flights:
@@ -795,7 +875,10 @@ def effort_panel(flights: Sequence[Compared]) -> Panel:
 
 
 def feedback_panel(flights: Sequence[Compared]) -> Panel:
-    """Return the diagram of the loop's effort at ±5 % against that of the reference."""
+    """Return the diagram of the loop's effort at ±5 %.
+
+    It is drawn against that of the reference.
+    """
     points, missing = [], []
     for one in flights:
         for method, best in one.best.items():
@@ -816,7 +899,10 @@ def feedback_panel(flights: Sequence[Compared]) -> Panel:
 
 
 def front_panel(title: str, found: Sequence[Charted]) -> Panel:
-    """Return the diagram of effort against time, of references and of the loops that follow them."""
+    """Return the diagram of effort against time.
+
+    It shows references and the loops that follow them.
+    """
     points = [Point(c.method, "", c.duration, c.checked.effort, default=c.method == TUBES, others=numbers(c))
               for c in found]  # fmt: skip
     points += [
@@ -829,7 +915,10 @@ def front_panel(title: str, found: Sequence[Charted]) -> Panel:
 
 
 def walk_panels(walks: Sequence[Compared]) -> tuple[Panel, ...]:
-    """Return the diagrams of seconds to a flight, and of failures, against the number of symbols, if any."""
+    """Return the diagrams of longer walks, if any.
+
+    Seconds to a flight, and failures, are drawn against the number of symbols.
+    """
     if not walks:
         return ()
     times, shares, missing = [], [], []
@@ -857,7 +946,10 @@ def walk_panels(walks: Sequence[Compared]) -> tuple[Panel, ...]:
 
 
 def robustness_panel(flights: Sequence[Compared]) -> Panel:
-    """Return the diagram of the largest blow survived, or without blows of the sensitivity to the arms' parameters."""
+    """Return the diagram of the largest blow survived.
+
+    Without blows it shows the sensitivity to the arms' parameters.
+    """
     points = []
     struck = all(c.followed is None or c.followed.blow for one in flights for c in one.best.values())
     for one in flights:
@@ -907,7 +999,10 @@ def verdict(flights: Sequence[Compared], walks: Sequence[Compared], fronts: Mapp
 
 
 def loop_text(flights: Sequence[Compared]) -> str:
-    """Return a sentence on the cost of feedback, for the tubes' flights and the best others."""
+    """Return a sentence on the cost of feedback.
+
+    It compares the tubes' flights with the best others.
+    """
     ratios, added = [], []
     for one in flights:
         loops = {m == TUBES: c.followed for m, c in one.best.items() if c.followed and c.followed.completed}
@@ -924,7 +1019,10 @@ def loop_text(flights: Sequence[Compared]) -> str:
 
 
 def cheaper_text(name: str, found: Sequence[Charted]) -> str:
-    """Return a sentence on the time and saving of the cheapest flight off the tubes on a front."""
+    """Return a sentence on the cheapest flight off the tubes.
+
+    It reports the time and saving on a front.
+    """
     (ours,) = [c for c in found if c.method == TUBES]
     off = [c for c in found if c.method == OFF]
     cheap = [c for c in off if c.checked.effort < ours.checked.effort / 1.02]

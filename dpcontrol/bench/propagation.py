@@ -42,7 +42,10 @@ SUBSTITUTIONS = 10
 
 
 def classical_step(equations: Equations) -> ca.Function:
-    """Return (state, inputs, duration, parameters) -> following: the classical step of order 4, inputs held."""
+    """Return the classical step of order 4 with held inputs.
+
+    The function is (state, inputs, duration, parameters) -> following.
+    """
     f, u, p, h = equations.function(), equations.inputs, equations.parameters, ca.SX.sym("h")
     return _step(equations, h, runge_kutta_4(lambda state, _: f(state, u, p), equations.state, h))
 
@@ -80,7 +83,10 @@ def _step(equations: Equations, h: ca.SX, following: ca.SX) -> ca.Function:
 
 
 class Stepper:
-    """Flies states (N, S) by steps of one length, with held parameters (p,) and inputs (m,); not to be shared."""
+    """Flies states (N, S) by steps of one length.
+
+    Parameters (p,) and inputs (m,) are held. Do not share it.
+    """
 
     def __init__(self, function: ca.Function, parameters: Array, *, lanes: int = 0) -> None:
         self._step = Compiled(function)
@@ -89,7 +95,10 @@ class Stepper:
         self._given[self._step.slices["parameters"]] = parameters.reshape(-1, *([1] * len(shape)))
 
     def fly(self, states: Array, duration: float, *, step: float, command: float = 0.0) -> Array:
-        """Return the states (N,) or (N, S) after `duration` s in steps of about `step` s."""
+        """Return the states (N,) or (N, S) after `duration` s.
+
+        Steps have about `step` s.
+        """
         given, slices, call = self._given, self._step.slices, self._step
         count = max(1, round(duration / step))
         given[slices["inputs"]], given[slices["duration"]] = command, duration / count
@@ -101,7 +110,10 @@ class Stepper:
 
 
 def buffered_rate(equations: Equations, parameters: Array, command: float = 0.0) -> Callable[[float, Array], Array]:
-    """Return the equations' rate (t, x) -> (N,) for scipy, the input held at `command`, through casadi's buffers."""
+    """Return the equations' rate (t, x) -> (N,) for scipy.
+
+    The input is held at `command`. It uses casadi's buffers.
+    """
     arguments = [equations.state, equations.inputs, equations.parameters]
     function = ca.Function("rate", arguments, [ca.densify(equations.rate)])
     x, out = np.zeros(equations.dimension), np.zeros(equations.dimension)
@@ -185,7 +197,10 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
 
 @dataclass(frozen=True)
 class Work:
-    """States (K, N) to propagate for `duration` s, and their final states (K, N) in 113-bit arithmetic."""
+    """States (K, N) to propagate for `duration` s.
+
+    The final states (K, N) are known in 113-bit arithmetic.
+    """
 
     system: System
     states: Array
@@ -230,7 +245,10 @@ def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progre
 
 
 def candidates(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Array]]:
-    """Return all methods for a work's states; slow ones fly fewer. `batches` adds many trajectories at once."""
+    """Return all methods for a work's states.
+
+    Slow ones fly fewer. `batches` adds many trajectories at once.
+    """
     few = work.states[: 2 if quick else 4]
     return [
         *_taylor(work, batches=batches),
@@ -334,7 +352,10 @@ def _by_scipy(
 
 
 def tick_states(arms: ArmChainParameters) -> Array:
-    """Return states (LANES, N) along 3 s of free swing from high up, the cart moving."""
+    """Return states (LANES, N) along 3 s of free swing.
+
+    The swing starts from high up, with the cart moving.
+    """
     equations = equations_of(arms, Level.CART)
     flow = PolynomialInputPropagator(equations, arms.base(), degree=0)
     start = np.zeros(equations.dimension)
@@ -353,7 +374,9 @@ def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array
 
 
 def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]:
-    """Return the diagrams of a tick's time and error: of one run, and of many at once.
+    """Return the diagrams of a tick's time and error.
+
+    One is of a single run, the other of many at once.
 
     The arms have friction, and the cart's acceleration is held for a millisecond. Plants take one step of DOP853, in
     one run or in many. The filter's model takes one step of order 4. Each is the default of its use.

@@ -222,7 +222,10 @@ def losses(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
 
 
 def slower(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
-    """Return a sentence for each default with a larger x value than before."""
+    """Return a sentence for each default with a larger x value.
+
+    It is compared with the earlier one.
+    """
     found = []
     for panel, was, now in _defaults(before, after):
         if panel.timed and not (was.yardstick and now.yardstick):
@@ -264,7 +267,10 @@ _FOR_LEGEND = 0.3
 
 
 def figure(page: ChartPage) -> Figure:
-    """Return a page's picture: its diagrams side by side, each method with one colour and mark throughout."""
+    """Return a page's picture with its diagrams side by side.
+
+    Each method has one colour and mark throughout.
+    """
     columns = 2 if len(page.parts) == 4 and isinstance(page, PrecisionChart) else min(len(page.parts), 3)
     rows = -(-len(page.parts) // columns)
     picture = Figure(figsize=(WIDTH * columns, HEIGHT * rows + 1.0), layout="constrained", dpi=110)
