@@ -154,9 +154,9 @@ def stability(tableau: tuple[Array, Array], z: complex) -> complex:
 
 
 def predicted_step(tableau: tuple[Array, Array], values: Complex) -> float:
-    """Return the smallest step in s with
+    """Return the first step in s at the border of stability.
 
-    R
+    There |R| is 1 for one of the damped eigenvalues `values` in 1/s.
     """
 
     def growth(step: float) -> float:

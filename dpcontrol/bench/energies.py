@@ -76,7 +76,7 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
         else:
             missing.append(Missing("loop", label, f"no run completes at ±{MISMATCH:.0%}"))
     if not any(p.default for p in points):
-        raise GoalMissed(f"{itinerary.name}: nothing to compare with at its own energy: {missing[0].reason}")
+        raise GoalMissed(f"{itinerary.name}: no comparison without its energy: {missing[0].reason}")
     panel = Panel(
         itinerary.title, "energy above the highest saddle's, J", "∫u², m²/s³", tuple(points), missing=tuple(missing),
         judged=False, timed=False,

@@ -233,7 +233,7 @@ def slower(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
         unit = now.yardstick / was.yardstick if panel.timed else 1.0
         times = now.seconds / (unit * was.seconds)
         if times > SLOWER:
-            found.append(f"{panel.title}: {now.name} takes {times:.2g} times what it took ({panel.x_label})")
+            found.append(f"{panel.title}: {now.name} takes {times:.2g} times the earlier cost ({panel.x_label})")
     return tuple(found)
 
 

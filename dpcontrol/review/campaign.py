@@ -449,9 +449,9 @@ class EndingShare:
     def words(self) -> str:
         """Short text of the ending.
 
-        Finished runs off their target have "at the end, but not as asked".
+        Finished runs off their target have "at the end, but off target".
         """
-        return "at the end, but not as asked" if self.ending == "finished" else self.ending
+        return "at the end, but off target" if self.ending == "finished" else self.ending
 
 
 @dataclass(frozen=True)

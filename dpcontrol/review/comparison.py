@@ -114,7 +114,7 @@ def _moment(view: RunView, k: int) -> tuple[float, str]:
     done = view.crossings[k] if k < len(view.crossings) else None
     if done is not None:
         known = "estimated" if view.what == "estimate" else "true"
-        return done, f"by its own crossing ({known} angles)"
+        return done, f"by its decoded crossing ({known} angles)"
     if k < len(view.symbols):
         reached = k < len(view.crossings)
         return view.plan.symbols[k][0], f"by its plan's time ({'a swing' if reached else 'not done'})"

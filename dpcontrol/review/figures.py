@@ -266,8 +266,8 @@ def families_page(gallery: Gallery) -> Page:
         "Lyapunov orbits about each saddle from their birth at the saddle (cross) upwards in energy: their shapes in "
         "the phase plane of the hanging arm, their periods and their unstable multipliers. The hanging arm swings most "
         f"while the other balances. A multiplier is the growth of a deviation in one period. {ends}.",
-        "Each family is continued up to 0.45 J instead of being computed at chosen energies, so that periods and "
-        "multipliers can be drawn against energy. Parameters are the rig's identified ones.",
+        "Each family is continued up to 0.45 J instead of being computed at chosen energies, which gives "
+        "periods and multipliers against energy. Parameters are the rig's identified ones.",
     )
 
 
@@ -295,8 +295,8 @@ def graph_page(gallery: Gallery) -> Page:
         "Nodes are Lyapunov orbits, each arrow is one connection: solid for symmetric ones, dashed for one of a "
         "mirror pair. The positive sense is above a node, the negative below. "
         f"There are {'; '.join(words)}. Before each symbol the arms may wobble any number of times.",
-        "There is one arrow for each first-hit connection on the torus of angles, so that reflected and mirrored ones, "
-        "which are different motions, are counted. At -0.07 J Up-Down has no orbit, and no arrow can lead there.",
+        "There is one arrow for each first-hit connection on the torus of angles. Reflected and mirrored ones are "
+        "different motions and are counted. At -0.07 J Up-Down has no orbit, and no arrow can lead there.",
     )
 
 

@@ -481,7 +481,7 @@ def _legend(axes: Axes, rows: list[Strip]) -> None:
     shown = {part.text: part.colour for part in every if part.kind == "mode"}
     handles = [Patch(color=colour, label=name) for name, colour in shown.items()]
     if any(part.kind == "astray" for part in every):
-        handles.append(Patch(**_WRONG, linewidth=0, label="not asked for"))  # type: ignore[arg-type]
+        handles.append(Patch(**_WRONG, linewidth=0, label="not planned"))  # type: ignore[arg-type]
     if handles:
         axes.legend(
             handles=handles, loc="upper right", bbox_to_anchor=(1.0, -0.28 / max(len(rows), 1)), ncols=len(handles),

@@ -146,7 +146,7 @@ def _changes(spans: Sequence[Span], view: RunView) -> tuple[list[tuple[float, st
     for span in spans:
         if span.kind == "transfer":
             continue
-        text = f"not asked for: {span.text}" if span.kind == "astray" else span.text
+        text = f"not planned: {span.text}" if span.kind == "astray" else span.text
         colours[text] = span.colour
         at = max(span.first, begin)
         if changes and changes[-1][0] >= at:
@@ -348,7 +348,7 @@ def blueprint(view: RunView, *, from_log: bool, growing: bool = False) -> rrb.Bl
     shares = [2.0] * len(middle)
     shown = {strip.key: strip.name or "symbols" for strip in strips(view)}
     if shown:
-        words = ["itinerary as asked and done" if view.done else "itinerary as asked"] if "asked" in shown else []
+        words = ["itinerary as planned and done" if view.done else "itinerary as planned"] if "asked" in shown else []
         words += [name for name in shown.values() if name not in ("asked", "done")]
         contents = [f"+ /{key}" for key in shown]
         middle.insert(0, rrb.StateTimelineView(name=", ".join(words).capitalize(), contents=contents))

@@ -58,7 +58,7 @@ def default(seconds, error, *, yardstick=1.0, **more):
 def test_a_default_that_became_slower_or_less_accurate_is_told():
     before = default(1.0, 1e-9)
     assert losses(before, default(1.9, 2.9e-9)) == ()
-    assert losses(before, default(2.1, 1e-9)) == ("panel: ours takes 2.1 times what it took (time, s)",)
+    assert losses(before, default(2.1, 1e-9)) == ("panel: ours takes 2.1 times the earlier cost (time, s)",)
     assert losses(before, default(1.0, 3.1e-9)) == ("panel: ours errs by 3.1e-09, and did by 1e-09",)
     assert losses(default(1.0, 1e-16, floor=1e-14), default(1.0, 9e-15, floor=1e-14)) == ()
 
@@ -66,11 +66,11 @@ def test_a_default_that_became_slower_or_less_accurate_is_told():
 def test_a_machine_on_which_all_work_takes_longer_makes_nothing_slower_but_what_is_no_time():
     before = default(1.0, 1e-9)
     assert losses(before, default(5.0, 1e-9, yardstick=5.0)) == ()
-    assert losses(before, default(1.0, 1e-9, yardstick=0.2)) == ("panel: ours takes 5 times what it took (time, s)",)
+    assert losses(before, default(1.0, 1e-9, yardstick=0.2)) == ("panel: ours takes 5 times the earlier cost (time, s)",)
     # One of the two was not measured.
     assert losses(before, default(9.0, 1e-9, yardstick=0.0)) == ()
     assert losses(default(1.0, 1e-9, timed=False), default(5.0, 1e-9, yardstick=5.0, timed=False)) == (
-        "panel: ours takes 5 times what it took (time, s)",
+        "panel: ours takes 5 times the earlier cost (time, s)",
     )
 
 

@@ -48,7 +48,7 @@ def test_runs_cross_the_symbols_section_at_the_same_moment(pair: list[RunView]) 
     assert comparison.moment == 2.5
     assert [run.delay for run in comparison.runs] == [0.0, 0.625]
     assert all(run.view.crossings == (2.5,) for run in comparison.runs)
-    assert comparison.status.count("by its own crossing (true angles)") == 2
+    assert comparison.status.count("by its decoded crossing (true angles)") == 2
 
 
 def test_a_run_that_did_not_do_the_symbol_is_aligned_by_its_plan_and_that_is_said(
