@@ -66,7 +66,9 @@ def test_a_default_that_became_slower_or_less_accurate_is_told():
 def test_a_machine_on_which_all_work_takes_longer_makes_nothing_slower_but_what_is_no_time():
     before = default(1.0, 1e-9)
     assert losses(before, default(5.0, 1e-9, yardstick=5.0)) == ()
-    assert losses(before, default(1.0, 1e-9, yardstick=0.2)) == ("panel: ours takes 5 times the earlier cost (time, s)",)
+    assert losses(before, default(1.0, 1e-9, yardstick=0.2)) == (
+        "panel: ours takes 5 times the earlier cost (time, s)",
+    )
     # One of the two was not measured.
     assert losses(before, default(9.0, 1e-9, yardstick=0.0)) == ()
     assert losses(default(1.0, 1e-9, timed=False), default(5.0, 1e-9, yardstick=5.0, timed=False)) == (
