@@ -70,7 +70,7 @@ def plan_command(
         (document if polished is None else document["polish"]["plan"])["file"] = out
     for line in (*plan_remarks(plan.itinerary), *off_tubes_remarks(plan.itinerary)):
         say(line)
-    found = plan.margins() if margins and plan.converged else None
+    found = api.closed_loop(plan).margins() if margins and plan.converged else None
     if found is not None:
         document["margins"] = found.document()
     missed = "" if wanted.converged else f"{plan.itinerary.name}: {wanted.status}"

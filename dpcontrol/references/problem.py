@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 Guess = Callable[[Array], Array]
 """From times (K,) in s to pendulum states (K, 2n): a conservative shadowing orbit."""
 
+PLANNING = 1
+"""Version of what makes references and plans, in the keys under which they are kept. Raise it whenever a plan changes:
+a test of golden plans fails until then."""
+
 LEVELS = ("cart", "conservative")
 SOLVERS = ("ipopt", "fatrop")
 ANGLE_SCALE = np.pi

@@ -9,16 +9,16 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.references.problem import PLANNING
 from dpcontrol.references.reference import (
     ByReference,
     PlanNotes,
@@ -29,10 +29,8 @@ from dpcontrol.references.reference import (
     save_reference,
 )
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
-from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
-    from dpcontrol.control.margins import Margins
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
 FORMAT = 2
@@ -76,43 +74,6 @@ class Plan(ByReference):
             raise GoalMissed(f"{self.itinerary.name} has no reference to follow: {self.status}")
         return self
 
-    def preflight(
-        self,
-        options: RunOptions | None = None,
-        *,
-        runs: int = 0,
-        workers: int = 0,
-        yes: bool = False,
-        progress: Progress = no_progress,
-    ) -> Any:
-        """Return how likely it completes on its bench, what ends it otherwise, how far each border is, what would help:
-        a `dpcontrol.review.campaign.Preflight`, with `status`, `advice`, `document()` and `plot()`.
-
-        options: run settings that take the place of the scene's. runs: seeds for the rate, 0 for as many as two minutes
-        allow; workers: processes, 0 for one on each processor. yes: however long it takes.
-
-        Raises:
-            InputError: an impossible setting, or it would take too long.
-            GoalMissed: the plan did not converge, no controller can be made for it, or workers died again and again.
-        """
-        # By name: import statements are read for what a plan depends on (`code_hash`), and it depends on none of this.
-        scenes = import_module("dpcontrol.scenes.preflight")
-        settings = scenes.PreflightSettings(runs=runs, workers=workers)
-        return scenes.preflight(self, options, settings=settings, yes=yes, progress=progress)
-
-    def margins(self, options: RunOptions | None = None) -> "Margins":
-        """Return what gain, further delay and further lag the loop bears along the reference; takes some seconds.
-
-        options: run settings that take the place of the scene's.
-
-        Raises:
-            InputError: an impossible setting, or the law has no margins.
-            GoalMissed: there is no reference to follow, or no controller can be made for it.
-        """
-        scene = self.itinerary.with_run(options or RunOptions())
-        # By name, as above.
-        return import_module("dpcontrol.scenes.run").assembled(replace(self, itinerary=scene)).margins()
-
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol plan --json` prints."""
         figures = (
@@ -132,7 +93,7 @@ def plan_key(itinerary: Itinerary) -> str:
     """Return the content that a plan depends on, as 16 hexadecimal digits."""
     content = {
         "format": FORMAT,
-        "code": code_hash(__name__),
+        "code": PLANNING,
         "parameters": asdict(itinerary.model.arms),
         "name": itinerary.name,
         "title": itinerary.title,
@@ -238,7 +199,7 @@ def make_plan(
     reference, notes, arrays = planned(
         itinerary, orbits, fresh=fresh, workers=workers, scheduler=scheduler, progress=progress
     )
-    notes["plan"], notes["made_from"]["code"] = plan_key(itinerary), code_hash(__name__)
+    notes["plan"], notes["made_from"]["code"] = plan_key(itinerary), f"planning {PLANNING}"
     reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
     if reference.converged and (problem := shortfall(reference)):
         status = f"the reference converged, but a run that follows it would not be completed: {problem}"
@@ -261,7 +222,7 @@ def with_kept_starts(plan: Plan) -> Plan:
 
 def _starts_file(plan: Plan) -> Path:
     scene = plan.itinerary
-    content = [plan_key(scene), scene.loop.travel, code_hash("dpcontrol.scenes.starts")]
+    content = [plan_key(scene), scene.loop.travel, PLANNING]
     if "polished" in plan.notes:
         content.append(content_hash(plan.archive))
     return cache_file("plans", f"{scene.name}-starts", content_hash(json.dumps(content)))
@@ -286,9 +247,10 @@ def recoverable(
         return plan
     if not fresh and "starts" in (known := with_kept_starts(plan)).notes:
         return known
-    # By name, as above: a plan without starts does not depend on what makes them.
-    made = import_module("dpcontrol.scenes.starts")
-    starts, arrays = made.planned_starts(scene, plan.reference, found=found or made.no_listener, progress=progress)
+    # A plan without starts needs nothing of what makes them.
+    from dpcontrol.scenes.starts import no_listener, planned_starts
+
+    starts, arrays = planned_starts(scene, plan.reference, found=found or no_listener, progress=progress)
     reference = replace(
         plan.reference,
         notes={**plan.reference.notes, "starts": starts},

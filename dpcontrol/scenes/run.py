@@ -415,7 +415,7 @@ def logged_margins(log: RunLog) -> Margins:
         GoalMissed: no controller can be made for its reference.
     """
     with TemporaryDirectory() as folder:
-        return _plan(log, Path(folder), repeats=False).margins()
+        return assembled(_plan(log, Path(folder), repeats=False)).margins()
 
 
 def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:

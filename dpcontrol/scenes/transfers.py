@@ -32,7 +32,7 @@ from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_co
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, on_cluster, processors
@@ -41,7 +41,7 @@ from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibrium
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.references.find import find_transfer
-from dpcontrol.references.problem import Limits, ReferenceSettings
+from dpcontrol.references.problem import PLANNING, Limits, ReferenceSettings
 from dpcontrol.references.reference import (
     ApproachNote,
     Reference,
@@ -87,7 +87,7 @@ class Transfer:
     def key(self) -> str:
         """What the motion depends on, as 16 hexadecimal digits."""
         content = {
-            "code": [code_hash(f"dpcontrol.{name}") for name in ("references.find", "control.tracking")],
+            "code": PLANNING,
             "parameters": asdict(self.arms),
             "start": self.start,
             "ends": self.ends,

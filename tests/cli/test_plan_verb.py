@@ -120,7 +120,7 @@ def test_margins_are_shown_where_they_are_asked_for_and_are_those_of_the_plan(
     assert shown["growth"] < 1
     (windows,) = {len(values) for values in shown["along"].values()}
     assert windows > 1
-    assert api.plan(str(scene)).margins().document() == shown
+    assert api.closed_loop(str(scene)).margins().document() == shown
     assert "further delay" in dpcontrol("plan", scene, "--margins").stdout
 
 

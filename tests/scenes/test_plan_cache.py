@@ -18,7 +18,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
 from dpcontrol.references.reference import Reference, load_reference, save_reference
 from dpcontrol.review.score import score
-from dpcontrol.scenes import plan as planning
+from dpcontrol.scenes import atlas
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan, plan_key
 from dpcontrol.scenes.run import run_plan
@@ -96,8 +96,8 @@ def test_a_changed_title_or_limit_asks_for_another_plan() -> None:
     assert plan_key(scene.with_run(RunOptions(mismatch=0.1), seed=5)) == plan_key(scene)
 
 
-PLANS = planning.__name__
-MADE_BY = sorted({name.rsplit(".", 1)[0] for name in module_sources(PLANS)} - {"dpcontrol"})
+ATLAS = atlas.__name__
+MADE_BY = sorted({name.rsplit(".", 1)[0] for name in module_sources(ATLAS)} - {"dpcontrol"})
 
 
 @pytest.fixture(scope="module")
@@ -109,34 +109,34 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("package", MADE_BY)
-def test_an_edit_to_a_package_that_makes_plans_asks_for_new_plans(package: str, copy: Path) -> None:
-    names = [name for name in module_sources(PLANS) if name.rsplit(".", 1)[0] == package]
+def test_an_edit_to_a_package_that_makes_atlases_asks_for_new_atlases(package: str, copy: Path) -> None:
+    names = [name for name in module_sources(ATLAS) if name.rsplit(".", 1)[0] == package]
     file = copy.joinpath(*names[-1].split(".")[1:]).with_suffix(".py")
     text = file.read_text()
     file.write_text(text.replace("return ", "return  ", 1) + "\n_EDITED = 1\n")
     try:
         code_hash.cache_clear()
-        assert code_hash(PLANS, copy) != code_hash(PLANS)
+        assert code_hash(ATLAS, copy) != code_hash(ATLAS)
     finally:
         file.write_text(text)
     code_hash.cache_clear()
-    assert code_hash(PLANS, copy) == code_hash(PLANS)
+    assert code_hash(ATLAS, copy) == code_hash(ATLAS)
 
 
-def test_all_code_that_a_plan_runs_through_counts(tmp_path: Path) -> None:
-    """What an interpreter imports of this package by planning is among what is hashed, but for empty packages."""
-    script = f"import sys, {PLANS}; print(*(n for n in sys.modules if n.startswith('dpcontrol.')))"
+def test_all_code_that_an_atlas_runs_through_counts(tmp_path: Path) -> None:
+    """What an interpreter imports of this package by an atlas is among what is hashed, but for empty packages."""
+    script = f"import sys, {ATLAS}; print(*(n for n in sys.modules if n.startswith('dpcontrol.')))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    hashed = module_sources(PLANS)
+    hashed = module_sources(ATLAS)
     for name in set(done.stdout.split()) - set(hashed):
         file = Path(dpcontrol.__file__).parent.joinpath(*name.split(".")[1:], "__init__.py")
         assert len(file.read_text().splitlines()) <= 1, f"{name} is not hashed"
 
 
-def test_an_edit_to_the_command_line_keeps_the_plans(copy: Path) -> None:
+def test_an_edit_to_the_command_line_keeps_the_atlases(copy: Path) -> None:
     (copy / "cli" / "plan.py").write_text("")
     code_hash.cache_clear()
-    assert code_hash(PLANS, copy) == code_hash(PLANS)
+    assert code_hash(ATLAS, copy) == code_hash(ATLAS)
 
 
 @pytest.fixture(scope="module")

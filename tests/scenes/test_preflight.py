@@ -133,13 +133,13 @@ def test_a_plan_tells_it_in_python_and_runs_that_cannot_go_side_by_side_are_few(
     turn: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made_up(monkeypatch, lambda loop, random: random.uniform() < 0.9)
-    found = turn.preflight(RunOptions(missed_counts=1.0), workers=1)
+    found = preflight(turn, RunOptions(missed_counts=1.0), settings=PreflightSettings(workers=1))
     assert (found.borders, found.changes) == ((), ())
     assert any("one after the other" in note for note in found.notes)
-    assert 32 <= found.share.runs < turn.preflight(workers=1).share.runs
+    assert 32 <= found.share.runs < preflight(turn, settings=PreflightSettings(workers=1)).share.runs
     assert len(repr(found)) < 300
     # More that are asked for by number are run.
-    assert turn.preflight(RunOptions(missed_counts=1.0), runs=16, workers=1).borders
+    assert preflight(turn, RunOptions(missed_counts=1.0), settings=PreflightSettings(runs=16, workers=1)).borders
 
 
 @pytest.mark.slow
