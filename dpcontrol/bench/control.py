@@ -221,7 +221,10 @@ def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -
 
 
 def _pair(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str], why: str) -> tuple[Panel, Panel]:
-    """Return the task's two panels: error, and share of failures at the large mismatch, against a tick's time."""
+    """Return the task's two panels against a tick's time.
+
+    They show the error, and the share of failures at the large mismatch.
+    """
     found, x = measured(task, made, seeds=seeds, default=default), "s per tick, filter and law"
     failed = tuple(replace(p, error=1 - p.others["success"]) for p in found.points)
     return (

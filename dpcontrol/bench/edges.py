@@ -213,7 +213,10 @@ def step_border(
 
 
 def _run_at(h: float, saddle: str) -> str:
-    """Return the message of a run with a period of the step's length, arms held at the equilibrium."""
+    """Return the message of a run with this step as period.
+
+    The arms are held at the equilibrium.
+    """
     try:
         loop_case = held_at_rest(1 / h, saddle=saddle, seconds=60.0)
     except (InputError, GoalMissed) as error:

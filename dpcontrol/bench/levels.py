@@ -171,7 +171,10 @@ def motions(reference: Reference, arms: ArmChainParameters) -> Panel:
 
 
 def _flown(plant: PlantParameters, first: Array, inputs: Array) -> Array:
-    """Return states (N, S) after `inputs` (K, S), each held for a tick, from the cart level's states (N, S)."""
+    """Return states (N, S) after `inputs` (K, S), each for a tick.
+
+    They start from the cart level's states (N, S).
+    """
     step = plant_step(plant.arms.count, plant.level, friction=plant.arms.friction)
     state = first if plant.level is PlantLevel.CART else np.vstack([first, inputs[0]])
     given = np.zeros((step.size_in, state.shape[1]))

@@ -367,7 +367,10 @@ def _draw_panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> N
 
 
 def _share_axis(axis: Any, most: float) -> None:
-    """Show shares from zero to one, or slightly beyond the maximum if it is at most a tenth."""
+    """Show shares from zero to one on an axis.
+
+    If the maximum is at most a tenth, show slightly more than it.
+    """
     top = 1.0 if most > 0.15 or most == 0 else 1.2 * most
     # The axis starts slightly below zero to show whole marks; labels start at zero.
     axis.set_ylim(-0.05 * top, 1.05 * top)
@@ -386,7 +389,10 @@ _SIDES = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), 
 
 
 def _label_settings(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
-    """Write each setting beside its mark, with the least overlap with marks, rings, the front and other labels."""
+    """Write each setting beside its mark.
+
+    The place has the least overlap with marks, rings, the front and other labels.
+    """
     unit = axis.figure.dpi / 72
     renderer = axis.figure._get_renderer()
 
@@ -437,7 +443,10 @@ def _common(boxes: Array, other: Array) -> Array:
 
 
 def _readable_ticks(axis: Any, many: float = _MANY) -> None:
-    """Thin labels of a logarithmic axis: powers of ten, 1, 2, 5 on short ranges, otherwise a few round numbers."""
+    """Thin labels of a logarithmic axis.
+
+    Powers of ten remain, with 1, 2, 5 on short ranges, otherwise a few round numbers.
+    """
     low, high = axis.get_view_interval()
     axis.set_minor_formatter(NullFormatter())
     if high / low >= many:

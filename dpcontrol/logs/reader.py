@@ -703,7 +703,10 @@ def read_log(path: Path | str) -> RunLog:
 
 
 def _rewritten(file: VerifiedFile) -> Rewritten | None:
-    """Return a log that another program has rewritten, with a warning; None if the file holds no such log."""
+    """Return a log that another program has rewritten, or None.
+
+    A warning is issued for such a log.
+    """
     try:
         topics = by_topic(file.messages(), file.channels, file.schemas)
         found = found_in(topics, file.values(layout.LAYOUT_RECORD))

@@ -63,9 +63,9 @@ class SoundChunk:
         size: unpacked, bytes.
         checksum: unpacked.
         sequences: first and last number by channel.
-        times: first and last tick in ns, or None.
-        schemas: declared ones by number.
-        channels: declared ones by number.
+        times: first and last tick, ns, or None.
+        schemas: by number.
+        channels: by number.
     """
 
     body: memoryview

@@ -104,7 +104,7 @@ def robot_description(
     Args:
         arm_lengths: (n,) in m.
         has_cart: True for a cart on a track.
-        limits: the cart's position in m, velocity in m/s, acceleration in m/s².
+        limits: of position m, velocity m/s, acceleration m/s².
         prefix: of all names.
         ghost: True for grey arms without track.
     """

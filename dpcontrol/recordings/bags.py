@@ -100,7 +100,10 @@ def _of_topic(reader: Any, topic: str, places: dict[str, tuple[str, str]]) -> di
 
 
 def _number(message: Any, rest: str, start: int) -> float:
-    """Return a number of a message, nan if it is missing; times are seconds since `start` ns."""
+    """Return a number of a message, nan if it is missing.
+
+    Times are seconds since `start` ns.
+    """
     joint = _JOINT.fullmatch(rest)
     if joint is not None:
         names, values = list(message.name), getattr(message, joint[2])

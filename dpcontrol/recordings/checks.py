@@ -356,7 +356,10 @@ def _stride(segment: Samples) -> int:
 
 
 def _turned(segment: Samples) -> tuple[Array, Array]:
-    """Return the arms' rates (W, n) over short windows, from the angles and from the mean of the rates."""
+    """Return the arms' rates (W, n) over short windows.
+
+    One result is from the angles, one from the mean of the rates.
+    """
     stride, arms, given = _stride(segment), segment.arms, segment.of(RATE)
     ends = np.arange(0, len(segment.time), stride)
     by_angles = np.diff(segment.values[ends, :arms], axis=0) / np.diff(segment.time[ends])[:, None]
@@ -495,7 +498,10 @@ def _rms(values: Array) -> Array:
 
 
 def _accelerations(recording: Recording, arms: ArmChainParameters, order: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return measured and predicted accelerations (K, n), rad/s², with the angles in an order; K may be zero."""
+    """Return measured and predicted accelerations (K, n), rad/s².
+
+    The angles are in the given order; K may be zero.
+    """
     equations = equations_of(arms, Level.CART)
     rate, n = equations.function(), arms.count
     stride = max(round(_WINDOW / recording.dt), 1)

@@ -224,7 +224,10 @@ def _period(sampling: Table) -> float:
 
 
 def _direction(angles: Table) -> tuple[tuple[float, ...], tuple[float, ...], bool]:
-    """Return sign, zero in rad and True for relative outer angles, from single values or lists in [angles]."""
+    """Return sign, zero in rad and True for relative outer angles.
+
+    The keys of [angles] have single values or lists.
+    """
     rest = angles.remaining()
     for key in rest:
         if key not in _DIRECTION:
@@ -481,7 +484,10 @@ def _recording(
 
 
 def _in_order(parts: list[Samples], spacing: float) -> tuple[list[Samples], list[str]]:
-    """Return the segments with increasing times, and a note on each segment that was moved in time."""
+    """Return the segments with increasing times, and notes.
+
+    A note reports each segment that was moved in time.
+    """
     placed: list[Samples] = []
     moved: list[str] = []
     last = -np.inf
@@ -789,7 +795,10 @@ def _properties(value: Any) -> dict[str, Any] | None:
 
 
 def _member(value: Any, name: str) -> Any:
-    """Return a field, ignoring case; in an object also a field stored as `name_` or in one of its parts."""
+    """Return a field, ignoring case.
+
+    In an object it may be stored as `name_` or in one of its parts.
+    """
     fields = _properties(value)
     if fields is None:
         return None
@@ -805,7 +814,10 @@ def _member(value: Any, name: str) -> Any:
 
 
 def _times(info: Any) -> Any:
-    """Return the times in a time series' metadata, from a list or from start, increment and length."""
+    """Return the times in a time series' metadata.
+
+    They come from a list or from start, increment and length.
+    """
     given = _member(info, "Time")
     if given is not None and np.size(given):
         return given
@@ -818,7 +830,10 @@ def _times(info: Any) -> Any:
 
 
 def _cell(value: Any, index: int) -> Any:
-    """Return a cell by its number from 1; in an object, from its first cell array of objects."""
+    """Return a cell by its number from 1.
+
+    In an object it is taken from its first cell array of objects.
+    """
     cells = value if _is_cells(value) else _inner_cells(value)
     return cells.reshape(-1, order="F")[index - 1] if cells is not None and 1 <= index <= cells.size else None
 

@@ -464,7 +464,9 @@ def _section(recording: rr.RecordingStream, atlas: Atlas, kind: AtlasKind) -> No
 
 
 def _frame(atlas: Atlas, kind: AtlasKind) -> tuple[float, Box]:
-    """Return the factor for p/p₀ that makes the cuts two thirds as high as wide, and their bounding box as drawn.
+    """Return the scale of p/p₀ and the cuts' bounding box.
+
+    With this scale the cuts are drawn two thirds as high as wide.
 
     The factor is needed because the viewer's scales are equal.
     """

@@ -227,7 +227,9 @@ def draw_comparison(comparison: RunComparison) -> Figure:
 
 
 def _frames(comparison: RunComparison) -> Array:
-    """Return the times of all films: about the symbols, half of them before the first run's end if that is early.
+    """Return the times of all films, about the symbols.
+
+    If the first run ends early, half of them lie before its end.
 
     The longest run supplies the symbol times.
     """

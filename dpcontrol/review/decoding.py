@@ -106,7 +106,9 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
 
 
 def _due(plan: Reference, arms: int) -> list[float]:
-    """Return the time of each section crossing in the plan's reference, s: for a transfer its middle.
+    """Return the reference's time of each section crossing, s.
+
+    For a transfer it is the middle.
 
     The time stored with a symbol is that of the shadowed orbit, not of the reference.
     """
@@ -119,7 +121,9 @@ def _due(plan: Reference, arms: int) -> list[float]:
 def _crossings(
     time: Array, angles: Array, plan: Reference, planned: Sequence[float], *, carries: bool
 ) -> tuple[float | None, ...]:
-    """Return the crossing time of each symbol, s: the due time without a crossing, None for a transfer.
+    """Return the crossing time of each symbol, s.
+
+    Without a crossing it is the due time, for a transfer None.
 
     Args:
         planned: due times on the plan's clock, s.
@@ -141,7 +145,10 @@ def _crossings(
 def _crossing(
     time: Array, angles: Array, symbol: SymbolNote, plan: Reference, *, between: tuple[float, float]
 ) -> float:
-    """Return the time of the crossing nearest to its due time, in the plan's direction and near its angles."""
+    """Return the time of the crossing nearest to its due time.
+
+    Direction and angles must match the plan.
+    """
     section, n = symbol["section"], angles.shape[1]
     assert section is not None
     after, due = between
@@ -158,7 +165,10 @@ def _crossing(
 
 
 def _plan_time(time: Array, due: Sequence[float], crossings: tuple[float | None, ...]) -> Array:
-    """Return the plan's time (K,) at each tick, s, shifted by the offset of the nearest crossing, none at the start."""
+    """Return the plan's time (K,) at each tick, s.
+
+    It is shifted by the offset of the nearest crossing, but not at the start.
+    """
     anchors, offsets = [float(time[0])], [0.0]
     for at, planned in zip(crossings, due, strict=True):
         if at is not None:
@@ -169,7 +179,10 @@ def _plan_time(time: Array, due: Sequence[float], crossings: tuple[float | None,
 
 
 def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
-    """Return the first tick at which the angles leave the plan near its time by more than `FOLLOWS`, or None."""
+    """Return the first tick that left the plan, or None.
+
+    The angles differ from the plan near its time by more than `FOLLOWS`.
+    """
     notes, n = plan_notes(plan), angles.shape[1]
     way = plan.state(plan.mesh[0] + np.arange(0.0, plan.duration + _GRID, _GRID).clip(max=plan.duration))[:, :n]
     # A sustained orbit has the plant's period, so any phase of it may match.
@@ -193,7 +206,7 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
 
 
 def _spans(notes: PlanNotes, due: Sequence[float], duration: float) -> tuple[list[tuple[float, float]], list[float]]:
-    """Return the plan's time range at each stop, and the time of the reference's arrival there, s.
+    """Return the plan's time range and arrival at each stop, s.
 
     Ranges extend from crossing to crossing, excluding adjacent transfers.
     """
@@ -212,7 +225,9 @@ def _spans(notes: PlanNotes, due: Sequence[float], duration: float) -> tuple[lis
 
 
 def _visit(angles: Array, inside: NDArray[np.intp], stop: StopNote, notes: PlanNotes) -> Visit:
-    """Return the stay at a stop: from the first to the last of these ticks that is nearest to this saddle.
+    """Return the stay at a stop, from first to last near tick.
+
+    Ticks are near if this saddle is the nearest.
 
     Without such a tick, the stay is the tick closest to the saddle.
     """
@@ -270,7 +285,9 @@ _DENSER = 8
 
 
 def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
-    """Return the distance, rad, by which angles (K, n) leave those (M, n) of an orbit of `ticks` per period.
+    """Return the distance, rad, by which angles leave an orbit.
+
+    Angles are (K, n), the orbit's (M, n), with `ticks` per period.
 
     Zero if near enough, infinite if the angles are not numbers.
     """

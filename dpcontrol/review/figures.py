@@ -340,7 +340,10 @@ def _graph(axes: Axes, atlas: Atlas) -> None:
 
 
 def _loop(axes: Axes, x: float, y: float, sign: int, size: float, *, dashed: bool, saddle: str) -> None:
-    """Draw an arrow from a node to itself: an ellipse that touches it, with a head at its end."""
+    """Draw an arrow from a node to itself.
+
+    It is an ellipse that touches the node, with a head at its end.
+    """
     t = np.linspace(0.02, 0.98, 120) * 2 * np.pi
     px, py = x - 0.55 * size * np.sin(t), y + sign * size * (1 - np.cos(t))
     colour = style.saddle_colour(saddle)

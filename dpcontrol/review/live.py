@@ -250,7 +250,10 @@ def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tupl
 
 
 def _opened(address: str) -> "tuple[str, subprocess.Popen[Any] | None]":
-    """Return the address of a viewer and its process; a viewer is opened if no address is given."""
+    """Return the address of a viewer and its process.
+
+    If no address is given, a viewer is opened.
+    """
     if address:
         return address, None
     from dpcontrol.review.picture import viewer_command

@@ -300,7 +300,10 @@ def series_of(log: RunLog) -> RunView:
 
 
 def _cart_acceleration(velocity: Array, time: Array) -> Array:
-    """Return the mean acceleration (N,) m/s² from each tick to the next; nan at instantaneous velocity jumps."""
+    """Return the mean acceleration (N,) m/s² between ticks.
+
+    At instantaneous velocity jumps it is nan.
+    """
     steps = np.diff(time)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(steps > 0, np.diff(velocity) / steps, np.nan)

@@ -121,7 +121,10 @@ def _flown(system: System, orbit_note: OrbitNote, *, section: Section, hit: int,
 
 
 def _at(curves: list[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:
-    """Yield the parts of the tubes that meet the section at a lifted height, moved by whole turns (n,)."""
+    """Yield the parts of the tubes at a lifted section height.
+
+    They are moved by whole turns (n,).
+    """
     move = np.concatenate([lift, np.zeros_like(lift)])
     normal = np.asarray(section.normal)
     for curve in curves:
@@ -170,7 +173,10 @@ def run_view(log: RunLog) -> RunView:
 
 
 def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) -> tuple[PlanView, Decoded]:
-    """Return plan and decoded ticks of a run that continued after a fall, both on the clock of the run."""
+    """Return plan and decoded ticks of a run with falls.
+
+    Both are on the clock of the run.
+    """
     n, flights = len(log.arm_lengths), flights_of(log)
     flown = Flown(
         log.time, states, log.reference[:, :n], log.control["applied"], log.rate_hz, log.limits, flights=flights

@@ -63,7 +63,10 @@ def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
 
 
 def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize, *, angular: bool) -> None:
-    """Draw orbits in the phase plane of the most active arm; without angles, in the plane of positions."""
+    """Draw orbits in the phase plane of the most active arm.
+
+    Without angles they are drawn in the plane of positions.
+    """
     system, n = family.system, family.system.dimension // 2
     birth = float(system.numeric.hamiltonian(system.equilibrium(family.saddle)))
     # Evenly spaced in amplitude, which grows as the root of the energy above the saddle.

@@ -460,7 +460,10 @@ def _part(axes: Axes, part: Span, place: int, view: RunView, *, letter: float, n
 
 
 def _numbers(axes: Axes, view: RunView, rows: list[str], *, letter: float, begin: float, end: float) -> None:
-    """Number the symbols at their planned and actual times; write their names above if there is room."""
+    """Number the symbols at their planned and actual times.
+
+    If there is room, their names are above.
+    """
     free = begin
     for i, (name, planned, done) in enumerate(view.symbols):
         for row, moment in ((rows[0], planned), ("done", done)):

@@ -178,7 +178,10 @@ def _rows(
     gallery: Gallery,
     rows: Sequence[tuple[Atlas, str, str, Extent]],
 ) -> str:
-    """Draw tubes, cuts and flights of (atlas, source, target), a row for each; return their counts in words."""
+    """Draw tubes, cuts and flights, a row for each.
+
+    Rows are (atlas, source, target). Return their counts in words.
+    """
     mu, words = float(gallery.system("three-body").parameters[0]), []
     for row, (atlas, source, target, extent) in enumerate(rows):
         kind = kind_of(atlas, source, target)
@@ -602,7 +605,10 @@ def up_up_states(system: System) -> Array:
 
 
 def _spread(count: int) -> tuple[Array, Array]:
-    """Return components along the fast and the slow direction, both signs of each, with ratios from 1e-6 to 1e6."""
+    """Return components along the fast and the slow direction.
+
+    They have both signs of each, with ratios from 1e-6 to 1e6.
+    """
     ratio = np.logspace(-6, 6, count // 4)
     fast, slow = ratio / np.hypot(1, ratio), 1 / np.hypot(1, ratio)
     return np.concatenate([fast, fast, -fast, -fast]), np.concatenate([slow, -slow, slow, -slow])

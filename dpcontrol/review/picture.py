@@ -202,7 +202,10 @@ def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seco
 
 
 def _run(arguments: list[str], environment: dict[str, str], *, seconds: float) -> str | None:
-    """Run a program with all its children until it ends or time is up; return the error, if any."""
+    """Run a program with its children; return the error, if any.
+
+    All are ended when time is up.
+    """
     quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(arguments, env=environment, stdout=subprocess.PIPE, text=True, **quiet) as child:
         try:
@@ -281,7 +284,10 @@ def write_picture(shown: Shown, path: Path | str) -> Picture:
 
 
 def _renderers(shown: Shown) -> tuple[Callable[[Any, Path], None], Callable[[Any], "Figure"]]:
-    """Return the functions that write the recording and draw the page; viewer and matplotlib are imported lazily."""
+    """Return the functions that write the recording and the page.
+
+    Viewer and matplotlib are imported lazily.
+    """
     if isinstance(shown, RunView):
         from dpcontrol.review import page, rerun_recording
 
@@ -301,7 +307,10 @@ _SETTLED = 1.0
 
 
 def _bound(program: Path, folder: Path) -> Path:
-    """Return a script in `folder` that starts the viewer on the loopback; its client has no setting for this."""
+    """Return a script that starts the viewer on the loopback.
+
+    The script is in `folder`. The viewer's client has no setting for this.
+    """
     if os.name != "posix":
         return program
     script = folder / "viewer"

@@ -97,7 +97,9 @@ def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: R
 
 
 def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array = _NO_GAPS) -> None:
-    """Record a line under a path, with its band if it has one; long lines are reduced to their extremes.
+    """Record a line under a path, with its band, if any.
+
+    Long lines are reduced to their extremes.
 
     Ink becomes pale on the viewer's dark plots, and a reference grey. Lines are interrupted at `gaps`, times in s.
     """
@@ -139,7 +141,10 @@ def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Str
 
 
 def _changes(spans: Sequence[Span], view: RunView) -> tuple[list[tuple[float, str]], dict[str, str]]:
-    """Return spans as changes of a state, gaps between stays as "on the way", and colours by name."""
+    """Return spans as changes of a state, and colours by name.
+
+    Gaps between stays are "on the way".
+    """
     begin, end = view.time_range
     changes: list[tuple[float, str]] = []
     colours = {_ON_THE_WAY: style.FAINT}
@@ -259,7 +264,10 @@ def reading_lines(
 
 
 def _round_step(span: float, most: int) -> float:
-    """Return the smallest round step (1, 2 or 5 times a power of ten) with at most `most` steps in a span."""
+    """Return the smallest round step with at most `most` steps.
+
+    Round steps are 1, 2 or 5 times a power of ten.
+    """
     size = 10.0 ** np.floor(np.log10(max(span, 1e-9) / most))
     return float(next(step * size for step in (1.0, 2.0, 5.0, 10.0) if span / (step * size) <= most))
 

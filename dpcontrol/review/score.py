@@ -332,7 +332,10 @@ def flights_of(log: RunLog) -> tuple[Flight, ...]:
 
 
 def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
-    """Return the number of attempts of each symbol, 0 for those not started; the first `done` were completed."""
+    """Return the number of attempts of each symbol.
+
+    It is 0 for those not started; the first `done` were completed.
+    """
     out = [0] * symbols
     for event in log.events:
         joined = joined_at(event.text) if event.name in (RESUME, CATCH) else None
@@ -416,7 +419,10 @@ _UNSEEN = 0.05
 
 
 def _unobserved(flown: Flown) -> str:
-    """Return a note on gaps in the time stamps that hide the arms' motion, or an empty string."""
+    """Return a note on gaps in the time stamps, or "".
+
+    Such gaps hide the arms' motion.
+    """
     steps = np.diff(flown.time)
     if not len(steps):
         return ""
@@ -450,7 +456,10 @@ def _limits(flown: Flown) -> str:
 
 
 def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
-    """Return the distance of the last full period from the last orbit if it is too large, or an empty string."""
+    """Return a note on a too distant last period, or "".
+
+    The distance is that of the last full period from the last orbit.
+    """
     notes = plan_notes(plan)
     stop = notes["stops"][-1]
     if ended:

@@ -267,7 +267,10 @@ def _grey(view: RunView) -> str:
 def _followed(
     view: RunView, key: str, column: int, *, name: str, label: str, colour: str, first: bool = True
 ) -> tuple[Line, ...]:
-    """Return one column of reference, estimate and state; the estimate is drawn if it differs from the plant."""
+    """Return one column of reference, estimate and state.
+
+    The estimate is drawn if it differs from the plant.
+    """
     lines = []
     if view.reference is not None:
         lines.append(
@@ -313,7 +316,10 @@ def _use(view: RunView, which: int, scale: float, before: str = "") -> str:
 
 
 def _limits(view: RunView, which: int, *, side: bool = False) -> tuple[LevelLine, ...]:
-    """Return one of the cart's limits as levels, named by their side of the track, or as bounds."""
+    """Return one of the cart's limits as levels.
+
+    They are named by their side of the track, or as bounds.
+    """
     if view.limits is None:
         return ()
     names = (("limit_left", "left limit"), ("limit_right", "right limit"))
@@ -457,7 +463,10 @@ def _node_errors(view: RunView) -> Chart | None:
 
 
 def _stairs(view: RunView, values: Array, colour: str) -> Line:
-    """Return a line of one value (I,) for each interval of a reference's mesh (I + 1,)."""
+    """Return a line of one value for each mesh interval.
+
+    Values are (I,), the mesh of the reference (I + 1,).
+    """
     assert view.summary is not None
     return Line("", "", "", np.repeat(view.summary.reference.mesh, 2)[1:-1], np.repeat(values, 2), colour, 1.1)
 

@@ -87,14 +87,20 @@ def draw_transitions(summary: ReferenceSummary) -> Figure:
 
 
 def _points(motion: Array, arm_lengths: Sequence[float]) -> Array:
-    """Return pivot, elbows and tip (K, n + 1, 2) of a motion (K, n + 1), angles and cart."""
+    """Return pivot, elbows and tip of a motion (K, n+1, 2).
+
+    The motion (K, n + 1) has angles and cart.
+    """
     points = arm_points(motion[:, :-1], arm_lengths)
     points[..., 0] += motion[:, -1:]
     return points
 
 
 def _draw_motion(axes: Axes, motion: Array, arm_lengths: Sequence[float]) -> None:
-    """Draw the arms at equal times of a motion (K, n + 1), angles and cart, and their tip's path."""
+    """Draw the arms at equal times, and their tip's path.
+
+    The motion (K, n + 1) has angles and cart.
+    """
     points, n = _points(motion, arm_lengths), len(arm_lengths)
     rows = np.unique(np.linspace(0, len(motion) - 1, _POSES).astype(int))
     axes.axhline(0.0, color=style.GRID, linewidth=1.0, zorder=0)

@@ -288,7 +288,10 @@ def _window(story: WalkStory, lifted: bool) -> Array:
 
 
 def _together(points: Array) -> list[list[int]]:
-    """Return indices of points (k, 3) in groups that share a label, closer than a small part of the whole extent."""
+    """Return indices of points (k, 3) in groups that share a label.
+
+    Points of a group are closer than a small part of the whole extent.
+    """
     span = np.maximum(np.ptp(points, axis=0), 1.0)
     groups: list[list[int]] = []
     for k, point in enumerate(points):
@@ -301,7 +304,10 @@ def _together(points: Array) -> list[list[int]]:
 
 
 def _base_orbits(story: WalkStory, lifted: bool) -> list[tuple[Array, str]]:
-    """Return each periodic orbit as a closed curve (M, N) at the lattice points that the walk visits."""
+    """Return each periodic orbit as a closed curve (M, N).
+
+    Curves are at the lattice points of the walk.
+    """
     chain, offsets = story.orbit.connections, story.orbit.offsets
     closed = {name: np.vstack([curve.samples, curve.samples[:1]]) for name, curve in story.curves.items()}
     if not lifted:
@@ -402,7 +408,10 @@ def film_shape(count: int) -> tuple[int, int, int]:
 
 
 def _film_rows(story: WalkStory, view: RunView) -> list[tuple[int, NDArray[np.float64], float]]:
-    """Return the film's rows: the first symbol's index, instants (symbols, poses) in s about each, and inches."""
+    """Return the film's rows.
+
+    A row has its first symbol's index, times (symbols, poses) in s about each, and inches.
+    """
     orbit = story.orbit
     _, across, poses = film_shape(len(orbit.symbol_times))
     share = np.linspace(-0.55, 0.55, poses) if poses > 1 else np.zeros(1)
