@@ -675,12 +675,12 @@ def held_mismatch_border(delay: float, *, ratio: float) -> Border:
     The delay is in s.
     """
     loop_case = held_at_rest(MISMATCH_RATE, seconds=20.0)
-    controller, believed = loop_case.controller, loop_case.linear()
+    controller, assumed = loop_case.controller, loop_case.linear()
     assert isinstance(controller, HoldController)
 
     def grows(mismatch: float) -> bool:
         plant, ticks = loop_case.linear(mismatch), round(delay * MISMATCH_RATE)
-        loop = loop_matrix(plant, believed, gain=controller.gain, delay=ticks)
+        loop = loop_matrix(plant, assumed, gain=controller.gain, delay=ticks)
         return bool(np.abs(np.linalg.eigvals(loop)).max() >= 1)
 
     # The first border counts: the eigenvalue may return into the circle.
@@ -689,7 +689,7 @@ def held_mismatch_border(delay: float, *, ratio: float) -> Border:
 
 
 def loop_matrix(
-    plant: tuple[Array, Array], believed: tuple[Array, Array], *, gain: Array, delay: int
+    plant: tuple[Array, Array], assumed: tuple[Array, Array], *, gain: Array, delay: int
 ) -> Array:  # fmt: skip
     """Return the map of a tick for state and commands.
 
@@ -697,14 +697,14 @@ def loop_matrix(
 
     Args:
         plant: A (N, N), B (N,) between ticks of the plant.
-        believed: A (N, N), B (N,) of the predicting model.
+        assumed: A (N, N), B (N,) of the predicting model.
         gain: (N,).
     """
     n = len(gain)
     ahead = np.eye(n, n + delay)
     for i in range(delay):
-        ahead = believed[0] @ ahead
-        ahead[:, n + i] += believed[1]
+        ahead = assumed[0] @ ahead
+        ahead[:, n + i] += assumed[1]
     # State, commands in flight, and the new one: the first of the commands acts now, the rest wait.
     rows: Array = np.vstack([np.eye(n + delay), -gain @ ahead])
     return np.vstack([plant[0] @ rows[:n] + plant[1][:, None] * rows[n], rows[n + 1 :]])
@@ -951,10 +951,10 @@ class FollowedReference:
 
         The drive deviates from the model by gain, delay s and lag s.
         """
-        believed, rate = self.assembly.delay, self.assembly.settings.rate
-        drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=believed + delay * rate)
+        assumed, rate = self.assembly.delay, self.assembly.settings.rate
+        drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=assumed + delay * rate)
         other = self.assembly.under(replace(self.assembly.settings, drive=drive))
-        runs = replace(other, law=self.assembly.controller, believed_delay=believed).batch(range(self.seeds))
+        runs = replace(other, law=self.assembly.controller, believed_delay=assumed).batch(range(self.seeds))
         failed = [why for run in runs if (why := _failure_reason(run))]
         return Attempt(2 * len(failed) < self.seeds, failed[0] if failed else "")
 

@@ -197,8 +197,8 @@ def wheels_page(gallery: Gallery, *, saddle: str) -> Page:
     periods = ", ".join(f"{one.period:.4f} s ({one.kind})" for one in stays)
     found = (
         f"Stars mark the crossings of the symmetric periodic {'orbit' if len(stays) == 1 else 'orbits'} of period "
-        f"{periods}. The {turning} arm turns inside both tubes for ever; right, {'it' if len(stays) == 1 else 'they'} "
-        "in the phase planes of both arms"
+        f"{periods}. The {turning} arm turns inside both tubes for ever. Right: the same in the phase "
+        "planes of both arms"
         if stays
         else "No symmetric periodic orbit was found inside both tubes"
     )
