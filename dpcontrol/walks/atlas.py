@@ -1,11 +1,11 @@
-"""An atlas: every Lyapunov orbit of an energy, their tubes' cuts, and the connections between them, as plain records.
+"""Atlases: all Lyapunov orbits at one energy, the cuts of their tubes and their connections.
 
-The records hold numbers only, so that an atlas read from its file and one just made are the same thing. Lengths N (the
-state) and units are those of the model: rad and rad/s for arms, the primaries' units for three bodies.
+The records hold numbers only, so an atlas read from a file equals the computed one. The state has length N, in units
+of the model: rad and rad/s for arms, normalised units for three bodies.
 
-The connection graph: orbits as nodes, connections as edges; a walk on it is an itinerary.
+In the connection graph, orbits are nodes and connections are edges. A walk on the graph is an itinerary.
 
-Source: Kaheman et al. (2023), section 4, where the graph's walks are the itineraries.
+Source: Kaheman et al. (2023), section 4.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -27,10 +27,13 @@ from dpcontrol.tubes.cut import Piece
 
 
 def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str, Any]]) -> "nx.MultiDiGraph[str]":
-    """Return the multigraph of orbits and connections: nodes by name, edges keyed by the connection's name.
+    """Return the multigraph of orbits (nodes) and connections (edges).
 
-    connections: (source, target, connection), ends by name. Nodes carry their `orbit`, edges their `connection`. Every
-    orbit is a node, connected or not.
+    Nodes are named after orbits and edges are keyed by the connection's name. Isolated orbits are included.
+
+    Args:
+        orbits: objects with a `name`, stored as the node attribute `orbit`.
+        connections: (source name, target name, connection), stored as the edge attribute `connection`.
     """
     graph: nx.MultiDiGraph[str] = nx.MultiDiGraph()
     for orbit in orbits:
@@ -43,10 +46,16 @@ def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str
 def walks(
     graph: "nx.MultiDiGraph[str]", source: str, *, target: str | None = None, length: int
 ) -> Iterator[tuple[str, ...]]:
-    """Yield every walk of `length` connections from `source` (to `target`), each the names of its connections.
+    """Yield all walks of `length` connections, as tuples of connection names.
+
+    Args:
+        graph: connection graph.
+        source: first node.
+        target: last node; any by default.
+        length: number of connections.
 
     Raises:
-        InputError: a node that the graph does not have, or a length below one.
+        InputError: an unknown node, or a length below one.
     """
     for node in (source, *([] if target is None else [target])):
         if node not in graph:
@@ -78,16 +87,16 @@ class AtlasPoint:
 
 @dataclass(frozen=True)
 class AtlasOrbit(OrbitRecord):
-    """A Lyapunov orbit with samples (M, N) at equally spaced phases from zero."""
+    """A Lyapunov orbit with samples (M, N) at equally spaced phases, starting at zero."""
 
     samples: Array
 
 
 @dataclass(frozen=True)
 class AtlasRotatingOrbit(RotatingRecord):
-    """An orbit that turns one arm forward, with samples (M, N).
+    """An orbit on which one arm rotates forward, with samples (M, N).
 
-    Each stands for its reflection as well, which turns backward.
+    Its reflection, which rotates backward, is not stored.
     """
 
     samples: Array
@@ -95,18 +104,20 @@ class AtlasRotatingOrbit(RotatingRecord):
 
 @dataclass(frozen=True)
 class AtlasPiece(Piece):
-    """One connected piece of a tube's cut; stable_points (K, 2): of the stable tube, which is this one turned around in
-    time."""
+    """One connected piece of a tube's cut, with the points (K, 2) of its time-reversed image on the stable tube."""
 
     stable_points: Array
 
 
 @dataclass(frozen=True)
 class AtlasCut:
-    """An orbit's unstable tube up to the `hit`-th crossing of a section.
+    """The cut of an orbit's unstable tube at the `hit`-th crossing of a section.
 
-    open_ends: (branch, (phase, phase), reason). strands (B, M, N): trajectories of the tube from their seeds to the
-    section, M instants spread evenly over half the time and half the path, of branches (B,) and seeds' phases (B,).
+    Attributes:
+        open_ends: (branch, (phase, phase), reason) for each gap.
+        strands (B, M, N): sample trajectories from seed to section.
+        strand_branches (B,): their branches, ±1.
+        strand_phases (B,): phases of their seeds.
     """
 
     saddle: str
@@ -124,10 +135,16 @@ class AtlasCut:
 
 @dataclass(frozen=True)
 class AtlasConnection(ConnectionRecord):
-    """A connection, its place on the section, and its flight; source and target by their saddles' names.
+    """A connection with its point on the section and its trajectory.
 
-    point (2,): (q, p/p₀). times (F,) s from the section and states (F, N): from one period before it leaves the source
-    orbit to one after it joins the target. node_times (K,), nodes (K, N): the multiple shooting's own.
+    The trajectory extends one period beyond the departure from the source orbit and the arrival at the target orbit.
+
+    Attributes:
+        point (2,): coordinates (q, p/p₀).
+        times (F,): since the section crossing, s.
+        states (F, N): trajectory at `times`.
+        node_times (K,): of the shooting nodes, s.
+        nodes (K, N): states of the shooting nodes.
     """
 
     source: str
@@ -141,11 +158,14 @@ class AtlasConnection(ConnectionRecord):
 
 @dataclass(frozen=True)
 class AtlasKind:
-    """How the search for connections of one kind ended: from, to, hits.
+    """Outcome of the search for one kind of connection (source, target and hits).
 
-    failed: crossings of the cuts that did not converge. complete: none failed and both cuts are closed. open_ends:
-    (tube, branch, (phase, phase), reason) where they are not. by_reversal: made from the opposite kind. partial: the
-    search's time was over before its work was done.
+    Attributes:
+        failed: intersections that did not converge.
+        complete: True if none failed and both cuts are closed.
+        open_ends: (tube, branch, (phase, phase), reason) for each gap.
+        by_reversal: True for a time-reversed image.
+        partial: True if time ran out.
     """
 
     source: str
@@ -163,11 +183,15 @@ class AtlasKind:
 
 @dataclass(frozen=True)
 class Atlas:
-    """All of one energy of one model.
+    """The atlas of one model at one energy.
 
-    periods (N,): 2π for angles, infinity otherwise. reverser (N, N): turns unstable tubes into stable ones about
-    their saddle. absent: (saddle, reason) where there is no orbit. rotating_orbits: of either arm, forward, for
-    double pendulums only. seconds: what orbits, tubes, connections and compiling took when the atlas was made.
+    Attributes:
+        energy: J.
+        periods (N,): 2π for angles, infinity otherwise.
+        reverser (N, N): maps unstable tubes to stable tubes.
+        rotating_orbits: forward ones of both arms.
+        absent: (saddle, reason) for missing orbits.
+        seconds: computing time by stage, s.
     """
 
     model: str
@@ -190,16 +214,16 @@ class Atlas:
 
     @property
     def turn_lengths(self) -> Array:
-        """Lengths (N,) of a whole turn of each coordinate, zero where it is no angle."""
+        """Length (N,) of a whole turn of each coordinate, zero unless it is an angle."""
         return np.where(np.isfinite(self.periods), self.periods, 0.0)
 
     @property
     def complete(self) -> bool:
-        """Whether nothing that was searched may hide a connection at its hits."""
+        """True if every search was complete."""
         return all(kind.complete for kind in self.kinds)
 
     def graph(self) -> "nx.MultiDiGraph[str]":
-        """Return the multigraph: orbits of all families as nodes, connections as edges."""
+        """Return the connection graph, with orbits of all families as nodes."""
         return connection_graph(self.orbits, ((c.source, c.target, c) for c in self.connections))
 
     def between(self, source: str, target: str) -> tuple[AtlasConnection, ...]:
@@ -210,7 +234,7 @@ class Atlas:
         """Return a tube's cut.
 
         Raises:
-            InputError: the atlas has none such.
+            InputError: the atlas does not contain this cut.
         """
         for cut in self.cuts:
             if (cut.saddle, cut.section.name, cut.hit) == (saddle, section, hit):
@@ -223,7 +247,7 @@ class Atlas:
         return (states - centre) @ self.reverser.T + centre
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol atlas --json` prints, the file apart."""
+        """Return the document printed by `dpcontrol atlas --json`, without the file's path."""
         return {
             **picked(self, "energy", "model", "complete", "status"),
             "orbits": [orbit.document() for orbit in self.orbits],
@@ -248,7 +272,7 @@ class Atlas:
 
 
 def section_axes(section: Section, periods: Array) -> tuple[str, float | None]:
-    """Return the name of a section's coordinate q and its period, None on a line."""
+    """Return the name of a section's coordinate q and its period (None unless periodic)."""
     coordinate = int(np.argmax(np.abs(section.position)))
     angular = np.isfinite(periods).any()
     name = f"θ{'₁₂₃₄₅₆'[coordinate]}" if angular else "xyz"[coordinate]

@@ -1,9 +1,9 @@
-"""The connection graph of one energy: its orbits and the connections between them, of which walks are made.
+"""The connection graph at one energy: periodic orbits and the connections between them.
 
-Saddles' orbits are always in it. Rotating orbits are where a walk names them, as "outer-rotating" or
-"inner-rotating-back-2": the arm that turns, "-back" for clockwise, and which of the hyperbolic ones, the fastest first.
-They are many, and their connections with saddles' orbits are found among the laps of their tubes. A wrap at such a stop
-is a turn.
+The graph contains the orbits of all saddles. A rotating orbit is added if a walk names it, for example
+"outer-rotating" or "inner-rotating-back-2". The name consists of the rotating arm, "-back" for clockwise rotation, and
+the rank among the hyperbolic orbits, fastest first. Its connections with saddle orbits are found on successive laps of
+its tube. At a rotating orbit, one wrap is one turn.
 
 Source: Kaheman et al. (2023), section 4.
 """
@@ -42,25 +42,25 @@ from dpcontrol.walks.symbols import Symbol
 
 _ROTATING = re.compile(r"^(?P<arm>inner|outer)-rotating(?P<back>-back)?(?:-(?P<number>[2-9]))?$")
 _LONGER = 3
-"""Crossings tried after the first: with each the tube's cut is longer by |λ|, and its search slower."""
+"""Crossings tried after the first; each one stretches the cut by |λ| and slows the search."""
 _ARMS = {"inner": 1, "outer": 2}
 
 
 def rotating_names(system: System) -> list[str]:
-    """Return the names under which a system's fastest rotating orbits may be asked for."""
+    """Return the names of a system's fastest rotating orbits."""
     return [f"{arm}-rotating{back}" for arm in ("outer", "inner") for back in ("", "-back")] * can_rotate(system)
 
 
 def is_rotating(name: str) -> bool:
-    """Tell whether a vertex's name is that of a rotating orbit."""
+    """Return True if `name` denotes a rotating orbit."""
     return _ROTATING.match(name) is not None
 
 
 def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
-    """Return the rotating orbit of that name at `energy` (J).
+    """Return the rotating orbit with the given name at `energy` (J).
 
     Raises:
-        InputError: no such orbit is found, or the system has no two arms.
+        InputError: the orbit was not found, or the system does not have two arms.
     """
     match = _ROTATING.match(name)
     if match is None:
@@ -70,8 +70,9 @@ def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
     hyperbolic = [orbit for orbit in reversed(orbits) if "hyperbolic" in orbit.kind]
     if number > len(hyperbolic):
         raise InputError(
-            f"there is no {name!r} at {energy:g} J: of {len(orbits)} orbits found that turn the {arm} arm that way, "
-            f"{len(hyperbolic)} are hyperbolic; try another energy (`dpcontrol orbit --rotating {arm}` lists them)"
+            f"no {name!r} at {energy:g} J: {len(orbits)} orbits were found that rotate the {arm} arm in this "
+            f"direction, {len(hyperbolic)} of them hyperbolic; try another energy (`dpcontrol orbit --rotating {arm}` "
+            "lists them)"
         )
     return rotating_vertex(hyperbolic[number - 1], name=name)
 
@@ -79,20 +80,25 @@ def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
 def rotating_connections(
     source: LyapunovOrbit, target: LyapunovOrbit, *, section: str | None = None
 ) -> ConnectionSearch:
-    """Find connections between a rotating orbit and a saddle's, either way.
+    """Find connections between a rotating orbit and a saddle orbit, in either direction.
 
-    section: short name of the one to search on; by default the first that the rotating orbit crosses and the other
-    does not, of its arm hanging straight down and both arms aligned. The rotating orbit's tube is followed until it
-    has grown large, and up to three of its crossings longer if it meets nothing there.
+    The tube of the rotating orbit is followed until it is large. If it does not meet the other tube there, up to
+    three later crossings are searched.
+
+    Args:
+        source: orbit that the connections leave.
+        target: orbit that they join.
+        section: short name of the section. The default is the first of "rotating arm straight down" and "arms
+            aligned" that the rotating orbit crosses and the other does not.
 
     Raises:
-        InputError: both rotate, or there is no such section.
+        InputError: both orbits rotate, or no section is suitable.
     """
     lapping = [orbit for orbit in (source, target) if isinstance(orbit, HyperbolicOrbit)]
     if len(lapping) != 1:
         raise InputError(
-            f"{source.saddle} > {target.saddle}: connections are found between a rotating orbit and a saddle's; go by "
-            "way of a saddle"
+            f"{source.saddle} > {target.saddle}: only connections between a rotating orbit and a saddle can be "
+            "searched; go by way of a saddle"
         )
     home = target if lapping[0] is source else source
     searched = _section(lapping[0], home, section)
@@ -103,8 +109,8 @@ def rotating_connections(
         found = find_lap_connections(source, target, section=searched, crossings=(crossing,))
     if found.connections:
         return found
-    never = f"none where {lapping[0].saddle}'s tube crosses {searched.name} for the {first}. to {crossing}. time"
-    return replace(found, status=f"{never}; there may be some later")
+    never = f"none at crossings {first} to {crossing} of {searched.name} by the tube of {lapping[0].saddle}"
+    return replace(found, status=f"{never}; later crossings may have some")
 
 
 def _section(lapping: HyperbolicOrbit, home: LyapunovOrbit, name: str | None) -> Section:
@@ -119,8 +125,8 @@ def _section(lapping: HyperbolicOrbit, home: LyapunovOrbit, name: str | None) ->
         if own_crossings(lapping, section) and not own_crossings(home, section):
             return section
     raise InputError(
-        f"{lapping.saddle} and {home.saddle}: the first must cross the section of their connections itself and the "
-        f"second must not, which holds for none of {', '.join(s.name for s in candidates)}; go by way of another saddle"
+        f"{lapping.saddle} and {home.saddle}: no suitable section among {', '.join(s.name for s in candidates)}: the "
+        "first orbit must cross the section and the second must not; go by way of another saddle"
     )
 
 
@@ -128,9 +134,12 @@ def _section(lapping: HyperbolicOrbit, home: LyapunovOrbit, name: str | None) ->
 class Edges:
     """All connections found at one energy.
 
-    orbits: by saddle; absent: (saddle, reason) where there is none. searched: pairs of saddles whose connections were
-    sought. notes: sentences on searches that may have missed some. named: found for symbols that name them, on other
-    sections or at other hits; no part of the graph.
+    Attributes:
+        energy: J.
+        absent: (saddle, reason) for missing orbits.
+        searched: pairs of saddles searched.
+        notes: sentences on incomplete searches.
+        named: connections on other sections or at other hits, outside the graph.
     """
 
     system: System
@@ -152,7 +161,7 @@ class Edges:
 
     @property
     def known(self) -> tuple[Connection, ...]:
-        """All connections that were found, in the graph or not."""
+        """All connections, including those outside the graph."""
         return (*self.connections, *self.named)
 
     def between(self, source: str, target: str) -> tuple[Connection, ...]:
@@ -164,7 +173,7 @@ class Edges:
         return tuple(c for c in self.connections if c.source.saddle == saddle)
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol walk --json` prints of the graph, the numbers of walks apart."""
+        """Return the graph as printed by `dpcontrol walk --json`, without the counts of walks."""
         return {
             **picked(self, "energy", "saddles", "notes"),
             "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in self.absent],
@@ -180,12 +189,12 @@ class Edges:
         }
 
     def graph(self) -> "nx.MultiDiGraph[str]":
-        """Return the multigraph: orbits as nodes, connections as edges."""
+        """Return the connection graph, with orbits as nodes."""
         return connection_graph(self.orbits.values(), ((c.source.saddle, c.target.saddle, c) for c in self.connections))
 
 
 class TubeCuts:
-    """The cuts of one system's tubes, each made when it is first asked for; seconds: what making them has taken."""
+    """Cuts of one system's tubes, computed on first use; `seconds` is the total computing time."""
 
     def __init__(self, system: System, settings: ConnectionSettings | None = None) -> None:
         self.system, self.settings, self.seconds = system, settings or ConnectionSettings(), 0.0
@@ -193,7 +202,7 @@ class TubeCuts:
         self._manifolds: dict[str, UnstableManifold] = {}
 
     def manifold(self, orbit: LyapunovOrbit) -> UnstableManifold:
-        """Return the local unstable manifold of a saddle's orbit."""
+        """Return the local unstable manifold of an orbit."""
         if orbit.saddle not in self._manifolds:
             self._manifolds[orbit.saddle] = local_manifold(orbit, self.settings.distance)
         return self._manifolds[orbit.saddle]
@@ -214,7 +223,12 @@ class TubeCuts:
 
 @dataclass(frozen=True)
 class PairSearch:
-    """One search between two saddles' orbits; by_reversal: it is another's image under time reversal."""
+    """One search between two saddle orbits.
+
+    Attributes:
+        search: the search's result.
+        by_reversal: True if it is the time-reversed image of another search.
+    """
 
     search: ConnectionSearch
     by_reversal: bool
@@ -228,10 +242,16 @@ class PairSearch:
 def orbits_at(
     system: System, families: Mapping[str, int], energy: float, *, required: bool = False
 ) -> tuple[list[LyapunovOrbit], list[tuple[str, str]]]:
-    """Return the Lyapunov orbits at `energy` of so many families of each saddle, and (saddle, reason) where none is.
+    """Return the Lyapunov orbits at one energy, and (saddle, reason) for missing ones.
+
+    Args:
+        system: dynamical system.
+        families: number of families for each saddle.
+        energy: energy, J.
+        required: raise an error if an orbit does not exist.
 
     Raises:
-        InputError: one is `required` and there is none.
+        InputError: a required orbit does not exist.
     """
     orbits: list[LyapunovOrbit] = []
     absent: list[tuple[str, str]] = []
@@ -252,15 +272,15 @@ def orbits_at(
 
 
 _SEARCHED, _SEARCHED_MOST = 1.0, 60.0
-"""s of a search at the first crossings of both tubes, and at later ones, where tubes scatter, or of a thorough one."""
+"""Duration of a search, s: at the first crossings; at later crossings, where tubes scatter, or if thorough."""
 _HIT_BYTES = 1e8
-"""Bytes that a thorough search keeps for each crossing up to those that count."""
+"""Memory of a thorough search per crossing, bytes."""
 
 
 def searches_cost(
     pairs: Sequence[tuple[str, str]], hits: Sequence[tuple[int, int]], settings: ConnectionSettings
 ) -> Cost:
-    """Return what searching all of `pairs` at all of `hits` may take."""
+    """Estimate the cost of searching all `pairs` at all `hits`."""
     # Opposite pairs are images of one another.
     different = len({frozenset(pair) for pair in pairs})
     each = [_SEARCHED_MOST if max(hit) > 2 or settings.thorough else _SEARCHED * max(hit) for hit in hits]
@@ -279,17 +299,20 @@ def search_pairs(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> list[PairSearch]:
-    """Search the connections between the orbits of `pairs` of saddles at all `hits`, each tube cut once.
+    """Search for connections between pairs of saddles, cutting each tube once.
 
-    yes: however long that takes.
+    Of two opposite pairs, only one is searched if time reversal preserves the section.
 
-    Of two opposite pairs one is searched, the other is its image under time reversal where that keeps the section.
-    until_found: stop with the first of the hits at which a pair has connections.
+    Args:
+        pairs: (source saddle, target saddle).
+        hits: (unstable, stable) crossing numbers.
+        until_found: stop at the first hits with connections.
+        yes: accept any duration.
     """
     if pairs:
         announce(searches_cost(pairs, hits, tubes.settings), yes=yes)
     found: list[PairSearch] = []
-    # An image under time reversal has its hits exchanged: it serves where both are asked for.
+    # Time reversal exchanges the two hits, so an image is usable only if both orders are searched.
     both_ways = all((b, a) in hits for a, b in hits)
     for k, (source, target) in enumerate(pairs):
         opposite = [one.search for one in found if one.pair == (target, source)]
@@ -316,8 +339,8 @@ def search_pairs(
     return found
 
 
-def _doubts(search: ConnectionSearch) -> list[str]:
-    """Return a sentence on what a search may have missed, if it may."""
+def _incomplete(search: ConnectionSearch) -> list[str]:
+    """Return a note on the search if it was incomplete."""
     if search.complete:
         return []
     hits = ".".join(str(cut.hit) for cut in search.cuts)
@@ -334,14 +357,18 @@ def find_edges(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> Edges:
-    """Find the connections at `energy` between all saddles that have orbits there, or between those of `pairs`.
+    """Find the connections between saddle orbits at one energy.
 
-    hits: crossings of the section by the unstable and the stable tube, one search for each; first hits by default.
-    symbols: what else they ask for: connections named on other sections or at other hits, and rotating orbits.
+    Args:
+        energy: J.
+        pairs: (source saddle, target saddle), all by default.
+        hits: (unstable, stable) crossing numbers.
+        symbols: their rotating orbits and named connections are added.
+        yes: accept any duration.
 
     Raises:
-        InputError: no saddle has an orbit at this energy, a saddle of `pairs` or a rotating orbit of `symbols` has
-            none, or a symbol names a section that there is not.
+        InputError: no saddle has an orbit at this energy, an orbit named in `pairs` or `symbols` does not exist, or
+            a symbol names an unknown section.
     """
     wanted = dict.fromkeys(s for pair in pairs for s in pair) if pairs else dict.fromkeys(system.saddles)
     found, absent = orbits_at(system, dict.fromkeys(wanted, 1), energy, required=bool(pairs))
@@ -352,7 +379,7 @@ def find_edges(
     numbers = sorted(set(hits))
     searches = search_pairs(TubeCuts(system), orbits, kinds, numbers, yes=yes, progress=progress)
     progress("connections", 1.0)
-    notes = tuple(note for one in searches if not one.by_reversal for note in _doubts(one.search))
+    notes = tuple(note for one in searches if not one.by_reversal for note in _incomplete(one.search))
     connections = tuple(c for one in searches for c in one.search.connections)
     edges = Edges(system, energy, orbits, tuple(absent), tuple(kinds), connections, notes)
     simple = [s for symbol in symbols for s in symbol.simple]
@@ -360,7 +387,7 @@ def find_edges(
 
 
 def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) -> Edges:
-    """Add the rotating orbits that symbols name, and their connections with the saddles' orbits beside them."""
+    """Add the rotating orbits that symbols name, and their connections with saddle orbits."""
     orbits, searched, connections, notes = dict(edges.orbits), list(edges.searched), list(edges.connections), []
     done: set[tuple[tuple[str, str], str | None]] = set()
     for symbol in symbols:
@@ -370,7 +397,7 @@ def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) 
         for name in pair:
             if is_rotating(name) and name not in orbits:
                 orbits[name] = rotating_named(edges.system, name, edges.energy)
-        # A saddle without an orbit is reported where the symbol is resolved.
+        # A missing saddle orbit is reported when the symbol is resolved.
         if all(name in orbits for name in pair) and (pair, symbol.section) not in done:
             progress(f"connections {pair[0]} > {pair[1]}", 0.0)
             search = rotating_connections(*(orbits[name] for name in pair), section=symbol.section)
@@ -378,7 +405,7 @@ def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) 
             connections += [c for c in search.connections if c.name not in known]
             searched += [pair] * (pair not in searched)
             done.add((pair, symbol.section))
-            # A tube that laps has more crossings than are ever searched.
+            # The tube of a rotating orbit crosses the section without end, so the search is never complete.
             notes.append(f"{pair[0]} → {pair[1]}: {search.status}")
     return replace(
         edges, orbits=orbits, searched=tuple(searched), connections=tuple(connections), notes=(*edges.notes, *notes)
@@ -388,7 +415,7 @@ def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) 
 def _with_named(
     edges: Edges, symbols: Sequence[Symbol], numbers: Sequence[tuple[int, int]], progress: Progress
 ) -> Edges:
-    """Search what a named symbol needs beyond the graph, for its own pair of saddles only."""
+    """Search for connections that symbols name but the graph does not contain."""
     found: list[Connection] = []
     notes: list[str] = []
     searches = [(s.source, s.target, s.hits, s.section) for s in symbols if s.hits is not None]
@@ -405,5 +432,5 @@ def _with_named(
             progress=progress,
         )
         found += search.connections
-        notes += _doubts(search)
+        notes += _incomplete(search)
     return replace(edges, named=tuple(found), notes=(*edges.notes, *notes))

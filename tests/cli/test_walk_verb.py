@@ -259,7 +259,7 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
         ((*LOW, *TURN, "--out", "x"), "--solve"),
         ((*LOW, *TURN, "--precision", "extended"), "--solve"),
         ((*LOW, "--length", "1", "--solve", "--precision", "extended"), "4 walks at most, and here are 8"),
-        ((*LOW, "-s", "down-up > inner-rotating"), "of 0 orbits found that turn the inner arm"),
+        ((*LOW, "-s", "down-up > inner-rotating"), "0 orbits were found that rotate the inner arm"),
         ((*LOW, "-s", "outer-rotating +"), "go by way of a saddle"),
         ((*LOW, "-s", "down-up>down-up[0,1]h1.2:inner@0,0"), "did you mean 'inner-down'?"),
         ((*LOW, "-s", "(down-up +)·1·(up-down +)"), 'put "down-up > up-down" between them'),

@@ -151,7 +151,7 @@ def test_walks_turn_at_a_rotating_orbit_as_often_as_asked(system):
 
 
 def test_rotating_orbits_that_are_not_there_are_told_of(system, edges):
-    with pytest.raises(InputError, match=r"there is no 'inner-rotating' at -0.07 J: of 0 orbits found"):
+    with pytest.raises(InputError, match=r"no 'inner-rotating' at -0.07 J: 0 orbits were found"):
         walk_edges(system, -0.07, "down-up > inner-rotating")
     with pytest.raises(InputError, match="go by way of a saddle"):
         walk_edges(system, -0.07, "outer-rotating +")
