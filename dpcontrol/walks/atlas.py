@@ -143,8 +143,7 @@ class AtlasConnection(ConnectionRecord):
         point (2,): coordinates (q, p/p₀).
         times (F,): since the section crossing, s.
         states (F, N): trajectory at `times`.
-        node_times (K,): of the shooting nodes, s.
-        nodes (K, N): states of the shooting nodes.
+        node_times (K,), nodes (K, N): shooting nodes.
     """
 
     source: str
@@ -163,9 +162,8 @@ class AtlasKind:
     Attributes:
         failed: intersections that did not converge.
         complete: True if none failed and both cuts are closed.
-        open_ends: (tube, branch, (phase, phase), reason) for each gap.
+        open_ends: (tube, branch, (phase, phase), reason) per gap.
         by_reversal: True for a time-reversed image.
-        partial: True if time ran out.
     """
 
     source: str
@@ -186,7 +184,6 @@ class Atlas:
     """The atlas of one model at one energy.
 
     Attributes:
-        energy: J.
         periods (N,): 2π for angles, infinity otherwise.
         reverser (N, N): maps unstable tubes to stable tubes.
         rotating_orbits: forward ones of both arms.

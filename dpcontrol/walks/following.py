@@ -1,8 +1,8 @@
-"""Which connection a symbol stands for as energy changes, and which is the same one at another energy.
+"""Connections followed in energy, and the energies at which a symbol switches between them.
 
-"down-up +" stands for the connection whose tubes meet at the largest angle. Angles change with energy, so that from
-some energy on it may stand for another motion. A connection is followed by continuation, and the energy located at
-which a symbol leaves it.
+The symbol "down-up +" selects the connection whose tubes meet at the largest angle. Angles vary with energy, so the
+symbol may select another motion beyond some energy. Connections are followed by continuation, and each energy at which
+the selection changes is located by bisection.
 """
 
 from collections.abc import Callable
@@ -24,19 +24,22 @@ from dpcontrol.tubes.connections import Connection, find_connections, mirrored, 
 from dpcontrol.walks.symbols import Symbol, choose
 
 _SAME = 1e-4
-"""Scaled distance between one connection's crossings of its section, solved for in two ways."""
+"""Largest scaled distance between two solutions for the same section crossing."""
 _GRID = 6
-"""Steps in which a range of energies is looked at."""
+"""Number of steps in a range of energies."""
 _HALVED = 7
-"""Times that a step is halved to locate a change."""
+"""Number of bisections to locate a change within a step."""
 
 
 @dataclass(frozen=True)
 class SymbolChange:
-    """Where a symbol begins to stand for another connection.
+    """An energy beyond which a symbol selects another connection.
 
-    energy: in J; within: how far it may lie off. before, after: names at the step's ends. ends: whether the connection
-    could not be followed beyond, so that it is not there or has turned; else another one meets at a larger angle.
+    Attributes:
+        energy: J.
+        within: error bound of the energy, J.
+        before, after: connection names.
+        ends: True if the first connection ends there, False if another one has a larger angle.
     """
 
     symbol: str
@@ -48,20 +51,20 @@ class SymbolChange:
 
     @property
     def sentence(self) -> str:
-        """What changes, and where."""
-        why = "the one that it stood for ends there" if self.ends else "another one meets at a larger angle there"
+        """A sentence describing the change."""
+        why = "the previous one ends there" if self.ends else "another one has a larger angle there"
         return (
-            f'"{self.symbol}" stands for another connection beyond {self.energy:.6g} J (±{self.within:.1g}), as {why}: '
-            f"{self.before} before, {self.after} after"
+            f'"{self.symbol}" selects another connection beyond {self.energy:.6g} J (±{self.within:.1g}), because '
+            f"{why}: {self.before} before, {self.after} after"
         )
 
     def document(self) -> dict[str, Any]:
-        """Return the change with the keys that `dpcontrol walk --compare --json` prints."""
+        """Return the change in the format of `dpcontrol walk --compare --json`."""
         return fields_of(SymbolChange, self)
 
 
 class SymbolBranches:
-    """The connections that an unnamed symbol between two saddles chooses from, at any energy; searches are kept."""
+    """Candidates of an unnamed symbol between two saddles at any energy; searches are cached."""
 
     def __init__(self, system: System, symbol: Symbol) -> None:
         if symbol.parts or (symbol.source, symbol.target) not in system.sections:
@@ -74,7 +77,7 @@ class SymbolBranches:
         return Sweep(self.system, self.symbol.source, self.symbol.target, 1, SweepSettings())
 
     def connections(self, energy: float) -> tuple[Connection, ...]:
-        """Return all that are found at an energy, empty where an orbit is missing."""
+        """Return all connections found at an energy (J); none if an orbit is missing."""
         if energy not in self._found:
             try:
                 orbits = orbits_between(self.system, self.symbol.source, self.symbol.target, energy)
@@ -84,14 +87,14 @@ class SymbolBranches:
         return self._found[energy]
 
     def chosen(self, energy: float) -> Connection | None:
-        """Return the connection that the symbol stands for, None where there is none."""
+        """Return the connection that the symbol selects at an energy (J), if any."""
         try:
             return choose(self.symbol, self.connections(energy))
         except InputError:
             return None
 
     def followed(self, connection: Connection, energy: float) -> Connection | None:
-        """Return the connection at an energy that another one becomes, None where it cannot be followed so far."""
+        """Return the continuation of a connection to another energy (J), None if it ends before."""
         begin = connection.source.energy
         for image in _images(connection):
             point = self._point(image, begin)
@@ -123,7 +126,7 @@ class SymbolBranches:
         return None
 
     def changes(self, low: float, high: float, *, progress: Progress = no_progress) -> tuple[SymbolChange, ...]:
-        """Return where the symbol begins to stand for another connection between two energies, from `low` on."""
+        """Return the changes of the selected connection from energy `low` to `high`, J."""
         grid, found = np.linspace(low, high, _GRID + 1).tolist(), []
         for k, (begin, end) in enumerate(pairwise(grid)):
             progress(f"{self.symbol.text} at {begin:.4g} J", k / _GRID)
@@ -149,13 +152,13 @@ class SymbolBranches:
         return tuple(found)
 
     def _keeps(self, connection: Connection, energy: float) -> bool:
-        """Whether the symbol stands at an energy for what a connection becomes there."""
+        """Return True if the symbol still selects the continuation of `connection`."""
         followed, chosen = self.followed(connection, energy), self.chosen(energy)
         return followed is not None and chosen is not None and followed.name == chosen.name
 
 
 def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[float, float]:
-    """Return the last place found where a property holds and the first where it does not, from one to the other."""
+    """Return the bracket of a change by bisection; the property holds at `low` only."""
     for _ in range(_HALVED):
         middle = (low + high) / 2
         low, high = (middle, high) if holds(middle) else (low, middle)
@@ -163,6 +166,6 @@ def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[f
 
 
 def _images(connection: Connection) -> tuple[Connection, ...]:
-    """Return a connection and, where there is one, its mirror image: sweeps find one of both."""
+    """Return a connection with its mirror image, if it has one; sweeps find only one of them."""
     own = connection.orbit.start.manifold.half_turn is not None
     return (connection, mirrored(connection)) if own else (connection,)

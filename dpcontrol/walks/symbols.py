@@ -1,15 +1,15 @@
-"""Walks: lists of symbols, each standing for one connection.
+"""Walks as lists of symbols, each of which denotes one connection.
 
-A symbol is written in one of four ways:
+There are four kinds of symbols:
 
-    "down-up +"              a homoclinic of Down-Up whose turning arm turns forward (-: backward)
-    "down-up > up-down"      a heteroclinic; "down-up > up-down -" asks for a sense
-    a connection's own name  as `dpcontrol connect` lists it, on any section and at any hits
-    "(A)·2·(B)"              an edge grown from a walk: symbols in brackets, and the wraps between them
+    "down-up +"              a homoclinic connection of Down-Up whose arm turns forward (-: backward)
+    "down-up > up-down"      a heteroclinic connection; "down-up > up-down -" also gives the sense
+    a connection's name      as listed by `dpcontrol connect`, on any section and at any hits
+    "(A)·2·(B)"              a composite edge: symbols in brackets, with the wraps between them
 
-The first two stand for one connection each: among those of the sense asked for, the symmetric ones if there are any,
-and of these the most transversal. A connection in a grown edge may be a grown edge again; its full name begins like any
-connection's, with source, target, winding and hits: "down-up>down-up[0,0]h1.2@(A)·2·(B)".
+The first two kinds select one connection of the given sense. Symmetric connections take precedence, then the largest
+transversality angle. Composite edges may contain other composite edges. Their full names begin with source, target,
+winding and hits: "down-up>down-up[0,0]h1.2@(A)·2·(B)".
 """
 
 import re
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from dpcontrol.tubes.connections import Connection
 
 _PREFIX = re.compile(r"^(?:(?P<source>[\w-]+)>(?P<target>[\w-]+)\[[-\d,]+\]h\d+\.\d+(?::[\w-]+)?@)?(?=\()")
-# People may leave out the dots, which few keyboards have.
+# The dots are optional, because few keyboards have them.
 _WRAPS = re.compile(r"^(?:\s*·\s*|\s+)(\d+)(?:\s*·\s*|\s+)(?=\()")
 
 
 def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
-    """Return what a grown edge is made of, from its connections' names and the wraps between them."""
+    """Return the text of a composite edge from its connections' names and wraps."""
     parts = [f"({walk[0]})"]
     for name, count in zip(walk[1:], wraps, strict=True):
         parts.append(f"·{count}·({name})")
@@ -39,9 +39,10 @@ def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
 
 
 def components(name: str) -> tuple[tuple[str, ...], tuple[int, ...]] | None:
-    """Return (connections' names, wraps between them) of a grown edge's name, full or only what it is made of.
+    """Return the connections' names and wraps of a composite edge, None for other names.
 
-    None for any other name.
+    Args:
+        name: text of the edge, with or without source, target, winding and hits.
     """
     prefix = _PREFIX.match(name)
     if prefix is None:
@@ -68,7 +69,7 @@ def components(name: str) -> tuple[tuple[str, ...], tuple[int, ...]] | None:
 
 
 def ends(name: str) -> tuple[str, str] | None:
-    """Return the (source, target) with which a grown edge's full name begins; None where it says only its parts."""
+    """Return (source, target) of a composite edge's full name, None if it lists only the parts."""
     prefix = _PREFIX.match(name)
     return None if prefix is None or prefix["source"] is None else (prefix["source"], prefix["target"])
 
@@ -83,10 +84,14 @@ _NUMBERED = re.compile(r"(?<=-rotating)(-back)?-[2-9]$")
 
 @dataclass(frozen=True)
 class Symbol:
-    """What a symbol asks for. sense +1, -1 or None (either); name, hits and section, where one connection is named.
+    """A parsed symbol.
 
-    section: its short name, None for the saddles' own. parts, wraps: of a grown edge, its own symbols and the wraps
-    between them.
+    Attributes:
+        sense: +1, -1 or None (either).
+        name: connection's name, if given.
+        section: short name, None for the saddles' default.
+        parts: symbols of a composite edge.
+        wraps: wraps between the parts.
     """
 
     text: str
@@ -101,27 +106,29 @@ class Symbol:
 
     @property
     def simple(self) -> tuple["Symbol", ...]:
-        """The symbol itself, or of a grown edge the symbols at the bottom of it."""
+        """The symbol itself, or the elementary symbols of a composite edge."""
         return tuple(s for part in self.parts for s in part.simple) if self.parts else (self,)
 
 
 MOST_NESTED = 20
-"""Brackets within brackets in a symbol: each is an edge grown from walks of others."""
+"""Largest depth of nested brackets in a symbol."""
 
 
 def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
-    """Read one symbol.
+    """Parse one symbol.
 
-    saddles: names of the orbits that may be left and joined; of rotating ones the others, "outer-rotating-2", go along.
+    Args:
+        text: the symbol.
+        saddles: allowed orbit names; "outer-rotating" also allows "outer-rotating-2" and so on.
 
     Raises:
-        InputError: the text is not a symbol, or names a saddle that is not among `saddles`.
+        InputError: the text is not a symbol, or an orbit is not in `saddles`.
     """
     if not isinstance(text, str):
-        raise InputError(f"a symbol is a text such as 'down-up +', not {type(text).__name__}")
+        raise InputError(f"a symbol must be text such as 'down-up +', not {type(text).__name__}")
     text = text.strip()
     if "(" in text and np.cumsum([(c == "(") - (c == ")") for c in text]).max() > MOST_NESTED:
-        raise InputError(f"{text[:60]!r}…: symbols in brackets may be nested {MOST_NESTED} deep at most")
+        raise InputError(f"{text[:60]!r}…: brackets may be nested at most {MOST_NESTED} deep")
     if components(text) is not None:
         return _grown(text, saddles)
     named = _NAME.match(text)
@@ -140,10 +147,10 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
             same = {one.casefold(): one for one in saddles}.get(saddle.casefold())
             if same is not None:
                 raise InputError(f"{text!r}: the case of letters matters; write {text.replace(saddle, same)!r}")
-            raise InputError(f"{text!r} names {saddle!r}, which has no tubes; choose from {', '.join(saddles)}")
+            raise InputError(f"{text!r}: {saddle!r} has no tubes; choose from {', '.join(saddles)}")
     sense = {"+": 1, "-": -1, None: None}[parts.get("sense")]
     if not named and source == target and sense is None:
-        raise InputError(f'{text!r} does not say which way to turn; write "{source} +" or "{source} -"')
+        raise InputError(f'{text!r} has no direction of rotation; write "{source} +" or "{source} -"')
     hits = (int(parts["out"]), int(parts["in"])) if named else None
     return Symbol(text, source, target, sense, text if named else None, hits, parts.get("section"))
 
@@ -155,20 +162,20 @@ def _grown(text: str, saddles: Sequence[str]) -> Symbol:
         parts = parse_walk(made_of[0], saddles)
     except InputError as error:
         raise InputError(f"{text!r}: {error}") from error
-    own, said = (parts[0].source, parts[-1].target), ends(text)
-    if said not in (None, own):
-        raise InputError(f"{text!r}: what it is made of leads from {own[0]} to {own[1]}")
-    return Symbol(text, *own, None, None if said is None else text, parts=parts, wraps=made_of[1])
+    own, stated = (parts[0].source, parts[-1].target), ends(text)
+    if stated not in (None, own):
+        raise InputError(f"{text!r}: the symbols in brackets lead from {own[0]} to {own[1]}")
+    return Symbol(text, *own, None, None if stated is None else text, parts=parts, wraps=made_of[1])
 
 
 def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ...]:
-    """Read a walk and check that each symbol starts where the one before it ends.
+    """Parse a walk, in which each symbol must start where the previous one ends.
 
     Raises:
-        InputError: no symbols, a text that is not a symbol, or a walk that is not connected.
+        InputError: the walk is empty or not connected, or a text is not a symbol.
     """
     if not texts:
-        raise InputError("walk = []: a walk has at least one symbol")
+        raise InputError("walk = []: must have at least one symbol")
     symbols = tuple(parse_symbol(text, saddles) for text in texts)
     for k, (before, after) in enumerate(pairwise(symbols), start=1):
         if before.target != after.source:
@@ -180,9 +187,11 @@ def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ..
 
 
 def expanded(symbols: Sequence[Symbol], wraps: Sequence[int]) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Return the texts and wraps of a walk with its grown edges, if any, written out as the walks that they are.
+    """Return the texts and wraps of a walk with all composite edges expanded.
 
-    wraps: one between each two symbols, and perhaps one more after the last.
+    Args:
+        symbols: the walk.
+        wraps: one count between neighbouring symbols, and one more if the walk closes.
     """
     texts: list[str] = []
     counts: list[int] = []
@@ -194,22 +203,22 @@ def expanded(symbols: Sequence[Symbol], wraps: Sequence[int]) -> tuple[tuple[str
 
 
 def choose(symbol: Symbol, connections: "Sequence[Connection]") -> "Connection":
-    """Return the connection that a symbol stands for.
+    """Return the connection that a symbol selects.
 
     Raises:
-        InputError: no connection fits; says what there is instead.
+        InputError: no connection matches.
     """
     if symbol.name is not None:
         for connection in connections:
             if connection.name == symbol.name:
                 return connection
-        known = ", ".join(sorted(c.name for c in connections)) or "none"
-        raise InputError(f"no connection is named {symbol.name!r} at this energy; there are: {known}")
+        names = ", ".join(sorted(c.name for c in connections)) or "none"
+        raise InputError(f"no connection is named {symbol.name!r} at this energy; available: {names}")
     fitting = [c for c in connections if symbol.sense is None or c.sense == symbol.sense]
     if not fitting:
         raise InputError(
-            f"{symbol.text!r}: no such connection at this energy; `dpcontrol connect` lists those there are"
+            f"{symbol.text!r}: no such connection at this energy; `dpcontrol connect` lists the available ones"
         )
     symmetric = [c for c in fitting if c.symmetric] or fitting
-    # Mirror images have the same angle up to rounding; of those the positive sense is taken.
+    # Mirror images have the same angle up to rounding; the positive sense takes precedence.
     return max(symmetric, key=lambda c: (round(c.transversality_angle, 6), c.sense, c.name))

@@ -153,7 +153,7 @@ def test_wraps_beyond_all_bounds_and_symbols_nested_two_hundred_deep_are_refused
     nested = dpcontrol(*walk, "-s", 200 * "(" + "down-up +" + 200 * ")")
     assert (endless.code, nested.code) == (2, 2)
     assert "--wraps: a number of too many digits" in endless.message
-    assert "may be nested 20 deep at most" in nested.message
+    assert "may be nested at most 20 deep" in nested.message
 
 
 def test_names_as_long_as_the_system_allows_are_written_and_cached(shipped_text: dict[str, str]) -> None:

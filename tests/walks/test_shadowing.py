@@ -123,7 +123,7 @@ def test_a_connection_can_be_named(turns):
 
 
 def test_a_name_of_another_energy_is_refused_with_those_that_exist(turns):
-    with pytest.raises(InputError, match=r"no connection is named .* there are: down-up>down-up"):
+    with pytest.raises(InputError, match=r"no connection is named .* available: down-up>down-up"):
         choose(parse_symbol("down-up>down-up[0,1]h1.1@9.0000,9.0000", SADDLES), turns)
 
 
@@ -134,7 +134,7 @@ def test_a_name_of_another_energy_is_refused_with_those_that_exist(turns):
         (["down-up"], "is not a symbol"),
         (["down-up *"], "is not a symbol"),
         (["up-up +"], "has no tubes; choose from down-up, up-down"),
-        (["down-up > down-up"], "does not say which way to turn"),
+        (["down-up > down-up"], "has no direction of rotation"),
         (["down-up +", "up-down +"], 'ends at down-up, symbol 2 .* put "down-up > up-down" between'),
     ],
 )
