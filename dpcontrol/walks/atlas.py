@@ -1,4 +1,4 @@
-"""Atlases: all Lyapunov orbits at one energy, the cuts of their tubes and their connections.
+"""Atlases of Lyapunov orbits, tube cuts and connections at one energy.
 
 The records hold numbers only, so an atlas read from a file equals the computed one. The state has length N, in units
 of the model: rad and rad/s for arms, normalised units for three bodies.
@@ -87,7 +87,7 @@ class AtlasPoint:
 
 @dataclass(frozen=True)
 class AtlasOrbit(OrbitRecord):
-    """A Lyapunov orbit with samples (M, N) at equally spaced phases, starting at zero."""
+    """A Lyapunov orbit with samples (M, N) at equally spaced phases."""
 
     samples: Array
 
@@ -104,14 +104,17 @@ class AtlasRotatingOrbit(RotatingRecord):
 
 @dataclass(frozen=True)
 class AtlasPiece(Piece):
-    """One connected piece of a tube's cut, with the points (K, 2) of its time-reversed image on the stable tube."""
+    """One connected piece of a tube's cut.
+
+    `stable_points` (K, 2) are those of its time-reversed image on the stable tube.
+    """
 
     stable_points: Array
 
 
 @dataclass(frozen=True)
 class AtlasCut:
-    """The cut of an orbit's unstable tube at the `hit`-th crossing of a section.
+    """The cut of an unstable tube at the `hit`-th section crossing.
 
     Attributes:
         open_ends: (branch, (phase, phase), reason) for each gap.
@@ -157,7 +160,7 @@ class AtlasConnection(ConnectionRecord):
 
 @dataclass(frozen=True)
 class AtlasKind:
-    """Outcome of the search for one kind of connection (source, target and hits).
+    """Outcome of a search for given source, target and hits.
 
     Attributes:
         failed: intersections that did not converge.
@@ -211,7 +214,7 @@ class Atlas:
 
     @property
     def turn_lengths(self) -> Array:
-        """Length (N,) of a whole turn of each coordinate, zero unless it is an angle."""
+        """Length (N,) of a whole turn of angles, zero for other coordinates."""
         return np.where(np.isfinite(self.periods), self.periods, 0.0)
 
     @property
@@ -239,7 +242,7 @@ class Atlas:
         raise InputError(f"the atlas of {self.model} holds no crossing {hit} of {section} by the tube of {saddle}")
 
     def turned(self, states: Array, saddle: str) -> Array:
-        """Map states (…, N) of a saddle's unstable tube to its stable tube."""
+        """Map states (…, N) of the unstable tube to the stable tube."""
         centre = next(point.state for point in self.points if point.name == saddle)
         return (states - centre) @ self.reverser.T + centre
 
@@ -269,7 +272,7 @@ class Atlas:
 
 
 def section_axes(section: Section, periods: Array) -> tuple[str, float | None]:
-    """Return the name of a section's coordinate q and its period (None unless periodic)."""
+    """Return the name and period (or None) of a section's coordinate."""
     coordinate = int(np.argmax(np.abs(section.position)))
     angular = np.isfinite(periods).any()
     name = f"θ{'₁₂₃₄₅₆'[coordinate]}" if angular else "xyz"[coordinate]

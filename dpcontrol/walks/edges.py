@@ -1,4 +1,4 @@
-"""The connection graph at one energy: periodic orbits and the connections between them.
+"""The connection graph of periodic orbits at one energy.
 
 The graph contains the orbits of all saddles. A rotating orbit is added if a walk names it, for example
 "outer-rotating" or "inner-rotating-back-2". The name consists of the rotating arm, "-back" for clockwise rotation, and
@@ -80,7 +80,7 @@ def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
 def rotating_connections(
     source: LyapunovOrbit, target: LyapunovOrbit, *, section: str | None = None
 ) -> ConnectionSearch:
-    """Find connections between a rotating orbit and a saddle orbit, in either direction.
+    """Find connections between a rotating orbit and a saddle orbit.
 
     The tube of the rotating orbit is followed until it is large. If it does not meet the other tube there, up to
     three later crossings are searched.
@@ -173,7 +173,7 @@ class Edges:
         return tuple(c for c in self.connections if c.source.saddle == saddle)
 
     def document(self) -> dict[str, Any]:
-        """Return the graph as printed by `dpcontrol walk --json`, without the counts of walks."""
+        """Return the graph in the format of `dpcontrol walk --json`."""
         return {
             **picked(self, "energy", "saddles", "notes"),
             "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in self.absent],
@@ -194,7 +194,7 @@ class Edges:
 
 
 class TubeCuts:
-    """Cuts of one system's tubes, computed on first use; `seconds` is the total computing time."""
+    """Cuts of tubes, computed on first use in `seconds` altogether."""
 
     def __init__(self, system: System, settings: ConnectionSettings | None = None) -> None:
         self.system, self.settings, self.seconds = system, settings or ConnectionSettings(), 0.0
@@ -210,7 +210,7 @@ class TubeCuts:
     def cut(
         self, orbit: LyapunovOrbit, section: Section, hit: int, *, budget: Budget, progress: Progress = no_progress
     ) -> Cut:
-        """Return the cut of an orbit's unstable tube at the `hit`-th crossing of a section."""
+        """Return the cut of a tube at the `hit`-th section crossing."""
         key = (orbit.saddle, section.name, hit)
         if key not in self.made:
             began = time.perf_counter()
@@ -242,7 +242,7 @@ class PairSearch:
 def orbits_at(
     system: System, families: Mapping[str, int], energy: float, *, required: bool = False
 ) -> tuple[list[LyapunovOrbit], list[tuple[str, str]]]:
-    """Return the Lyapunov orbits at one energy, and (saddle, reason) for missing ones.
+    """Return the Lyapunov orbits, and (saddle, reason) for missing ones.
 
     Args:
         system: dynamical system.
@@ -387,7 +387,7 @@ def find_edges(
 
 
 def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) -> Edges:
-    """Add the rotating orbits that symbols name, and their connections with saddle orbits."""
+    """Add the rotating orbits that symbols name, and their connections."""
     orbits, searched, connections, notes = dict(edges.orbits), list(edges.searched), list(edges.connections), []
     done: set[tuple[tuple[str, str], str | None]] = set()
     for symbol in symbols:

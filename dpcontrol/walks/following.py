@@ -1,4 +1,4 @@
-"""Connections followed in energy, and the energies at which a symbol switches between them.
+"""Continuation of connections in energy, and changes of the selected connection.
 
 The symbol "down-up +" selects the connection whose tubes meet at the largest angle. Angles vary with energy, so the
 symbol may select another motion beyond some energy. Connections are followed by continuation, and each energy at which
@@ -64,7 +64,7 @@ class SymbolChange:
 
 
 class SymbolBranches:
-    """Candidates of an unnamed symbol between two saddles at any energy; searches are cached."""
+    """Connections that match a symbol at any energy, with cached searches."""
 
     def __init__(self, system: System, symbol: Symbol) -> None:
         if symbol.parts or (symbol.source, symbol.target) not in system.sections:
@@ -77,7 +77,7 @@ class SymbolBranches:
         return Sweep(self.system, self.symbol.source, self.symbol.target, 1, SweepSettings())
 
     def connections(self, energy: float) -> tuple[Connection, ...]:
-        """Return all connections found at an energy (J); none if an orbit is missing."""
+        """Return the connections at an energy (J), none without both orbits."""
         if energy not in self._found:
             try:
                 orbits = orbits_between(self.system, self.symbol.source, self.symbol.target, energy)
@@ -87,14 +87,14 @@ class SymbolBranches:
         return self._found[energy]
 
     def chosen(self, energy: float) -> Connection | None:
-        """Return the connection that the symbol selects at an energy (J), if any."""
+        """Return the connection selected at an energy (J), or None."""
         try:
             return choose(self.symbol, self.connections(energy))
         except InputError:
             return None
 
     def followed(self, connection: Connection, energy: float) -> Connection | None:
-        """Return the continuation of a connection to another energy (J), None if it ends before."""
+        """Return the connection continued to another energy (J), or None."""
         begin = connection.source.energy
         for image in _images(connection):
             point = self._point(image, begin)
@@ -126,7 +126,7 @@ class SymbolBranches:
         return None
 
     def changes(self, low: float, high: float, *, progress: Progress = no_progress) -> tuple[SymbolChange, ...]:
-        """Return the changes of the selected connection from energy `low` to `high`, J."""
+        """Return the changes of selection from energy `low` to `high`, J."""
         grid, found = np.linspace(low, high, _GRID + 1).tolist(), []
         for k, (begin, end) in enumerate(pairwise(grid)):
             progress(f"{self.symbol.text} at {begin:.4g} J", k / _GRID)
@@ -158,7 +158,7 @@ class SymbolBranches:
 
 
 def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[float, float]:
-    """Return the bracket of a change by bisection; the property holds at `low` only."""
+    """Return the bracket of a change, found by bisection."""
     for _ in range(_HALVED):
         middle = (low + high) / 2
         low, high = (middle, high) if holds(middle) else (low, middle)
@@ -166,6 +166,6 @@ def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[f
 
 
 def _images(connection: Connection) -> tuple[Connection, ...]:
-    """Return a connection with its mirror image, if it has one; sweeps find only one of them."""
+    """Return a connection and its mirror image; sweeps find only one."""
     own = connection.orbit.start.manifold.half_turn is not None
     return (connection, mirrored(connection)) if own else (connection,)

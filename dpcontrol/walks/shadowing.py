@@ -1,14 +1,16 @@
-"""The orbit that shadows a walk: it follows the connections in order and wobbles at each stop as often as asked.
+"""Shadowing orbits, which follow a walk with given wraps at each stop.
 
-At a stop between connections A and B the orbit stays near the periodic orbit for (N + f) periods T, f the phase gap
-from A's arrival to B's departure (mod 1) and N = round((Δt - time_in of A - time_out of B)/T - f) the wraps. The guess
-follows A to the middle of the stop and B from there, where both are within 1e-3 λ^(-N/2) of the periodic orbit; it is
-tiled, never integrated. Multiple shooting refines it: between the local manifolds of the first and last periodic
-orbits, or closed.
+At a stop between connections A and B, the orbit stays near the periodic orbit for N + f periods T. Here f is the phase
+gap from A's arrival to B's departure (mod 1), and N is the number of wraps,
 
-How few wraps suffice (the theorem's M_k) is found for the walk at hand: it is tried with none; where no orbit is found,
-the stops beside the symbol at fault are given one more, until there is one; then each stop that was raised is lowered
-again as far as the orbit allows.
+    N = round((Δt - time_in of A - time_out of B)/T - f).
+
+The initial guess follows A to the middle of the stop and B afterwards. Both are within 1e-3 λ^(-N/2) of the periodic
+orbit there. The guess is assembled from samples without integration. Multiple shooting refines it, either between the
+local manifolds of the first and last periodic orbits or as a closed orbit.
+
+The minimum number of wraps (M_k in the theorem) is found for each walk, starting from zero. After a failure, one wrap
+is added at the stops next to the failed symbol. Finally, each increased count is reduced as far as possible.
 
 Source: Kaheman et al. (2023), theorem 4.1, made constructive.
 """
@@ -37,9 +39,11 @@ from dpcontrol.tubes.connections import Connection
 
 @dataclass(frozen=True)
 class ShadowingSettings:
-    """segments: shooting nodes per period of the stop's orbit.
+    """Settings of the search for shadowing orbits.
 
-    amplitude: scaled distance at which the ends leave their orbits; what the local manifold leaves out is its square.
+    Attributes:
+        segments: shooting nodes per period of the stop's orbit.
+        amplitude: scaled distance of the ends from their orbits. The error of the local manifold is its square.
     """
 
     segments: int = 8
@@ -48,24 +52,28 @@ class ShadowingSettings:
 
 
 def phase_gap(before: Connection, after: Connection) -> float:
-    """Return f in [0, 1): the phase from the arrival of one connection to the departure of the next."""
+    """Return the phase in [0, 1) from one arrival to the next departure."""
     return (after.phase_out - before.phase_in) % 1.0
 
 
 def passage(before: Connection, after: Connection, wraps: int) -> float:
-    """Return the time in s between the crossings of two connections' sections at a stop with that many wraps.
+    """Return the time (s) between two connections' section crossings.
 
-    Phases on the local manifolds are asymptotic, so both connections wobble in step there; the published phase_in and
-    phase_out are those of the nearest point at a distance of 1e-3, off by about as much.
+    It uses the asymptotic phases on the local manifolds. The attributes phase_in and phase_out refer to the nearest
+    point at a distance of 1e-3, and differ from them by about as much.
+
+    Args:
+        before, after: connections on either side of the stop.
+        wraps: number of wraps at the stop.
     """
     since, until = _asymptotic_phases(before, after)
     return (until - since + stop_rounds(before, after, wraps)) * before.target.period
 
 
 def stop_rounds(before: Connection, after: Connection, wraps: int) -> int:
-    """Return by how many whole periods the phase of one connection is ahead of the next one's, at the same time.
+    """Return a connection's phase lead over the next one in whole periods.
 
-    At a stop that turns, each of them puts the next connection a turn farther on.
+    At a rotating orbit, each period shifts the next connection by one turn.
     """
     since, until = _asymptotic_phases(before, after)
     goal = (before.time_in + after.time_out) / before.target.period + wraps + phase_gap(before, after)
@@ -73,7 +81,7 @@ def stop_rounds(before: Connection, after: Connection, wraps: int) -> int:
 
 
 def _asymptotic_phases(before: Connection, after: Connection) -> tuple[float, float]:
-    """Return the phases, at the crossings of their sections, of the orbit that two connections join and leave."""
+    """Return the stop's asymptotic phases at the section crossings of two connections."""
     period = before.target.period
     arrival, departure = before.orbit.end, after.orbit.start
     since = arrival.orbit_phase - float(before.orbit.times[-1]) / period
@@ -82,23 +90,28 @@ def _asymptotic_phases(before: Connection, after: Connection) -> tuple[float, fl
 
 
 class Strands:
-    """Connections sampled from their sections on, at a fixed number of nodes per period, once for all walks."""
+    """Samples of connections at equal steps, shared by all walks."""
 
     def __init__(self, segments: int) -> None:
         self.segments = segments
         self._kept: dict[tuple[str, float, int], Array] = {}
 
     def states(self, connection: Connection, sign: int, count: int) -> tuple[Array, float]:
-        """Return states (count + 1, N) at whole steps after the section (sign -1: before), and the step in s.
+        """Return states (count + 1, N) from the section, and the step (s).
 
-        The step is a fixed part of the period of the target (sign -1: source) orbit.
+        The step is a fixed fraction of the period of the target (sign -1: source) orbit.
+
+        Args:
+            connection: sampled connection.
+            sign: +1 after the section, -1 before it.
+            count: number of steps.
         """
         period = (connection.target if sign > 0 else connection.source).period
         step = period / self.segments
         key = (connection.name, connection.source.energy, sign)
         kept = self._kept.get(key)
         if kept is None or len(kept) <= count:
-            # A period more than asked: longer stays with the same connection come next.
+            # One extra period, because longer stays with the same connection usually follow.
             kept = connection.orbit.sample(sign * step * np.arange(count + self.segments + 1.0))
             self._kept[key] = kept
         return kept[: count + 1], step
@@ -112,7 +125,7 @@ def first_guess(
     settings: ShadowingSettings | None = None,
     strands: Strands | None = None,
 ) -> Guess:
-    """Return the nodes from which a walk's orbit is sought: strands of its connections, joined in mid-stop."""
+    """Return the initial guess: samples of connections, joined in mid-stop."""
     settings = settings or ShadowingSettings()
     strands = strands if strands is not None and strands.segments == settings.segments else Strands(settings.segments)
     system = chain[0].source.system
@@ -139,7 +152,7 @@ def first_guess(
             ends.append(replace(end, turns=tuple(float(t) for t in np.asarray(end.turns) + offsets[k])))
         if k > 0:
             joints.append(len(durations))
-            # The joint takes up what whole steps leave of the stay.
+            # The joint lasts for the rest of the stay, after whole steps.
             durations.append(_joint(chain[k - 1], connection, stays[k - 1], settings))
         markers[len(owners) + back] = _level(connection, shift)
         states += [before[::-1] + shift, after[1:] + shift]
@@ -166,7 +179,7 @@ def first_guess(
 
 
 def lattice_offsets(chain: Sequence[Connection], wraps: Sequence[int]) -> Array:
-    """Return whole turns (k + 1, N) by which each connection, and the final orbit, is lifted."""
+    """Return the offsets (k + 1, N) of the lifts in whole turns."""
     offsets = np.zeros((len(chain) + 1, chain[0].source.system.dimension))
     for k, connection in enumerate(chain):
         offsets[k + 1] = offsets[k]
@@ -178,7 +191,7 @@ def lattice_offsets(chain: Sequence[Connection], wraps: Sequence[int]) -> Array:
 
 
 def _count(connection: Connection, sign: int, stay: float | None, settings: ShadowingSettings) -> int:
-    """Return how many nodes a connection gives before (sign -1) or after its section: to mid-stop, or to its end."""
+    """Return the number of nodes from section to mid-stop or end."""
     orbit, flight = (connection.target, connection.time_in) if sign > 0 else (connection.source, connection.time_out)
     step = orbit.period / settings.segments
     if stay is not None:
@@ -190,14 +203,14 @@ def _count(connection: Connection, sign: int, stay: float | None, settings: Shad
 
 
 def _joint(before: Connection, after: Connection, stay: float, settings: ShadowingSettings) -> float:
-    """Return the time in s between the last node of one connection and the first of the next: one to three steps."""
+    """Return the time (s) between two connections, one to three steps."""
     step = before.target.period / settings.segments
     counts = _count(before, +1, stay, settings) + _count(after, -1, stay, settings)
     return before.time_in + stay + after.time_out - counts * step
 
 
 def _level(connection: Connection, shift: Array) -> tuple[Array, float]:
-    """Return the normal and the value of normal · x on a connection's lifted section."""
+    """Return the normal of a lifted section and its level normal · x."""
     section = connection.section
     normal = np.asarray(section.normal)
     return normal, section.level(connection.state) + float(normal @ shift)
@@ -205,12 +218,16 @@ def _level(connection: Connection, shift: Array) -> tuple[Array, float]:
 
 @dataclass(frozen=True)
 class ShadowingOrbit:
-    """An orbit on one energy that realises a walk; time runs from 0 to `duration` s.
+    """An orbit that realises a walk from time 0 to `duration` s.
 
-    symbol_times (k,): s at which each symbol crosses its section. wraps: one for each stop, k - 1 of them, or k if
-    periodic (the last from the last symbol back to the first); wraps_realised: counted on the result. offsets: whole
-    turns (k + 1, N) added to each symbol's lift, the last that of the final orbit's. orbit: its nodes. fault: index of
-    the symbol that failed, None where none did.
+    A walk of k symbols has k - 1 stops, or k if periodic. The last stop then leads back to the first symbol.
+
+    Attributes:
+        symbol_times (k,): section crossings, s.
+        wraps: requested wraps at each stop.
+        wraps_realised: counted on the result.
+        offsets (k + 1, N): whole turns of each symbol and the final orbit.
+        fault: index of the failed symbol, or None.
     """
 
     walk: tuple[str, ...]
@@ -232,22 +249,22 @@ class ShadowingOrbit:
 
     @property
     def periodic(self) -> bool:
-        """Whether the walk closes."""
+        """True if the walk is closed."""
         return self.orbit.closed
 
     @property
     def residual(self) -> float:
-        """The largest gap at a node (rad, rad/s)."""
+        """The largest defect at a node (rad, rad/s)."""
         return self.orbit.residual
 
     @property
     def converged(self) -> bool:
-        """Whether Newton's method converged, and to the walk that was asked for."""
+        """True if Newton's method converged to the requested walk."""
         return self.orbit.converged
 
     @property
     def status(self) -> str:
-        """A sentence on how the search ended."""
+        """A sentence describing the outcome of the search."""
         return self.orbit.status
 
     def sample(self, times: Array) -> Array:
@@ -256,9 +273,11 @@ class ShadowingOrbit:
 
 
 def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:
-    """Count the wraps at each stop from the times (s,) between the crossings of its two sections.
+    """Return the number of wraps at each stop.
 
-    Stop k lies between connections k and k + 1; as many stops as connections close the walk.
+    Args:
+        connections: the walk. Stop k lies between connections k and k + 1.
+        stays (s,): time between the section crossings on either side of each stop, s.
     """
     counts = []
     for k, seconds in enumerate(stays):
@@ -279,15 +298,18 @@ def shadow(
     strands: Strands | None = None,
     rivals: Sequence[Connection] = (),
 ) -> ShadowingOrbit:
-    """Return the orbit that follows `connections`, with `wraps[k]` wobbles after connection k.
+    """Return the orbit that follows `connections` in order.
 
-    lead_in and lead_out are the wobbles on the first orbit before the first connection leaves it, and on the last.
-    periodic: the walk closes, with one more stop (and wrap count) from its last connection to its first. rivals: other
-    connections that an orbit with too few wraps might follow instead; strands: kept samples, shared between walks.
+    Args:
+        wraps: number of periods at each stop.
+        lead_in: periods on the first orbit.
+        lead_out: periods on the last orbit.
+        periodic: close the walk with one more stop.
+        rivals: other connections that the orbit might follow by mistake.
 
     Raises:
-        InputError: not one wrap count for each stop, a negative count, connections of different energies, or a
-            periodic walk whose end is not its start.
+        InputError: a wrong number of wraps, a negative wrap count, different energies, or a periodic walk with
+            different ends.
     """
     settings = settings or ShadowingSettings()
     chain = tuple(connections)
@@ -298,9 +320,15 @@ def shadow(
 
 
 def walk_of_one(connection: Connection, text: str, *, lead_in: int = 2, lead_out: int = 2) -> ShadowingOrbit:
-    """Return the walk of one symbol, `text`, that a connection is by itself; nothing is solved, and no error estimated.
+    """Return a single connection as the walk of one symbol, without solving.
 
-    For connections that exist at their own energy only: the equations of a walk keep the energy.
+    This is for connections that exist at one energy only. No error is estimated.
+
+    Args:
+        connection: the connection.
+        text: its symbol.
+        lead_in: periods on the first orbit.
+        lead_out: periods on the last orbit.
     """
     begin = connection.time_out + lead_in * connection.source.period
     ends = np.zeros((2, len(connection.state)))
@@ -335,7 +363,7 @@ def described(
     leads: tuple[int, int] = (2, 2),
     rivals: Sequence[Connection] = (),
 ) -> ShadowingOrbit:
-    """Return a solved shot as the orbit of its walk: its times, what it realises, and its error estimate."""
+    """Return a solved shot as a shadowing orbit with its error estimate."""
     guess, orbit = shot.guess, shot.orbit
     periodic = guess.closed
     nodes = np.array(sorted(guess.markers))
@@ -387,7 +415,7 @@ def _strays(
     realised: tuple[int, ...],
     wraps: tuple[int, ...],
 ) -> tuple[int, str] | None:
-    """Return (symbol, sentence) where a converged orbit is not the one that was asked for, None where it is."""
+    """Return (symbol index, reason) if the orbit follows another walk."""
     system = shot.guess.system
     for k, (connection, node) in enumerate(zip(chain, nodes, strict=True)):
         state = shot.orbit.states[node] - offsets[k] * system.turn_lengths
@@ -399,17 +427,17 @@ def _strays(
                 connection.winding,
                 connection.section,
             )
-            # The walk's own connection is among the rivals, so equal distances are fine.
+            # The rivals include the walk's own connection, so equal distances are allowed.
             if same_kind and _apart(system, state, rival.state) < own:
                 return k, (
-                    f"symbol {k + 1} of {len(chain)}: converged, but the orbit follows {rival.name} there instead of "
-                    f"{connection.name}: ask for more wraps beside it"
+                    f"symbol {k + 1} of {len(chain)}: converged, but the orbit follows {rival.name} instead of "
+                    f"{connection.name}: use more wraps next to it"
                 )
-    for k, (count, asked) in enumerate(zip(realised, wraps, strict=True)):
-        if count != asked:
+    for k, (count, requested) in enumerate(zip(realised, wraps, strict=True)):
+        if count != requested:
             return k, (
                 f"symbol {k + 1} of {len(chain)}: converged, but with wraps {list(realised)} instead of {list(wraps)}: "
-                "ask for more wraps"
+                "use more wraps"
             )
     return None
 
@@ -422,19 +450,19 @@ MOST_WRAPS = 1_000_000
 
 
 def check_stops(chain: Sequence[Connection], wraps: Sequence[int] | None, *, periodic: bool) -> int:
-    """Return how many stops a walk has, one more if it closes.
+    """Return the number of stops, one more for a closed walk.
 
     Raises:
-        InputError: not one wrap count for each stop, or a periodic walk whose end is not its start.
+        InputError: a wrong number of wraps, or a periodic walk with different ends.
     """
     stops = len(chain) if periodic else len(chain) - 1
     if periodic and chain[0].source.saddle != chain[-1].target.saddle:
         raise InputError(
             f"the walk starts at {chain[0].source.saddle} and ends at {chain[-1].target.saddle}: a periodic walk "
-            "ends where it starts"
+            "must end where it starts"
         )
     if wraps is not None and len(wraps) != stops:
-        kind = "stops, as it closes" if periodic else f"interior stop{'s' if stops != 1 else ''}"
+        kind = "stops if closed" if periodic else f"interior stop{'s' if stops != 1 else ''}"
         raise InputError(
             f"wraps = {list(wraps)}: a walk of {len(chain)} symbols has {stops} {kind}; give one integer for each"
         )
@@ -443,7 +471,7 @@ def check_stops(chain: Sequence[Connection], wraps: Sequence[int] | None, *, per
 
 def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, lead_out: int, periodic: bool) -> None:
     if not chain:
-        raise InputError("walk = []: a walk has at least one symbol")
+        raise InputError("walk = []: must have at least one symbol")
     check_stops(chain, wraps, periodic=periodic)
     for name, values in (("wraps", wraps), ("lead_in", (lead_in,)), ("lead_out", (lead_out,))):
         for value in values:
@@ -455,20 +483,23 @@ def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, le
     energies = {c.source.energy for c in chain}
     if len(energies) > 1:
         raise InputError(
-            f"the walk mixes energies {sorted(energies)} J: one orbit keeps one energy; join references of different "
+            f"the walk mixes energies {sorted(energies)} J: an orbit has constant energy; join references of different "
             "energies instead"
         )
 
 
 MOST = 12
-"""Wraps at one stop beyond which fewer are not the reason for failure: λ^-12 is below rounding for λ > 20."""
+"""Largest number of wraps tried at a stop; λ^-12 is below rounding for λ > 20."""
 
 
 @dataclass
 class WalkSolver:
-    """Solves walks of one graph, and remembers the least wraps seen between each pair of neighbours.
+    """Solver for the walks of one graph.
 
-    rivals: all connections of the graph, which an orbit might follow instead of its own.
+    It stores the fewest wraps found between neighbouring symbols.
+
+    Attributes:
+        rivals: all connections of the graph, to detect orbits that follow another one.
     """
 
     rivals: Sequence[Connection]
@@ -476,7 +507,7 @@ class WalkSolver:
     least_seen: dict[tuple[str, str], int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Make room for the samples that walks share."""
+        """Create the samples that all walks share."""
         self._strands = Strands(self.settings.segments)
 
     def solve(
@@ -488,10 +519,10 @@ class WalkSolver:
         lead_in: int = 2,
         lead_out: int = 2,
     ) -> ShadowingOrbit:
-        """Return the orbit of a walk with the wraps asked for; where it fails, the status names the least that work.
+        """Return the orbit of a walk with the given wraps.
 
         Raises:
-            InputError: wraps that do not fit the walk.
+            InputError: the wraps do not match the walk.
         """
         orbit = shadow(
             chain,
@@ -504,16 +535,16 @@ class WalkSolver:
             rivals=self.rivals,
         )
         if orbit.converged:
-            self._remember(orbit)
+            self._store_wraps(orbit)
         return orbit
 
     def least(self, chain: Sequence[Connection], *, periodic: bool = False) -> tuple[int, ...]:
-        """Return the fewest wraps at each stop with which the walk's orbit is found.
+        """Return the fewest wraps at each stop that give an orbit.
 
-        Fewest stop by stop: none of them can be lowered alone.
+        No single count can be reduced further.
 
         Raises:
-            GoalMissed: no number of wraps up to MOST suffices; names the symbol at fault.
+            GoalMissed: up to MOST wraps do not suffice; the message names the failed symbol.
         """
         count = len(chain) if periodic else len(chain) - 1
         wraps, failed = [0] * count, self.solve(chain, [0] * count, periodic=periodic)
@@ -535,16 +566,16 @@ class WalkSolver:
         return tuple(wraps)
 
     def advice(self, orbit: ShadowingOrbit) -> str:
-        """Return a sentence on the least wraps of a walk that failed, if fewer wraps are its fault."""
+        """Return a sentence on the fewest wraps of a failed walk."""
         try:
             least = self.least(orbit.connections, periodic=orbit.periodic)
         except GoalMissed as error:
             return str(error)
-        if any(asked < enough for asked, enough in zip(orbit.wraps, least, strict=True)):
-            return f"wraps {list(orbit.wraps)} are too few: the least that work are {list(least)}"
+        if any(given < enough for given, enough in zip(orbit.wraps, least, strict=True)):
+            return f"wraps {list(orbit.wraps)} are too few: at least {list(least)} are necessary"
         return f"wraps {list(least)} work where {list(orbit.wraps)} do not"
 
-    def _remember(self, orbit: ShadowingOrbit) -> None:
+    def _store_wraps(self, orbit: ShadowingOrbit) -> None:
         chain = orbit.connections
         for k, count in enumerate(orbit.wraps):
             pair = (chain[k].name, chain[(k + 1) % len(chain)].name)
@@ -552,7 +583,7 @@ class WalkSolver:
 
 
 def _stops_beside(orbit: ShadowingOrbit, count: int, periodic: bool) -> set[int]:
-    """Return the stops on both sides of the symbol at fault."""
+    """Return the stops next to the failed symbol."""
     fault = orbit.fault or 0
     if periodic:
         return {(fault - 1) % count, fault}

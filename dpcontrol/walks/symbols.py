@@ -31,7 +31,7 @@ _WRAPS = re.compile(r"^(?:\s*·\s*|\s+)(\d+)(?:\s*·\s*|\s+)(?=\()")
 
 
 def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
-    """Return the text of a composite edge from its connections' names and wraps."""
+    """Return the text of a composite edge from names and wraps."""
     parts = [f"({walk[0]})"]
     for name, count in zip(walk[1:], wraps, strict=True):
         parts.append(f"·{count}·({name})")
@@ -39,7 +39,7 @@ def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
 
 
 def components(name: str) -> tuple[tuple[str, ...], tuple[int, ...]] | None:
-    """Return the connections' names and wraps of a composite edge, None for other names.
+    """Return the names and wraps of a composite edge, or None.
 
     Args:
         name: text of the edge, with or without source, target, winding and hits.
@@ -69,7 +69,7 @@ def components(name: str) -> tuple[tuple[str, ...], tuple[int, ...]] | None:
 
 
 def ends(name: str) -> tuple[str, str] | None:
-    """Return (source, target) of a composite edge's full name, None if it lists only the parts."""
+    """Return (source, target) of a composite edge's full name, or None."""
     prefix = _PREFIX.match(name)
     return None if prefix is None or prefix["source"] is None else (prefix["source"], prefix["target"])
 
@@ -169,7 +169,7 @@ def _grown(text: str, saddles: Sequence[str]) -> Symbol:
 
 
 def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ...]:
-    """Parse a walk, in which each symbol must start where the previous one ends.
+    """Parse a walk and check that its symbols are connected.
 
     Raises:
         InputError: the walk is empty or not connected, or a text is not a symbol.
@@ -187,7 +187,7 @@ def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ..
 
 
 def expanded(symbols: Sequence[Symbol], wraps: Sequence[int]) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Return the texts and wraps of a walk with all composite edges expanded.
+    """Return the texts and wraps with all composite edges expanded.
 
     Args:
         symbols: the walk.

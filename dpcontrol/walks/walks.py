@@ -1,15 +1,13 @@
-"""Walks on the connection graph: resolved from symbols, listed, counted, drawn at random.
+"""Walks on the connection graph: resolve, list, count, draw, solve and save.
 
-Counting and uniform drawing use powers of the matrix that holds the number of connections between saddles.
+Counting and uniform sampling use powers of the matrix that holds the number of connections between saddles.
 
-An orbit that shadows a walk is itself a connection, and may be an edge of longer walks: the theorem is iterative. It
-leaves the walk's first orbit, joins its last, and winds by the sum of its symbols' windings. Its section is the one
-of its first symbol; where it crosses that, its time is zero. Whatever lies between the first and the last symbol is
-part of the flight in: the edge arrives when it comes near its last orbit after its last symbol.
+A shadowing orbit is itself a connection and can serve as an edge of longer walks, so the theorem is iterative. It
+leaves the walk's first orbit and joins the last one, and its winding is the sum of its symbols' windings. Its section
+is that of its first symbol, and its time is zero at this crossing. The part between the first and last symbols
+belongs to its arrival, which ends when it comes near the last orbit after its last symbol.
 
 Source: Kaheman et al. (2023), theorem 4.1.
-
-Last, walks of a model at an energy as `dpcontrol walk` asks for them: drawn, given wraps, solved, kept in files.
 """
 
 import time
@@ -42,20 +40,20 @@ from dpcontrol.walks.edges import Edges, is_rotating, rotating_names
 from dpcontrol.walks.shadowing import MOST_WRAPS, ShadowingOrbit, WalkSolver, check_stops, walk_of_one
 from dpcontrol.walks.symbols import Symbol, choose, composed, parse_walk
 
-_FAR = 0.05  # scaled; between two stops an orbit is farther off than this, and once it has joined an orbit never again
-_MIRRORED = 1e-7  # scaled; states are good to 1e-11, and orbits that nearly mirror each other are farther apart
+_FAR = 0.05  # scaled distance; exceeded between two stops, but not after the arrival at the last orbit
+_MIRRORED = 1e-7  # scaled distance; above the error of states (1e-11), below the distance of near mirror images
 
 
 def as_connection(orbit: ShadowingOrbit) -> Connection:
-    """Return a converged open shadowing orbit as a connection, to be an edge of other walks.
+    """Return a converged open shadowing orbit as an edge for other walks.
 
     Raises:
-        InputError: the orbit is periodic, or has not converged.
+        InputError: the orbit is periodic or has not converged.
     """
     if orbit.periodic:
-        raise InputError("a periodic orbit connects nothing: only an open walk becomes an edge of the graph")
+        raise InputError("the orbit is periodic: only an open walk can become an edge of the graph")
     if not orbit.converged:
-        raise InputError(f"only an orbit that has converged becomes an edge of the graph: {orbit.status}")
+        raise InputError(f"the orbit has not converged and cannot become an edge of the graph: {orbit.status}")
     first, last = orbit.connections[0], orbit.connections[-1]
     source, target, section = first.source, last.target, first.section
     system = source.system
@@ -63,7 +61,7 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
     whole = replace(orbit.orbit, times=orbit.orbit.times - orbit.symbol_times[0])
     state = whole.states[nodes[0]]
     winding = tuple(int(k) for k in orbit.offsets[-1][: len(first.winding)])
-    # The mirror image of an orbit starts where its original ends: at the last symbol. In between it may still differ.
+    # The mirror image starts at the last symbol of the original. It may still differ between the ends.
     stay = float(orbit.symbol_times[-1] - orbit.symbol_times[0])
     along = whole.sample(np.linspace(0.0, stay, 1 + 16 * (len(orbit.walk) - 1)))
     symmetric = source.saddle == target.saddle and any(
@@ -76,7 +74,7 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
     curve = OrbitCurve(target)
     since = _last_far(whole, curve)
     time_in, phase_in = approach(replace(whole, times=whole.times - since), curve, +1, near)
-    # Beyond there an orbit that crosses the section itself would count its laps.
+    # Outside this span, an orbit that crosses the section itself would add its laps to the count.
     since_left = -time_out if source.laps else float(whole.times[0])
     till_joined = since + time_in if target.laps else float(whole.times[-1])
     hits = section_hits(whole, section, (since_left, till_joined))
@@ -103,9 +101,9 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
 
 
 def _last_far(orbit: ShootingOrbit, curve: OrbitCurve) -> float:
-    """Return the last time in s, zero or later, at which a connecting orbit is far from its last periodic orbit.
+    """Return the last nonnegative time (s) far from the final orbit.
 
-    Not the time of the last symbol's own section: the symbol may be a grown edge, with stops after it.
+    The last symbol's section crossing is too early if the symbol is a composite edge with later stops.
     """
     last = float(orbit.times[-1])
     grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 50))))
@@ -116,16 +114,20 @@ def _last_far(orbit: ShootingOrbit, curve: OrbitCurve) -> float:
 def section_hits(
     orbit: ShootingOrbit, section: Section, span: tuple[float, float], *, per_segment: int = 40
 ) -> tuple[int, int]:
-    """Return (n_u, n_s): which crossing of the lifted section lies at time zero, counted forward and backward.
+    """Return (n_u, n_s), the crossing number of time zero from both ends.
 
-    span: times in s between which crossings count.
+    Args:
+        orbit: orbit that crosses the lifted section.
+        section: the section.
+        span: time interval in which crossings count, s.
+        per_segment: samples per shooting segment.
     """
     shares = np.linspace(0.0, 1.0, per_segment, endpoint=False)
     within = orbit.times[:-1, None] + np.diff(orbit.times)[:, None] * shares
     grid = np.append(within.ravel(), orbit.times[-1])
     grid = grid[(grid >= span[0]) & (grid <= span[1])]
     states = orbit.sample(grid)
-    # The crossing at time zero lies on a node, to rounding on either side of the section.
+    # The crossing at time zero lies on a node, so rounding decides its side of the section.
     where = [k for k in np.flatnonzero(np.diff(section.sheets(states))) if section.admits(states[k])]
     spacing = float(np.diff(grid).max())
     before = sum(1 for k in where if grid[k + 1] < -spacing / 2)
@@ -134,10 +136,14 @@ def section_hits(
 
 
 def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
-    """Return the angle in degrees, in (q, p/p₀), at which the end orbits' manifolds cross along an open orbit.
+    """Return the angle (deg) between the manifolds in (q, p/p₀).
 
-    node: one on the first symbol's section. The unstable manifold's tangent is carried there from the first node, the
-    stable one's from the last, through the segments' state-transition matrices; each draws its own neighbours in.
+    State-transition matrices propagate the unstable tangent forward from the first node and the stable tangent backward
+    from the last node. Both propagations are contracting in direction.
+
+    Args:
+        orbit: open shadowing orbit.
+        node: index of a node on the first symbol's section.
     """
     shot = orbit.shot
     section, system = orbit.connections[0].section, shot.guess.system
@@ -155,7 +161,7 @@ def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
 
 
 def _on_section(system: System, section: Section, state: Array, tangent: Array) -> Array:
-    """Return a tangent (N,) along the flow to the section, in its coordinates (q, p/p₀)."""
+    """Project a tangent (N,) along the flow onto section coordinates (q, p/p₀)."""
     rate, normal = system.numeric.rate(state), np.asarray(section.normal)
     across = tangent - rate * (normal @ tangent) / (normal @ rate)
     momentum = np.asarray(section.momentum) @ (system.numeric.momentum_jacobian(state) @ across)
@@ -168,17 +174,22 @@ Walk = tuple[Connection, ...]
 def symmetric_walk(
     walk: Sequence[str], search: SymmetricSearch, *, energy: float | None = None, lead_in: int = 2, lead_out: int = 2
 ) -> ShadowingOrbit:
-    """Return the walk of three arms that is one symbol, such as "down-down-up +" or a connection's name.
+    """Return a walk of one symbol for three arms.
 
-    energy: of several connections that fit the one nearest to it is taken, or else the lowest.
+    Args:
+        walk: one symbol, such as "down-down-up +" or a connection's name.
+        search: symmetric connections found.
+        energy: selects the nearest matching connection, J; the lowest by default.
+        lead_in: periods on the first orbit.
+        lead_out: periods on the last orbit.
 
     Raises:
-        InputError: a walk of more symbols, or one that no connection fits.
+        InputError: the walk has several symbols, or no connection matches.
     """
     if len(walk) != 1:
         raise InputError(
-            f"walk = {list(walk)}: three arms' connections exist each at its own energy, and so do not follow one "
-            "another; give each symbol a walk of its own"
+            f"walk = {list(walk)}: connections of three arms exist at different energies and cannot follow one "
+            "another; give each symbol as a separate walk"
         )
     (symbol,) = parse_walk(walk, [search.saddle])
     both = [image for one in search.connections for image in (one, mirror_image(one))]
@@ -186,26 +197,26 @@ def symmetric_walk(
     if not fits:
         others = f" ({', '.join(one.name for one in both)})" if both else ""
         raise InputError(
-            f"{walk[0]!r} fits no symmetric connection, {search.status}{others}; `dpcontrol connect --energies` lists "
-            "those of any range"
+            f"{walk[0]!r} matches no symmetric connection, {search.status}{others}; `dpcontrol connect --energies` "
+            "lists those in any range"
         )
     nearest = min(fits, key=lambda one: one.source.energy if energy is None else abs(one.source.energy - energy))
     return walk_of_one(nearest, walk[0], lead_in=lead_in, lead_out=lead_out)
 
 
 def resolve(texts: Sequence[str], edges: Edges) -> Walk:
-    """Return the connections that the symbols of a walk stand for.
+    """Return the connections that the symbols of a walk select.
 
     Raises:
-        InputError: a text that is not a symbol, a walk that is not connected, or a connection that does not exist
-            at this energy; with the reason and the nearest walk that exists.
-        GoalMissed: the walk of a grown edge has no orbit with those wraps.
+        InputError: a text is not a symbol, the walk is not connected, or a connection does not exist at this energy.
+            The message gives the reason and the nearest existing walk.
+        GoalMissed: a composite edge has no orbit with its wraps.
     """
     symbols = parse_walk(texts, vertex_names(edges.system))
     if edges.system.dimension == 6:
         raise InputError(
-            "three arms' connections exist each at its own energy: find them with `dpcontrol connect --energies`, and "
-            "fly one in an itinerary, such as third-turn"
+            "connections of three arms exist at different energies: find them with `dpcontrol connect --energies`, and "
+            "use one in an itinerary, such as third-turn"
         )
     chain: list[Connection] = []
     for k, symbol in enumerate(symbols, start=1):
@@ -221,16 +232,16 @@ def resolve(texts: Sequence[str], edges: Edges) -> Walk:
 
 
 def vertex_names(system: System) -> list[str]:
-    """Return the names of the orbits that a walk may stop at: those of saddles, and rotating ones."""
+    """Return the names of possible stops, saddles and rotating orbits."""
     return [*system.saddles, *rotating_names(system)]
 
 
 def _connection(symbol: Symbol, edges: Edges) -> Connection:
-    """Return the connection that a symbol stands for; a grown edge is solved for.
+    """Return the connection that a symbol selects; composite edges are solved.
 
     Raises:
-        InputError: there is none.
-        GoalMissed: a grown edge's walk has no orbit with its wraps.
+        InputError: no connection matches.
+        GoalMissed: a composite edge has no orbit with its wraps.
     """
     if symbol.parts:
         solver = WalkSolver(edges.known)
@@ -239,7 +250,7 @@ def _connection(symbol: Symbol, edges: Edges) -> Connection:
             raise GoalMissed(f"{orbit.status}; {solver.advice(orbit)}")
         edge = as_connection(orbit)
         if symbol.name not in (None, edge.name):
-            raise InputError(f"no edge is named {symbol.name!r}: what it is made of makes {edge.name!r}")
+            raise InputError(f"no edge is named {symbol.name!r}: its symbols give {edge.name!r}")
         return edge
     pair = (symbol.source, symbol.target)
     candidates = edges.between(*pair)
@@ -257,33 +268,33 @@ def _connection(symbol: Symbol, edges: Edges) -> Connection:
 
 
 def _nearest(symbols: Sequence[Symbol], edges: Edges) -> str:
-    """Return a sentence that names the nearest walk that exists: through the same stops, or as many as possible."""
+    """Describe the existing walk with as many of the stops as possible."""
     stops = [symbols[0].source, *(s.target for s in symbols)]
     left = [stop for stop in stops if stop in edges.orbits]
-    # A walk that must lose stops loses its end; where none of it exists, any connection is nearer than none.
+    # Stops are dropped from the end; as a last resort, any connection between them is offered.
     tries = [left[:count] for count in range(len(left), 1, -1)]
     tries += sorted(edges.searched, key=lambda pair: -len(set(pair) & set(stops)))
     for wanted in tries:
         with suppress(InputError):
-            return "; the nearest walk that exists is " + ", ".join(f"{c.name!r}" for c in through(wanted, edges))
+            return "; the nearest existing walk is " + ", ".join(f"{c.name!r}" for c in through(wanted, edges))
     return ""
 
 
 def ways(stops: Sequence[str]) -> tuple[Symbol, ...]:
-    """Return symbols that ask for the ways between stops, any connection of each."""
+    """Return symbols for any connection between each two successive stops."""
     return tuple(Symbol(f"{a} > {b}", a, b, None, None) for a, b in pairwise(stops))
 
 
 def through(stops: Sequence[str], edges: Edges) -> Walk:
-    """Return the shortest walk that visits saddles in order, each step by its most transversal symmetric connection.
+    """Return the shortest walk that visits saddles in order.
 
-    A stop that follows itself asks for a homoclinic connection.
+    Each step uses the most transversal connection, preferably symmetric. A repeated stop gives a homoclinic connection.
 
     Raises:
-        InputError: fewer than two stops, an unknown saddle, or no way from one to the next.
+        InputError: fewer than two stops, an unknown saddle, or no path between successive stops.
     """
     if len(stops) < 2:
-        raise InputError(f"stops = {list(stops)}: a walk needs two at least, where it starts and where it ends")
+        raise InputError(f"stops = {list(stops)}: must have at least two, for the start and the end")
     graph = edges.graph()
     chain: list[Connection] = []
     for stop in stops:
@@ -303,7 +314,7 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
 
 
 def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
-    """Return the saddles and how many connections lead from each to each, as whole numbers of any size."""
+    """Return the saddles and the matrix of connection counts."""
     names = list(edges.orbits)
     counts = np.zeros((len(names), len(names)), dtype=object)
     for c in edges.connections:
@@ -312,7 +323,7 @@ def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
 
 
 def count_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> int:
-    """Return how many walks of `length` symbols there are (from `source`, to `target`).
+    """Return the number of walks of `length` symbols (from `source`, to `target`).
 
     Raises:
         InputError: a length below one, or a saddle without an orbit.
@@ -340,7 +351,7 @@ def all_walks(edges: Edges, length: int, *, source: str | None = None, target: s
 
 
 def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, periodic: bool = False) -> Walk:
-    """Draw one of all walks of `length` symbols (of those that close, if periodic), each as likely as any other.
+    """Draw a walk of `length` symbols (closed if periodic) with uniform probability.
 
     Raises:
         InputError: a length below one, or no such walk.
@@ -351,7 +362,7 @@ def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, pe
     onward = np.ones(len(names), dtype=object)
     first = np.array([powers[length][k, k] if periodic else (powers[length] @ onward)[k] for k in range(len(names))])
     if not first.sum():
-        text = f"there is no {'closed ' if periodic else ''}walk of {length} symbols at {edges.energy:g} J"
+        text = f"no {'closed ' if periodic else ''}walk of {length} symbols exists at {edges.energy:g} J"
         raise InputError(edges.system.worded(text))
     at = start = _drawn(first, generator)
     chain: list[Connection] = []
@@ -366,7 +377,7 @@ def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, pe
 
 
 def _drawn(weights: NDArray[np.object_], generator: np.random.Generator) -> int:
-    """Draw an index with probability proportional to whole-number weights of any size."""
+    """Draw an index with probability proportional to integer weights of any size."""
     total = weights.sum()
     shares = np.array([float(weight / total) for weight in weights])
     return int(generator.choice(len(shares), p=shares / shares.sum()))
@@ -374,7 +385,7 @@ def _drawn(weights: NDArray[np.object_], generator: np.random.Generator) -> int:
 
 def _check(edges: Edges, length: int, source: str | None, target: str | None) -> None:
     if length < 1:
-        raise InputError(f"length = {length}: a walk has at least one symbol")
+        raise InputError(f"length = {length}: must be at least one symbol")
     for saddle in (source, target):
         if saddle is not None and saddle not in edges.orbits:
             reasons = [why for name, why in edges.absent if name == saddle]
@@ -382,17 +393,22 @@ def _check(edges: Edges, length: int, source: str | None, target: str | None) ->
 
 
 def is_closed(chain: Sequence[Connection]) -> bool:
-    """Tell whether a walk ends where it starts."""
+    """Return True if a walk ends where it starts."""
     return chain[0].source.saddle == chain[-1].target.saddle
 
 
 FORMAT = 1
-"""Raised whenever the file of a walk's orbit changes its meaning."""
+"""Version of the file format of a walk's orbit."""
 
 
 @dataclass(frozen=True)
 class WalkRequest:
-    """A walk to be made: its connections and either its wraps or how many to add to the least that suffice."""
+    """A walk to solve.
+
+    Attributes:
+        wraps: at each stop, or None for the fewest possible.
+        extra: wraps added to the fewest possible.
+    """
 
     chain: Walk
     periodic: bool
@@ -402,16 +418,19 @@ class WalkRequest:
     lead_out: int = 2
 
     def document(self) -> dict[str, Any]:
-        """Return what is known before it is solved."""
+        """Return the request's fields of the JSON output."""
         return {"walk": [c.name for c in self.chain], "wraps": self.wraps, "periodic": self.periodic}
 
 
 @dataclass(frozen=True)
 class WalkAnswer:
-    """What came of a request. least: the fewest wraps that suffice; orbit: None where not even these were found.
+    """Result of a walk request.
 
-    refined: the orbit in extended precision, where that was asked for and `orbit` converged. seconds: what the orbit
-    with the wraps asked for took; the search for the least is apart.
+    Attributes:
+        least: fewest sufficient wraps.
+        orbit: None if no number of wraps suffices.
+        seconds: solution time, s, without the search for the fewest wraps.
+        refined: orbit in extended precision, if requested.
     """
 
     request: WalkRequest
@@ -423,12 +442,12 @@ class WalkAnswer:
 
     @property
     def converged(self) -> bool:
-        """Whether the orbit that was asked for was found, in the precision asked for."""
+        """True if the orbit converged in the requested precision."""
         found = self.orbit is not None and self.orbit.converged
         return found and (self.refined is None or self.refined.converged)
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol walk --solve --json` says about it."""
+        """Return the document printed by `dpcontrol walk --solve --json`."""
         orbit, refined = self.orbit, self.refined
         own = ("wraps", "wraps_realised", "residual", "duration")
         found: dict[str, Any] = dict.fromkeys(own) if orbit is None else picked(orbit, *own)
@@ -445,7 +464,7 @@ class WalkAnswer:
             document["edge"] = composed(orbit.walk, orbit.wraps)
         document |= {"symbol_times": orbit.symbol_times, "certificate": _estimate(orbit)}
         if refined is not None:
-            # Digits as strings take the place of doubles; times count from the first symbol's section.
+            # Strings of digits replace doubles; times start at the first symbol's section.
             document |= {
                 "precision": "extended",
                 "state": refined.digits,
@@ -469,7 +488,14 @@ def drawn_requests(
     periodic: bool,
     leads: tuple[int, int] = (2, 2),
 ) -> list[WalkRequest]:
-    """Draw `count` walks with lengths and extra wraps (both ends included) from a seeded generator.
+    """Draw `count` walks with random lengths and extra wraps.
+
+    Args:
+        lengths: inclusive range of lengths.
+        extra: inclusive range of wraps added to the fewest possible.
+        seed: of the random generator.
+        periodic: draw closed walks.
+        leads: periods on the first and last orbits.
 
     Raises:
         InputError: an empty range, or no such walk at this energy.
@@ -477,7 +503,7 @@ def drawn_requests(
     for name, (low, high), least in (("lengths", lengths, 1), ("extra wraps", extra, 0)):
         if not least <= low <= high <= MOST_WRAPS:
             raise InputError(
-                f"{name} {low} to {high}: must be two whole numbers from {least} to {MOST_WRAPS:,}, the smaller first"
+                f"{name} {low} to {high}: must be two whole numbers from {least} to {MOST_WRAPS:,} in ascending order"
             )
     generator = np.random.default_rng(seed)
     requests = []
@@ -493,24 +519,32 @@ def drawn_requests(
 def request(
     chain: Walk, *, wraps: Sequence[int] | None, extra: int, periodic: bool, leads: tuple[int, int] = (2, 2)
 ) -> WalkRequest:
-    """Return the request for one walk: with `wraps`, or `extra` more than the least at each stop.
+    """Return a request with given wraps or `extra` above the fewest.
 
     Raises:
-        InputError: not one wrap count for each stop, or a periodic walk whose end is not its start.
+        InputError: a wrong number of wraps, or a periodic walk with different ends.
     """
     stops = check_stops(chain, wraps, periodic=periodic)
     return WalkRequest(chain, periodic, None if wraps is None else tuple(wraps), (extra,) * stops, *leads)
 
 
 _DRAWN, _SOLVED_SYMBOL, _SOLVED_WRAP, _TRIED = 5e-4, 0.05, 0.01, 0.002
-"""s: what a symbol takes to draw, a symbol and a wrap to solve, and each pair of symbols where the fewest wraps that
-suffice are sought: stop after stop is raised, and all solved again."""
+"""Time, s: to draw a symbol, to solve a symbol, to solve a wrap, and to find the fewest wraps per pair of symbols. The
+last term is quadratic because each increase of a count requires a new solution."""
 _NODES, _NODE_BYTES = 8, 7_000.0
-"""Nodes of an orbit in each period, and bytes that each of them takes to solve for."""
+"""Nodes per period of an orbit, and memory per node in bytes."""
 
 
 def walks_cost(count: int, *, symbols: int, wraps: int, solve: bool, key: str) -> Cost:
-    """Return what walks will take, each of so many symbols and wraps in all; key: what asked for them."""
+    """Estimate the cost of walks.
+
+    Args:
+        count: number of walks.
+        symbols: symbols of each walk.
+        wraps: total wraps of each walk.
+        solve: include the solution of the orbits.
+        key: name of the option that sets the cost.
+    """
     seconds, memory = _DRAWN * count * symbols, 200.0 * count * symbols
     work = f"{count:,} walk{'s' if count > 1 else ''} of up to {symbols:,} symbols"
     if not solve:
@@ -521,37 +555,42 @@ def walks_cost(count: int, *, symbols: int, wraps: int, solve: bool, key: str) -
 
 
 def solved(requests: Sequence[WalkRequest], solver: WalkSolver) -> Iterator[WalkAnswer]:
-    """Solve one request after the other."""
+    """Solve the requests in order."""
     if requests:
-        # What is compiled, and sampled, once for all is not the first walk's time.
+        # One-off compilation and sampling should not count towards the first walk's time.
         solver.solve(requests[0].chain[:1], ())
-    for asked in requests:
-        yield _answer(asked, solver)
+    for one in requests:
+        yield _solve_request(one, solver)
 
 
-def _answer(asked: WalkRequest, solver: WalkSolver) -> WalkAnswer:
+def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
     least: tuple[int, ...] | None = None
-    wraps = asked.wraps
+    wraps = request.wraps
     if wraps is None:
         try:
-            least = solver.least(asked.chain, periodic=asked.periodic)
+            least = solver.least(request.chain, periodic=request.periodic)
         except GoalMissed as error:
-            return WalkAnswer(asked, None, None, 0.0, str(error))
-        wraps = tuple(n + more for n, more in zip(least, asked.extra, strict=True))
+            return WalkAnswer(request, None, None, 0.0, str(error))
+        wraps = tuple(n + more for n, more in zip(least, request.extra, strict=True))
     began = time.perf_counter()
-    orbit = solver.solve(asked.chain, wraps, periodic=asked.periodic, lead_in=asked.lead_in, lead_out=asked.lead_out)
+    orbit = solver.solve(request.chain, wraps, periodic=request.periodic, lead_in=request.lead_in, lead_out=request.lead_out)
     seconds = time.perf_counter() - began
     status = orbit.status if orbit.converged else f"{orbit.status}; {solver.advice(orbit)}"
-    return WalkAnswer(asked, least, orbit, seconds, status)
+    return WalkAnswer(request, least, orbit, seconds, status)
 
 
 def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Exact]) -> WalkAnswer:
-    """Return the answer with its orbit refined in 113-bit arithmetic; as it is where there is no orbit.
+    """Return the result with its orbit, if any, refined in 113-bit arithmetic.
 
-    energy, parameters (p,): exact values. seconds stay those of the orbit in double precision.
+    The attribute `seconds` still refers to the orbit in double precision.
+
+    Args:
+        answer: result in double precision.
+        energy: exact value, J.
+        parameters (p,): exact values.
 
     Raises:
-        GoalMissed: the periodic orbit at an end cannot be refined, or there are no 113-bit reals on this machine.
+        GoalMissed: a periodic orbit cannot be refined, or the machine has no 113-bit floating-point type.
     """
     if answer.orbit is None or not answer.converged:
         return answer
@@ -560,7 +599,7 @@ def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Ex
 
 
 def _estimate(orbit: ShadowingOrbit) -> dict[str, Any] | None:
-    """Return the error estimate's numbers; of a periodic orbit also its multipliers, as natural logarithms."""
+    """Return the error estimate, with logarithms of a periodic orbit's Floquet multipliers."""
     estimate = orbit.estimate
     if estimate is None:
         return None
@@ -572,12 +611,16 @@ def _estimate(orbit: ShadowingOrbit) -> dict[str, Any] | None:
 
 
 def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: ExtendedOrbit | None = None) -> None:
-    """Write an orbit to one .npz: `header` (JSON text) and the arrays times, states, symbol_times, turn.
+    """Write an orbit to a .npz file.
 
-    refined: adds times_digits (L + 1,) s from the first symbol's section and states_digits (L + 1, N), decimal strings.
+    The file has a `header` (JSON text) and these arrays:
 
-    times (K + 1,) s and states (K + 1, N) (rad, rad/s) are its nodes: between two of them the conservative equations
-    hold. turn (N,): what a periodic orbit adds with each round, zeros for others.
+        times (K + 1,)            node times, s
+        states (K + 1, N)         node states (rad, rad/s), connected by the conservative equations
+        symbol_times (k,)         section crossings, s
+        turn (N,)                 increment of a periodic orbit per period, or zeros
+        times_digits (L + 1,)     with `refined`: s from the first symbol's section, decimal strings
+        states_digits (L + 1, N)  with `refined`: decimal strings
     """
     header = {
         "format": FORMAT,

@@ -224,7 +224,7 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
     (walk,) = ended.document["walks"]
     assert walk["converged"] is False
     assert "symbol 1 of 2" in walk["status"]
-    assert "too few: the least that work are [" in walk["status"]
+    assert "too few: at least [" in walk["status"]
     assert "0 of 1 walks converged" in ended.message
     assert "symbol 1 of 2" in ended.message
     assert list(tmp_path.iterdir()) == []
@@ -242,8 +242,8 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
         ((*LOW, *TURN, *BACK, "--wraps", "1,2", "--solve"), "1 interior stop"),
         ((*LOW, *TURN, *BACK, "--wraps", "", "--solve"), "wraps = []"),
         ((*LOW, *TURN, *BACK, "--wraps", "-1", "--solve"), "zero or more"),
-        ((*LOW, *TURN, *BACK, "--periodic", "--wraps", "1", "--solve"), "2 stops, as it closes"),
-        ((*HIGH, "-s", "down-up > up-down", "--periodic", "--solve"), "ends where it starts"),
+        ((*LOW, *TURN, *BACK, "--periodic", "--wraps", "1", "--solve"), "2 stops if closed"),
+        ((*HIGH, "-s", "down-up > up-down", "--periodic", "--solve"), "must end where it starts"),
         ((*LOW, "--random", "2", "--wraps", "1"), "--extra-wraps"),
         ((*LOW, "--random", "2", "--lengths", "5", "2"), "lengths 5 to 2"),
         ((*LOW, "--random", "2", "--extra-wraps", "3", "1"), "extra wraps 3 to 1"),
@@ -253,7 +253,7 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
         ((*LOW, "--solve"), "give -s"),
         (("walk", "lab", "--energy", "-0.2", "--random", "2"), "-0.1754297468841"),
         (("walk", "lab", "--energy", "nan"), "finite"),
-        ((*LOW, "-s", "up-down +"), "the nearest walk that exists is 'down-up>down-up[0,1]h1.1@0.0000,-9.9100'"),
+        ((*LOW, "-s", "up-down +"), "the nearest existing walk is 'down-up>down-up[0,1]h1.1@0.0000,-9.9100'"),
         ((*LOW, *TURN, "-s", "down-up > up-down"), "symbol 2 of 2"),
         ((*LOW, "--through", "down-up", "--through", "up-down"), "has no orbit at -0.07 J"),
         ((*LOW, *TURN, "--out", "x"), "--solve"),

@@ -109,9 +109,9 @@ def test_three_arms_turn_along_the_tube_in_closed_loop_while_the_cart_moves_by_m
 def test_what_is_no_walk_of_three_arms_is_refused(turn: Connection) -> None:
     search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, "at least 1")
     assert dp.shadow(search, [turn.name]).connections == (turn,)
-    with pytest.raises(dp.InputError, match="give each symbol a walk of its own"):
+    with pytest.raises(dp.InputError, match="give each symbol as a separate walk"):
         dp.shadow(search, ["down-down-up +", "down-down-up -"])
-    with pytest.raises(dp.InputError, match="each at its own energy"):
+    with pytest.raises(dp.InputError, match="exist at different energies"):
         dp.shadow(dp.graph(dp.load_model("triple"), energy=-1.0039), ["down-down-up +"])
-    with pytest.raises(dp.InputError, match="fits no symmetric connection"):
+    with pytest.raises(dp.InputError, match="matches no symmetric connection"):
         dp.shadow(search, ["down-down-up>down-down-up[0,0,3]h1.1@-1.0J"])

@@ -152,7 +152,7 @@ def test_wraps_that_do_not_fit_are_refused(turns, wraps, fragment):
 
 
 def test_walks_of_two_energies_are_refused(turns, connections):
-    with pytest.raises(InputError, match="one orbit keeps one energy"):
+    with pytest.raises(InputError, match="an orbit has constant energy"):
         shadow([turns[0], connections["down-up", "down-up"][0]], wraps=[2])
 
 
