@@ -181,6 +181,6 @@ def fault_of(status: str, walk: Sequence[str]) -> int | None:
 
 def enough_wraps(status: str) -> list[int] | None:
     """Return the wraps that a failed plan's sentence advises, or None."""
-    found = re.search(r"at least \[([\d, ]*)\] are necessary|wraps \[([\d, ]*)\] work", status)
+    found = re.search(r"must be at least \[([\d, ]*)\]|wraps \[([\d, ]*)\] work", status)
     digits = re.findall(r"\d+", found[1] or found[2] or "") if found else []
     return [int(one) for one in digits] or None

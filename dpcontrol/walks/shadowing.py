@@ -52,7 +52,7 @@ class ShadowingSettings:
 
 
 def phase_gap(before: Connection, after: Connection) -> float:
-    """Return the phase in [0, 1) from one arrival to the next departure."""
+    """Return the phase in [0, 1) from arrival to next departure."""
     return (after.phase_out - before.phase_in) % 1.0
 
 
@@ -97,7 +97,7 @@ class Strands:
         self._kept: dict[tuple[str, float, int], Array] = {}
 
     def states(self, connection: Connection, sign: int, count: int) -> tuple[Array, float]:
-        """Return states (count + 1, N) from the section, and the step (s).
+        """Return states (count + 1, N) and the step in s.
 
         The step is a fixed fraction of the period of the target (sign -1: source) orbit.
 
@@ -179,7 +179,7 @@ def first_guess(
 
 
 def lattice_offsets(chain: Sequence[Connection], wraps: Sequence[int]) -> Array:
-    """Return the offsets (k + 1, N) of the lifts in whole turns."""
+    """Return the lifts' offsets (k + 1, N) in whole turns."""
     offsets = np.zeros((len(chain) + 1, chain[0].source.system.dimension))
     for k, connection in enumerate(chain):
         offsets[k + 1] = offsets[k]
@@ -210,7 +210,7 @@ def _joint(before: Connection, after: Connection, stay: float, settings: Shadowi
 
 
 def _level(connection: Connection, shift: Array) -> tuple[Array, float]:
-    """Return the normal of a lifted section and its level normal · x."""
+    """Return the normal and the level of a lifted section."""
     section = connection.section
     normal = np.asarray(section.normal)
     return normal, section.level(connection.state) + float(normal @ shift)
@@ -572,7 +572,7 @@ class WalkSolver:
         except GoalMissed as error:
             return str(error)
         if any(given < enough for given, enough in zip(orbit.wraps, least, strict=True)):
-            return f"wraps {list(orbit.wraps)} are too few: at least {list(least)} are necessary"
+            return f"wraps {list(orbit.wraps)} are too few: must be at least {list(least)}"
         return f"wraps {list(least)} work where {list(orbit.wraps)} do not"
 
     def _store_wraps(self, orbit: ShadowingOrbit) -> None:

@@ -573,7 +573,9 @@ def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
             return WalkAnswer(request, None, None, 0.0, str(error))
         wraps = tuple(n + more for n, more in zip(least, request.extra, strict=True))
     began = time.perf_counter()
-    orbit = solver.solve(request.chain, wraps, periodic=request.periodic, lead_in=request.lead_in, lead_out=request.lead_out)
+    orbit = solver.solve(
+        request.chain, wraps, periodic=request.periodic, lead_in=request.lead_in, lead_out=request.lead_out
+    )
     seconds = time.perf_counter() - began
     status = orbit.status if orbit.converged else f"{orbit.status}; {solver.advice(orbit)}"
     return WalkAnswer(request, least, orbit, seconds, status)

@@ -224,11 +224,11 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
     (walk,) = ended.document["walks"]
     assert walk["converged"] is False
     assert "symbol 1 of 2" in walk["status"]
-    assert "too few: at least [" in walk["status"]
+    assert "too few: must be at least [" in walk["status"]
     assert "0 of 1 walks converged" in ended.message
     assert "symbol 1 of 2" in ended.message
     assert list(tmp_path.iterdir()) == []
-    (least,) = json.loads(walk["status"].rpartition("are ")[2])
+    (least,) = json.loads(walk["status"].rpartition("least ")[2])
     assert dpcontrol(*born, "--wraps", str(least)).code == 0
 
 
@@ -248,7 +248,7 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
         ((*LOW, "--random", "2", "--lengths", "5", "2"), "lengths 5 to 2"),
         ((*LOW, "--random", "2", "--extra-wraps", "3", "1"), "extra wraps 3 to 1"),
         ((*LOW, *TURN, "--through", "down-up"), "give one of them"),
-        ((*LOW, "--through", "down-up"), "two at least"),
+        ((*LOW, "--through", "down-up"), "at least two"),
         ((*LOW, "--length", "9"), "draw some with --random"),
         ((*LOW, "--solve"), "give -s"),
         (("walk", "lab", "--energy", "-0.2", "--random", "2"), "-0.1754297468841"),

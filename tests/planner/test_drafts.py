@@ -70,7 +70,7 @@ def test_a_text_of_several_parts_is_changed_as_text_only() -> None:
 
 
 def test_a_failed_plan_points_at_its_symbol_and_at_wraps_that_work() -> None:
-    sentence = "the shadowing orbit: symbol 2 of 3 (a>b): no; wraps [0, 1] are too few: at least [1, 1] are necessary"
+    sentence = "the shadowing orbit: symbol 2 of 3 (a>b): no; wraps [0, 1] are too few: must be at least [1, 1]"
     assert fault_of(sentence, ["x", "y", "z"]) == 1
     assert enough_wraps(sentence) == [1, 1]
     assert fault_of("'up-down +': no such connection at this energy", ["down-up +", "up-down +"]) == 1

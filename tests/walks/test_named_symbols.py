@@ -114,7 +114,7 @@ def test_grown_edges_that_cannot_be_are_refused(edges):
 
 def test_a_grown_edge_with_too_few_wraps_names_the_least(system):
     found = find_edges(system, HAIR, pairs=[("up-down", "up-down")])
-    with pytest.raises(GoalMissed, match=r"symbol 1 of 1 .*too few: at least \[\d\] are necessary"):
+    with pytest.raises(GoalMissed, match=r"symbol 1 of 1 .*too few: must be at least \[\d\]"):
         resolve(["(up-down +)·0·(up-down +)"], found)
 
 

@@ -45,7 +45,7 @@ def test_no_wraps_are_too_few_between_turns_that_have_just_been_born(system, tan
         assert failed.fault in (0, 1)
         assert failed.status.startswith(f"symbol {failed.fault + 1} of 2 ({walk[failed.fault].name})")
         assert "use more wraps next to it" in failed.status
-        assert "at least [1] are necessary" in solver.advice(failed)
+        assert "must be at least [1]" in solver.advice(failed)
         assert solver.least(walk) == (1,)
         assert classifier.complaints(solver.solve(walk, [1])) == []
 
