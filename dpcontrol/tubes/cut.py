@@ -1,8 +1,8 @@
-"""The cut of a tube: the curve in which an unstable manifold first (n-th) meets a Poincaré section.
+"""Cuts of tubes: curves in which unstable manifolds meet a section.
 
-The curve is sampled over the phase of its seeds and refined by chord length in (q, p/p₀) until neighbouring
-points are close. Where it cannot be refined the curve is open: a trajectory grazes the section (its crossing
-jumps), or never arrives in the time allowed. Open ends are found by bisection and reported, never bridged.
+A cut is sampled over the phase of its seeds and refined by chord length in (q, p/p₀) until neighbouring points are
+close. The cut is open if trajectories graze the section, so that the crossing jumps, or do not arrive in time. Open
+ends are located by bisection and reported, and gaps are never bridged.
 """
 
 from collections.abc import Sequence
@@ -19,24 +19,28 @@ from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.manifold import UnstableManifold
 
 _THOROUGH = 20_000
-"""Phases of a thorough cut: windows between them in which trajectories go another way are narrower than 5e-5."""
+"""Number of phases of a thorough cut; undetected windows of other trajectories are narrower than 5e-5."""
 
 _LONG = 12.0
-"""Seconds of processor time after which a thorough cut is refined no further."""
+"""Limit of the processor time of a thorough cut, s."""
 
 _NARROWEST = 1e-7
-"""Phase between neighbours at which a thorough cut stops: where tubes scatter, narrower windows follow without end."""
+"""Smallest phase step of a thorough cut; tubes that scatter have ever narrower windows."""
 
 
 @dataclass(frozen=True)
 class CutSettings:
-    """How a tube is cut.
+    """Settings of tube cuts.
 
-    chord: between neighbours in (q, p/p₀), in units of the system's section scale; longest: periods of the orbit that
-    a trajectory may take, None for the system's own number; most_jumps: more phase intervals than this that stay wide
-    below fine_phase_step mean that the curve is not a curve there (its trajectories scatter chaotically before they
-    arrive), and refinement stops. grazing: a normal rate below this share of the largest means a grazing crossing.
-    seconds: of processor time after which refinement stops.
+    If more than `most_jumps` phase intervals below `fine_phase_step` have wide chords, the trajectories scatter
+    chaotically before they arrive, and refinement stops.
+
+    Attributes:
+        chord: largest distance between neighbours in (q, p/p₀), in the system's section scale.
+        longest: flight time in periods of the orbit, None for the default.
+        grazing: normal rate of a grazing crossing, relative to the largest rate.
+
+    A limit on processor time, `seconds`, also stops refinement.
     """
 
     first_phases: int = 100
@@ -50,7 +54,7 @@ class CutSettings:
     seconds: float = np.inf
 
     def thoroughly(self) -> "CutSettings":
-        """Return settings that sample phases ten thousandths of a turn apart and refine wherever chords stay wide."""
+        """Return settings with fine sampling and refinement of all wide chords."""
         return replace(
             self,
             first_phases=_THOROUGH,
@@ -62,12 +66,12 @@ class CutSettings:
 
 
 def longest_flight(manifold: UnstableManifold, settings: CutSettings) -> float:
-    """Return how many periods of its orbit a trajectory of the tube may take to the section."""
+    """Return the longest flight time in periods of the orbit."""
     return manifold.orbit.system.flight_periods if settings.longest is None else settings.longest
 
 
 def section_points(system: System, section: Section, states: Array) -> Array:
-    """Return (q, p/p₀), (…, 2), of states (…, N) on a section."""
+    """Return the coordinates (q, p/p₀) (…, 2) of states (…, N)."""
     states = np.asarray(states, dtype=float)
     q = states @ np.asarray(section.position)
     p = system.numeric.momentum(states) @ np.asarray(section.momentum)
@@ -76,9 +80,16 @@ def section_points(system: System, section: Section, states: Array) -> Array:
 
 @dataclass(frozen=True)
 class CutSamples:
-    """Trajectories of seeds at phases (K,) when they meet the section: not a number, and at infinity, if they never do.
+    """Section crossings of trajectories from seeds at given phases.
 
-    states (K, N); points (K, 2): (q, p/p₀); times (K,) s; rates (K,): along the section's normal.
+    If a trajectory does not arrive, its time is infinite and other values are NaN.
+
+    Attributes:
+        phases (K,): of the seeds.
+        states (K, N): at the crossing.
+        points (K, 2): (q, p/p₀).
+        times (K,): of flight, s.
+        rates (K,): along the section's normal.
     """
 
     phases: Array
@@ -95,24 +106,24 @@ class CutSamples:
 
     @staticmethod
     def joined(parts: "Sequence[CutSamples]") -> "CutSamples":
-        """Return several parts as one, in their order."""
+        """Concatenate samples in order."""
         names = [one.name for one in fields(CutSamples)]
         return CutSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     @property
     def arrived(self) -> Flags:
-        """Which (K,) meet the section."""
+        """True (K,) for trajectories that meet the section."""
         return np.isfinite(self.times)
 
     def continuous(self, limit: float) -> Flags:
-        """Return which neighbours (K - 1,) are near each other on one curve."""
+        """Return True (K - 1,) for neighbours within `limit` on one curve."""
         same = np.sign(self.rates[1:]) == np.sign(self.rates[:-1])
         return same & (np.linalg.norm(np.diff(self.points, axis=0), axis=1) <= limit)
 
 
 @dataclass(frozen=True)
 class Sampler:
-    """Flies seeds of one branch to the section."""
+    """Propagation of one branch's seeds to the section."""
 
     manifold: UnstableManifold
     section: Section
@@ -128,11 +139,11 @@ class Sampler:
 
     @property
     def longest(self) -> float:
-        """Periods of its orbit that a trajectory may take."""
+        """The longest flight time, in periods of the orbit."""
         return longest_flight(self.manifold, self.settings)
 
     def fly(self, phases: Array) -> CutSamples:
-        """Return the samples at phases (K,), flown together."""
+        """Propagate the seeds at phases (K,) together."""
         system = self.manifold.orbit.system
         seeds, _ = self.manifold.seeds(phases, self.branch)
         longest = self.longest * self.manifold.orbit.period
@@ -148,7 +159,7 @@ class Sampler:
         )
 
     def arrives_later(self, phases: Array) -> bool:
-        """Return whether some of the phases arrive if they are given twice the time that was asked for, or is usual."""
+        """Return True if some of the phases arrive within twice the time."""
         if self.settings.longest is None:
             return False
         patience = 2 * max(self.longest, self.manifold.orbit.system.flight_periods)
@@ -156,7 +167,7 @@ class Sampler:
         return bool(patient.fly(_some(phases)).arrived.any())
 
     def escapes(self, phases: Array) -> bool:
-        """Return whether all of the phases leave all that is finite in the time that they are given."""
+        """Return True if all trajectories diverge within the flight time."""
         propagator, duration = self.manifold.orbit.system.propagator, self.longest * self.manifold.orbit.period
         seeds, _ = self.manifold.seeds(_some(phases), self.branch)
         for seed in seeds:
@@ -169,7 +180,7 @@ class Sampler:
 
 
 def _some(phases: Array) -> Array:
-    """Return up to `_TRIED` of the phases, evenly chosen."""
+    """Return up to `_TRIED` evenly spaced samples of the phases."""
     return phases[np.unique(np.linspace(0, len(phases) - 1, _TRIED).round().astype(int))]
 
 
@@ -177,16 +188,16 @@ _TRIED = 8
 
 
 def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress) -> tuple[CutSamples, str, bool]:
-    """Sample one period from phase `start`, halving until chords are short or phases indistinguishable.
+    """Sample one period and bisect phase steps until all chords are short.
 
-    Returns the samples, why refinement stopped early, empty if it did not, and whether that is because its time was
-    over.
+    Returns:
+        The samples, the reason if refinement stopped early, and True if time ran out.
     """
     settings = sampler.settings
     budget = sampler.budget.part(settings.seconds)
 
     def flown(phases: Array) -> CutSamples:
-        """Return the samples at the first of the phases, as many as there is time for."""
+        """Return as many samples, in order, as time permits."""
         parts: list[CutSamples] = []
         for first in range(0, len(phases), _AT_ONCE):
             if parts and budget.spent:
@@ -195,7 +206,7 @@ def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress)
             parts.append(sampler.fly(phases[first : first + _AT_ONCE]))
         return CutSamples.joined(parts)
 
-    # Coarsely all around first, with both ends, should there be time for no more.
+    # A coarse sampling of the whole period comes first, in case time runs out.
     number = np.arange(settings.first_phases + 1)
     coarse = (number % (settings.first_phases // _AT_ONCE + 1) == 0) | (number == number[-1])
     samples = flown(start + np.concatenate([number[coarse], number[~coarse]]) / settings.first_phases)
@@ -215,21 +226,23 @@ def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress)
         samples = samples[np.argsort(samples.phases, kind="stable")]
     left = f"branch {sampler.branch:+d}: {len(samples)} points leave wide chords"
     if budget.spent:
-        return samples, f"{left} when {budget.seconds:.0f} s of processor time for it were over", True
+        return samples, f"{left} after its limit of {budget.seconds:.0f} s of processor time", True
     return samples, f"{left}; allow less time", False
 
 
 _AT_ONCE = 64
-"""Trajectories flown between two looks at the clock."""
+"""Trajectories propagated between checks of the time limit."""
 
 
 @dataclass(frozen=True)
 class OpenEnd:
-    """Phases between which a cut is open, and why.
+    """A phase interval in which a cut is open.
 
-    hides: whether more of the same crossing may lie between them. Nothing does where trajectories graze the section or
-    escape, nor where they do not arrive within a time that was asked for. later: whether some arrive after that time.
-    escapes: whether they leave all that is finite.
+    Attributes:
+        hides: True if it may contain more of the same crossing. Grazing and escaping trajectories hide nothing, nor
+            do those that exceed a requested flight time.
+        later: True if some arrive after that time.
+        escapes: True if they diverge.
     """
 
     branch: int
@@ -244,8 +257,13 @@ class OpenEnd:
 class Piece:
     """One connected piece of a cut.
 
-    phases (K,) increasing, not wrapped; points (K, 2) are (q, p/p₀), q continuous; states (K, N) lifted; times
-    (K,) s of flight; direction: sign of the crossing. closed: the last point continues to the first.
+    Attributes:
+        phases (K,): increasing, unwrapped.
+        points (K, 2): (q, p/p₀), with continuous q.
+        states (K, N): lifted.
+        times (K,): of flight, s.
+        direction: sign of the crossing.
+        closed: True if the ends join.
     """
 
     branch: int
@@ -259,10 +277,12 @@ class Piece:
 
 @dataclass(frozen=True)
 class Cut:
-    """All pieces in which both branches of a tube meet a section, and where they are open.
+    """The pieces and open ends of a tube's cut, both branches.
 
-    trajectories: how many were flown; resolved: whether chords are short everywhere but at open ends. spent: whether
-    refinement ended because its time was over.
+    Attributes:
+        trajectories: number of trajectories.
+        resolved: True if all chords are short except at open ends.
+        spent: True if time ran out during refinement.
     """
 
     section: Section
@@ -276,7 +296,7 @@ class Cut:
 
 
 def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
-    """Return the end between two indistinguishable phases that arrive far apart, or over phases that never arrive."""
+    """Return the open end at a jump or between failed phases."""
     hit, interval = sampler.hit, (float(samples.phases[0] % 1), float(samples.phases[-1] % 1))
     if not samples.arrived[0]:
         reason = (
@@ -286,7 +306,7 @@ def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
         if sampler.budget.spent:
             return OpenEnd(sampler.branch, interval, reason, hides=True)
         if sampler.escapes(samples.phases):
-            reason = f"escapes: {len(samples)} phases leave for good and never reach {sampler.section.name}"
+            reason = f"escapes: {len(samples)} phases diverge and never reach {sampler.section.name}"
             return OpenEnd(sampler.branch, interval, reason, hides=False, escapes=True)
         later = sampler.arrives_later(samples.phases)
         return OpenEnd(sampler.branch, interval, reason, hides=sampler.settings.longest is None, later=later)
@@ -294,8 +314,8 @@ def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
     slow = min(abs(first), abs(second))
     if slow > grazing:
         reason = (
-            f"jumps: neighbouring trajectories part before crossing {hit} (normal rates {first:.3g} and {second:.3g}); "
-            "they pass near another orbit or were not refined further"
+            f"jumps: neighbouring trajectories separate before crossing {hit} (normal rates {first:.3g} and "
+            f"{second:.3g}); they pass near another orbit or were not refined further"
         )
         return OpenEnd(sampler.branch, interval, reason, hides=True)
     reason = f"grazes the section: crossing {hit} jumps where the normal rate falls to {slow:.1e} rad/s"
@@ -306,7 +326,7 @@ def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[Op
     """Split refined samples into connected pieces and the gaps between them."""
     arrived, joins = samples.arrived, samples.continuous(sampler.chord)
     grazing = sampler.settings.grazing * float(np.abs(samples.rates[arrived]).max(initial=0.0))
-    # Stretches of one curve, and of phases that never arrive.
+    # Stretches are parts of one curve, or of phases that never arrive.
     breaks = np.flatnonzero(~joins & (arrived[1:] | arrived[:-1])) + 1
     stretches = np.split(np.arange(len(samples)), breaks)
     gaps: list[OpenEnd] = []
@@ -316,7 +336,7 @@ def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[Op
         elif k and arrived[stretch[0] - 1]:
             gaps.append(_gap(samples[stretch[0] - 1 : stretch[0] + 1], sampler, grazing))
     runs = [samples[stretch] for stretch in stretches if arrived[stretch[0]] and len(stretch) > 1]
-    # An orbit that crosses the section itself: its seeds gain a crossing where they pass it, and phases no circle.
+    # If the orbit crosses the section, its seeds gain a crossing there, and the phases do not form a circle.
     circle = not sampler.manifold.orbit.laps
     closed = circle and bool(joins.all())
     if circle and not closed and len(runs) > 1:
@@ -332,7 +352,7 @@ def _piece(run: CutSamples, branch: int, closed: bool) -> Piece:
 
 
 def _mirrored(manifold: UnstableManifold, section: Section, piece: Piece) -> Piece:
-    """Return the other branch's piece by the symmetry S about the saddle."""
+    """Return the other branch's piece, by the symmetry S about the saddle."""
     assert manifold.half_turn is not None
     system, centre = manifold.orbit.system, manifold.orbit.centre
     symmetry = manifold.half_turn[0]
@@ -358,14 +378,14 @@ def tube_cut(
     budget: Budget | None = None,
     progress: Progress = no_progress,
 ) -> Cut:
-    """Cut both branches of an unstable tube at the `hit`-th crossing of a section, as finely as a budget allows."""
+    """Cut both branches of an unstable tube at the `hit`-th section crossing."""
     settings, budget = settings or CutSettings(), budget or Budget(np.inf)
     pieces: list[Piece] = []
     gaps: list[OpenEnd] = []
     flown, unresolved, late = 0, "", False
     branches = (1,) if manifold.branches_are_mirrored else (1, -1)
     for k, branch in enumerate(branches):
-        # The first of two branches leaves the other half of the time, and both some for their ends.
+        # Each branch gets half of the time, less a reserve for open ends.
         allowed = budget.until(0.9 * (k + 1) / len(branches))
         within = part_of(progress, k / len(branches), (k + 1) / len(branches))
         samples, stopped, over = refined(
@@ -384,7 +404,7 @@ def tube_cut(
                 for g in open_ends
             ]
     if not pieces and gaps and all(gap.escapes for gap in gaps):
-        status = f"escapes: none of its trajectories comes back to {section.name}"
+        status = f"escapes: no trajectory returns to {section.name}"
     elif not pieces:
         status = (
             f"no trajectory of the tube reaches crossing {hit} of {section.name} within "

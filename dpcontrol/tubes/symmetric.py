@@ -1,18 +1,19 @@
-"""Symmetric homoclinic connections of three arms, which exist at isolated energies of a family of Lyapunov orbits.
+"""Symmetric homoclinic connections of three arms, at isolated energies.
 
-With two degrees of freedom a Lyapunov orbit's tubes are surfaces in an energy surface of dimension three: where they
-cross, they go on crossing as the energy changes. With n = 3 the orbit's tubes still have dimension two, the energy
-surface five: in general they miss each other at every energy. What symmetry leaves is this. A reverser R carries the
-unstable tube into the stable one, so that a trajectory of the unstable tube that meets the fixed set of R, lifted by
-any whole turns, runs back along its own image: it is homoclinic. Where R turns all angles over, the fixed set has n
-equations (every arm hangs or stands), and the tube's trajectories of a whole family have as many unknowns: the phase at
-which the orbit is left, the time, and the energy. So such connections are isolated in energy, and persist when the
-model's parameters change a little.
+With two degrees of freedom, the tubes of a Lyapunov orbit are surfaces in a three-dimensional energy surface, and their
+intersections persist as the energy changes. With n = 3, the tubes are still surfaces but the energy surface has five
+dimensions, so in general they do not intersect at any energy.
 
-The search flies the tubes of orbits on a grid of energies to where the saddle's standing arm hangs. What is left of the
-other arms' angles is a map from (energy, phase) to the plane, whose zeros lie where a triangle of the grid is mapped
-around the origin; multiple shooting refines each, with the energy among its unknowns. It is no complete list: the grid
-may be too coarse where tubes scatter.
+Symmetry gives the exceptions. A reverser R maps the unstable tube to the stable tube. If a trajectory of the unstable
+tube meets the fixed set of R, lifted by any whole turns, it returns along its own image and is homoclinic. If R
+reverses all angles, its fixed set has n equations, because every arm is either hanging or upright. The trajectories of
+a whole family have as many unknowns: the departure phase, the time and the energy. Such connections are therefore
+isolated in energy, and persist under small changes of the model's parameters.
+
+The search propagates tubes on a grid of energies until the saddle's upright arm hangs down. The deviations of the other
+arms' angles define a map from (energy, phase) to the plane. A triangle of the grid whose image contains the origin
+contains a zero. Multiple shooting refines each zero, with the energy as an unknown. The list may be incomplete, because
+the grid may be too coarse for tubes that scatter.
 
 Source: Devaney, Reversible diffeomorphisms and flows (1976); Champneys, Homoclinic orbits in reversible systems (1998).
 """
@@ -39,17 +40,23 @@ from dpcontrol.shooting.newton import ManifoldEnd, ShootingOrbit
 from dpcontrol.tubes.connections import Connection, approach, mirrored
 
 _HYPERBOLIC = 1e-4
-"""Distance of a multiplier's modulus from one above which it is counted as unstable."""
+"""A multiplier counts as unstable if its modulus exceeds one by more than this."""
 
 
 @dataclass(frozen=True)
 class SymmetricSettings:
-    """How a family is searched and a connection refined.
+    """Settings of the search and its refinement.
 
-    energies: of the grid; phases: at which each orbit's tube is flown; farthest: radians between neighbours of the grid
-    that still count as one piece of the tube. distance: of seeds from their orbit, scaled; leaves: distance at which
-    the refined connection begins (its square is left out); segments: nodes per period; near: as for other connections;
-    accept: largest gap at a node (rad, rad/s); same: relative difference of energies between two connections.
+    `energies` and `phases` set the size of the grid.
+
+    Attributes:
+        farthest: largest distance between connected neighbours of the grid, rad.
+        distance: of seeds from their orbit, scaled.
+        leaves: start of the refined connection, scaled distance.
+        segments: nodes per period.
+
+    A solution is accepted if its largest defect is below `accept` (rad, rad/s). Two connections are the same if their
+    energies differ by less than `same`, relative to the energy scale.
     """
 
     energies: int = 24
@@ -68,8 +75,10 @@ class SymmetricSettings:
 class SymmetricSearch:
     """Symmetric homoclinic connections of one family between two energies.
 
-    searched: the energies in J between which the family could be searched. failed: zeros of the map whose refinement
-    did not converge. partial: the search's time was over before its work was done.
+    Attributes:
+        searched: covered energy range, J.
+        failed: number of zeros whose refinement did not converge.
+        partial: True if the time limit ended the search early.
     """
 
     saddle: str
@@ -85,7 +94,7 @@ class SymmetricSearch:
         return f"<symmetric connections of {self.saddle}: {self.status}>"
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol connect --energies --json` prints."""
+        """Return the document printed by `dpcontrol connect --energies --json`."""
         return {
             "count": len(self.connections),
             "connections": [
@@ -111,30 +120,33 @@ def find_symmetric_connections(
     budget: Budget | None = None,
     progress: Progress = no_progress,
 ) -> SymmetricSearch:
-    """Find homoclinic connections of a family that its symmetry makes, each at its own energy in J.
+    """Find the symmetric homoclinic connections of a family.
 
-    hit: which passage of the standing arm through its lowest position is the middle. budget: time, a minute by default;
-    when it is over, what was found is returned, marked as partial.
+    Each connection exists at one energy only. If time runs out, the result is marked as partial.
+
+    Args:
+        energies: (lowest, highest), J.
+        hit: number of the upright arm's passage through its lowest position, in the middle of the connection.
+        budget: time limit, one minute by default.
 
     Raises:
-        InputError: an unknown saddle or family, energies on the wrong side of the saddle's or in no order, or a system
-            of other than three coordinates.
+        InputError: an unknown saddle or family, an invalid energy range, or a system without three coordinates.
     """
     settings, budget = settings or SymmetricSettings(), budget or Budget(SECONDS)
     if system.dimension != 6:
         raise InputError(
-            f"{system.name} has {system.dimension // 2} coordinates, and connections at every energy: give one energy, "
-            "or look for bifurcations between two"
+            f"{system.name} has {system.dimension // 2} coordinates, so its connections form families: give one "
+            "energy, or search for bifurcations between two"
         )
     low, high = (float(energy) for energy in energies)
     if not low < high:
-        raise InputError(f"energies = {low:g} {high:g}: give the lower one first, in J")
+        raise InputError(f"energies = {low:g} {high:g}: must be in ascending order, in J")
     search = _FamilySearch(system, saddle, family, hit, settings)
     rows: list[_Row] = []
     ended = ""
     for k, energy in enumerate(np.linspace(low, high, settings.energies).tolist()):
         progress(f"tubes of {saddle} at {energy:.4g} J", 0.8 * k / settings.energies)
-        # The first comes from its saddle, the others each from the one before.
+        # The first orbit is found from its saddle, each other one from the previous orbit.
         orbit = (
             search.member(rows[-1].orbit, energy)
             if rows
@@ -164,7 +176,7 @@ def find_symmetric_connections(
     progress("connections", 1.0)
     reached = (low, rows[-1].orbit.energy) if rows else (low, low)
     status = (
-        f"at least {len(found)} between {reached[0]:g} and {reached[1]:g} J, each at an energy of its own and with a "
+        f"at least {len(found)} between {reached[0]:g} and {reached[1]:g} J, each at a different energy and with a "
         "mirror image that turns the other way"
     )
     if failed:
@@ -172,32 +184,32 @@ def find_symmetric_connections(
     if ended:
         status += f"; not searched beyond: {ended}"
     if left:
-        status += f"; {left} candidates were left when {_OVER}"
+        status += f"; {left} candidates were not refined: {_OVER}"
     partial = bool(left) or ended.startswith(_OVER)
     if partial:
         status += f"; partial: give the search more than {budget.seconds:.3g} s, or a narrower range"
     return SymmetricSearch(saddle, family, hit, reached, tuple(found), failed, status, partial)
 
 
-_OVER = "the search's time was over"
+_OVER = "the time limit was reached"
 _GRID = 0.7
-"""Share of a search's time for the grid of energies; candidates take the rest."""
+"""Share of the time limit for the grid of energies; the rest is for the candidates."""
 
 
 def _name(connection: Connection) -> str:
-    """Return a name made of what a connection is, its energy to a microjoule."""
+    """Return a name from a connection's properties, with its energy in microjoules."""
     saddle, turns = connection.source.name, ",".join(map(str, connection.winding))
     return f"{saddle}>{saddle}[{turns}]h{connection.hits[0]}.{connection.hits[1]}@{connection.source.energy:.6f}J"
 
 
 def mirror_image(connection: Connection) -> Connection:
-    """Return a symmetric connection's image under the half turn of all angles, which turns the other way."""
+    """Return the mirror image of a connection, which turns the other way."""
     image = mirrored(connection)
     return replace(image, name=_name(image))
 
 
 def _unfit(orbit: LyapunovOrbit) -> str:
-    """Return why an orbit's tube is not searched, or ""."""
+    """Return the reason why an orbit's tube cannot be searched, or ""."""
     if not orbit.converged:
         return orbit.status
     unstable = int(np.sum(np.abs(orbit.floquet_multipliers) > 1 + _HYPERBOLIC))
@@ -206,7 +218,7 @@ def _unfit(orbit: LyapunovOrbit) -> str:
 
 @dataclass(frozen=True)
 class _Row:
-    """An orbit of the grid, and where each branch of its tube arrives: other arms' angles (B, P, n - 1)."""
+    """An orbit, with the other arms' angles (B, P, n-1) at arrival."""
 
     orbit: LyapunovOrbit
     branches: tuple[int, ...]
@@ -227,21 +239,21 @@ class _FamilySearch:
 
     @cached_property
     def arm(self) -> int:
-        """The arm that stands at the saddle: the one that the unstable direction moves most."""
+        """The saddle's upright arm, which the unstable direction moves most."""
         centre, n = self.system.equilibrium(self.saddle), self.system.dimension // 2
         values, vectors = np.linalg.eig(self.system.numeric.jacobian(centre))
         return int(np.argmax(np.abs(vectors[:n, np.argmax(np.real(values))])))
 
     @cached_property
     def section(self) -> Section:
-        """Where the standing arm hangs."""
+        """The section on which the upright arm hangs down."""
         n, period = self.system.dimension // 2, float(self.system.periods[self.arm])
         row = tuple(float(i == self.arm) for i in range(2 * n))
         hanging = float(self.system.equilibrium(self.saddle)[self.arm]) + period / 2
         return Section(f"arm {self.arm + 1} hanging", row, row, row[:n], offset=hanging, period=period)
 
     def member(self, near: LyapunovOrbit, energy: float) -> LyapunovOrbit:
-        """Return the family's orbit at an energy, from one nearby."""
+        """Return the family's orbit at an energy (J) from a nearby one."""
         problem = self.problem
         guess = np.append(problem.start.T @ (near.state - problem.centre), near.period / problem.quarters)
         found = problem.member(guess, energy, iterations=12, tolerance=1e-12)
@@ -258,7 +270,7 @@ class _FamilySearch:
         )
 
     def flown(self, orbit: LyapunovOrbit) -> _Row:
-        """Fly the orbit's tube to the section."""
+        """Propagate the orbit's tube to the section."""
         settings, manifold = self.settings, local_manifold(orbit, self.settings.distance)
         branches = (1,) if manifold.branches_are_mirrored else (1, -1)
         phases, gaps = np.arange(settings.phases) / settings.phases, []
@@ -276,14 +288,14 @@ class _FamilySearch:
         return _Row(orbit, branches, np.array(gaps))
 
     def _off(self, states: Array) -> Array:
-        """Return how far the angles (…, n) of states (…, N) are from the nearest at which their arms hang or stand."""
+        """Return the angles (…, n) relative to the nearest vertical arm positions."""
         n = self.system.dimension // 2
         half = self.system.periods[:n] / 2
         off = states[..., :n] - self.problem.centre[:n]
         return off - np.rint(off / half) * half
 
     def zeros(self, rows: list[_Row]) -> Iterator[tuple[LyapunovOrbit, int, float]]:
-        """Yield (nearest orbit of the grid, branch, phase) of each triangle that is mapped around the origin."""
+        """Yield (nearest orbit, branch, phase) for each triangle that contains a zero."""
         count = self.settings.phases
         along = np.arange(count)
         for below, above in pairwise(rows):
@@ -308,7 +320,7 @@ class _FamilySearch:
                         yield row.orbit, branch, float((p + weights @ np.array(places)) / count % 1.0)
 
     def refined(self, orbit: LyapunovOrbit, branch: int, phase: float, spacing: float) -> Connection | None:
-        """Refine a zero by multiple shooting with the energy, the phase and the time free; None where it fails."""
+        """Refine a zero by multiple shooting with free energy, phase and time."""
         settings = self.settings
         manifold = local_manifold(orbit, settings.distance)
         amplitude = manifold.amplitude(phase, branch)
@@ -334,7 +346,11 @@ class _FamilySearch:
         return None if shot is None else self._described(*shot)
 
     def _shot(self, half: "_Half", target: Array, spacing: float) -> "tuple[_Half, Array, float] | None":
-        """Solve from the orbit to where the angles are `target` (n,); returns the half, its middle and the gap."""
+        """Solve for a half that ends at angles `target` (n,), rad.
+
+        Returns:
+            The half, its middle state and the largest defect, or None after a failure.
+        """
         system, n = self.system, self.system.dimension // 2
         best: tuple[_Half, Array, float] | None = None
         for _ in range(self.settings.iterations):
@@ -364,7 +380,7 @@ class _FamilySearch:
                 if k < count - 1:
                     matrix[rows, 3 + 2 * n * k : 3 + 2 * n * (k + 1)] -= np.eye(2 * n)
             step = np.linalg.lstsq(matrix, -gaps.ravel()[: size + n], rcond=None)[0]
-            # The linear picture holds for about a cell of the grid.
+            # The linearisation is valid for about one cell of the grid.
             step /= max(1.0, abs(step[0]) / spacing, abs(step[1]) * self.settings.phases / 4)
             orbit = self.member(half.start.manifold.orbit, half.start.manifold.orbit.energy + step[0])
             if not orbit.converged:
@@ -380,7 +396,7 @@ class _FamilySearch:
         return best if best is not None and best[2] < self.settings.accept else None
 
     def _start(self, half: "_Half") -> tuple[Array, Array]:
-        """Return the half's first state (N,) and its derivatives (N, 2) by energy and phase."""
+        """Return the first state (N,) and its derivatives (N, 2)."""
         end = half.start
         orbit, vector = end.manifold.orbit, end.manifold.vector
         frame = end.manifold.frame(np.array([end.phase]))
@@ -394,11 +410,11 @@ class _FamilySearch:
         return end.states(np.zeros(1))[0], np.column_stack([(sides[1] - sides[0]) / (2 * nudge), by_phase])
 
     def _described(self, half: "_Half", middle: Array, residual: float) -> Connection:
-        """Return the whole connection of a solved half, its image under the reverser about the middle."""
+        """Return the connection composed of a solved half and its image."""
         system, n = self.system, self.system.dimension // 2
         orbit, centre = half.start.manifold.orbit, self.problem.centre
-        # Arms have two reversers: the first makes stable tubes; the last turns all angles over, and is the first after
-        # the half turn that leads the orbit half a period on.
+        # Arms have two reversers. The first maps to stable tubes. The last reverses all angles, and equals the first
+        # combined with the half turn that shifts the orbit by half a period.
         reverser, half_turn = system.reversers[-1], half.start.manifold.half_turn
         assert half_turn is not None
         turns = np.zeros(2 * n)
@@ -449,14 +465,14 @@ class _FamilySearch:
         return replace(found, name=_name(found))
 
     def same(self, first: Connection, second: Connection) -> bool:
-        """Tell whether two connections are one, or mirror images of one another."""
+        """Return True if two connections are equal or mirror images."""
         apart = abs(first.source.energy - second.source.energy) / self.system.energy_scale
         return apart < self.settings.same and [abs(k) for k in first.winding] == [abs(k) for k in second.winding]
 
 
 @dataclass(frozen=True)
 class _Half:
-    """A connection's first half: where it leaves its orbit, its nodes (M, N), and the s it takes to the middle."""
+    """A connection's first half, with nodes (M, N) and duration in s."""
 
     start: ManifoldEnd
     states: Array

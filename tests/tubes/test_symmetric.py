@@ -78,13 +78,13 @@ def test_the_front_door_searches_the_orbits_family(turn: Connection) -> None:
         dp.connections(orbit)
     with pytest.raises(dp.InputError, match="the same one"):
         dp.connections(orbit, energies=(-1.02, -0.99), hits=(1, 2))
-    with pytest.raises(dp.InputError, match="the lower one first"):
+    with pytest.raises(dp.InputError, match="must be in ascending order"):
         dp.connections(orbit, energies=(-0.99, -1.02))
 
 
 def test_two_arms_are_told_to_give_one_energy() -> None:
     orbit = dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07)
-    with pytest.raises(dp.InputError, match="2 coordinates, and connections at every energy"):
+    with pytest.raises(dp.InputError, match="2 coordinates, so its connections form families"):
         dp.connections(orbit, energies=(-0.1, -0.07))
 
 

@@ -70,7 +70,7 @@ def test_a_search_whose_time_is_over_is_a_goal_missed_with_what_was_found():
     assert shown.code == 1
     assert shown.document["partial"] is True
     assert "partial" in shown.message
-    assert "0.001 s of processor time were over" in shown.message
+    assert "0.001 s of processor time" in shown.message
     whole = dpcontrol(*LAB, "--json")
     assert (whole.code, whole.document["partial"], whole.document["count"]) == (0, False, 8)
 
