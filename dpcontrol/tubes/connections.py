@@ -1,16 +1,15 @@
-"""Homoclinic and heteroclinic connections: where an unstable and a stable tube's cuts meet.
+"""Homoclinic and heteroclinic connections, found at intersections of tube cuts.
 
-Intersections of the cuts are refined by multiple shooting from farther out on both local manifolds, which leaves
-states good to about 1e-12; then each is described (winding, sense, symmetry, angle, flight times) and named.
+Intersections are refined by multiple shooting from points closer to the periodic orbits, with errors of about 1e-12 in
+the states. Each connection has a name, winding, sense, symmetry, transversality angle and flight times.
 
-A connection a → b, turned around in time, is one b → a: nothing is searched again.
+Time reversal turns connections a → b into connections b → a without another search.
 
-The tubes of an orbit that crosses the section itself, as every rotating orbit crosses its arm's, have no first
-crossing: they cross with every lap, on a curve through the orbit's own crossing that each lap stretches by λ. A search
-takes the laps on which the curve has grown large; a connection that is met on several is listed once, by its state
-where the other tube first (or last) crosses. It is described by the phase at which the turning orbit would run, had it
-never been left (or always been joined), in [0, 1) where the connection crosses the section; its winding counts from
-there, as γ(φ + 1) = γ(φ) + whole turns.
+If an orbit crosses the section itself, as rotating orbits do, its tubes have no first crossing. They cross on every
+lap, along a curve through the orbit's own crossing that each lap stretches by λ. The search uses laps on which the
+curve is large. A connection found on several laps is listed once, by its state at the other tube's first (or last)
+crossing. Its phase is that of the rotating orbit, extrapolated to the section crossing and reduced to [0, 1). The
+winding is counted from this phase, with γ(φ + 1) = γ(φ) + whole turns.
 
 Sources: Kaheman et al. (2023), section 3; Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbits and
 resonance transitions in celestial mechanics (2000), section 4.
@@ -40,26 +39,31 @@ from dpcontrol.tubes.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, balanced, intersect_cuts
 
 _ROUNDING = 1e-13
-"""What rounding leaves of a gap between two tubes, scaled: divided by their angle, it is how far it moves their
-intersection along them."""
+"""Scaled rounding error of the gap between two tubes. Divided by their angle, it is the shift of the intersection."""
 
 _BEFORE = 16
-"""Steps looked at together before the one by which an orbit has come near."""
+"""Number of earlier steps examined together to find the first approach."""
 
 _MIDDLE = 1e-3
-"""Of a period: how far from its expected time the middle of an orbit may lie that a reverser turns into itself."""
+"""Largest deviation of a symmetric orbit's middle from its expected time, in periods."""
 
 
 @dataclass(frozen=True)
 class ConnectionRecord:
-    """What is published of an orbit from one periodic orbit to another (or the same).
+    """Properties of an orbit between two periodic orbits.
 
-    state (N,): its point on the section, on the lift that starts at the source saddle's named position. winding:
-    whole turns of each coordinate between the source and target saddles' named positions. hits: which crossing of the
-    section this is for the unstable tube forward and the stable tube backward. time_out: s from leaving the source
-    orbit (scaled distance 1e-3) to the section; time_in: s from the section to the target orbit; phase_out, phase_in:
-    the orbits' phases there. transversality_angle: degrees between the cuts in (q, p/p₀). residual: largest gap
-    between the segments of its orbit.
+    The winding counts whole turns of each coordinate between the named positions of the source and target saddles. The
+    state is lifted from the source saddle's named position.
+
+    Attributes:
+        state (N,): point on the section.
+        residual: largest defect between segments.
+        transversality_angle: between the cuts in (q, p/p₀), deg.
+        hits: crossing numbers of the unstable and stable tubes.
+        time_out, time_in: flight times, s.
+
+    Flight times run from the source orbit to the section and from there to the target orbit. Both ends are at a scaled
+    distance of 1e-3, at the phases `phase_out` and `phase_in`.
     """
 
     name: str
@@ -77,7 +81,7 @@ class ConnectionRecord:
     phase_in: float
 
     def document(self) -> dict[str, Any]:
-        """Return the record with the keys that `dpcontrol connect --json` prints."""
+        """Return the record in the format of `dpcontrol connect --json`."""
         values = fields_of(ConnectionRecord, self)
         angle = values.pop("transversality_angle")
         return {**values, "section": self.section.name, "transversality_angle_deg": angle}
@@ -85,7 +89,7 @@ class ConnectionRecord:
 
 @dataclass(frozen=True)
 class Connection(ConnectionRecord):
-    """A connection: its record, the orbits that it leaves and joins, and its own; time zero is at the section."""
+    """A connection with its orbit, whose time is zero at the section."""
 
     source: LyapunovOrbit
     target: LyapunovOrbit
@@ -93,7 +97,7 @@ class Connection(ConnectionRecord):
 
     @property
     def solution(self) -> Guess:
-        """The orbit as what multiple shooting solves: it leaves the source, stays on the section, joins the target."""
+        """The orbit as a multiple-shooting problem between the local manifolds."""
         crossing = int(np.argmin(np.abs(self.orbit.times)))
         return Guess(
             system=self.orbit.system,
@@ -112,15 +116,19 @@ def described_connection(
     curves: tuple[OrbitCurve, OrbitCurve],
     settings: ConnectionSettings,
 ) -> Connection:
-    """Describe a refined orbit, with time zero at the node on the section, that an intersection of cuts led to.
+    """Return a refined orbit as a connection.
 
-    curves: of the source's and the target's orbit.
+    Args:
+        crossing: intersection of the cuts.
+        orbit: refined orbit, with time zero on the section.
+        curves: source and target orbits.
+        settings: settings of the search.
     """
     section, system = crossing.sides[0].section, orbit.system
     source, target = crossing.sides[0].manifold.orbit, crossing.sides[1].manifold.orbit
     state = orbit.states[int(np.argmin(np.abs(orbit.times)))]
     angle = angle_between(*crossing.tangents.T)
-    # The seeds of one tube are the other's turned around: between them lies the middle.
+    # The seeds of the two tubes are images of each other, so the middle lies halfway between them.
     middle = (crossing.times[1] - crossing.times[0]) / 2
     symmetric = source.saddle == target.saddle and _meets_a_mirror(orbit, middle, uncertainty(angle, settings.same))
     time_out, phase_out = approach(orbit, curves[0], -1, settings.near)
@@ -147,19 +155,18 @@ def described_connection(
 
 
 def angle_between(first: Array, second: Array) -> float:
-    """Return the angle in degrees, 0 to 90, between two tangents (2,)."""
+    """Return the angle (deg, 0 to 90) between two tangents (2,)."""
     lengths = np.linalg.norm(first) * np.linalg.norm(second)
     return float(np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]) / lengths))))
 
 
 def uncertainty(angle: float, least: float) -> float:
-    """Return how far rounding may move a connection along its tubes (scaled) that meet at `angle` (degrees)."""
+    """Return the scaled position error of tubes that meet at `angle` (deg)."""
     return max(least, _ROUNDING / max(float(np.radians(angle)), float(np.finfo(float).eps)))
 
 
 def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
-    """Whether a homoclinic orbit meets a reverser's fixed set near the time `middle`: the reverser turns it into
-    itself, wherever on it the section lies."""
+    """Return True if a reverser maps the orbit to itself."""
     system, centre = orbit.system, orbit.start.manifold.orbit.centre
     half = np.where(np.isfinite(system.periods), system.periods / 2, np.inf)
     for reverser in system.reversers:
@@ -171,7 +178,7 @@ def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
             rate = turned_over @ system.numeric.rate(state) / system.scale
             time -= float(off @ rate / (rate @ rate))
             if abs(time - middle) > _MIDDLE * orbit.start.manifold.orbit.period:
-                # Farther on the periodic orbits themselves meet the mirror.
+                # Farther away, the periodic orbits themselves meet the fixed set.
                 break
         else:
             if np.abs(off).max() < within:
@@ -180,9 +187,13 @@ def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
 
 
 def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) -> tuple[float, float]:
-    """Return (seconds, phase) from the section to the first approach within `near` of a periodic orbit.
+    """Return time (s, positive) and phase of the first approach.
 
-    sign +1 looks forward in time, -1 backward; seconds are positive either way.
+    Args:
+        orbit: connecting orbit, with time zero on the section.
+        curve: the periodic orbit.
+        sign: +1 to search forward in time, -1 backward.
+        near: scaled distance of the approach.
     """
     last = abs(orbit.times[-1] if sign > 0 else orbit.times[0])
     grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 300))))
@@ -196,8 +207,8 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) ->
 
     if inside[0] == 0:
         return 0.0, float(nearest(grid[:1])[0][0])
-    # `nearest` minimises the largest component itself, so it never finds more than `distances` does: the first
-    # approach may lie a few steps before the grid's, never after it.
+    # `nearest` minimises the largest component, so its distance never exceeds that of `distances`. The first approach
+    # may therefore lie a few grid steps earlier, never later.
     first, farther = int(inside[0]), np.empty(0, dtype=np.intp)
     while first > 1 and not farther.size:
         before = np.arange(max(1, first - _BEFORE), first)
@@ -205,7 +216,7 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) ->
         first = int(farther[-1]) + 1 if farther.size else int(before[0])
 
     def excess(time: float) -> float:
-        # Distances fall as an exponential.
+        # Distances decrease exponentially.
         return float(np.log(nearest(np.array([time]))[1][0] / near))
 
     bracket = (grid[first - 1], grid[first])
@@ -214,13 +225,13 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) ->
 
 
 def mirrored(connection: Connection) -> Connection:
-    """Return the image under the symmetry S that exchanges both tubes' branches: the other sense."""
+    """Return the mirror image, which has the opposite sense."""
     orbit, source, target = connection.orbit, connection.source, connection.target
     system, half_turn = source.system, orbit.start.manifold.half_turn
     assert half_turn is not None
     symmetry = half_turn[0]
     lengths = np.where(np.isfinite(system.periods), system.periods, 1.0)
-    # S acts about the source saddle; about the target saddle it differs by whole turns.
+    # S acts about the source saddle. About the target saddle it differs by whole turns.
     shift = (source.centre - target.centre) - symmetry @ (source.centre - target.centre)
     end_turns = np.rint(symmetry @ np.asarray(orbit.end.turns) + shift / lengths) + 0.0
 
@@ -248,9 +259,10 @@ def mirrored(connection: Connection) -> Connection:
 
 
 def can_be_reversed(system: System, source: str, target: str, *, section: Section | None = None) -> bool:
-    """Tell whether the reverser keeps both saddles and a section, and so every search on it.
+    """Return True if time reversal preserves both saddles and the section.
 
-    section: the one that was searched on, None for the one between the saddles either way.
+    Args:
+        section: section of the search, None for the saddles' default.
     """
     reverser = system.reversers[0]
     forward = section or system.sections.get((source, target))
@@ -262,22 +274,24 @@ def can_be_reversed(system: System, source: str, target: str, *, section: Sectio
 
 
 def _reversed_phase(orbit: LyapunovOrbit, phase: float) -> float:
-    """Return the phase of A γ(φ): orbits start on the last reverser's fixed set, half a period from the first's."""
+    """Return the phase of A γ(φ) for the first reverser A.
+
+    Orbits start on the fixed set of the last reverser, half a period from that of the first.
+    """
     return ((0.5 if len(orbit.system.reversers) > 1 else 0.0) - phase) % 1.0
 
 
 def reversed_in_time(connection: Connection) -> Connection:
-    """Return the connection from target to source that is this one run backward.
+    """Return the time-reversed connection, from target to source.
 
-    With A the reverser that turns unstable tubes into stable ones, x(t) a connection on its lift and k the whole turns
-    at its end, y(t) = A x(-t) - A k is one on the lift that starts at the target's named position.
+    Let A be the reverser that maps unstable tubes to stable tubes, x(t) a lifted connection and k its whole turns. Then y(t) = A x(-t) - A k is a connection on the lift that starts at the target's named position.
     """
     orbit, source, target = connection.orbit, connection.target, connection.source
     system = source.system
     reverser = system.reversers[0]
     turns = -reverser @ np.asarray(orbit.end.turns) + 0.0
     lift = turns * system.turn_lengths
-    # The turned-around stable end is a point of the unstable manifold, with the same phase and amplitude.
+    # The reversed stable end lies on the unstable manifold, with the same phase and amplitude.
     start = replace(orbit.end, stable=False, turns=(0.0,) * system.dimension)
     end = replace(orbit.start, stable=True, turns=tuple(float(k) for k in turns))
     states = orbit.states[::-1] @ reverser.T + lift
@@ -298,7 +312,7 @@ def reversed_in_time(connection: Connection) -> Connection:
 
 
 def connection_sense(connection: Connection) -> int:
-    """Return which way (+1, -1) a homoclinic turns, if it does, or else the section is crossed."""
+    """Return the sense (±1) of the rotation or of the crossing."""
     turns = [k for k in connection.winding if k]
     if turns and connection.source.saddle == connection.target.saddle:
         return int(np.sign(turns[0]))
@@ -306,9 +320,10 @@ def connection_sense(connection: Connection) -> int:
 
 
 def named(connection: Connection) -> Connection:
-    """Return a connection under a name made of what it is, not of the order in which it was found.
+    """Return a connection with a name that depends on its properties only.
 
-    Source, target, winding, hits, section where it is not the saddles' own, position and rate there to four digits.
+    The name has source, target, winding, hits, the section unless it is the default, and position and rate to four
+    digits.
     """
     system, section, state = connection.source.system, connection.section, connection.state
     saddles = (connection.source.saddle, connection.target.saddle)
@@ -325,21 +340,24 @@ def named(connection: Connection) -> Connection:
 
 
 def searched_at(name: str) -> tuple[tuple[int, int], str | None] | None:
-    """Return the (hits, short name of the section) of a connection's name, None where it is no such name."""
+    """Return the hits and section of a connection's name, or None."""
     match = re.search(r"\]h([1-9])\.([1-9])(?::([\w-]+))?@", name)
     return None if match is None else ((int(match[1]), int(match[2])), match[3])
 
 
-_TANGENT = 1e-5  # scaled: rounding that moves an intersection farther may hide the others of a bifurcation
+_TANGENT = 1e-5  # scaled; a larger rounding error of an intersection may hide others near a bifurcation
 
 
 @dataclass(frozen=True)
 class ConnectionSearch:
-    """All connections found between two orbits on one section, and what may hide others.
+    """All connections found between two orbits on one section.
 
-    failed: crossings of the cuts that did not converge. complete: none failed, the cuts are resolved and open only
-    where nothing is hidden, closed ones cross as often one way as the other, and no two are tangent to rounding.
-    partial: the search's time was over before its work was done.
+    A search is complete if no intersection failed and the cuts are resolved and hide nothing. Also, closed cuts must
+    cross equally often in both directions, and none may be tangent to rounding.
+
+    Attributes:
+        failed: number of intersections that did not converge.
+        partial: True if the time limit ended the search early.
     """
 
     source: LyapunovOrbit
@@ -355,7 +373,7 @@ class ConnectionSearch:
         return f"<connections {self.source.saddle} → {self.target.saddle}: {self.status}>"
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol connect --json` prints."""
+        """Return the document printed by `dpcontrol connect --json`."""
         return {
             "count": len(self.connections),
             "connections": [c.document() for c in self.connections],
@@ -372,32 +390,32 @@ class ConnectionSearch:
         }
 
     def named(self, name: str) -> Connection:
-        """Return the connection of this name.
+        """Return the connection with the given name.
 
         Raises:
-            InputError: none of those found has it; names the one most like it.
+            InputError: no such connection; the message suggests the most similar name.
         """
         names = [c.name for c in self.connections]
         if name in names:
             return self.connections[names.index(name)]
         if not names:
-            raise InputError(f"there is no connection {name!r}: the search found none ({self.status})")
+            raise InputError(f"no connection {name!r}: the search found none ({self.status})")
         close = difflib.get_close_matches(name, names, n=1, cutoff=0.3)
         hint = f"did you mean {close[0]!r}?" if close else f"names look like {names[0]!r}"
-        raise InputError(f"there is no connection {name!r} among the {len(names)} found; {hint} (quote it in a shell)")
+        raise InputError(f"no connection {name!r} among the {len(names)} found; {hint} (quote it in a shell)")
 
     @property
     def open_ends(self) -> tuple[tuple[str, OpenEnd], ...]:
-        """Where cuts are open: (tube, end) with tube "unstable" or "stable"."""
+        """Open ends of the cuts: (tube, end) with tube "unstable" or "stable"."""
         return tuple((name, end) for name, cut in zip(("unstable", "stable"), self.cuts, strict=True)
                      for end in cut.open_ends)  # fmt: skip
 
 
 def orbits_between(system: System, source: str, target: str, energy: float) -> tuple[LyapunovOrbit, LyapunovOrbit]:
-    """Return the Lyapunov orbits of both saddles at `energy`, the same one for a homoclinic search.
+    """Return the Lyapunov orbits of both saddles at `energy` (J).
 
     Raises:
-        InputError: an unknown saddle, or an energy at which one of them has no orbit.
+        InputError: an unknown saddle, or a saddle without an orbit at this energy.
     """
     first = lyapunov_orbit(system, source, energy=energy)
     return first, first if source == target else lyapunov_orbit(system, target, energy=energy)
@@ -414,18 +432,20 @@ def find_connections(
     budget: Budget | None = None,
     progress: Progress = no_progress,
 ) -> ConnectionSearch:
-    """Find every connection from `source` to `target` that meets a section at `hits`: their own, or another.
+    """Find the connections from `source` to `target` on a section.
 
-    An orbit that meets the section more than once is found at each pair of hits that add up to one more than it has
-    crossings: one that passes by another saddle's side and comes back has at least two.
+    A connection with m crossings of the section is found at each pair of hits with sum m + 1. Connections that pass
+    beside another saddle and return have at least two crossings.
 
-    cuts: of the unstable tubes of source and target, where they are known already, made with the same settings (the
-    stable tube's cut is its unstable one's, turned around). budget: time that is shared with other work, instead of the
-    settings' seconds; when it is over, what was found is returned, marked as partial.
+    Args:
+        hits: crossing numbers of the unstable and stable tubes.
+        section: the saddles' default unless given.
+        cuts: unstable cuts of source and target, computed with the same settings.
+        budget: time limit, shared with other work.
 
     Raises:
-        InputError: the orbits differ in energy, no section is known between their saddles, it is not kept by the
-            target's reverser, or one of the orbits crosses it itself.
+        InputError: the orbits differ in energy, no section is known between their saddles, the target's reverser does
+            not preserve it, or one of the orbits crosses it.
     """
     settings, system = settings or ConnectionSettings(), source.system
     for hit in hits:
@@ -435,13 +455,13 @@ def find_connections(
     if source.energy != target.energy:
         raise InputError(
             system.worded(
-                f"orbits at {source.energy:g} J and {target.energy:g} J cannot be connected: the flow keeps its energy"
+                f"orbits at {source.energy:g} J and {target.energy:g} J cannot be connected: the flow conserves energy"
             )
         )
     if not section.kept_by(target.reverser, target.centre):
         raise InputError(
-            f"the section {section.name} is not kept by the reverser about {target.saddle}, which turns the unstable "
-            "tube into the stable one; choose a section that this symmetry maps onto itself"
+            f"section {section.name}: not preserved by the reverser about {target.saddle}, which maps the unstable "
+            "tube to the stable tube; choose a section that this symmetry maps onto itself"
         )
     curves = (OrbitCurve(source), OrbitCurve(target))
     for curve in curves:
@@ -458,7 +478,7 @@ def find_connections(
         same_tube = source is target and hits[0] == hits[1]
 
         def cut(which: int) -> Cut:
-            # Each tube leaves time for the other, and both for what follows.
+            # Each tube leaves time for the other one and for the refinement.
             share, part = 0.4 * (which + 1), part_of(progress, 0.3 * which, 0.3 * (which + 1))
             part(f"tube of {(source, target)[which].saddle}", 0.0)
             return tube_cut(
@@ -484,7 +504,7 @@ def find_connections(
     finer = replace(settings, cut=replace(settings.cut, chord=settings.cut.chord / 2))
     # A finer search takes about twice as long.
     if not even and finer.cut.chord >= settings.finest and budget.share < 1 / 4:
-        # Folds thinner than the chord: what one polyline cuts off, a finer one follows.
+        # The cuts have folds thinner than the chord, which a finer polyline resolves.
         return find_connections(
             source, target, hits=hits, section=section, settings=finer, budget=budget, progress=progress
         )
@@ -518,9 +538,9 @@ def find_connections(
     later = any(end.later for cut in (unstable, backward) for end in cut.open_ends)
     complete = even and resolved and not (failed or left or hidden or tangent or later)
     count = f"{'' if complete else 'at least '}{len(found)} connections"
-    status = f"{count}; unstable tube {unstable.status}; stable tube {backward.status}"
+    status = f"{count}: unstable tube {unstable.status}; stable tube {backward.status}"
     if not even:
-        status += "; closed cuts cross one way more often than the other, so crossings were missed"
+        status += "; closed cuts cross more often in one direction than in the other, so crossings were missed"
         status += ": try another energy" if settings.thorough else ": search thoroughly"
     if failed:
         remedy = "try another energy" if settings.thorough else "search thoroughly, or at another energy"
@@ -528,17 +548,17 @@ def find_connections(
     partial = bool(left) or any(cut.spent for cut in (unstable, backward))
     if partial:
         status += (
-            f"; partial: {f'{left} places were left when ' if left else ''}the search's {budget.seconds:.3g} s of "
-            "processor time were over: give it more seconds, or an energy nearer to the saddles', where tubes cross "
-            "less often"
+            f"; partial: the search reached its limit of {budget.seconds:.3g} s of processor time"
+            f"{f' with {left} places left' if left else ''}: allow more seconds, or use an energy nearer to the "
+            "saddles', where tubes cross less often"
         )
     if tangent:
-        status += f"; the tubes are tangent to rounding at {tangent}, so near a bifurcation that each may be several"
+        status += f"; the tubes are tangent to rounding at {tangent}, each of which may be several near a bifurcation"
     if hidden:
         remedy = "try another energy" if settings.thorough else "search thoroughly"
-        status += f"; the cuts are open (see open_cuts) where connections may lie: allow more time, or {remedy}"
+        status += f"; the cuts are open (see open_cuts) and may hide connections: allow more time, or {remedy}"
     elif later:
-        status += "; longer flights exist beyond --longest, and connections may lie among them: give a longer time"
+        status += "; longer flights exist beyond --longest and may include connections: allow more time"
     elif unstable.open_ends or backward.open_ends:
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)
@@ -547,19 +567,19 @@ def find_connections(
 
 def _sort(found: list[Connection]) -> list[Connection]:
     """Order connections in place by sense and position on their section."""
-    # Ties in the position are noise: sorting on rounded values keeps the order from run to run.
+    # Rounded positions make the order reproducible despite numerical noise.
     found.sort(key=lambda c: (-c.sense, *np.round(section_points(c.source.system, c.section, c.state), 6)))
     return found
 
 
 def _crosses(curve: OrbitCurve, section: Section) -> bool:
-    """Whether a periodic orbit meets a section, by its samples."""
+    """Return True if the samples of a periodic orbit cross a section."""
     states = np.vstack([curve.samples, curve.samples[:1]])
     return any(section.admits(states[k]) for k in np.flatnonzero(np.diff(section.sheets(states))))
 
 
 def _known(system: System, connection: Connection, found: list[Connection], tolerance: float) -> bool:
-    """Whether a connection was found before: pieces of scattered cuts overlap where they join."""
+    """Return True for a repeated connection; pieces of scattered cuts overlap."""
 
     def same(other: Connection) -> bool:
         flattest = min(other.transversality_angle, connection.transversality_angle)
@@ -570,7 +590,7 @@ def _known(system: System, connection: Connection, found: list[Connection], tole
 
 
 def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
-    """Refine by multiple shooting, over shorter segments where rounding grows too far along an unstable orbit's."""
+    """Refine by multiple shooting, with shorter segments after a failure."""
     orbit = _shot(crossing, settings)
     for shorter in (2, 4):
         if orbit.converged:
@@ -580,7 +600,7 @@ def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOr
 
 
 def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
-    """Refine by multiple shooting from farther out on both manifolds; time zero is the node on the section."""
+    """Refine by multiple shooting, with time zero on the section."""
     ends, times, states = [], [], []
     for side, phase, flight in zip(crossing.sides, crossing.phases, crossing.times, strict=True):
         manifold = side.manifold
@@ -588,7 +608,7 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
         amplitude = manifold.amplitude(float(phase), side.branch)
         turns = crossing.turns if side.stable else np.zeros(system.dimension)
         seed_end = ManifoldEnd(manifold, side.stable, float(phase), amplitude, tuple(float(k) for k in turns))
-        # Time runs from the seed to the section here, whichever way the tube flows.
+        # Here time runs from the seed to the section for both tubes.
         sign = -1.0 if side.stable else 1.0
         count = max(2, int(np.ceil(flight / period * settings.segments)))
         out = max(settings.lead, float(np.log(manifold.distance / settings.farthest)) / manifold.exponent)
@@ -607,7 +627,7 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
         states=np.vstack([states[0], states[1][::-1][1:]]),
         durations=np.diff(guessed),
         owners=np.zeros(len(guessed), dtype=np.intp),
-        # The section itself, not where the flown crossing lies to rounding: states must not depend on how it was flown.
+        # The exact section, so that the rounding of the propagated crossing has no effect on the states.
         markers={len(times[0]) - 1: (np.asarray(section.normal), section.level(states[0][-1]))},
         energy=orbit.energy,
         ends=(ends[0], ends[1]),
@@ -616,18 +636,18 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
 
 
 def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
-    """Return the search from target to source that time reversal makes of one from source to target.
+    """Return the time-reversed search, from target to source.
 
     Raises:
-        ValueError: the section or a saddle is not kept by the reverser (`can_be_reversed` tells).
+        ValueError: the reverser does not preserve the section and both saddles (see `can_be_reversed`).
     """
     system = search.source.system
     if not can_be_reversed(system, search.source.saddle, search.target.saddle, section=search.cuts[0].section):
-        raise ValueError(f"time reversal does not keep the section from {search.source.saddle}")
+        raise ValueError(f"time reversal does not preserve the section from {search.source.saddle}")
     found = _sort([reversed_in_time(connection) for connection in search.connections])
     unstable, stable = search.cuts[1], search.cuts[0]
     status = (
-        f"{len(found)} connections, those from {search.source.saddle} to {search.target.saddle} turned around in time; "
+        f"{len(found)} connections by time reversal of {search.source.saddle} to {search.target.saddle}: "
         f"unstable tube {unstable.status}; stable tube {stable.status}"
     )
     return replace(
@@ -640,9 +660,9 @@ def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
     )
 
 
-_LARGE = 0.4  # scaled distance from the orbit to which a tube has grown where its connections are sought
-_PROBED = 96  # phases at which the seeds' distances are compared
-_EDGE = 1e-6  # of a phase: what rounding may put on either side of a whole number
+_LARGE = 0.4  # scaled distance from the orbit at which a tube is large enough for the search
+_PROBED = 96  # number of phases at which seed distances are compared
+_EDGE = 1e-6  # rounding tolerance of whole-number phases
 
 
 def find_lap_connections(
@@ -652,20 +672,23 @@ def find_lap_connections(
     section: Section,
     crossings: Sequence[int] = (),
 ) -> ConnectionSearch:
-    """Find connections between an orbit that crosses `section` itself and one that does not, either way.
+    """Find connections of an orbit that crosses the section itself.
 
-    crossings: which of the lapping tube's crossings, counted from its seeds, are searched; by default the last on which
-    it has grown to a scaled distance of about 0.4. The other tube's first crossing is taken.
+    One of the two orbits must cross the section and the other must not. The first crossing of the other tube is used.
+
+    Args:
+        section: the section.
+        crossings: crossing numbers of the lapping tube, counted from its seeds. The default is the last one before a
+            scaled distance of about 0.4.
 
     Raises:
-        InputError: not exactly one of the orbits crosses the section, no crossing numbers above zero, or the orbits
-            differ in energy.
+        InputError: both orbits or neither cross the section, a crossing number is below one, or the energies differ.
     """
     settings = ConnectionSettings()
     lapping = [orbit for orbit in (source, target) if isinstance(orbit, HyperbolicOrbit)]
     if len(lapping) != 1:
         raise InputError(
-            f"{source.saddle} and {target.saddle}: exactly one must be an orbit whose tubes cross with every lap"
+            f"{source.saddle} and {target.saddle}: exactly one must be an orbit whose tubes cross on every lap"
         )
     each = own_crossings(lapping[0], section)
     if not each:
@@ -694,41 +717,41 @@ def find_lap_connections(
     assert search is not None
     _sort(found)
     listed = ", ".join(str(c) for c in crossings)
-    status = f"{len(found)} connections where {lapping[0].saddle}'s tube crosses {section.name} for the {listed}. time"
-    status += "; other crossings have others"
+    status = f"{len(found)} connections at crossing {listed} of {section.name} by the tube of {lapping[0].saddle}"
+    status += "; other crossings may have more"
     if failed:
-        status += f"; {failed} crossings of the cuts did not converge; try another energy"
+        status += f"; {failed} crossings of the cuts did not converge: try another energy"
     if not resolved:
         status += "; not every cut is resolved: allow less time"
     return replace(search, connections=tuple(found), failed=failed, complete=False, status=status)
 
 
 def grown_crossing(orbit: HyperbolicOrbit, section: Section, settings: ConnectionSettings | None = None) -> int:
-    """Return the last crossing, counted from its seeds, on which a tube has grown to a scaled distance of about 0.4."""
+    """Return the last crossing before a tube's scaled distance reaches about 0.4."""
     settings = settings or ConnectionSettings()
     manifold, phases = local_manifold(orbit, settings.distance), np.arange(_PROBED) / _PROBED
     away = (manifold.seeds(phases, 1)[0] - manifold.frame(phases).states) / orbit.system.scale
-    # Where they would otherwise meet one trajectory more than once, seeds are nearer than `distance`.
+    # Seeds may be nearer than `distance`, so that no trajectory is sampled twice.
     laps = float(np.log(_LARGE / np.linalg.norm(away, axis=1).min())) / manifold.exponent
     return max(1, int(laps * own_crossings(orbit, section)))
 
 
 def own_crossings(orbit: LyapunovOrbit, section: Section) -> int:
-    """Return how often an orbit itself crosses a section in one period."""
+    """Return the number of an orbit's section crossings per period."""
     curve = OrbitCurve(orbit)
     states = np.vstack([curve.samples, curve.samples[:1] + orbit.turn])
     return sum(section.admits(states[k]) for k in np.flatnonzero(np.diff(section.sheets(states))))
 
 
 def _canonical(connection: Connection) -> Connection:
-    """Return a connection with the turning orbit's phase at the section in [0, 1), and all else to match."""
+    """Return a connection with the rotating orbit's phase reduced to [0, 1)."""
     source, target, orbit = connection.source, connection.target, connection.orbit
     system = source.system
     start, end, states = orbit.start, orbit.end, orbit.states
     state = connection.state
     rounds = int(np.floor(start.orbit_phase - float(orbit.times[0]) / source.period + _EDGE))
     if source.laps and rounds:
-        # γ(φ) a whole number of rounds on is γ(φ - rounds), lifted: the connection starts where phases say.
+        # After whole periods, γ(φ) equals γ(φ - rounds) on another lift, so phases determine the start.
         back = source.whole_turns * rounds
         start = replace(start, phase=start.phase - rounds, amplitude=start.amplitude * _sign(source) ** rounds)
         states, state = states - back * system.turn_lengths, state - back * system.turn_lengths
@@ -759,9 +782,9 @@ def _sign(orbit: LyapunovOrbit) -> int:
 
 
 def _hits_since(orbit: ShootingOrbit, connection: Connection) -> tuple[int, int]:
-    """Return which crossings these are, counted since the first orbit was left and until the last is joined.
+    """Return the crossing numbers between departure and arrival.
 
-    Left and joined are as the connection's times have them; the seeds still lap with the periodic orbit.
+    Departure and arrival follow from the connection's flight times. The seeds themselves still lap with the orbit.
     """
     section, counts = connection.section, []
     for sign, reach, orbit_end in (
@@ -771,7 +794,7 @@ def _hits_since(orbit: ShootingOrbit, connection: Connection) -> tuple[int, int]
         if not orbit_end.laps:
             counts.append(connection.hits[0 if sign < 0 else 1])
             continue
-        # The crossing at time zero lies on a node, to rounding on either side of the section.
+        # The crossing at time zero lies on a node, so rounding decides its side of the section.
         count = 2 + int(np.ceil(reach / orbit_end.period * 200))
         times = (np.arange(count) + 0.5) * reach / count
         counts.append(1 + int(np.count_nonzero(np.diff(section.sheets(orbit.sample(sign * times))))))

@@ -179,7 +179,7 @@ def test_no_heteroclinics_below_the_energy_of_up_down():
 def test_orbits_of_different_energy_are_not_connected():
     system = load_model("lab").system
     first, second = (lyapunov_orbit(system, "down-up", energy=e) for e in (-0.07, 0.0))
-    with pytest.raises(InputError, match="the flow keeps its energy"):
+    with pytest.raises(InputError, match="the flow conserves energy"):
         find_connections(first, second)
 
 
