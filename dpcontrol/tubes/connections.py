@@ -284,7 +284,8 @@ def _reversed_phase(orbit: LyapunovOrbit, phase: float) -> float:
 def reversed_in_time(connection: Connection) -> Connection:
     """Return the time-reversed connection, from target to source.
 
-    Let A be the reverser that maps unstable tubes to stable tubes, x(t) a lifted connection and k its whole turns. Then y(t) = A x(-t) - A k is a connection on the lift that starts at the target's named position.
+    Let A be the reverser that maps unstable tubes to stable tubes, x(t) a lifted connection and k its whole turns.
+    Then y(t) = A x(-t) - A k is a connection on the lift that starts at the target's named position.
     """
     orbit, source, target = connection.orbit, connection.target, connection.source
     system = source.system

@@ -237,7 +237,7 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
     [
         ((*LOW, "-s", "down-up*"), "'down-up*' is not a symbol"),
         ((*LOW, "-s", "sideways +"), "choose from down-up, up-down"),
-        ((*LOW, "-s", "down-up>down-up[0,1]h1.1@0.0000,-9.9"), "there are: down-up>down-up[0,-1]h1.1@"),
+        ((*LOW, "-s", "down-up>down-up[0,1]h1.1@0.0000,-9.9"), "available: down-up>down-up[0,-1]h1.1@"),
         ((*LOW, *TURN, "-s", "up-down -"), 'put "down-up > up-down" between them'),
         ((*LOW, *TURN, *BACK, "--wraps", "1,2", "--solve"), "1 interior stop"),
         ((*LOW, *TURN, *BACK, "--wraps", "", "--solve"), "wraps = []"),

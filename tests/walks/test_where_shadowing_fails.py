@@ -44,7 +44,7 @@ def test_no_wraps_are_too_few_between_turns_that_have_just_been_born(system, tan
         assert not failed.converged
         assert failed.fault in (0, 1)
         assert failed.status.startswith(f"symbol {failed.fault + 1} of 2 ({walk[failed.fault].name})")
-        assert "use more wraps next to it" in failed.status
+        assert "ask for more wraps beside it" in failed.status
         assert "must be at least [1]" in solver.advice(failed)
         assert solver.least(walk) == (1,)
         assert classifier.complaints(solver.solve(walk, [1])) == []
@@ -91,7 +91,7 @@ def test_an_orbit_that_follows_the_twin_is_not_passed_off_as_the_one_asked_for(t
     wrong = described(shot, (first, first, first), [2, 2], rivals=tangent.connections)
     assert not wrong.converged
     assert wrong.fault == 1
-    assert f"symbol 2 of 3: converged, but the orbit follows {twin.name} there instead of {first.name}" in wrong.status
+    assert f"symbol 2 of 3: converged, but the orbit follows {twin.name} instead of {first.name}" in wrong.status
     assert "more wraps" in wrong.status
 
 
