@@ -1,28 +1,28 @@
-"""Where an unstable and a stable tube's cuts meet on a section, and what lies inside them.
+"""Intersections of tube cuts, and the interior of tubes.
 
-The stable tube is the unstable one turned around by a reverser. The cuts' polylines give first guesses, also where
-they only nearly touch; Newton's method on (phase_u, phase_s) with the variational equations solves
-P(W^u(phase_u)) = P(W^s(phase_s)) in the section's coordinates (q, p/p₀). No window, no count is given beforehand.
-Beside every crossing others are looked for where the cuts' slopes and bend place them.
+The stable tube is the image of the unstable tube under a reverser. Crossings and near touches of the cuts' polylines
+give initial guesses. Newton's method on (phase_u, phase_s) with the variational equations solves
+P(W^u(phase_u)) = P(W^s(phase_s)) in the section's coordinates (q, p/p₀). Neither a search window nor the number of
+solutions is required. Further intersections next to a known one are predicted from the cuts' slope and curvature.
+
+*Interior of a tube.* A grid of points (q, p/p₀) inside the unstable cut is converted to states on the section at the
+tube's energy and propagated through several returns. States inside the unstable tube have passed the saddle's
+bottleneck, and those inside the stable tube will pass it. At each return, forward and backward, a point is labelled by
+the cut that contains it, if any, and by the whole turns since the start. The interior of the stable tube follows by
+time reversal, without integration.
+
+Each point keeps its angle about the region's innermost point and a radius, 0 at this point and 1 on the cut. They are
+the hue and saturation of a colour wheel.
+
+To convert a point (q, p/p₀) to a state, θ(q) and the momentum along the section are given. The velocity across it,
+v = v₀ + s w, solves the quadratic
+
+    ½ vᵀ M v = H - V(θ)
+
+for the root with the required direction of crossing.
 
 Source: Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbits and resonance transitions in
 celestial mechanics (2000), section 4; Kaheman et al. (2023), section 3.
-
-*The inside of a tube*: a grid over the region that its cut encloses, carried through returns to the section.
-Points (q, p/p₀) of a grid inside the unstable cut are turned into states on the section at the tube's energy.
-What is inside the unstable tube has come through the saddle's bottleneck, what is inside the stable tube will go
-through it; at each return, forward and backward, a point is labelled by the cut that it lies in, if any, and by the
-whole turns since the start. The stable tube's interior is the unstable one's turned around in time, never integrated.
-
-Each point keeps an angle about the region's innermost point and a radius, 0 there and 1 on the cut: the hue and the
-saturation of a colour wheel. Source: Kaheman et al. (2023), section 3; Koon, Lo, Marsden, Ross (2000), section 4.
-
-Closed cuts as outlines of regions of a section: which points lie inside, and the states that points stand for.
-
-A point (q, p/p₀) becomes a state on the section: with θ(q) and the momentum along the section given, the velocity
-across it, v = v₀ + s w, solves the energy's quadratic
-
-    ½ vᵀ M v = H - V(θ),      the root with the asked direction of crossing.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,23 +46,27 @@ from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.cut import Cut, CutSettings, Piece, longest_flight, section_points
 
 _BLOCK = 32
-"""Segments of the first curve at a time: compared only with those of the second that their box meets."""
+"""Segments of the first curve per bounding box; only segments of the second that meet the box are compared."""
 
 _STRETCH = 8
-"""Vertices of one curve that neighbours on another may have nearest to them, where both run beside each other."""
+"""Largest index step between the nearest vertices of neighbours, on curves that run side by side."""
 
 
 def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]:
-    """Return (i + s, j + t) where segment i of `first` (K, 2) crosses segment j of `second` (L, 2).
+    """Return the crossings (i + s, j + t) of two polylines.
 
-    s and t in [0, 1) are the fractions along the segments.
+    Segment i of the first crosses segment j of the second, at fractions s and t in [0, 1) of their lengths.
+
+    Args:
+        first: vertices (K, 2).
+        second: vertices (L, 2).
     """
     a, b = first[:-1], second[:-1]
     da, db = np.diff(first, axis=0), np.diff(second, axis=0)
     low, high = np.minimum(b, second[1:]), np.maximum(b, second[1:])
     starts = np.arange(0, len(b), _BLOCK)
     blocks = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
-    # Wider than rounding can move a crossing.
+    # The margin exceeds the effect of rounding on a crossing.
     margin = 1e-9 * max(float(np.abs(first).max(initial=0.0)), float(np.abs(second).max(initial=0.0)))
     found: list[tuple[float, float]] = []
     for start in range(0, len(a), _BLOCK):
@@ -85,11 +89,11 @@ def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]
 
 
 def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tuple[float, float]]:
-    """Return vertex pairs (i, j) where two sampled curves come so near that they may touch between their vertices.
+    """Return vertex pairs (i, j) at which two sampled curves may touch.
 
-    A smooth curve leaves its polyline by about an eighth of the second difference of its vertices (the sagitta). Where
-    `first` passes `second` at a locally smallest distance within `margin` times both sagittas, the curves may cross
-    twice although no segments do.
+    A smooth curve deviates from its polyline by about an eighth of the second difference of its vertices (the sagitta).
+    If a local minimum of the distance is below `margin` times both sagittas, the curves may cross twice although no
+    segments do.
     """
     if len(first) < 3 or len(second) < 3:
         return []
@@ -104,7 +108,7 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
         _to_segment(first, second[nearest], second[nearest + 1]),
     )
     allowed = margin * (bends[0] + bends[1][nearest])
-    # Neighbours that are near another stretch of the second curve say nothing about this one.
+    # Neighbours near another stretch of the second curve are irrelevant here.
     along = np.abs(np.diff(nearest)) <= _STRETCH
     before = np.r_[np.inf, np.where(along, distance[:-1], np.inf)]
     after = np.r_[np.where(along, distance[1:], np.inf), np.inf]
@@ -113,7 +117,7 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
 
 
 def _sagitta(curve: Array) -> Array:
-    """Return an eighth of the second difference at each vertex (K,), the ends taking their neighbours'."""
+    """Return an eighth of the second difference at each vertex (K,)."""
     inner = np.linalg.norm(curve[:-2] - 2 * curve[1:-1] + curve[2:], axis=1) / 8
     return np.r_[inner[:1], inner, inner[-1:]]
 
@@ -126,26 +130,32 @@ def _to_segment(points: Array, start: Array, end: Array) -> Array:
     return np.linalg.norm(points - start - share[:, None] * along, axis=1)
 
 
-_PLACED, _SOLVED, _PAIRED = 0.25, 0.5, 0.6  # of the time left after the cuts: what each step must have ended by
-_THOROUGH = 50.0  # what is under way when they have passed takes a few more
-_BESIDE = 1e-3  # phase over which the cuts' bend is measured, less than the 1/100 between the first samples of a cut
-_FARTHEST_PARTNER = 0.05  # phase; the polylines tell partners apart that are farther off
-_FARTHEST = 0.2  # phase from a guess to where Newton's method may lead
-_CLOSER = 16  # points for each between neighbours of a cut where Newton's method did not converge from them
-_TOGETHER = 256  # places that are solved at once
-_AT_REST = 1e-10  # of a phase: Newton's steps where the rounding of seeds, grown with the flight, is what is left
+_PLACED, _SOLVED, _PAIRED = 0.25, 0.5, 0.6  # deadlines of the steps, as shares of the time left after the cuts
+_THOROUGH = 50.0  # the step in progress at the limit takes a few seconds more
+_BESIDE = 1e-3  # phase step for the curvature of cuts, below the initial sampling of 1/100
+_FARTHEST_PARTNER = 0.05  # phase; polylines resolve partners at larger distances
+_FARTHEST = 0.2  # largest distance in phase from a guess to its solution
+_CLOSER = 16  # points per chord of a finer sampling after Newton's method has failed
+_TOGETHER = 256  # places solved together
+_AT_REST = 1e-10  # phase step at which the rounding error of seeds dominates
 
 
 @dataclass(frozen=True)
 class ConnectionSettings:
-    """distance: of seeds from their orbits, scaled (truncation falls as its cube, rounding grows as its inverse).
+    """Settings of the search for connections.
 
-    accept: gap between the two tubes' arrivals below which they are taken for a connection before it is refined, as
-    they are where only rounding keeps the gap larger; lead: periods of each orbit at least, farthest: scaled distance
-    from it at most (its square is left out), nearest: at least (rounding), and segments: nodes per period, in the
-    multiple-shooting refinement; near: scaled distance at which a connection is said to have joined its orbit. finest:
-    chord to which cuts are refined where closed ones cross unevenly. seconds: of processor time after which a search
-    ends with what it has. thorough: whether it goes on for as long as it may, so that to advise it would not help.
+    The truncation error of seeds is proportional to the cube of their distance from the orbit, and rounding to its
+    inverse. Multiple shooting starts at least `lead` periods earlier, between the scaled distances `nearest` and
+    `farthest` from the orbit, with `segments` nodes per period.
+
+    Attributes:
+        distance: of seeds from their orbits, scaled.
+        accept: largest gap between the two arrivals.
+        near: scaled distance of departure and arrival.
+        finest: smallest chord if closed cuts cross unevenly.
+        thorough: True if a longer search would not help.
+
+    The search ends after `seconds` of processor time. A gap above `accept` is allowed if it is due to rounding.
     """
 
     distance: float = 1e-4
@@ -171,21 +181,23 @@ def search_settings(
 ) -> ConnectionSettings:
     """Return settings for a search.
 
-    longest: periods of its orbit that a trajectory may take to the section, None for the system's own number; thorough:
-    go on where a search would be given up, for up to a minute; seconds: of processor time, instead of a minute.
+    Args:
+        longest: flight time to the section in periods of the orbit, None for the system's default.
+        thorough: refine further for up to a minute.
+        seconds: limit on processor time, s.
 
     Raises:
-        InputError: no time, or more than the longest.
+        InputError: a time that is not positive or too long.
     """
     seconds = seconds if seconds is None or isinstance(seconds, float) else number("seconds", seconds)
     if seconds is not None and not 0 < seconds <= MOST_SECONDS:
-        raise InputError(f"seconds = {seconds:g}: must be positive, and at most {MOST_SECONDS:g} s")
+        raise InputError(f"seconds = {seconds:g}: must be positive and at most {MOST_SECONDS:g} s")
     longest = longest if longest is None or isinstance(longest, float) else number("longest", longest)
     if longest is not None and not 0 < longest <= MOST_PERIODS:
-        raise InputError(f"longest = {longest:g}: must be positive, and at most {MOST_PERIODS:g} periods of the orbit")
+        raise InputError(f"longest = {longest:g}: must be positive and at most {MOST_PERIODS:g} periods of the orbit")
     cut = CutSettings(longest=longest)
     if thorough:
-        # Cuts take what share of a longer time they take of the usual one.
+        # Cuts get the same share of a longer time limit as of the default.
         cut = cut.thoroughly()
         cut = replace(cut, seconds=cut.seconds * (seconds or _THOROUGH) / _THOROUGH)
     return ConnectionSettings(cut=cut, seconds=seconds or (_THOROUGH if thorough else SECONDS), thorough=thorough)
@@ -193,7 +205,7 @@ def search_settings(
 
 @dataclass(frozen=True)
 class TubeSide:
-    """One tube as it arrives at the section: the manifold, the reverser for a stable tube, hit and branch."""
+    """One branch of a tube at a given section crossing."""
 
     manifold: UnstableManifold
     section: Section
@@ -203,17 +215,18 @@ class TubeSide:
     longest: float
 
     def turned(self, states: Array) -> Array:
-        """Map states (…, N) of the unstable tube to this tube: themselves, or turned around in time."""
+        """Map states (…, N) of the unstable tube to this tube."""
         if not self.stable:
             return states
         reverser, centre = self.manifold.orbit.reverser, self.manifold.orbit.centre
         return (states - centre) @ reverser.T + centre
 
     def arrive(self, phases: Array) -> tuple[Array, Array, tuple[Array, Array]]:
-        """Fly the seeds at phases (K,) to the section.
+        """Propagate the seeds at phases (K,) to the section.
 
-        Returns states (K, N) and seconds (K,), not a number where one never arrives, and the seeds with their
-        derivatives by phase, each (K, N).
+        Returns:
+            States (K, N) and times (K,) in s, NaN for trajectories that do not arrive, and the seeds and their
+            derivatives by phase, (K, N) each.
         """
         system = self.manifold.orbit.system
         seeds, slopes = self.manifold.seeds(phases, self.branch)
@@ -223,7 +236,7 @@ class TubeSide:
         return self.turned(states), np.array([np.nan if c is None else c.time for c in flown]), (seeds, slopes)
 
     def slopes(self, seeds: tuple[Array, Array], states: Array, times: Array) -> Array:
-        """Return the derivatives (K, N) by phase, along the section, of states (K, N) that arrived after times (K,)."""
+        """Return the derivatives (K, N) of arrival states by phase."""
         system = self.manifold.orbit.system
         _, grown = system.propagator.flows_with_tangents(seeds[0], times, seeds[1])
         normal = np.asarray(self.section.normal)
@@ -235,9 +248,10 @@ class TubeSide:
 
 @dataclass(frozen=True)
 class Intersection:
-    """Where two cuts meet: phases and branches of the seeds, states on the section, whole turns, tangents, times.
+    """An intersection of two cuts.
 
-    scale: of the place that led here, zero where none did.
+    Attributes:
+        scale: phase step at the polyline crossing that led here, or zero.
     """
 
     sides: tuple[TubeSide, TubeSide]
@@ -251,10 +265,12 @@ class Intersection:
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where two cuts cross, those that a coarse sampling shows first.
+    """Intersections of two cuts, those of the coarse sampling first.
 
-    failed: places that led to no crossing although the cuts, looked at closer, cross there; left: pieces not compared,
-    places not tried, and crossings beside which none was looked for, as time had run out.
+    Attributes:
+        found: the intersections.
+        failed: places without a solution although finely sampled cuts cross there.
+        left: pieces, places and partners not examined before time ran out.
     """
 
     found: list[Intersection]
@@ -264,8 +280,11 @@ class Crossings:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where two polylines meet: phases (2,), and each cut's phases near it; `shift` (2,) brings the second to the
-    first. sure: they really cross."""
+    """A place at which two polylines meet, with phases (2,).
+
+    The displacement `shift` (2,) moves the second polyline to the first. `sure` is True for a crossing, False for a
+    near touch.
+    """
 
     sides: tuple[TubeSide, TubeSide]
     phases: Array
@@ -275,22 +294,22 @@ class _Place:
 
     @property
     def scale(self) -> float:
-        """How many phases the more finely sampled of the cuts takes here."""
+        """Phase range of the more finely sampled cut at this place."""
         return min(float(span[-1] - span[0]) for span in self.spans)
 
     @property
     def reach(self) -> float:
-        """How far Newton's method may lead: past neighbours, not to where the cuts have nothing to do with it."""
+        """Largest phase change in Newton's method, beyond neighbours but within the vicinity."""
         return min(_FARTHEST, 20 * max(float(span[-1] - span[0]) for span in self.spans))
 
     def holds(self, phases: Array) -> bool:
-        """Whether phases (2,) lie within both cuts' near the place."""
+        """Return True if phases (2,) lie within both cuts' ranges."""
         return all(span[0] <= phase <= span[-1] for span, phase in zip(self.spans, phases, strict=True))
 
 
 @dataclass(frozen=True)
 class _Pair:
-    """Two cuts' pieces that may meet where the second's points are moved by `shift` (2,)."""
+    """Two pieces that may meet if `shift` (2,) moves the second one."""
 
     sides: tuple[TubeSide, TubeSide]
     pieces: tuple[Piece, Piece]
@@ -298,11 +317,11 @@ class _Pair:
 
     @property
     def scale(self) -> float:
-        """The longer of the shorter piece's steps: at most what its places have."""
+        """Longest phase step of the shorter piece, an upper bound for places."""
         return min(float(np.diff(piece.phases).max()) for piece in self.pieces)
 
     def places(self) -> list[_Place]:
-        """Return where the pieces meet."""
+        """Return the places at which the pieces meet."""
         first, second = self.pieces
         return [
             _Place(
@@ -341,10 +360,12 @@ def intersect_cuts(
     *,
     spent: Callable[[], float] = lambda: 0.0,
 ) -> Crossings:
-    """Intersect the pieces of two cuts; return distinct intersections.
+    """Return the distinct intersections of two cuts.
 
-    spent: returns which share of a search's time after the cuts has passed; the connections' refinement takes the rest.
-    Where a symmetry exchanges the branches, only one branch of the unstable tube is searched.
+    If a symmetry exchanges the branches, only one branch of the unstable tube is searched.
+
+    Args:
+        spent: function that returns the elapsed share of the time after the cuts.
     """
     mirrored = all(m.branches_are_mirrored for m in manifolds)
     pairs: list[_Pair] = []
@@ -354,7 +375,7 @@ def intersect_cuts(
             for k, m in enumerate(manifolds)
         )
         pairs += _pairs(system, (sides[0], sides[1]), cuts, settings)
-    # What a coarse sampling shows comes first, should time run out: where tubes scatter, ever finer pieces follow.
+    # Coarse pieces come first in case time runs out, because tubes that scatter have ever finer pieces.
     pairs.sort(key=lambda pair: -pair.scale)
     places: list[_Place] = []
     found: list[Intersection] = []
@@ -381,7 +402,7 @@ def intersect_cuts(
 
 
 def _together(many: Sequence[Meeting]) -> list[list[Meeting]]:
-    """Split places or crossings, in their order, into parts that are solved at once: of the same branches."""
+    """Split places or crossings in order into parts with the same branches."""
     parts = []
     for start in range(0, len(many), _TOGETHER):
         within: dict[tuple[int, int], list[Meeting]] = {}
@@ -394,7 +415,7 @@ def _together(many: Sequence[Meeting]) -> list[list[Meeting]]:
 def _pairs(
     system: System, sides: tuple[TubeSide, TubeSide], cuts: tuple[Cut, Cut], settings: ConnectionSettings
 ) -> list[_Pair]:
-    """Return the pieces of one cut's branch and those of the other's that come near each other."""
+    """Return the pairs of nearby pieces on two branches."""
     section, margin, found = sides[0].section, settings.cut.chord * system.section_scale, []
     first, second = ([piece for piece in cut.pieces if piece.branch == side.branch]
                      for cut, side in zip(cuts, sides, strict=True))  # fmt: skip
@@ -410,10 +431,11 @@ def _pairs(
 
 
 def balanced(crossings: list[Intersection], cuts: tuple[Cut, Cut]) -> bool:
-    """Whether closed cuts cross each other as often one way as the other, as closed curves must.
+    """Return True if closed cuts cross equally often in both directions.
 
-    Counted for each pair of branches whose cuts are closed and do not go round an angle; others cannot tell. Where the
-    counts differ, crossings were missed; that they agree does not prove the contrary, for pairs may be missed.
+    The test covers each pair of branches with closed cuts that do not wind around an angle. Different counts mean that
+    crossings were missed. Equal counts do not prove completeness, because a pair may be missed.
+
     Source: Guillemin & Pollack, Differential Topology (1974), section 3.3 (oriented intersection numbers).
     """
 
@@ -435,7 +457,7 @@ def balanced(crossings: list[Intersection], cuts: tuple[Cut, Cut]) -> bool:
 
 
 def _shifts(system: System, section: Section, u: Piece, s: Piece, margin: float) -> list[Array]:
-    """Return the whole turns (2,) in (q, p/p₀) that bring one piece to another, or within a margin of it."""
+    """Return the whole turns (2,) that move one piece to another."""
     period = float(system.periods[int(np.argmax(np.abs(section.position)))])
     (low, high), (least, most) = ((p.points.min(axis=0), p.points.max(axis=0)) for p in (u, s))
     if not np.isfinite(period):
@@ -446,9 +468,9 @@ def _shifts(system: System, section: Section, u: Piece, s: Piece, margin: float)
 
 
 def _meetings(first: Array, second: Array) -> list[tuple[tuple[float, float], bool]]:
-    """Return places (i, j) along two polylines (K, 2), (L, 2) and whether they really cross there."""
+    """Return meeting places (i, j) of two polylines, with True for crossings."""
     crossings = polyline_crossings(first, second)
-    # A near touch within two segments of a crossing is that crossing.
+    # A near touch within two segments of a crossing is the same one.
     touches = [
         (i, j)
         for i, j in near_touches(first, second)
@@ -458,10 +480,10 @@ def _meetings(first: Array, second: Array) -> list[tuple[tuple[float, float], bo
 
 
 def _solved(system: System, places: list[_Place], settings: ConnectionSettings) -> tuple[list[Intersection], int]:
-    """Solve for the intersections near places of the same sides; return them, and how many led to none.
+    """Solve for intersections near places of the same sides, and count failures.
 
-    Where Newton's method leads elsewhere, as from beside a fold thinner than a chord, the cuts are looked at closer.
-    Curves that run beside each other nearer than their chords follow them may not cross there at all.
+    If Newton's method leaves the place, for example next to a fold thinner than a chord, the cuts are sampled more
+    finely. Curves that are closer than the accuracy of their chords may not cross at all.
     """
     sides = places[0].sides
     solutions = _newton(
@@ -498,7 +520,7 @@ def _solved(system: System, places: list[_Place], settings: ConnectionSettings) 
 
 
 def _span(piece: Piece, place: float) -> Array:
-    """Return phases along the two segments of a piece on either side of a place, more densely than its own."""
+    """Return finer phases of a piece on both sides of a place."""
     first, last = max(0, int(place) - 2), min(len(piece.phases) - 1, int(place) + 3)
     along = np.linspace(first, last, _CLOSER * (last - first) + 1)
     return np.interp(along, np.arange(len(piece.phases)), piece.phases)
@@ -506,8 +528,13 @@ def _span(piece: Piece, place: float) -> Array:
 
 @dataclass(frozen=True)
 class _Approach:
-    """A would-be intersection: the largest component of its state gap, its gap (2,) in section coordinates, and whether
-    both trajectories cross the section the same way."""
+    """A candidate intersection during Newton's method.
+
+    Attributes:
+        gap: largest component of the state difference.
+        miss (2,): difference in section coordinates.
+        same_way: True if both trajectories cross in the same direction.
+    """
 
     crossing: Intersection
     gap: float
@@ -516,7 +543,7 @@ class _Approach:
 
 
 def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array) -> list[_Approach | None]:
-    """Return how trajectories from pairs of phases (K, 2) miss each other, None where one does not arrive."""
+    """Return candidates at phase pairs (K, 2), or None without an arrival."""
     section = sides[0].section
     position, along = np.asarray(section.position), np.asarray(section.momentum) / momentum_scale(system, section)
     found: list[_Approach | None] = [None] * len(phases)
@@ -549,14 +576,17 @@ def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array)
 
 
 def _slopes(crossing: Intersection) -> Array:
-    """Return the derivative (2, 2) of the gap in section coordinates by both phases."""
+    """Return the derivative (2, 2) of the gap by both phases."""
     return np.column_stack([crossing.tangents[:, 0], -crossing.tangents[:, 1]])
 
 
 def _newton(
     system: System, sides: tuple[TubeSide, TubeSide], guesses: Array, settings: ConnectionSettings, reach: Array
 ) -> list[Intersection | None]:
-    """Solve for pairs of phases from guesses (K, 2); None where Newton goes farther than `reach` (K,) or never ends."""
+    """Solve for phase pairs by Newton's method from guesses (K, 2).
+
+    The result is None if the method does not converge or leaves the range `reach` (K,).
+    """
     phases, resting = guesses.copy(), np.full(len(guesses), np.inf)
     found: list[Intersection | None] = [None] * len(guesses)
     going = np.arange(len(guesses))
@@ -573,12 +603,12 @@ def _newton(
             step = np.linalg.lstsq(_slopes(one.crossing), one.miss, rcond=1e-12)[0]
             longest = float(np.max(np.abs(step)))
             if longest < _AT_REST:
-                # Sensitive flights end this far apart from phases that differ by rounding alone.
+                # On sensitive flights, rounding of the phases alone causes a gap of this size.
                 if one.gap >= resting[k]:
                     found[k] = one.crossing if one.same_way else None
                     continue
                 resting[k] = one.gap
-            # A step of more than a few hundredths of a phase would leave the guess's neighbourhood.
+            # Steps are limited, because a larger one would leave the neighbourhood of the guess.
             phases[k] -= step * min(1.0, 0.05 / longest if longest else 1.0)
             if np.max(np.abs(phases[k] - guesses[k])) <= reach[k]:
                 on.append(k)
@@ -587,12 +617,12 @@ def _newton(
 
 
 def _partners(system: System, crossings: list[Intersection], settings: ConnectionSettings) -> list[Intersection]:
-    """Return the crossings within about one chord of the cuts from known ones, which polylines do not tell apart.
+    """Return further intersections within about one chord of known ones.
 
-    Along the direction in which the gap changes least it is a s + ½ b s² + c s³/6, with a, b, c from its derivative
-    there and on both sides: beside a saddle-node a second zero is near -2a/b, beside a pitchfork (b = 0) two more are
-    near ±√(-6a/c). The angle between the cuts does not tell: where they bend sharply a pair a hundredth of a phase
-    apart may meet at 60°.
+    Polylines do not resolve them. Along the direction of least change, the gap is a s + ½ b s² + c s³/6, with a, b, c
+    from its derivatives at the known intersection and on both sides. Next to a saddle-node, a second zero is near
+    -2a/b. Next to a pitchfork (b = 0), two more are near ±√(-6a/c). The angle between the cuts is no criterion: if they
+    bend sharply, a pair within a hundredth of a phase may meet at 60°.
     """
     sides, across, flat = crossings[0].sides, [], []
     for crossing in crossings:
@@ -619,7 +649,7 @@ def _partners(system: System, crossings: list[Intersection], settings: Connectio
 def _add(
     system: System, solutions: list[Intersection], found: list[Intersection], settings: ConnectionSettings
 ) -> None:
-    """Add to those found the solutions that are none of them: other points of the torus."""
+    """Add solutions that differ from all previous ones on the torus."""
     known = np.array([other.states[0] for other in found]).reshape(-1, system.dimension)
     for one in solutions:
         if not (system.scaled_distance(known, one.states[0]) < settings.same).any():
@@ -632,7 +662,13 @@ Labels = NDArray[np.int8]
 
 @dataclass(frozen=True)
 class Outline:
-    """A closed cut in (q, p/p₀): vertices (V, 2); branch of its tube; direction of crossing, +1 or -1."""
+    """A closed cut in (q, p/p₀).
+
+    Attributes:
+        vertices (V, 2): of the polygon.
+        branch: of the tube.
+        direction: of crossing, +1 or -1.
+    """
 
     vertices: Array
     branch: int
@@ -641,7 +677,7 @@ class Outline:
 
 
 def outlines_of(cut: Cut, manifold: UnstableManifold) -> tuple[Outline, ...]:
-    """Return the closed pieces of a tube's cut and of the stable tube's, which is the cut turned around in time."""
+    """Return the closed pieces of a cut and its time-reversed image."""
     system, section = manifold.orbit.system, cut.section
     found = []
     for stable in (False, True):
@@ -652,13 +688,13 @@ def outlines_of(cut: Cut, manifold: UnstableManifold) -> tuple[Outline, ...]:
             points = section_points(system, section, states)
             rate = float(system.numeric.rate(states[0]) @ np.asarray(section.normal))
             if np.linalg.norm(points[0] - points[-1]) > np.abs(np.diff(points, axis=0)).max() * 4:
-                continue  # winds around the torus: it has no inside
+                continue  # a curve that winds around the torus has no interior
             found.append(Outline(points, piece.branch, int(np.sign(rate)), stable))
     return tuple(found)
 
 
 def inside(points: Array, vertices: Array) -> Flags:
-    """Tell which points (K, 2) lie inside a closed polygon (V, 2), by counting the edges that a ray crosses."""
+    """Return True for points (K, 2) inside a polygon (V, 2)."""
     result = np.zeros(len(points), dtype=bool)
     x, y = points[:, 0], points[:, 1]
     for (x0, y0), (x1, y1) in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
@@ -672,7 +708,12 @@ def inside(points: Array, vertices: Array) -> Flags:
 def labels(
     system: System, section: Section, outlines: tuple[Outline, ...], points: Array, direction: NDArray[Any]
 ) -> Labels:
-    """Return the branch of the outline that each point (K, 2), crossing in `direction` (K,), lies in, or 0."""
+    """Return the branch of the outline that contains each point, or 0.
+
+    Args:
+        points (K, 2): coordinates (q, p/p₀).
+        direction (K,): of crossing.
+    """
     found = np.zeros(len(points), dtype=np.int8)
     period = position_period(system, section)
     for outline in outlines:
@@ -688,7 +729,10 @@ def labels(
 def section_states(
     system: System, section: Section, points: Array, *, energy: float, direction: int, level: float
 ) -> tuple[Array, Flags]:
-    """Return states (K, N) at (q, p/p₀) (K, 2) on n·x = level with an energy and a direction, and which exist."""
+    """Return states (K, N) at points (K, 2), and which exist.
+
+    The states lie on the section n·x = level at (q, p/p₀), with the given energy and direction of crossing.
+    """
     n = system.dimension // 2
     normal, position = np.asarray(section.normal)[:n], np.asarray(section.position)[:n]
     along = np.asarray(section.momentum)
@@ -696,7 +740,7 @@ def section_states(
     still = np.hstack([q, np.zeros_like(q)])
     mass = system.numeric.mass_matrix(still)
     momentum = points[:, 1] * momentum_scale(system, section)
-    # Any momentum with the given part along the section, and the direction that leaves that part alone.
+    # The base has the given momentum along the section, and the direction does not change it.
     base = np.outer(momentum / (along @ along), along) - system.numeric.momentum(still)
     across = np.broadcast_to(np.array([-along[1], along[0]]), base.shape)
     v0, w = (np.linalg.solve(mass, part[..., None])[..., 0] for part in (base, across))
@@ -717,13 +761,13 @@ def section_states(
 
 
 def position_period(system: System, section: Section) -> float | None:
-    """Return the period of the section's coordinate q, or None on a line."""
+    """Return the period of the section's coordinate q, or None."""
     period = float(system.periods[int(np.argmax(np.abs(section.position)))])
     return period if np.isfinite(period) else None
 
 
 def place_on_section(system: System, section: Section, states: Array) -> tuple[Array, Labels]:
-    """Return (q, p/p₀) with q within half a period of zero, and the direction of crossing, of states (…, N)."""
+    """Return (q, p/p₀), q within half a period, and the crossing direction."""
     points = section_points(system, section, states)
     period = position_period(system, section)
     if period is not None:
@@ -733,16 +777,22 @@ def place_on_section(system: System, section: Section, states: Array) -> tuple[A
 
 
 SKIP = 1e-6
-"""Seconds flown before the next return is looked for, so that the start is not taken for it."""
+"""Propagation time before the search for the next return, s, to exclude the start."""
 
 
 _AT_ONCE = 200
-"""Points flown to a return at once."""
+"""Points propagated to a return together."""
 
 
 @dataclass(frozen=True)
 class InteriorSettings:
-    """across: grid points over the cut's width and over its height; returns: either way; longest: periods to each."""
+    """Settings of a tube's interior.
+
+    Attributes:
+        across: grid points over the width and the height of the cut.
+        returns: number of returns in each direction of time.
+        longest: flight time to each return, in periods.
+    """
 
     across: int = 60
     returns: int = 3
@@ -751,11 +801,18 @@ class InteriorSettings:
 
 @dataclass(frozen=True)
 class Returns:
-    """Where K points are at each of R returns in one direction of time; entries count only where `arrived`.
+    """R returns of K points in one direction of time.
 
-    states (K, R, N) lifted; points (K, R, 2): (q, p/p₀), q within half a period of zero; seconds (K, R) since the
-    start, positive either way; winding (K, R, n): whole turns of the angles since the start, nearest; direction
-    (K, R): sign of the crossing; in_unstable, in_stable (K, R): branch of the cut that the point lies in, or 0.
+    Entries are valid only if `arrived`. Arrays have shape (K, R) unless stated otherwise.
+
+    Attributes:
+        states (K, R, N): lifted.
+        points (K, R, 2): (q, p/p₀), q within half a period of zero.
+        seconds: since the start, positive.
+        winding (K, R, n): whole turns since the start.
+        direction: sign of the crossing.
+
+    The arrays `in_unstable` and `in_stable` hold the branch of the cut that contains the point, or 0.
     """
 
     arrived: Flags
@@ -770,10 +827,15 @@ class Returns:
 
 @dataclass(frozen=True)
 class TubeInterior:
-    """A grid of K points inside one tube's cut, and its returns.
+    """A grid of K points inside one tube's cut, with its returns.
 
-    branch: of the unstable tube. points (K, 2), states (K, N); angle (K,) rad and radius (K,) from 0 to 1: hue and
-    saturation. outlines: the closed cuts of both tubes. status: a sentence.
+    Attributes:
+        branch: of the unstable tube.
+        points (K, 2): (q, p/p₀).
+        states (K, N): at the points.
+        angle (K,): hue, rad.
+        radius (K,): saturation, 0 to 1.
+        outlines: closed cuts of both tubes.
     """
 
     orbit: LyapunovOrbit
@@ -796,10 +858,10 @@ def tube_interior(
     branch: int = 1,
     settings: InteriorSettings | None = None,
 ) -> TubeInterior:
-    """Carry a grid of the inside of an unstable tube's cut through returns, forward and backward.
+    """Propagate a grid inside an unstable cut through several returns.
 
     Raises:
-        InputError: a branch that is not +1 or -1 or whose cut is not closed, or a system that has not two degrees of
+        InputError: the branch is not +1 or -1, its cut is not closed, or the system does not have two degrees of
             freedom.
     """
     settings = settings or InteriorSettings()
@@ -809,7 +871,7 @@ def tube_interior(
         raise InputError(f"branch = {branch}: must be +1 or -1")
     if system.dimension != 4:
         raise InputError(
-            f"{system.name} has {system.dimension // 2} degrees of freedom: a cut encloses an area for two"
+            f"{system.name} has {system.dimension // 2} degrees of freedom: cuts enclose an area only for two"
         )
     outlines = outlines_of(cut, manifold)
     own = [o for o in outlines if o.branch == branch and not o.stable]
@@ -817,7 +879,7 @@ def tube_interior(
         ends = [end.reason for end in cut.open_ends if end.branch == branch]
         reason = ends[0] if ends else cut.status
         raise InputError(
-            f"branch {branch:+d} has no closed cut at crossing {cut.hit} of {section.name}, so no inside: {reason}; "
+            f"branch {branch:+d} has no closed cut at crossing {cut.hit} of {section.name}, so no interior: {reason}; "
             "use another section, crossing or energy"
         )
     piece = next(p for p in cut.pieces if p.branch == branch and p.closed)
@@ -826,7 +888,7 @@ def tube_interior(
     states, fits = section_states(system, section, points, energy=orbit.energy, direction=own[0].direction, level=level)
     points, states = points[fits], states[fits]
     if not len(points):
-        raise InputError(f"the cut of branch {branch:+d} is too thin for {settings.across} points across; ask for more")
+        raise InputError(f"the cut of branch {branch:+d} is too thin for {settings.across} points across; use more")
     angle, radius = _wheel(points, own[0].vertices)
     runs = [_carried(orbit, section, states, sign, outlines, settings) for sign in (1, -1)]
     back = [int(np.count_nonzero(run.arrived[:, -1])) for run in runs]
@@ -842,7 +904,7 @@ def _carried(
     outlines: tuple[Outline, ...],
     settings: InteriorSettings,
 ) -> Returns:
-    """Fly every state to its returns in one direction of time."""
+    """Propagate every state to its returns in one direction of time."""
     system = orbit.system
     shape = (len(states), settings.returns)
     arrived = np.zeros(shape, dtype=bool)
@@ -891,7 +953,7 @@ def _carried(
 
 
 def _grid(vertices: Array, across: int) -> Array:
-    """Return the points (K, 2) of a grid over the bounding box that lie inside."""
+    """Return the points (K, 2) of a regular grid inside a polygon."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     axes = [np.linspace(a, b, across + 2)[1:-1] for a, b in zip(low, high, strict=True)]
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -899,7 +961,7 @@ def _grid(vertices: Array, across: int) -> Array:
 
 
 def _wheel(points: Array, vertices: Array) -> tuple[Array, Array]:
-    """Return angles about the innermost point, in rad, and radii: 0 there, 1 on the cut."""
+    """Return angles (rad) and radii (0 to 1) about the innermost point."""
     span = np.ptp(vertices, axis=0)
     x, edge = points / span, np.vstack([vertices, vertices[:1]]) / span
     depth = np.full(len(x), np.inf)
