@@ -1,17 +1,18 @@
-"""Families of periodic orbits, followed along their own curve until they end; and those of Lyapunov orbits.
+"""Families of periodic orbits, by continuation along their curve.
 
-The shooting equations (module lyapunov) leave a curve in (c, τ). It is followed by pseudo-arclength: the next
-point lies on the plane through the predicted point across the tangent, so that the curve may turn back in energy; steps
-halve where Newton's method leaves the curve and grow again after. Along a Lyapunov family are watched
+The solutions of the shooting equations (module lyapunov) form a curve in (c, τ). Pseudo-arclength continuation places
+the next point on the plane through the predicted point, normal to the tangent, so the curve may fold in energy. The
+step is halved if Newton's method leaves the curve, and grows afterwards. Along a Lyapunov family, two tests are
+evaluated:
 
-    dH/ds = 0                                          the energy folds,
-    det(M' - σ) = 0, σ = ±1,                           a multiplier crosses σ (M' on ker ∇H modulo the flow),
+    dH/ds = 0                                          a fold in energy,
+    det(M' - σ) = 0, σ = ±1,                           a multiplier crosses σ (M' on ker ∇H modulo the flow).
 
-each located as a root along the curve, every trial point corrected onto it. At σ = 1 a family branches (or folds), at
-σ = -1 its period doubles; either way hyperbolicity, and with it the tube, may be lost.
+Each root is located along the curve, with every trial point corrected onto it. At σ = 1 a family branches or folds, and
+at σ = -1 its period doubles. In both cases the orbit may lose hyperbolicity and its tubes.
 
-A family that runs into an equilibrium's homoclinics has a period that grows without bound: with μ the equilibrium's
-slowest growth rate and two passages to a period, energy - limit ~ exp(-μ T/2); the limit is extrapolated.
+If a family ends in the homoclinics of an equilibrium, its period grows without bound. With the equilibrium's slowest
+growth rate μ and two passages per period, energy - limit ~ exp(-μ T/2). The limit is extrapolated.
 
 Sources: Doedel et al., Computation of periodic solutions of conservative systems with application to the 3-body problem
 (2003); Vanderbauwhede & Fiedler, Homoclinic period blow-up in reversible and conservative systems (1992).
@@ -39,15 +40,22 @@ from dpcontrol.orbits.lyapunov import (
 )
 
 SLOPE = "slope"
-"""Measure of every point: the energy's derivative along the curve, in energy scales; zero at a fold."""
+"""Measure of every point: the scaled derivative of the energy along the curve, zero at a fold."""
 
 FIRST_STEP = 0.01
-"""Along the curve, scaled: the first step's length at most."""
+"""Largest first step along the curve, scaled."""
 
 
 @dataclass(frozen=True)
 class FamilyPoint:
-    """One point of the curve: unknowns and tangent, both (n + 1,); energy in J; measures by name."""
+    """A point of the curve.
+
+    Attributes:
+        unknowns (n + 1,): (c, τ).
+        tangent (n + 1,): unit tangent.
+        energy: J.
+        measures: values by name.
+    """
 
     unknowns: Array
     tangent: Array
@@ -56,17 +64,20 @@ class FamilyPoint:
     measures: Mapping[str, float]
 
     def reversed(self) -> "FamilyPoint":
-        """Return the point as the curve passes it the other way."""
+        """Return the point with the opposite tangent."""
         measures = {**self.measures, SLOPE: -self.measures[SLOPE]}
         return replace(self, tangent=-self.tangent, measures=measures)
 
 
 @dataclass(frozen=True)
 class FamilyCurve:
-    """The curve of one shooting problem.
+    """The curve of solutions of one shooting problem.
 
-    weights (n + 1,): units of (c, τ). measure: unknowns -> the family's own measures of a point. iterations,
-    tolerance: of Newton's method; accept: the largest scaled residual of a point.
+    Attributes:
+        weights (n + 1,): units of (c, τ).
+        measure: function from unknowns to the family's measures.
+        tolerance: of Newton's method.
+        accept: largest scaled residual of a point.
     """
 
     problem: SymmetricShooting
@@ -77,7 +88,10 @@ class FamilyCurve:
     accept: float
 
     def point(self, unknowns: Array, heading: Array | None, residual: float) -> FamilyPoint:
-        """Describe a point that lies on the curve; the tangent looks along `heading`, or up in energy without one."""
+        """Return a point of the curve for given unknowns (n + 1,).
+
+        The tangent points along `heading`, or towards higher energies by default.
+        """
         _, jacobian = self.problem.arc(unknowns)
         tangent = np.linalg.svd(jacobian * self.weights)[2][-1]
         energy, gradient = self.problem.energy(unknowns)
@@ -87,13 +101,13 @@ class FamilyCurve:
         return FamilyPoint(unknowns, tangent, energy, residual, {**self.measure(unknowns), SLOPE: slope})
 
     def step(self, start: FamilyPoint, length: float) -> FamilyPoint | None:
-        """Return the curve's point `length` on from `start`, None where Newton's method does not find it."""
+        """Return the point at `length` from `start`, None if Newton's method fails."""
         guess = start.unknowns + length * start.tangent * self.weights
         found, residual = self.problem.along(
             guess, start.tangent, self.weights, iterations=self.iterations, tolerance=self.tolerance
         )
         moved = float(np.linalg.norm((found - guess) / self.weights))
-        # A correction as long as half the step has left for another curve; so has a tangent that turned by 25 degrees.
+        # A correction of over half the step, or a tangent turned by 25 degrees, indicates another curve.
         if residual > self.accept or moved > 0.5 * abs(length):
             return None
         try:
@@ -110,9 +124,9 @@ class FamilyCurve:
         smallest: float,
         too_long: Callable[[FamilyPoint, FamilyPoint], bool] = lambda here, following: False,
     ) -> Iterator[tuple[FamilyPoint, FamilyPoint, float]]:
-        """Yield (point, next point, length between) from `start` on; ends where no step of `smallest` converges.
+        """Yield (point, next point, length) until no step of `smallest` converges.
 
-        too_long: whether a step that converged hides what lies within it and is halved, as long as it may be.
+        Steps that converge are still halved, if possible, when `too_long` returns True.
         """
         here, length = start, min(step, FIRST_STEP)
         while length >= smallest:
@@ -124,12 +138,12 @@ class FamilyCurve:
             here, length = following, min(step, 1.5 * length)
 
     def located(self, start: FamilyPoint, length: float, value: Callable[[FamilyPoint], float]) -> FamilyPoint | None:
-        """Return the point between `start` and `length` on where `value` vanishes, None if the curve is left."""
+        """Return the zero of `value` within `length` of `start`, or None."""
 
         def at(h: float) -> float:
             point = start if h == 0 else self.step(start, h)
             if point is None:
-                raise ArithmeticError("left the curve")
+                raise ArithmeticError("no longer on the curve")
             return value(point)
 
         try:
@@ -140,7 +154,7 @@ class FamilyCurve:
 
 @dataclass(frozen=True)
 class FollowingSettings:
-    """How a family is followed. step, smallest_step: along the curve, in scaled units of (c, τ)."""
+    """Settings of continuation, with steps in scaled units of (c, τ)."""
 
     step: float = 0.05
     smallest_step: float = 1e-6
@@ -151,7 +165,7 @@ class FollowingSettings:
 
 @dataclass(frozen=True)
 class CurveEvent:
-    """A place on a family's curve at which the measure `test` vanishes, and its values before and after."""
+    """A zero of the measure `test` on a family's curve."""
 
     test: str
     place: FamilyPoint
@@ -161,9 +175,12 @@ class CurveEvent:
 
 @dataclass(frozen=True)
 class FamilyEnd:
-    """Where the family was left: energy in J, kind, and the reason as a sentence.
+    """An end of a family.
 
-    kind: "saddle", "energy bound", "homoclinics", "hyperbolicity lost" or "not followed further".
+    Attributes:
+        energy: J.
+        kind: "saddle", "energy bound", "homoclinics", "hyperbolicity lost" or "not followed further".
+        reason: a sentence.
     """
 
     energy: float
@@ -172,18 +189,21 @@ class FamilyEnd:
 
 
 def lost(test: str, place: FamilyPoint) -> FamilyEnd:
-    """Return the end at a member where the measure `test`, "multiplier +1" or "multiplier -1", vanishes."""
-    what = "a branch leaves the family or it folds" if test.endswith("+1") else "the period doubles"
-    reason = f"hyperbolicity is lost at {place.energy:.12g} J: a multiplier crosses {test.split()[1]}, where {what}"
+    """Return the end of a family at a multiplier's crossing of ±1."""
+    what = "the family branches or folds" if test.endswith("+1") else "the period doubles"
+    reason = f"hyperbolicity is lost at {place.energy:.12g} J: a multiplier crosses {test.split()[1]} and {what}"
     return FamilyEnd(place.energy, "hyperbolicity lost", reason)
 
 
 @dataclass
 class Followed:
-    """What following a family one way has met: points within the bounds, and events.
+    """Result of following a family in one direction.
 
-    here: the last point of all; first: where it came in, if it began outside; last: where and why it was left, None
-    where no step converges.
+    Attributes:
+        points: those within the bounds.
+        here: last point.
+        first: entry into the bounds, if it started outside.
+        last: end of the family, None if no step converges.
     """
 
     here: FamilyPoint
@@ -206,9 +226,14 @@ def follow(
     too_long: Callable[[FamilyPoint, FamilyPoint], bool] = lambda here, following: False,
     progress: Progress = no_progress,
 ) -> Followed:
-    """Follow a family from a point of its curve until it leaves the bounds `energies` in J, or `stop` gives a reason.
+    """Follow a family from a point until it leaves the energy bounds.
 
-    tests: measures whose zeros are located; `losing`: those of them that end it. born: it starts where the family does.
+    Args:
+        energies: (lowest, highest), J.
+        tests: measures whose zeros are located.
+        losing: tests that end the family.
+        born: True if the family starts at this point.
+        stop: function that returns a reason to end, or "".
     """
     low, high = energies
     run = Followed(start)
@@ -227,7 +252,7 @@ def follow(
     steps = curve.followed(start, step=settings.step, smallest=settings.smallest_step, too_long=too_long)
     for before, following, length in steps:
         run.here = following
-        # At the birth dH/ds = 0 too, which is no fold.
+        # dH/ds also vanishes at the start of the family, which is not a fold.
         for test in () if born and before is start else tests:
             sides = (before.measures[test], following.measures[test])
             if sides[0] * sides[1] < 0 and (within(before.energy) or within(following.energy)):
@@ -244,7 +269,7 @@ def follow(
             if (before.energy - bound) * (following.energy - bound) < 0 or following.energy == bound:
                 place = at(following, bound)
                 run.points += [] if place is None else [place]
-                end = FamilyEnd(bound, "energy bound", f"left at the asked bound of {bound:g} J; the family goes on")
+                end = FamilyEnd(bound, "energy bound", f"reached the bound of {bound:g} J; the family continues")
                 if bound == energies[::way][1]:
                     run.last = end
                     return run
@@ -254,7 +279,7 @@ def follow(
             progress("family of orbits", min(1.0, abs(following.energy - start.energy) / (high - low)))
         reason = stop(following)
         if not reason and len(run.points) >= settings.most_members:
-            reason = f"left after {settings.most_members} members at {following.energy:.9g} J; allow more"
+            reason = f"stopped after {settings.most_members} members at {following.energy:.9g} J; allow more"
         if reason:
             run.last = FamilyEnd(following.energy, "not followed further", reason)
             return run
@@ -262,14 +287,14 @@ def follow(
 
 
 SIZE = "size"
-"""Measure of a family's point: the largest multiplier's modulus, at least one."""
+"""Measure of a family's point: the modulus of the largest multiplier, at least one."""
 
 LINGERS = 0.05
-"""Scaled distance of an equilibrium within which an orbit is said to linger by it."""
+"""Largest scaled distance between an equilibrium and an orbit that approaches it."""
 
 
 def nearest_equilibrium(problem: SymmetricShooting, place: FamilyPoint) -> tuple[str, float]:
-    """Return the equilibrium that an orbit passes nearest, and the scaled distance at which it does."""
+    """Return the equilibrium nearest to an orbit, and its scaled distance."""
     system = problem.system
     arc = system.propagator.sample(problem.state(place.unknowns), np.linspace(0, place.unknowns[-1], 400))
     distances = {name: float(np.min(system.scaled_distance(arc, x))) for name, x in system.equilibria.items()}
@@ -279,9 +304,11 @@ def nearest_equilibrium(problem: SymmetricShooting, place: FamilyPoint) -> tuple
 def family_end(
     system: System, points: list[FamilyPoint], problem: SymmetricShooting, *, largest: float | None = None
 ) -> FamilyEnd:
-    """Say why the family could not be followed on: homoclinics of an equilibrium, or not known.
+    """Return the end of a family that could not be followed further.
 
-    points: the last members; largest: the modulus of multipliers at which the family was left, if it was for that.
+    Args:
+        points: the last members.
+        largest: limit on multipliers that ended the continuation, if any.
     """
     place = points[-1]
     name, distance = nearest_equilibrium(problem, place)
@@ -296,24 +323,24 @@ def family_end(
             f"{limit:.6g} J, extrapolated; {name} has {goal:.6g} J",
         )
     if largest is not None:
-        reason = f"left at {place.energy:.9g} J: multipliers above {largest:g} are rounding in double"
+        reason = f"stopped at {place.energy:.9g} J: multipliers above {largest:g} are inaccurate in double precision"
     else:
         reason = f"could not be followed beyond {place.energy:.9g} J (residual {place.residual:.1e})"
     return FamilyEnd(place.energy, "not followed further", reason)
 
 
 def _extrapolated(points: list[FamilyPoint], problem: SymmetricShooting) -> float | None:
-    """Return the energy's limit as the period grows, from nine equal steps, None if it has none."""
+    """Extrapolate the energy to infinite period, or return None."""
     if len(points) < 9:
         return None
-    # Equal steps in the period, as the rule wants: an exponential in it is what homoclinics give.
+    # The energy is exponential in the period near homoclinics, so the rule needs equal steps in the period.
     periods = np.array([problem.period(p.unknowns) for p in points[-9:]])
     energies = np.array([p.energy for p in points[-9:]])
     if np.any(np.diff(periods) <= 0):
         return None
     rates = np.diff(energies) / np.diff(periods)
     middles = (periods[1:] + periods[:-1]) / 2
-    # ln|dE/dT| is linear in T there; what remains of the energy is the last rate over its decay.
+    # ln|dE/dT| is linear in T there, so the remaining energy difference is the last rate over its decay.
     decay = -float(np.polyfit(middles, np.log(np.abs(rates)), 1)[0]) if np.all(rates != 0) else 0.0
     if decay <= 0:
         return None
@@ -326,10 +353,10 @@ _TESTS = (SLOPE, "multiplier +1", "multiplier -1")
 
 @dataclass(frozen=True)
 class FamilySettings(FollowingSettings):
-    """How a family of Lyapunov orbits is followed.
+    """Settings of continuation of Lyapunov orbits.
 
-    largest_multiplier: of members; beyond it the multipliers at one are off by more than 1e-2 in double. The curve is
-    followed `tail` steps on from there, to find out where it leads.
+    Beyond `largest_multiplier`, the multipliers at one have errors above 1e-2 in double precision. The curve is
+    followed for another `tail` steps to determine its end.
     """
 
     largest_multiplier: float = 1e7
@@ -341,7 +368,7 @@ Member = TypeVar("Member")
 
 @dataclass(frozen=True, kw_only=True)
 class Family(Generic[Member]):
-    """Members along a family's curve, K in number; status: how it was followed, in a sentence."""
+    """K members along a family's curve; `status` describes the continuation."""
 
     members: tuple[Member, ...]
     converged: bool
@@ -359,22 +386,22 @@ class Family(Generic[Member]):
 
     @property
     def states(self) -> Array:
-        """States (K, N) where the members begin."""
+        """Initial states (K, N) of the members."""
         return self.column("state")
 
     @property
     def floquet_multipliers(self) -> NDArray[np.complex128]:
-        """Multipliers (K, …), largest first in each row."""
+        """Floquet multipliers (K, …), largest first in each row."""
         return self.column("floquet_multipliers")
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return one of the members' values, (K, …)."""
+        """Return one attribute of all members, (K, …)."""
         return np.array([getattr(member, name) for member in self.members])
 
 
 @dataclass(frozen=True)
 class FamilyEvent:
-    """Something on the way: kind "fold", "multiplier +1" or "multiplier -1", located at an orbit of the family."""
+    """An event on a family: "fold", "multiplier +1" or "multiplier -1"."""
 
     kind: str
     orbit: LyapunovOrbit
@@ -382,10 +409,11 @@ class FamilyEvent:
 
 @dataclass(frozen=True)
 class LyapunovFamily(Family[LyapunovOrbit]):
-    """Members of a family, in order along its curve from the saddle on.
+    """Lyapunov orbits along a family's curve, starting at the saddle.
 
-    ends: the reason on the saddle's side and on the other. converged: every member closes, and neither end is where
-    Newton's method failed.
+    Attributes:
+        ends: ends of the family, the saddle's side first.
+        converged: True if every member is closed and Newton's method failed at neither end.
     """
 
     system: System
@@ -395,7 +423,7 @@ class LyapunovFamily(Family[LyapunovOrbit]):
     ends: tuple[FamilyEnd, FamilyEnd]
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol orbit --energies --json` prints, the energies that were asked for apart."""
+        """Return the document printed by `dpcontrol orbit --energies --json`."""
         return {
             "family": [m.document() for m in self.members],
             "ends": [picked(e, "energy", "kind", "reason") for e in self.ends],
@@ -413,19 +441,22 @@ def lyapunov_family(
     settings: FamilySettings | None = None,
     progress: Progress = no_progress,
 ) -> LyapunovFamily:
-    """Follow a family of Lyapunov orbits from its saddle through `energies` (lowest, highest) in J.
+    """Follow a family of Lyapunov orbits from its saddle.
 
-    The family is left where it passes the far bound, loses hyperbolicity, runs into an equilibrium's homoclinics, or
-    cannot be followed.
+    Continuation ends at the far bound, at a loss of hyperbolicity, in an equilibrium's homoclinics, or if no step
+    converges.
+
+    Args:
+        energies: (lowest, highest), J.
 
     Raises:
-        InputError: unknown saddle or family, or bounds between which there is no orbit of the family.
+        InputError: unknown saddle or family, or no member within the bounds.
     """
     settings = settings or FamilySettings()
     problem, linear = symmetric_shooting(system, saddle, family)
     low, high = energies
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise InputError(f"energies {low:g} to {high:g}: must be two finite numbers, the lower first")
+        raise InputError(f"energies {low:g} to {high:g}: must be two finite numbers in ascending order")
     far = high if linear.sign > 0 else low
     if (far - linear.energy) * linear.sign <= 0:
         raise InputError(
@@ -449,7 +480,7 @@ def lyapunov_family(
         )
 
     birth, heading = _birth(linear, curve)
-    # At the saddle the curve meets that of the resting arcs (0, τ): only the linear centre tells the tangent.
+    # At the saddle the curve meets that of the resting arcs (0, τ), so its tangent comes from the linear centre.
     here = replace(curve.point(birth, heading, 0.0), tangent=heading)
     largest = settings.largest_multiplier
     run = follow(
@@ -482,7 +513,7 @@ def lyapunov_family(
 
 
 def _curve(problem: SymmetricShooting, linear: LinearCentre, settings: FamilySettings) -> FamilyCurve:
-    """Return the family's curve, on which both multipliers' crossings and the largest multiplier are measured."""
+    """Return the family's curve with measures of the Floquet multipliers."""
     system = problem.system
 
     def measure(unknowns: Array) -> dict[str, float]:
@@ -514,13 +545,13 @@ def _birth_arc(problem: SymmetricShooting, linear: LinearCentre) -> float:
 
 
 def _birth(linear: LinearCentre, curve: FamilyCurve) -> tuple[Array, Array]:
-    """Return the unknowns (n + 1,) of the resting orbit at the saddle and the tangent (n + 1,) there."""
+    """Return unknowns and tangent (n + 1,) at the saddle."""
     tangent = np.append(linear.direction, 0.0) / curve.weights
     return np.append(0.0 * linear.direction, _birth_arc(curve.problem, linear)), tangent / np.linalg.norm(tangent)
 
 
 def _tail(curve: FamilyCurve, start: FamilyPoint, settings: FamilySettings) -> list[FamilyPoint]:
-    """Follow the curve on as far as it goes, at most `tail` steps."""
+    """Follow the curve for at most `tail` more steps."""
     points = [start]
     for _ in range(settings.tail):
         following = curve.step(points[-1], settings.step)

@@ -1,17 +1,18 @@
 """Lyapunov orbits by symmetric shooting, continued in energy from the linear centre.
 
-Symmetric shooting finds periodic orbits as arcs between the fixed sets of two reversers. About a saddle x* each
-reverser acts as R(x) = A (x - x*) + x*. A symmetric orbit crosses the fixed sets of the reversers: it starts on Fix R_a
-and reaches Fix R_b after a quarter of its period (half, where a = b). With x(0) = x* + B c, B a basis of Fix A_a, the
-unknowns (c, τ) solve
+Symmetric shooting finds periodic orbits as arcs between the fixed sets of two reversers. About a saddle x*, each
+reverser acts as R(x) = A (x - x*) + x*. A symmetric orbit starts on Fix R_a and reaches Fix R_b after a quarter of its
+period (half if a = b). Let x(0) = x* + B c, with a basis B of Fix A_a. The unknowns (c, τ) solve
 
     C_b (x(τ) - x*) = 0,
 
-C_b the rows that vanish on Fix A_b: n equations for n + 1 unknowns, with exact derivatives from the variational
-equations. They define the family as a curve; one equation more picks a member: an energy, H(x(0)) = energy, or a length
-along the curve. Source: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998), theorem 4.2.
+in which the rows of C_b vanish on Fix A_b. These are n equations for n + 1 unknowns, with exact derivatives from the
+variational equations. They define the family as a curve. Another equation selects a member, by its energy
+H(x(0)) = energy or by a length along the curve.
 
-Orbits grow from equilibria, which are described here too: energy, eigenvalues and what kind of point each is.
+The module also computes the energy, eigenvalues and type of equilibria, from which the families start.
+
+Source: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998), theorem 4.2.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,7 +31,14 @@ from dpcontrol.foundation.files import fields_of
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """state (N,), energy in J, eigenvalues (N,) in 1/s, kind: "centre" or "index-k saddle"."""
+    """An equilibrium.
+
+    Attributes:
+        state (N,): rad and rad/s for arms.
+        energy: J.
+        eigenvalues (N,): 1/s.
+        kind: "centre" or "index-k saddle".
+    """
 
     name: str
     state: Array
@@ -40,10 +48,10 @@ class Equilibrium:
 
 
 def equilibrium(system: System, name: str) -> Equilibrium:
-    """Describe the named equilibrium.
+    """Return the named equilibrium.
 
     Raises:
-        InputError: there is no equilibrium of that name.
+        InputError: unknown name.
     """
     state = system.equilibrium(name)
     eigenvalues = np.asarray(np.linalg.eigvals(system.numeric.jacobian(state)), dtype=complex)
@@ -59,27 +67,30 @@ def equilibrium(system: System, name: str) -> Equilibrium:
 
 
 def equilibria(system: System) -> dict[str, Equilibrium]:
-    """Describe every equilibrium of the system, by name."""
+    """Return all equilibria of the system by name."""
     return {name: equilibrium(system, name) for name in system.equilibria}
 
 
 def resting_place(system: System) -> str:
-    """Return the name of the equilibrium of least energy, where arms hang still."""
+    """Return the name of the equilibrium of lowest energy, with arms hanging."""
     return min(system.equilibria, key=lambda name: float(system.numeric.hamiltonian(system.equilibrium(name))))
 
 
 Row = Callable[[Array], tuple[float, Array]]
 
 _LONGEST = 3.0
-"""Times the guessed arc's duration: what Newton's method may try."""
+"""Largest arc duration in Newton's method, relative to the initial guess."""
 
 
 @dataclass(frozen=True)
 class SymmetricShooting:
     """The shooting problem about one saddle.
 
-    centre (N,): the saddle. start (N, n): basis of the fixed set on which orbits start. target (n, N): rows that
-    vanish on the one where the arc ends. quarters: arcs to a period, 4, or 2 where there is one reverser.
+    Attributes:
+        centre (N,): the saddle.
+        start (N, n): basis of the initial fixed set.
+        target (n, N): rows that vanish on the final fixed set.
+        quarters: arcs per period, 4, or 2 with one reverser.
     """
 
     system: System
@@ -89,7 +100,7 @@ class SymmetricShooting:
     quarters: int
 
     def state(self, unknowns: Array) -> Array:
-        """Return the orbit's starting state (N,) of unknowns (c, τ)."""
+        """Return the initial state (N,) for unknowns (c, τ)."""
         return self.centre + self.start @ unknowns[:-1]
 
     def period(self, unknowns: Array) -> float:
@@ -97,30 +108,30 @@ class SymmetricShooting:
         return self.quarters * float(unknowns[-1])
 
     def arc(self, unknowns: Array) -> tuple[Array, Array]:
-        """Return how far the arc's end is off the target set (n,) and the derivative (n, n + 1) by (c, τ).
+        """Return the residual (n,) and its Jacobian (n, n + 1).
 
         Raises:
-            ArithmeticError: the arc became infinite.
+            ArithmeticError: the arc diverged.
         """
         end, stm = self.system.propagator.flow_with_stm(self.state(unknowns), unknowns[-1])
         jacobian = np.column_stack([self.target @ stm @ self.start, self.target @ self.system.numeric.rate(end)])
         return self.target @ (end - self.centre), jacobian
 
     def energy(self, unknowns: Array) -> tuple[float, Array]:
-        """Return the orbit's energy in J and its derivative (n + 1,) by (c, τ)."""
+        """Return the energy (J) and its derivative (n + 1,) by (c, τ)."""
         state, numeric = self.state(unknowns), self.system.numeric
         return float(numeric.hamiltonian(state)), np.append(numeric.gradient(state) @ self.start, 0.0)
 
     @property
     def arc_weights(self) -> Array:
-        """What divides (n,) the arc's miss into scaled units, inverted."""
+        """Weights (n,) that convert the arc's residual to scaled units."""
         return np.abs(self.target) @ (1 / self.system.scale)
 
     def at_energy(self, guess: Array, energy: float, *, iterations: int, tolerance: float) -> tuple[Array, float]:
-        """Solve for the member at `energy` from guessed unknowns (n + 1,); return (unknowns, scaled residual).
+        """Return the unknowns and scaled residual of the member at `energy` (J).
 
-        The residual is infinite where Newton left the family: for arcs of no or of over three times the guessed
-        duration.
+        The residual is infinite if Newton's method left the family, which is assumed if the duration is not positive or
+        exceeds three times that of the guess (n + 1,).
         """
         found = self.member(guess, energy, iterations=iterations, tolerance=tolerance)
         return found.unknowns, found.residual
@@ -128,10 +139,9 @@ class SymmetricShooting:
     def member(
         self, guess: Array, energy: float, *, iterations: int, tolerance: float, enough: float = 0.0
     ) -> "FamilyMember":
-        """Solve for the member at `energy` as `at_energy` does, and tell where the family goes from there.
+        """Return the member at `energy` (J) with the family's direction.
 
-        enough: a residual with which Newton's method stops; else it goes on to rounding, which is to be below
-        `tolerance`.
+        Newton's method stops at the residual `enough`, or at rounding level, which must be below `tolerance`.
         """
 
         def row(unknowns: Array) -> tuple[float, Array]:
@@ -144,9 +154,12 @@ class SymmetricShooting:
     def along(
         self, guess: Array, tangent: Array, weights: Array, *, iterations: int, tolerance: float
     ) -> tuple[Array, float]:
-        """Solve for the member on the plane through `guess` across `tangent` (both n + 1); as `at_energy` returns.
+        """Return the unknowns and scaled residual of the member on a plane.
 
-        weights (n + 1,) divide the unknowns in the plane's scalar product.
+        Args:
+            guess (n + 1,): point on the plane.
+            tangent (n + 1,): normal of the plane.
+            weights (n + 1,): units of the unknowns in the scalar product.
         """
 
         def row(unknowns: Array) -> tuple[float, Array]:
@@ -174,10 +187,10 @@ class SymmetricShooting:
                 if residual <= enough:
                     return best
             elif best.residual < tolerance:
-                # Newton has reached rounding: more steps only wander.
+                # Rounding level is reached, so further steps bring no improvement.
                 return best
             unknowns = unknowns - step
-            # Far from the guess it is another orbit, and long arcs are slow to fly.
+            # Far from the guess lie other orbits, and long arcs are slow to integrate.
             if not 0 < unknowns[-1] <= _LONGEST * guess[-1]:
                 return replace(best, residual=np.inf)
         return best
@@ -185,8 +198,12 @@ class SymmetricShooting:
 
 @dataclass(frozen=True)
 class FamilyMember:
-    """What Newton's method found: unknowns (n + 1,), scaled residual, and their change (n + 1,) by the closing row's
-    value: by the energy in J for a member at an energy.
+    """A member of a family, found by Newton's method.
+
+    Attributes:
+        unknowns (n + 1,): (c, τ).
+        residual: scaled.
+        slope (n + 1,): derivative of the unknowns by the last equation's value, for example by the energy in J.
     """
 
     unknowns: Array
@@ -195,7 +212,7 @@ class FamilyMember:
 
 
 def fixed_and_moved(reverser: Array) -> tuple[Array, Array]:
-    """Return a basis (N, n) of the fixed set of an involution (N, N) and rows (n, N) that vanish on it."""
+    """Return a basis (N, n) and annihilator (n, N) of the fixed set."""
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(reverser))
     fixed = np.real(vectors[:, np.real(values) > 0])
     basis, _ = np.linalg.qr(fixed)
@@ -206,7 +223,14 @@ def fixed_and_moved(reverser: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class LinearCentre:
-    """The family at its birth: (c) direction (n,) per √J, angular frequency in rad/s, sign of the energy above."""
+    """The linear limit of a family at its saddle.
+
+    Attributes:
+        energy: of the saddle, J.
+        direction (n,): derivative of c, per √J.
+        frequency: rad/s.
+        sign: +1 if energies lie above the saddle's, else -1.
+    """
 
     energy: float
     direction: Array
@@ -215,21 +239,22 @@ class LinearCentre:
 
 
 def symmetric_shooting(system: System, saddle: str, family: int) -> tuple[SymmetricShooting, LinearCentre]:
-    """Return the shooting problem of one family of Lyapunov orbits, and the linear centre from which it grows.
+    """Return the shooting problem of one family and its linear centre.
 
     Raises:
-        InputError: unknown saddle or family, a point that is no index-1 saddle, or a system without reversers.
+        InputError: unknown saddle or family, an equilibrium other than an index-1 saddle, or a system without
+            reversers.
     """
     point = equilibrium(system, saddle)
     if saddle not in system.saddles:
         raise InputError(
-            f"{saddle} of {system.name} is: {point.kind}, no index-1 saddle: it has no tubes; choose one of "
+            f"{saddle} of {system.name} has the type {point.kind}, not index-1 saddle, and so no tubes; choose one of "
             + ", ".join(system.saddles)
         )
     if not system.reversers:
         raise InputError(
-            f"{system.name} has no known symmetry that reverses its motion about {', '.join(system.saddles)} in time, "
-            "with which Lyapunov orbits are found; declare its reversers, or leave out the saddles that they move"
+            f"{system.name} has no known time-reversal symmetry about {', '.join(system.saddles)}, which the search "
+            "for Lyapunov orbits requires; declare its reversers, or omit the saddles that they move"
         )
     first, last = system.reversers[-1], system.reversers[0]
     start, _ = fixed_and_moved(first)
@@ -261,12 +286,18 @@ def _linear_centre(problem: SymmetricShooting, saddle: str, family: int) -> Line
 
 
 _ON_THE_WAY = 1e-7
-"""Scaled residual of orbits that are only passed."""
+"""Scaled residual of intermediate orbits."""
 
 
 @dataclass(frozen=True)
 class ContinuationSettings:
-    """How a family is followed. step: largest change of √(energy above the saddle) over √(energy scale)."""
+    """Settings of continuation in energy.
+
+    Attributes:
+        step: largest change of √(energy above the saddle), relative to √(energy scale).
+        smallest_step: relative to `step`.
+        tolerance: scaled residual.
+    """
 
     step: float = 0.2
     smallest_step: float = 1e-4
@@ -276,10 +307,15 @@ class ContinuationSettings:
 
 @dataclass(frozen=True)
 class OrbitRecord:
-    """What is published of a periodic orbit about a saddle.
+    """Properties of a periodic orbit about a saddle.
 
-    energy in J, period in s, state (N,): where it crosses the saddle's fixed set. floquet_multipliers (N,), largest
-    first. residual: closure over one period, the largest component of x(T) - x(0). status: a sentence.
+    Attributes:
+        energy: J.
+        period: s.
+        state (N,): on the reverser's fixed set.
+        floquet_multipliers (N,): largest first.
+        residual: largest component of x(T) - x(0).
+        status: outcome of the search.
     """
 
     energy: float
@@ -293,19 +329,21 @@ class OrbitRecord:
 
     @property
     def name(self) -> str:
-        """The saddle, and the family where it is not the first."""
+        """The saddle's name, with the family unless it is the first."""
         return self.saddle if self.family == 0 else f"{self.saddle} family {self.family}"
 
     def document(self) -> dict[str, Any]:
-        """Return the record with the keys that `dpcontrol orbit --json` prints."""
+        """Return the record in the format of `dpcontrol orbit --json`."""
         return fields_of(OrbitRecord, self)
 
 
 @dataclass(frozen=True)
 class LyapunovOrbit(OrbitRecord):
-    """A periodic orbit about a saddle: its record, and what its tubes are made from.
+    """A periodic orbit about a saddle.
 
-    newton_residual: of the shooting equations, scaled.
+    Attributes:
+        monodromy (N, N): state-transition matrix over one period.
+        newton_residual: of the shooting equations, scaled.
     """
 
     system: System
@@ -323,27 +361,27 @@ class LyapunovOrbit(OrbitRecord):
 
     @property
     def centre(self) -> Array:
-        """State (N,) of the saddle that the orbit surrounds."""
+        """State (N,) of the saddle."""
         return self.system.equilibrium(self.saddle)
 
     @property
     def reverser(self) -> Array:
-        """The reverser (N, N) that, about the centre, turns the orbit's unstable manifold into its stable one."""
+        """The reverser (N, N), which maps the unstable to the stable manifold."""
         return self.system.reversers[0]
 
     @property
     def whole_turns(self) -> Array:
-        """Whole turns (N,) that a period adds to the coordinates: none, a Lyapunov orbit does not turn."""
+        """Whole turns (N,) per period, zero for Lyapunov orbits."""
         return np.zeros(self.system.dimension)
 
     @property
     def turn(self) -> Array:
-        """Lengths (N,) that a period adds to the coordinates."""
+        """Change (N,) of the coordinates over one period."""
         return self.whole_turns * self.system.turn_lengths
 
     @property
     def laps(self) -> bool:
-        """Whether the orbit may itself cross sections, so that its tubes cross them with every lap."""
+        """True if the orbit and its tubes may cross sections on every lap."""
         return False
 
 
@@ -358,7 +396,7 @@ def lyapunov_orbit(
     """Return the Lyapunov orbit about `saddle` at `energy` (J).
 
     Raises:
-        InputError: unknown saddle or family, or an energy on the wrong side of the saddle's.
+        InputError: unknown saddle or family, or an energy for which no orbit exists.
     """
     settings = settings or ContinuationSettings()
     energy = number("energy", energy)
@@ -394,7 +432,7 @@ def described_orbit(
     converged: bool,
     status: str,
 ) -> LyapunovOrbit:
-    """Return the orbit of solved unknowns (n + 1,) with its monodromy matrix, multipliers and closure."""
+    """Return the orbit for solved unknowns (n + 1,)."""
     system = problem.system
     state, period = problem.state(unknowns), problem.period(unknowns)
     end, monodromy = system.propagator.flow_with_stm(state, period)
@@ -416,7 +454,7 @@ def described_orbit(
 
 @dataclass(frozen=True)
 class _Passed:
-    """A member on the way: its place s, unknowns (n + 1,) and their change by s."""
+    """An intermediate member at s with its unknowns (n + 1,)."""
 
     s: float
     unknowns: Array
@@ -426,7 +464,7 @@ class _Passed:
 def _follow(
     problem: SymmetricShooting, settings: ContinuationSettings, linear: LinearCentre, energy: float
 ) -> tuple[Array, float, bool, str]:
-    """Continue from the linear centre in s = √(energy above the saddle), predicting by cubics in s."""
+    """Continue in s = √(energy above the saddle) with cubic prediction."""
     saddle_energy, sign = linear.energy, linear.sign
     goal = np.sqrt(abs(energy - saddle_energy))
     largest = settings.step * np.sqrt(problem.system.energy_scale)
@@ -437,7 +475,7 @@ def _follow(
     residual = np.inf
     while passed[-1].s < goal:
         last = passed[-1]
-        # A last step that rounding alone leaves over would have no length to judge corrections by.
+        # A final step at rounding level would be too short for the test of the correction.
         s = goal if last.s + (1 + 1e-6) * step >= goal else last.s + step
         ends = s == goal
         enough = 0.0 if ends else _ON_THE_WAY
@@ -448,14 +486,14 @@ def _follow(
         )  # fmt: skip
         residual = found.residual
         corrected, moved = (float(np.linalg.norm(v / units)) for v in (found.unknowns - guess, guess - last.unknowns))
-        # A correction as long as half the step has left for another curve, as in module family_curve.
+        # A correction of over half the step indicates another curve, as in module family.
         if residual > max(settings.tolerance, enough) or corrected > 0.5 * moved:
             step = (s - last.s) / 2
             if step < settings.smallest_step * largest:
                 reached = saddle_energy + sign * last.s**2
                 return last.unknowns, residual, False, problem.system.worded(
                     f"not converged: the family could be followed only to {reached:.6g} J (residual "
-                    f"{residual:.1e} beyond); ask for an energy nearer to the saddle's"
+                    f"{residual:.1e} beyond); use an energy nearer to the saddle's"
                 )  # fmt: skip
             continue
         passed.append(_Passed(s, found.unknowns, 2 * sign * s * found.slope))
@@ -464,12 +502,12 @@ def _follow(
 
 
 def _predicted(points: Sequence[_Passed], s: float) -> Array:
-    """Return the unknowns (n + 1,) at s on the tangent at one point, or on the cubic through two and their tangents."""
+    """Extrapolate the unknowns linearly from one point or cubically from two."""
     last = points[-1]
     ahead = last.unknowns + (s - last.s) * last.slope
     if len(points) == 1:
         return ahead
-    # Newton's form on the nodes last, last, first, first.
+    # Newton form on the nodes last, last, first, first.
     first = points[0]
     width = first.s - last.s
     chord = (first.unknowns - last.unknowns) / width
@@ -480,9 +518,9 @@ def _predicted(points: Sequence[_Passed], s: float) -> Array:
 def floquet_multipliers(system: System, state: Array, period: float, monodromy: Array) -> NDArray[np.complex128]:
     """Return the N Floquet multipliers of a periodic orbit, largest modulus first.
 
-    The pair at one belongs to the flow and the energy: M f = f and ∇Hᵀ M = ∇Hᵀ. The others are the eigenvalues
-    of M on ker ∇H modulo f. Those inside the unit circle are taken from the backward monodromy matrix, since the
-    forward one knows them only to rounding times the largest squared.
+    The pair at one belongs to the flow and the energy, by M f = f and ∇Hᵀ M = ∇Hᵀ. The others are the eigenvalues
+    of M on ker ∇H modulo f. Those inside the unit circle come from the backward monodromy matrix, because their
+    errors in the forward matrix are proportional to the square of the largest multiplier.
     """
     rate, gradient = system.numeric.rate(state), system.numeric.gradient(state)
     plane, _ = np.linalg.qr(np.column_stack([rate, gradient]))

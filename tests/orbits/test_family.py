@@ -136,8 +136,8 @@ def test_a_family_that_may_have_few_members_says_that_it_goes_on(system):
     [
         ("down-up", (-0.4, -0.2), "exist only above its energy of -0.17543"),
         ("down-up", (0.6, 0.7), "does not reach them; ends in the homoclinics of up-up"),
-        ("up-up", (0.5, 0.6), "no index-1 saddle"),
-        ("down-up", (0.2, -0.1), "the lower first"),
+        ("up-up", (0.5, 0.6), "not index-1 saddle"),
+        ("down-up", (0.2, -0.1), "in ascending order"),
     ],
 )
 def test_impossible_families_are_refused_with_what_is_possible(system, saddle, energies, fragment):

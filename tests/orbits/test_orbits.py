@@ -127,7 +127,7 @@ def test_where_a_family_ends_is_told_after_few_arcs(systems, monkeypatch):
     ("saddle", "energy", "fragment"),
     [
         ("down-up", -0.2, "exist only above its energy of -0.175429746"),
-        ("up-up", 0.6, "index-2 saddle, no index-1 saddle"),
+        ("up-up", 0.6, "type index-2 saddle, not index-1 saddle"),
         ("down-down", 0.0, "centre"),
         ("sideways", 0.0, "allowed: down-down, down-up"),
         ("down-up", float("nan"), "finite"),

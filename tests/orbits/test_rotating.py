@@ -140,7 +140,7 @@ def test_a_family_keeps_to_one_curve_and_says_why_it_was_left(family):
     states = np.array([m.state for m in family.members])
     assert np.abs(np.diff(states, axis=0)).max() < 2.0
     assert max(m.residual for m in family.members) < 1e-10
-    assert "left at the asked bound of 0.42 J" in family.ends[1]
+    assert "reached the bound of 0.42 J" in family.ends[1]
 
 
 def test_a_family_changes_stability_where_both_sides_differ(system, family):
@@ -205,7 +205,7 @@ def test_the_verb_follows_their_families_and_draws_them(capsys, tmp_path):
     for family in shown["families"]:
         energies = [member["energy"] for member in family["members"]]
         assert (min(energies), max(energies)) == (0.19, 0.21)
-        assert all("left at the asked bound" in end for end in family["ends"])
+        assert all("reached the bound" in end for end in family["ends"])
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 

@@ -90,7 +90,7 @@ def test_orbits_need_a_reverser_and_say_so():
         lambda: dp.graph(ours, energy=0.1),
         lambda: compute_atlas(ours, 0.1),
     ):
-        with pytest.raises(dp.InputError, match="no known symmetry that reverses its motion about top"):
+        with pytest.raises(dp.InputError, match="no known time-reversal symmetry about top"):
             attempt()
 
 

@@ -106,7 +106,7 @@ def test_grown_edges_that_cannot_be_are_refused(edges):
         resolve(["(down-up > up-down)·1·(down-up +)"], edges)
     with pytest.raises(InputError, match="lead from down-up to down-up"):
         resolve([f"down-up>up-down[0,0]h1.2@{GROWN}"], edges)
-    with pytest.raises(InputError, match=r"no edge is named .* makes 'down-up>down-up\[0,0\]h1.2@\(down-up>"):
+    with pytest.raises(InputError, match=r"no edge is named .* give 'down-up>down-up\[0,0\]h1.2@\(down-up>"):
         resolve([f"down-up>down-up[0,7]h1.2@{GROWN}"], edges)
     with pytest.raises(InputError, match="up-down exist only above"):
         resolve(["(down-up > up-down)·1·(up-down +)"], edges)
