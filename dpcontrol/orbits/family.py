@@ -323,7 +323,7 @@ def family_end(
             f"{limit:.6g} J, extrapolated; {name} has {goal:.6g} J",
         )
     if largest is not None:
-        reason = f"stopped at {place.energy:.9g} J: multipliers above {largest:g} are inaccurate in double precision"
+        reason = f"stopped at {place.energy:.9g} J: multipliers above {largest:g} exceed double precision"
     else:
         reason = f"could not be followed beyond {place.energy:.9g} J (residual {place.residual:.1e})"
     return FamilyEnd(place.energy, "not followed further", reason)

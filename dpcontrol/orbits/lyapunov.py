@@ -118,7 +118,7 @@ class SymmetricShooting:
         return self.target @ (end - self.centre), jacobian
 
     def energy(self, unknowns: Array) -> tuple[float, Array]:
-        """Return the energy (J) and its derivative (n + 1,) by (c, τ)."""
+        """Return the energy (J) and its derivative (n + 1,)."""
         state, numeric = self.state(unknowns), self.system.numeric
         return float(numeric.hamiltonian(state)), np.append(numeric.gradient(state) @ self.start, 0.0)
 
@@ -212,7 +212,7 @@ class FamilyMember:
 
 
 def fixed_and_moved(reverser: Array) -> tuple[Array, Array]:
-    """Return a basis (N, n) and annihilator (n, N) of the fixed set."""
+    """Return a basis (N, n) and the annihilator of the fixed set."""
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(reverser))
     fixed = np.real(vectors[:, np.real(values) > 0])
     basis, _ = np.linalg.qr(fixed)
@@ -381,7 +381,7 @@ class LyapunovOrbit(OrbitRecord):
 
     @property
     def laps(self) -> bool:
-        """True if the orbit and its tubes may cross sections on every lap."""
+        """True if the orbit and its tubes may cross sections every lap."""
         return False
 
 

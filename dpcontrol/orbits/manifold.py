@@ -1,14 +1,14 @@
-"""Periodic orbits as closed curves, and their local unstable manifolds γ(φ) ± δ v(φ), on the orbit's energy.
+"""Closed curves and local unstable manifolds of periodic orbits.
 
-γ(φ) is the orbit at phase φ (period 1), v(φ) the Floquet vector of the unstable multiplier λ, transported by the
-variational equations. The stable manifold is the unstable one turned around by a reverser R, γ(-φ) = R γ(φ); it is
-never integrated.
+The local unstable manifold is γ(φ) ± δ v(φ). Here γ(φ) is the orbit at phase φ (period 1) and v(φ) is the Floquet
+vector of the unstable multiplier λ, propagated by the variational equations. The manifold has the energy of the orbit.
+The stable manifold is its image under a reverser R with γ(-φ) = R γ(φ), without integration.
 
-A saddle's orbit is integrated over the shortest stretch from which the system's symmetries give the rest, so that
-rounding grows by λ^(1/4) at most (λ^(1/2) where there is one reverser). A hyperbolic orbit that belongs to no saddle's
-family is kept as nodes, with v at each of them, so that nothing is integrated over more than one segment, whatever λ
-is. It may turn: then γ(φ + 1) = γ(φ) + whole turns. A negative λ makes its manifold one-sided: v(φ + 1) = -v(φ), phases
-have period two, and what are called its branches at φ are the same one at φ and φ + 1.
+A saddle's orbit is integrated over the shortest arc that determines the rest by symmetry. Rounding errors therefore
+grow by at most λ^(1/4), or λ^(1/2) with one reverser. Other hyperbolic orbits are stored as nodes, with v at each node,
+so no integration exceeds one segment for any λ. Such an orbit may rotate, with γ(φ + 1) = γ(φ) + whole turns. If λ is
+negative, the manifold is one-sided: v(φ + 1) = -v(φ) and phases have period two. The two branches at φ are then
+the same branch at φ and φ + 1.
 
 Sources: Kaheman et al. (2023), section 4; Meyer & Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body
 Problem, 3rd ed., chapter 8.
@@ -26,16 +26,21 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import RotatingOrbit
 
-_STEEPEST = 0.95  # of the vectors' growth: how much of it a change of the seeds' distance may undo
-_PROBES = 96  # phases at which the vectors' lengths are compared
+_STEEPEST = 0.95  # largest compensation of the vectors' growth by a change of the seeds' distance
+_PROBES = 96  # number of phases at which vector lengths are compared
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Orbit states γ(φ) and unstable vectors v(φ) at phases (K,), and their derivatives by phase, each (K, N).
+    """States γ(φ) and unstable vectors v(φ), with derivatives by phase.
 
-    v(φ) = e^(-μφ) Φ(φT) v(0) with μ = ln λ, so that the flow carries γ(φ) + a v(φ) over a time t to phase φ + t/T and
-    amplitude a e^(μt/T), up to a². lengths (K,) are the scaled lengths of the vectors, one at phase zero.
+    The vectors are v(φ) = e^(-μφ) Φ(φT) v(0) with μ = ln λ. During a time t, the flow therefore moves γ(φ) + a v(φ)
+    to the phase φ + t/T and the amplitude a e^(μt/T), up to an error of order a².
+
+    Attributes:
+        phases (K,): φ.
+        states (K, N), vectors (K, N): γ(φ) and v(φ).
+        lengths (K,): scaled lengths of the vectors, one at phase zero.
     """
 
     phases: Array
@@ -48,16 +53,16 @@ class Frame:
 
 @dataclass(frozen=True)
 class UnstableManifold:
-    """The local unstable manifold of a hyperbolic orbit; branch +1 or -1 is the side of the orbit."""
+    """The local unstable manifold of a hyperbolic orbit, branches +1 and -1."""
 
     orbit: LyapunovOrbit
     distance: float = 3e-4
 
     @cached_property
     def vector(self) -> Array:
-        """The unstable Floquet vector (N,) at phase zero, of scaled length one, oriented along the flow's sense.
+        """The unstable Floquet vector (N,) at phase zero, with scaled length one.
 
-        The sign is fixed by the first coordinate that the vector changes most, so branches keep their names.
+        Its largest coordinate determines the sign, so the branches have unique names.
         """
         values, vectors = np.linalg.eig(self.orbit.monodromy)
         v = np.real(vectors[:, np.argmax(np.abs(values))])
@@ -67,12 +72,15 @@ class UnstableManifold:
 
     @cached_property
     def exponent(self) -> float:
-        """ln λ: the growth of the unstable vector over one period."""
+        """Growth exponent ln λ of the unstable vector over one period."""
         return float(np.log(abs(self.orbit.unstable_multiplier)))
 
     @cached_property
     def half_turn(self) -> tuple[Array, float] | None:
-        """The symmetry S with γ(φ + ½) = S γ(φ) and the sign in v(φ + ½) = ± S v(φ); None without it."""
+        """The symmetry S by half a period and its sign, or None.
+
+        They satisfy γ(φ + ½) = S γ(φ) and v(φ + ½) = ± S v(φ).
+        """
         reversers = self.orbit.system.reversers
         if len(reversers) < 2:
             return None
@@ -83,11 +91,11 @@ class UnstableManifold:
 
     @property
     def branches_are_mirrored(self) -> bool:
-        """Whether the symmetry S carries branch +1 at φ to branch -1 at φ + ½."""
+        """True if the symmetry S exchanges the two branches."""
         return self.half_turn is not None and self.half_turn[1] < 0
 
     def frame(self, phases: Array) -> Frame:
-        """Return orbit and unstable vector at phases (K,), any real numbers."""
+        """Return orbit and unstable vector at any real phases (K,)."""
         orbit = self.orbit
         system, centre = orbit.system, orbit.centre
         phases = np.atleast_1d(np.asarray(phases, dtype=float))
@@ -116,10 +124,11 @@ class UnstableManifold:
 
     @cached_property
     def _evening(self) -> tuple[float, float]:
-        """How seeds' distances follow the vectors' lengths l(φ): as (l/L)^e; returns (e, L), L the largest length.
+        """Return e and L for the seeds' distance, `distance` (l(φ)/L)^e.
 
-        With e = 0 every seed is `distance` away. Where the vectors shrink faster than trajectories leave, such seeds
-        meet one trajectory several times; e = 1 (constant amplitudes) meets each once, from nearer seeds.
+        Here l(φ) is the length of the vector and L is its maximum. With e = 0, all seeds have the same distance. If the
+        vectors shrink faster than trajectories depart, several seeds then lie on one trajectory. With e = 1 (constant
+        amplitude), each trajectory has one seed, but seeds are nearer to the orbit.
         """
         frame = self.frame(np.arange(_PROBES) / _PROBES)
         along = np.sum(frame.vectors * frame.vector_slopes / self.orbit.system.scale**2, axis=1) / frame.lengths**2
@@ -127,17 +136,17 @@ class UnstableManifold:
         return 1 - min(1.0, _STEEPEST / steepest) if steepest > 0 else 0.0, float(frame.lengths.max())
 
     def amplitude(self, phase: float, branch: int) -> float:
-        """Return the amplitude a of the seed γ(φ) + a v(φ) at a phase."""
+        """Return the amplitude of the seed at a phase."""
         length = float(self.frame(np.array([phase])).lengths[0])
         exponent, longest = self._evening
         return branch * self.distance * (length / longest) ** exponent / length
 
     def seeds(self, phases: Array, branch: int) -> tuple[Array, Array]:
-        """Return seeds (K, N) on the manifold and their derivatives (K, N) by phase.
+        """Return seeds (K, N) and their derivatives (K, N) by phase.
 
-        Seeds lie `distance` (scaled) from the orbit, or nearer where trajectories would otherwise meet their curve more
-        than once, and are moved onto its energy along the energy's gradient; the derivative leaves out how that small
-        correction (δ²) changes with phase, which only slows Newton a little.
+        The scaled distance from the orbit is at most `distance`, and smaller if trajectories would otherwise cross the
+        curve of seeds repeatedly. Seeds are corrected to the orbit's energy along the energy gradient. The derivative
+        neglects this correction of order δ², which slows Newton's method only slightly.
         """
         frame = self.frame(phases)
         numeric, scale = self.orbit.system.numeric, self.orbit.system.scale
@@ -157,17 +166,21 @@ class UnstableManifold:
         return seeds, slopes - away[:, None] * normal * scale
 
 
-_ROUNDS = 200  # of the power iteration: enough for |λ| > 1.2
+_ROUNDS = 200  # power iterations, sufficient for |λ| > 1.2
 _SETTLED = 1e-15
 
 
 @dataclass(frozen=True)
 class HyperbolicOrbit(LyapunovOrbit):
-    """A hyperbolic periodic orbit that belongs to no saddle's family; `saddle` is the vertex's name.
+    """A hyperbolic periodic orbit outside the saddles' families.
 
-    mirror (N, N) and rest (N,): the reverser and the resting point about which γ(-φ) = R γ(φ); winding (N,): whole
-    turns that a period adds to the coordinates. node_times (M + 1,) s from 0 to the period; node_states (M + 1, N), the
-    last the first plus those turns.
+    The attribute `saddle` is the name of the vertex.
+
+    Attributes:
+        mirror (N, N), rest (N,): reverser and its centre.
+        winding (N,): whole turns per period.
+        node_times (M + 1,): 0 to the period, s.
+        node_states (M + 1, N): including both ends.
     """
 
     mirror: Array
@@ -178,39 +191,39 @@ class HyperbolicOrbit(LyapunovOrbit):
 
     @property
     def centre(self) -> Array:
-        """State (N,) at rest about which the orbit is mirrored."""
+        """State (N,) at rest about which the orbit is symmetric."""
         return self.rest
 
     @property
     def reverser(self) -> Array:
-        """The reverser (N, N) that carries the orbit into itself."""
+        """The reverser (N, N) that maps the orbit to itself."""
         return self.mirror
 
     @property
     def whole_turns(self) -> Array:
-        """Whole turns (N,) that a period adds to the coordinates."""
+        """Whole turns (N,) of the coordinates per period."""
         return self.winding
 
     @property
     def laps(self) -> bool:
-        """Whether the orbit may itself cross sections, so that its tubes cross them with every lap."""
+        """True if the orbit and its tubes may cross sections every lap."""
         return True
 
 
 @dataclass(frozen=True)
 class SegmentedManifold(UnstableManifold):
-    """The local unstable manifold of a hyperbolic orbit given by nodes."""
+    """The local unstable manifold of an orbit stored as nodes."""
 
     orbit: HyperbolicOrbit
     distance: float = 3e-4
 
     @cached_property
     def _node_vectors(self) -> tuple[Array, float, int]:
-        """Vectors (M, N) at the nodes, v(φ) = e^(-μφ) Φ v(0); the exponent μ = ln |λ|; the sign of λ."""
+        """Node vectors (M, N), the exponent μ = ln |λ| and λ's sign."""
         orbit = self.orbit
         scale = orbit.system.scale
         _, stms = orbit.system.propagator.flows_with_stm(orbit.node_states[:-1], np.diff(orbit.node_times))
-        # A start with a share of every direction.
+        # The initial vector has a component in every direction.
         vector = np.cos(np.arange(len(scale)) + 1.0)
         lengths, vectors, sign = np.ones(len(stms)), np.empty((len(stms), len(scale))), 1
         for _ in range(_ROUNDS):
@@ -231,21 +244,21 @@ class SegmentedManifold(UnstableManifold):
 
     @cached_property
     def vector(self) -> Array:
-        """The unstable Floquet vector (N,) at phase zero, of scaled length one."""
+        """The unstable Floquet vector (N,) at phase zero, with scaled length one."""
         return self._node_vectors[0][0]
 
     @cached_property
     def exponent(self) -> float:
-        """ln |λ|: the growth of the unstable vector over one period."""
+        """Growth exponent ln |λ| of the unstable vector over one period."""
         return self._node_vectors[1]
 
     @cached_property
     def half_turn(self) -> tuple[Array, float] | None:
-        """None: nothing is assumed of the orbit but its mirror."""
+        """None, because the reverser is the only symmetry assumed."""
         return None
 
     def frame(self, phases: Array) -> Frame:
-        """Return orbit and unstable vector at phases (K,), any real numbers; states are lifted by the orbit's turns."""
+        """Return orbit (lifted) and unstable vector at any real phases (K,)."""
         orbit = self.orbit
         system, period = orbit.system, orbit.period
         nodes, exponent, sign = self._node_vectors
@@ -270,21 +283,24 @@ class SegmentedManifold(UnstableManifold):
 
 
 def local_manifold(orbit: LyapunovOrbit, distance: float = 3e-4) -> UnstableManifold:
-    """Return the local unstable manifold of a vertex of either kind, its seeds `distance` (scaled) from the orbit."""
+    """Return the local unstable manifold with seeds at a scaled `distance`."""
     if isinstance(orbit, HyperbolicOrbit):
         return SegmentedManifold(orbit, distance)
     return UnstableManifold(orbit, distance)
 
 
 _FLOWN = 8
-"""Segments of a rotating orbit that are flown from the mirror line; as many are their mirror images."""
+"""Segments of a rotating orbit from the symmetry line; their mirror images give as many more."""
 
 
 def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> HyperbolicOrbit:
-    """Return a rotating orbit as a vertex, by default named "outer-rotating" or "inner-rotating" ("-back": clockwise).
+    """Return a rotating orbit as a vertex of the connection graph.
+
+    Args:
+        name: by default "outer-rotating" or "inner-rotating", with "-back" for clockwise rotation.
 
     Raises:
-        InputError: the orbit is not hyperbolic: it has no tubes.
+        InputError: the orbit is not hyperbolic and has no tubes.
     """
     if "hyperbolic" not in orbit.kind:
         raise InputError(
@@ -329,12 +345,12 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> Hyperbo
     )
 
 
-SAMPLES = 512  # a periodic cubic spline through them is off by about 1e-9 (scaled)
+SAMPLES = 512  # a periodic cubic spline through them has a scaled error of about 1e-9
 
 
 @dataclass(frozen=True)
 class OrbitCurve:
-    """The curve of one orbit; phases have period 1, angles are compared modulo a turn."""
+    """The curve of a periodic orbit, with phases of period 1."""
 
     orbit: LyapunovOrbit
 
@@ -345,7 +361,7 @@ class OrbitCurve:
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        # What the orbit turns is taken out: only the rest is periodic.
+        # The rotation is subtracted, because the spline must be periodic.
         still = self.samples - np.arange(SAMPLES)[:, None] / SAMPLES * self.orbit.turn
         closed = np.vstack([still, still[:1]])
         return CubicSpline(np.arange(SAMPLES + 1) / SAMPLES, closed, bc_type="periodic")
@@ -355,7 +371,7 @@ class OrbitCurve:
         return KDTree(self._embedded(self.samples))
 
     def _embedded(self, states: Array) -> Array:
-        """Return states with angles on the unit circle: near each other there means near on the torus."""
+        """Map angles to the unit circle, so that distances respect the torus."""
         system = self.orbit.system
         angular = np.isfinite(system.periods)
         turns = states[:, angular] / system.periods[angular] * 2 * np.pi
@@ -369,9 +385,9 @@ class OrbitCurve:
         return self._spline(within) + within[..., None] * self.orbit.turn
 
     def nearest(self, states: Array) -> tuple[Array, Array]:
-        """Return (phases, scaled distances), each (…), of the orbit's points nearest to states (…, N)."""
+        """Return phases (…) and scaled distances (…) of the nearest points."""
         system, x = self.orbit.system, np.asarray(states, dtype=float)
-        # The nearest sample, by the Euclidean norm, and the nearest point by the largest component are not far apart.
+        # The nearest sample in the Euclidean norm is close to the nearest point in the maximum norm.
         around = self._tree.query(self._embedded(x.reshape(-1, system.dimension)))[1]
         phases, reach = np.reshape(around, x.shape[:-1]) / SAMPLES, 3 / SAMPLES
         grid, distances = np.linspace(-1.0, 1.0, 33), np.empty(0)
@@ -379,14 +395,15 @@ class OrbitCurve:
             tried = phases[..., None] + reach * grid
             distances = system.scaled_distance(x[..., None, :], self.states(tried))
             phases = np.take_along_axis(tried, np.argmin(distances, axis=-1)[..., None], axis=-1)[..., 0]
-            # The smallest lies within a step of the smallest on the grid.
+            # The minimum lies within one step of the smallest value on the grid.
             reach *= 2 / 32
         return phases % 1.0, distances.min(axis=-1)
 
     def distances(self, states: Array) -> tuple[Array, Array]:
-        """Return (phases, scaled distances), each (K,), of the orbit's points nearest to states (K, N).
+        """Return phases (K,) and scaled distances (K,) of the nearest orbit points.
 
-        Nearest in the scaled Euclidean norm, which is smooth; the distance is the largest scaled component there.
+        The nearest points are those in the scaled Euclidean norm, which is smooth. The distance is the largest scaled
+        component.
         """
         system = self.orbit.system
         x = np.atleast_2d(states)

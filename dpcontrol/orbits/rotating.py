@@ -1,18 +1,18 @@
-"""Rotating orbits: one arm turns over and over, the other returns, x(T) = x(0) + 2π e_arm.
+"""Rotating orbits, on which one arm turns: x(T) = x(0) + 2π e_arm.
 
-The product R of time reversal and reflection maps (θ, ω)(t) to (-θ, ω)(-t); about a resting position θ* (multiples
-of π) its fixed set is {θ = θ*, ω free}. An orbit that starts there and meets the fixed set half a turn on,
+The product R of time reversal and reflection maps (θ, ω)(t) to (-θ, ω)(-t). About a resting position θ* (multiples
+of π), its fixed set is {θ = θ*, ω free}. An orbit that starts there and meets the fixed set after half a turn,
 
     θ(τ) = θ* + π e_arm,      H(θ*, ω) = energy,
 
-is mirrored into itself, so that T = 2τ. On the mirror line at an energy the rates form an ellipse, ω(ψ): it is scanned
-over ψ, and refined where the other arm's angle on arrival jumps; each change of its sign gives Newton's method on
-(ω, τ) a guess. "Simple" orbits are those of which the turning arm first arrives half a turn on at θ(τ).
+is symmetric with T = 2τ. The rates of given energy at θ* form an ellipse ω(ψ). The search scans it over ψ and refines
+the scan at jumps of the other arm's final angle. Each sign change of this angle gives an initial guess for Newton's
+method on (ω, τ). On "simple" orbits, θ(τ) is the first arrival of the rotating arm after half a turn.
 
-Their families are followed in energy (module family). The trace of the section's map is watched: at +2 another family
-branches off or the family folds, at -2 the period doubles.
+Families are followed in energy (module family), with the trace of the Poincaré map as a test. At +2 the family branches
+or folds, and at -2 its period doubles.
 
-Sources: Kaheman et al. (2023), section 3; Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998); Meyer &
+Sources: Kaheman et al. (2023), section 3. Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998). Meyer &
 Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body Problem, 3rd ed., chapter 11.
 """
 
@@ -47,11 +47,15 @@ from dpcontrol.orbits.lyapunov import SymmetricShooting, fixed_and_moved
 
 @dataclass(frozen=True)
 class RotatingSettings:
-    """How the mirror line is scanned. jump: rad, of the other arm's angle on arrival, above which is refined.
+    """Settings of the search for rotating orbits.
 
-    longest: half a turn may take so many of the slowest small oscillation's periods. Orbits that linger longer are
-    there without end (they shadow the connections) and ever more unstable, so that a list needs a bound. finest: rad,
-    of the scan. tolerance: scaled.
+    The bound `longest` is necessary because infinitely many slower orbits shadow the connections, with increasing
+    instability.
+
+    Attributes:
+        jump: jumps of the other arm's final angle above this are refined, rad.
+        longest: duration of half a turn, in periods of the slowest small oscillation.
+        finest: smallest step of the scan, rad.
     """
 
     first_angles: int = 360
@@ -65,12 +69,19 @@ class RotatingSettings:
 
 @dataclass(frozen=True)
 class RotatingRecord:
-    """What is published of a symmetric orbit that turns one arm once a period.
+    """Properties of a symmetric orbit with one turn per period.
 
-    arm: which turns, 1 the innermost; winding (n,): whole turns of each angle over a period. state (N,): on the mirror
-    line, the turning arm hanging; period in s. floquet_multipliers (2,): of the section's map, larger modulus first;
-    trace: their sum. kind: "hyperbolic", "inverse hyperbolic" or "elliptic" ("parabolic" at |trace| = 2 to rounding).
-    residual: largest component of x(T) - x(0) - 2π winding. status: a sentence.
+    The kind is "hyperbolic", "inverse hyperbolic", "elliptic", or "parabolic" if |trace| = 2 to rounding.
+
+    Attributes:
+        arm: rotating arm, 1 for the inner one.
+        winding (n,): whole turns per period.
+        state (N,): initial state, the arm hanging.
+        period: s.
+        floquet_multipliers (2,): larger modulus first.
+        trace: sum of the multipliers.
+
+    The residual is the largest component of x(T) - x(0) - 2π winding.
     """
 
     arm: int
@@ -85,13 +96,13 @@ class RotatingRecord:
     status: str
 
     def document(self) -> dict[str, Any]:
-        """Return the record with the keys that `dpcontrol orbit --rotating --json` prints."""
+        """Return the record in the format of `dpcontrol orbit --rotating --json`."""
         return fields_of(RotatingRecord, self)
 
 
 @dataclass(frozen=True)
 class RotatingOrbit(RotatingRecord):
-    """A symmetric orbit that turns one arm once a period; newton_residual: of the shooting equations, scaled."""
+    """A symmetric rotating orbit with the scaled residual of its shooting equations."""
 
     system: System
     newton_residual: float
@@ -100,15 +111,15 @@ class RotatingOrbit(RotatingRecord):
 
 @dataclass(frozen=True)
 class HalfTurn(SymmetricShooting):
-    """Symmetric shooting from one mirror to the one `turn` (N,) on; everything else is the same."""
+    """Symmetric shooting between fixed sets that differ by `turn` (N,)."""
 
     turn: Array
 
     def arc(self, unknowns: Array) -> tuple[Array, Array]:
-        """Return how far the half turn's end is off its mirror (n,) and the derivative (n, n + 1) by (c, τ).
+        """Return the residual (n,) and its Jacobian (n, n + 1).
 
         Raises:
-            ArithmeticError: the arc became infinite.
+            ArithmeticError: the arc diverged.
         """
         miss, jacobian = super().arc(unknowns)
         return miss - self.target @ self.turn, jacobian
@@ -117,13 +128,17 @@ class HalfTurn(SymmetricShooting):
 def rotating_orbits(
     system: System, arm: int, energy: float, *, sense: int = 1, settings: RotatingSettings | None = None
 ) -> tuple[RotatingOrbit, ...]:
-    """Find all symmetric simple orbits at `energy` (J) that turn `arm` (1 or 2), slowest first.
+    """Find the symmetric simple rotating orbits at `energy`, slowest first.
 
-    sense: +1 counter-clockwise, -1 its reflection. The other arm's mirror position, hanging or upright, is not
-    prescribed. Empty where there is none that the scan resolves.
+    The initial position of the other arm may be hanging or upright.
+
+    Args:
+        arm: rotating arm, 1 or 2.
+        energy: J.
+        sense: +1 counter-clockwise, -1 clockwise.
 
     Raises:
-        InputError: no double pendulum, no such arm or sense, or an energy that is not finite.
+        InputError: the system is not a double pendulum, or an argument is invalid.
     """
     settings = settings or RotatingSettings()
     _check(system, arm, energy, sense)
@@ -134,7 +149,7 @@ def rotating_orbits(
             unknowns, residual = problem.at_energy(
                 guess, energy, iterations=settings.newton_iterations, tolerance=settings.tolerance
             )
-            # Newton may end on an orbit of another winding or energy: only what stays near its guess is the guess's.
+            # Newton's method may converge to an orbit of another winding, so results must be near their guess.
             apart = np.abs(unknowns - guess) / np.append(system.scale[2:], guess[-1])
             if residual > settings.tolerance or apart.max() > 0.2:
                 continue
@@ -145,7 +160,10 @@ def rotating_orbits(
 
 
 def half_turn(system: System, arm: int, sense: int, position: float) -> HalfTurn:
-    """Return the shooting problem of orbits turning `arm`, the other at `position` (0 or π) on the mirror line."""
+    """Return the shooting problem of orbits that rotate `arm`.
+
+    The other arm starts at `position`, 0 or π rad.
+    """
     n = system.dimension // 2
     start, target = fixed_and_moved(system.reversers[-1])
     centre, turn = np.zeros(2 * n), np.zeros(2 * n)
@@ -155,11 +173,11 @@ def half_turn(system: System, arm: int, sense: int, position: float) -> HalfTurn
 
 
 def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newton_residual: float) -> RotatingOrbit:
-    """Return the orbit of solved unknowns (ω, τ), with its multipliers."""
+    """Return the orbit for solved unknowns (ω, τ)."""
     system, state, period = problem.system, problem.state(unknowns), problem.period(unknowns)
     trace, end = section_trace(problem, unknowns)
     residual = float(np.abs(end - state - 2 * problem.turn).max())
-    # The section's map keeps area: its multipliers are the roots of λ² - trace λ + 1.
+    # The Poincaré map preserves area, so its multipliers are the roots of λ² - trace λ + 1.
     if abs(trace) > 2:
         large = (trace + np.sign(trace) * np.sqrt(trace * trace - 4)) / 2
         multipliers = np.array([large, 1 / large], dtype=complex)
@@ -178,21 +196,21 @@ def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newto
         residual=residual,
         newton_residual=newton_residual,
         converged=True,
-        status=f"converged to a residual of {newton_residual:.1e}; closes to {residual:.1e}",
+        status=f"converged to a residual of {newton_residual:.1e}; closed to {residual:.1e}",
     )
 
 
 def section_trace(problem: HalfTurn, unknowns: Array) -> tuple[float, Array]:
-    """Return the trace of the section's map and the state (N,) after one period.
+    """Return the trace of the Poincaré map and the final state (N,).
 
-    The monodromy matrix adds to it the two multipliers at one of the flow and of the energy.
+    It is the trace of the monodromy matrix without the two multipliers at one, of the flow and the energy.
     """
     end, monodromy = problem.system.propagator.flow_with_stm(problem.state(unknowns), problem.period(unknowns))
     return float(np.trace(monodromy)) - 2.0, end
 
 
 def kind_of(trace: float) -> str:
-    """Return what an area-keeping map with this trace does near its fixed point."""
+    """Return the stability type of an area-preserving map's fixed point."""
     if abs(abs(trace) - 2) < 1e-9:
         return "parabolic"
     if trace > 2:
@@ -201,13 +219,13 @@ def kind_of(trace: float) -> str:
 
 
 def can_rotate(system: System) -> bool:
-    """Tell whether a system has two arms and both reversers, as the search for rotating orbits needs."""
+    """Return True if a system has two arms and both reversers."""
     return {"outer-down", "inner-down", "aligned"} <= set(system.named_sections) and len(system.reversers) > 1
 
 
 def _check(system: System, arm: int, energy: float, sense: int) -> None:
     if not can_rotate(system):
-        raise InputError(f"{system.name} has no two arms: rotating orbits are those of a double pendulum")
+        raise InputError(f"{system.name} is not a double pendulum: rotating orbits need two arms")
     if arm not in (1, 2):
         raise InputError(f"arm = {arm}: must be 1 (inner) or 2 (outer)")
     if sense not in (1, -1):
@@ -218,7 +236,7 @@ def _check(system: System, arm: int, energy: float, sense: int) -> None:
 
 @dataclass(frozen=True)
 class _Arrival:
-    """How far the other arm is off on arrival from ellipse angle ψ (None: it does not arrive), and s of flight."""
+    """Final angle of the other arm, if it arrives, and flight time (s)."""
 
     angle: float
     miss: float | None
@@ -226,7 +244,7 @@ class _Arrival:
 
 
 def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: RotatingSettings) -> list[Array]:
-    """Return guesses (ω, τ) from the scan of the mirror line at `energy`."""
+    """Return initial guesses (ω, τ) from a scan of the ellipse."""
     system = problem.system
     kinetic = energy - float(system.numeric.hamiltonian(problem.centre))
     if kinetic <= 0:
@@ -261,7 +279,7 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
                 arrivals.append(_Arrival(float(angle), miss, crossing.time))
         return arrivals
 
-    # The scan starts where no symmetry of the ellipse can put an orbit on a grid point.
+    # The offset prevents orbits on grid points, due to the symmetry of the ellipse.
     grid = 0.1234 + np.linspace(0, 2 * np.pi, settings.first_angles + 1)
     arrivals = _refined(arrive(grid), arrive, settings)
     guesses = []
@@ -272,7 +290,7 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
         angle = a.angle + share * (b.angle - a.angle)
         guesses.append(np.append(problem.start[2:].T @ rates(angle), a.time + share * (b.time - a.time)))
     for a, b, c in zip(arrivals, arrivals[1:], arrivals[2:], strict=False):
-        # A pair of orbits that has just been born may lie between neighbours without a change of sign.
+        # A pair of orbits near its bifurcation may lie between neighbours without a change of sign.
         if a.miss is None or b.miss is None or c.miss is None:
             continue
         if abs(b.miss) < min(abs(a.miss), abs(c.miss), settings.jump) and a.miss * c.miss > 0:
@@ -283,7 +301,7 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
 def _refined(
     arrivals: list[_Arrival], arrive: Callable[[Array], list[_Arrival]], settings: RotatingSettings
 ) -> list[_Arrival]:
-    """Halve the scan's steps where neighbours arrive far apart, or only one does, down to the finest step."""
+    """Bisect steps of the scan at jumps of the arrival."""
 
     def smooth(a: _Arrival, b: _Arrival) -> bool:
         if a.miss is None or b.miss is None:
@@ -308,12 +326,12 @@ def _refined(
 _STUCK = "could not be followed beyond"
 _TRACE = "trace"
 _CRITICAL = {"multiplier +1": 2.0, "multiplier -1": -2.0}
-"""Traces at which a multiplier crosses ±1."""
+"""Traces of multiplier crossings at ±1."""
 
 
 @dataclass(frozen=True)
 class RotatingFamilySettings(FollowingSettings):
-    """How a family of rotating orbits is followed. longest: period in s, largest: trace."""
+    """Settings of continuation, with limits on period (s) and trace."""
 
     longest: float = 5.0
     largest: float = 1e8
@@ -321,7 +339,7 @@ class RotatingFamilySettings(FollowingSettings):
 
 @dataclass(frozen=True)
 class StabilityChange:
-    """An orbit at which the trace passes +2 or -2; before and after: kinds along the family's curve."""
+    """An orbit at which the trace crosses ±2."""
 
     orbit: RotatingOrbit
     critical_trace: float
@@ -331,9 +349,12 @@ class StabilityChange:
 
 @dataclass(frozen=True)
 class RotatingFamily(Family[RotatingOrbit]):
-    """Members along the family's curve, from one end to the other; folds: where its energy turns back.
+    """Rotating orbits along a family's curve, from one end to the other.
 
-    ends: why it was left on either side, sentences. converged: neither end is where Newton's method failed.
+    Attributes:
+        folds: folds in energy.
+        ends: reasons for both ends.
+        converged: True if Newton's method failed at neither end.
     """
 
     changes: tuple[StabilityChange, ...]
@@ -342,11 +363,11 @@ class RotatingFamily(Family[RotatingOrbit]):
 
     @property
     def traces(self) -> Array:
-        """Traces (K,) of the section's map."""
+        """Traces (K,) of the Poincaré map."""
         return self.column("trace")
 
     def document(self) -> dict[str, Any]:
-        """Return its part of what `dpcontrol orbit --rotating --energies --json` prints."""
+        """Return the family in the format of `dpcontrol orbit --rotating --energies --json`."""
         return {
             "members": [member.document() for member in self.members],
             "changes": [{**picked(c, "critical_trace", "before", "after"), **c.orbit.document()} for c in self.changes],
@@ -362,7 +383,10 @@ def rotating_family(
     settings: RotatingFamilySettings | None = None,
     progress: Progress = no_progress,
 ) -> RotatingFamily:
-    """Follow the family of a rotating orbit both ways within `energies` (lowest, highest) in J.
+    """Follow the family of a rotating orbit in both directions.
+
+    Args:
+        energies: (lowest, highest), J.
 
     Raises:
         InputError: the bounds do not enclose the orbit's energy.
@@ -415,7 +439,9 @@ def rotating_families(
     *,
     progress: Progress = no_progress,
 ) -> tuple[RotatingFamily, ...]:
-    """Follow the families of several orbits of one energy, each family once: where it folds it holds several.
+    """Follow the families of several orbits, each family once.
+
+    A family with folds may contain several of the orbits.
 
     Raises:
         InputError: the bounds do not enclose the orbits' energy.
@@ -429,7 +455,7 @@ def rotating_families(
 
 
 def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
-    """Whether a family's curve passes an orbit: near where it crosses the orbit's energy, in scaled units."""
+    """Return True if a family's curve passes through an orbit."""
     scale = orbit.system.scale
     for a, b in pairwise(family.members):
         if (a.energy - orbit.energy) * (b.energy - orbit.energy) > 0 or a.energy == b.energy:
@@ -437,7 +463,7 @@ def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
         share = (orbit.energy - a.energy) / (b.energy - a.energy)
         state = a.state + share * (b.state - a.state)
         period = a.period + share * (b.period - a.period)
-        # Members lie a few hundredths apart: a chord is off its curve by less than a tenth of that.
+        # Members are a few hundredths apart, and the error of a chord is below a tenth of that.
         reach = 0.1 * max(float(np.abs((b.state - a.state) / scale).max()), abs(b.period / a.period - 1)) + 1e-6
         off = max(float(np.abs((state - orbit.state) / scale).max()), abs(period / orbit.period - 1))
         if off < reach:
@@ -453,16 +479,16 @@ def _followed(
     progress: Progress,
 ) -> Followed:
     def too_long(here: FamilyPoint, following: FamilyPoint) -> bool:
-        # A step across all of the elliptic range would confuse its two ends.
+        # A step across the whole elliptic range would miss both of its ends.
         first, second = here.measures[_TRACE], following.measures[_TRACE]
         return abs(first) > 2 and abs(second) > 2 and first * second < 0
 
     def stop(here: FamilyPoint) -> str:
         period = curve.problem.period(here.unknowns)
         if period > settings.longest:
-            return f"left at {here.energy:.9g} J: the period has grown to {period:.3g} s"
+            return f"stopped at {here.energy:.9g} J: the period has grown to {period:.3g} s"
         if abs(here.measures[_TRACE]) > settings.largest:
-            return f"left at {here.energy:.9g} J: multipliers above {settings.largest:g} are rounding in double"
+            return f"stopped at {here.energy:.9g} J: multipliers above {settings.largest:g} exceed double precision"
         return ""
 
     tests = (*_CRITICAL, SLOPE)
@@ -472,14 +498,14 @@ def _followed(
 
 
 def _change(event: CurveEvent, orbit: RotatingOrbit, *, downward: bool = False) -> StabilityChange:
-    """Return the change of stability at an event; downward: the curve was followed against its direction."""
+    """Return the change of stability at an event; `downward` reverses its sides."""
     critical = _CRITICAL[event.test]
     before, after = (kind_of(float(critical + np.sign(side))) for side in (event.before, event.after))
     return StabilityChange(orbit, critical, *((after, before) if downward else (before, after)))
 
 
 def _homoclinics(problem: SymmetricShooting, place: FamilyPoint) -> str:
-    """Say that the family ends at an equilibrium by which its last orbit lingers, or that no step converges."""
+    """Return the reason for an end of the family."""
     system = problem.system
     name, near = nearest_equilibrium(problem, place)
     height = float(system.numeric.hamiltonian(system.equilibria[name]))

@@ -217,7 +217,7 @@ def test_the_verb_follows_their_families_and_draws_them(capsys, tmp_path):
         ("orbit lab --energy 0.2", 2, "either --saddle"),
         ("orbit lab --rotating inner", 2, "give --energy"),
         ("orbit lab --rotating inner --energies 0.3 0.2", 2, "must enclose"),
-        ("orbit three-body --rotating inner --energy -1.5", 2, "no two arms"),
+        ("orbit three-body --rotating inner --energy -1.5", 2, "need two arms"),
     ],
 )
 def test_the_verb_refuses_rotating_orbits_that_there_are_not(capsys, line, code, fragment):

@@ -110,16 +110,16 @@ def test_a_saddle_without_tubes_is_named():
     ours = System.from_hamiltonian(
         "henon-heiles", hamiltonian, coordinates=("x", "y"), equilibria={"top": (0, 1), "well": (0, 0)}
     )
-    with pytest.raises(dp.InputError, match=r"well of henon-heiles is: centre.*choose one of top"):
+    with pytest.raises(dp.InputError, match=r"well of henon-heiles has the type centre.*choose one of top"):
         lyapunov_orbit(ours, "well", energy=0.1)
 
 
 @pytest.mark.parametrize(
     ("section", "message"),
     [
-        (Section.plane("y = 0.1", (0, 1), offset=0.1), "not kept by the reverser about L2"),
+        (Section.plane("y = 0.1", (0, 1), offset=0.1), "not preserved by the reverser about L2"),
         (Section.plane("y = 0", (0, 1)), "itself crosses"),
-        (Section.plane("slanted", (1, 1)), "not kept by the reverser about L2"),
+        (Section.plane("slanted", (1, 1)), "not preserved by the reverser about L2"),
     ],
 )
 def test_a_section_that_does_not_serve_is_refused(section, message):
