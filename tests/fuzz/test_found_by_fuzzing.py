@@ -55,7 +55,7 @@ def test_samples_that_are_not_as_far_apart_as_the_log_says_are_refused(verb: str
     _recorded(Path("slow.mcap"), period=1e-3, stamps=1e5)
     ended = dpcontrol(verb, "slow.mcap", "--out", "out.toml" if verb == "identify" else "out.mcap")
     assert ended.code == 2
-    assert "apart" in ended.message
+    assert "their nominal period is" in ended.message
 
 
 def test_a_recording_too_slow_for_swings_is_not_identified() -> None:
@@ -244,4 +244,4 @@ def test_a_log_whose_samples_last_for_ages_is_refused() -> None:
     for verb in ("info", "replay", "recover"):
         ended = dpcontrol(verb, "slow.mcap")
         assert ended.code == 2
-        assert "its ticks are said to come at 1e-09 Hz" in ended.message
+        assert "the tick rate in its layout is 1e-09 Hz" in ended.message
