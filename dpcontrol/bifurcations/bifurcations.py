@@ -1,36 +1,36 @@
-"""Energies at which the connections between two saddles change, each with its cause.
+"""Bifurcations of the connections between two saddles, and their energies.
 
-At the energies of a sweep the cuts of both tubes are intersected. From one energy to the next every connection is
-followed by continuation (never by its name); where the two sets differ, those left over are followed from both sides
-until they turn back in energy, split, or change how often they cross the section:
+A sweep intersects the cuts of both tubes at a series of energies. Connections are followed by continuation from one
+energy to the next. If the two sets differ, unmatched connections are followed from both sides until they turn back in
+energy, branch, or change their number of section crossings:
 
     saddle-node        two connections meet and vanish
-    pitchfork          a symmetric connection sheds a mirror pair
-    section-artefact   the connection goes on, but touches its section on the way: an earlier crossing is born or lost,
-                       so that it leaves (or enters) the list of connections with the crossings asked for
+    pitchfork          a mirror pair branches off a symmetric connection
+    section-artefact   the connection touches its section, so that it gains or loses crossings and enters or leaves
+                       the list with the requested number of crossings
 
-Each is located by its own equations, see below. The changes found must add up to the change of the count;
-where they do not, the interval is halved and searched again, and what stays unexplained is reported.
+The events must add up to the change of the count. Otherwise the interval is halved and searched again. Remaining
+differences are reported as unexplained.
 
-A connection with N crossings of the section is met by the unstable tube at crossing n_u and by the stable one at n_s
-with n_u + n_s - 1 = N; first hits, [1, 1], are those that cross once.
+The unstable tube meets a connection with N section crossings at crossing n_u, and the stable tube at n_s, with
+n_u + n_s - 1 = N. First hits, [1, 1], cross once.
 
-The diagram of a sweep is a document of plain numbers, to be kept and drawn without the sweep it comes from.
+The diagram of a sweep is a document of plain numbers, which can be stored and drawn without the sweep.
 
-*A step of the sweep* is a search at both ends; what they do not share is followed, and what happened is located.
-Connections found at one energy are carried to the next by Newton's method; a connection that arrives there with the
-tangency's sign unchanged has met no turn. Those left over on either side are followed round their turns.
+*A step of the sweep* is a search at both ends of an interval. Newton's method continues connections from one energy to
+the other. A connection has not turned if the sign of the tangency is unchanged. Unmatched connections on either side
+are followed around their turns.
 
-Where a connection is born, splits, or grazes its section is located by equations of its own. With F, a, b and σ of
-module links, h the height over the section and ḣ its rate, Newton's method solves
+Each kind of event has its own equations. With F, a, b and σ from module links, the height h over the section and its
+rate ḣ, Newton's method solves
 
     saddle-node        F = 0, σ = 0             (φ_u, φ_s, T, H); for symmetric connections  off Fix R = 0, a = 0
     pitchfork          off Fix R = 0, b = 0     (φ, T, H)
     section artefact   F = 0, h = level, ḣ = 0  (φ_u, φ_s, T, time of touch, H)
 
-of the last, the time of touch is eliminated by ḣ = 0, and the rest solved by a bracketed secant in H. A symmetric
-connection may also touch with its midpoint, which stays on the section: there one crossing becomes three without an
-extremum that moves across, and the equations are  off Fix R = 0, ḣ = 0  (φ, T, H).
+For section artefacts, ḣ = 0 eliminates the time of touch, and a bracketed secant in H solves the rest. A symmetric
+connection may also touch the section at its midpoint, which stays on the section. One crossing then becomes three
+although no extremum crosses the section, and the equations are  off Fix R = 0, ḣ = 0  (φ, T, H).
 """
 
 from collections.abc import Callable, Sequence
@@ -66,12 +66,18 @@ from dpcontrol.orbits.lyapunov import equilibrium
 from dpcontrol.tubes.cut import section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 
-_HALVINGS = 8  # of the stretch of a path around a turn, before it is given up
+_HALVINGS = 8  # largest number of bisections of a path around a turn
 
 
 @dataclass(frozen=True)
 class Located:
-    """A solved event: kind, energy in J, the link there, the state (N,) that shows it, residual of its equations."""
+    """A solved event.
+
+    Attributes:
+        energy: J.
+        state (N,): representative state of the connection.
+        residual: of the equations.
+    """
 
     kind: str
     energy: float
@@ -87,10 +93,13 @@ def _located(
     placed: Callable[[Array], Link],
     guess: Array,
 ) -> Located | None:
-    """Solve equations(link, H) = 0 by Newton's method from (unknowns of the link, H); None where it cannot go on.
+    """Solve equations(link, H) = 0 by Newton's method, or return None.
 
-    placed: unknowns -> link, the last of which is its duration. There may be more equations than unknowns, one being
-    redundant. Derivatives are central differences.
+    One of the equations may be redundant. Derivatives are central differences.
+
+    Args:
+        guess: unknowns of the link and the energy in J.
+        placed: function from unknowns, the duration last, to a link.
     """
     # Phases, duration in s, energy in J.
     steps = 1e-5 * np.array([*np.ones(len(guess) - 2), guess[-2], problem.system.energy_scale])
@@ -110,7 +119,7 @@ def _located(
             columns = [(value_at(y + h) - value_at(y - h)) / (2 * h.max()) for h in np.diag(steps)]
             y = y - np.linalg.lstsq(np.column_stack(columns), value, rcond=1e-13)[0]
             if np.any(np.abs(y - guess) > 1e4 * steps):
-                # Farther than a tenth of everything is no solution near the guess; beyond it orbits may not even exist.
+                # Solutions must be within a tenth of the guess. Orbits may not exist farther away.
                 break
         link, energy = placed(best[:-1]), float(best[-1])
         return Located(kind, energy, link, problem.match(link, energy).state, smallest)
@@ -119,7 +128,7 @@ def _located(
 
 
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
-    """Locate the turn after point `index` of a path, by the equations of its kind; None where they do not converge."""
+    """Locate the turn after point `index` of a path, or return None."""
     start = path.points[0].energy
     before, after = path.points[index : index + 2]
     for _ in range(_HALVINGS):
@@ -128,7 +137,7 @@ def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
             event = _turn_from(problem, side, before.link, after.link, reach)
             if event is not None:
                 return event
-        # Where the fold is sharp its equations converge from nearer points only: σ changes its sign across it.
+        # At sharp folds, the equations converge only from nearby points. σ changes its sign across the fold.
         middle = halfway(problem, before, after)
         if middle is None or before.tangency * after.tangency > 0:
             return None
@@ -137,20 +146,20 @@ def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
 
 
 def _turn_from(problem: LinkProblem, extreme: PathPoint, before: Link, after: Link, reach: float) -> Located | None:
-    """Locate a turn from one of the points beside it."""
+    """Locate a turn from a neighbouring point."""
     which = problem.symmetry(extreme.link)
     if which is not None:
         return _near(_on_mirror(problem, extreme, which, shedding=False), extreme.energy, reach)
     shed = None
     for mirror in range(len(problem.system.reversers)):
         image = problem.mirrored(extreme.link, mirror)
-        # A pair turns back on the mirror; far from it there is no pitchfork to look for.
+        # A pair turns back at the symmetric connection, so a pitchfork is possible only near it.
         if image is not None and problem.distance_between(extreme.link, image) < 0.1:
             shed = _near(_on_mirror(problem, extreme, mirror, shedding=True), extreme.energy, reach)
     if shed is not None and _exchanged(problem, before, after):
         return shed
     turned = _near(_tangent(problem, extreme), extreme.energy, reach)
-    # On the mirror a saddle-node's equations are degenerate: where both kinds are solved there, it is a pitchfork.
+    # The saddle-node's equations are degenerate at symmetric connections. If both kinds converge, it is a pitchfork.
     if shed is not None and (turned is None or abs(turned.energy - shed.energy) < 1e-6 * problem.system.energy_scale):
         return shed
     return turned
@@ -161,7 +170,7 @@ def _near(event: Located | None, energy: float, reach: float) -> Located | None:
 
 
 def _tangent(problem: LinkProblem, point: PathPoint) -> Located | None:
-    """Solve F = 0, σ = 0 from a point near."""
+    """Solve F = 0, σ = 0 from a nearby point."""
 
     def equations(link: Link, energy: float) -> Array:
         match = problem.match(link, energy)
@@ -171,11 +180,11 @@ def _tangent(problem: LinkProblem, point: PathPoint) -> Located | None:
 
 
 def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: bool) -> Located | None:
-    """Solve off Fix R = 0 with b = 0 (shedding) or a = 0, from a symmetric connection or one of a pair near."""
+    """Solve for a symmetric pitchfork (`shedding`) or saddle-node."""
     link = point.link
     image = problem.mirrored(link, which)
     assert image is not None
-    # Halfway between a link and its image lies the symmetric one.
+    # The symmetric link lies halfway between a link and its image.
     phase = link.phases[0] + phase_gap(image.phases[0], link.phases[0]) / 2
 
     def equations(here: Link, energy: float) -> Array:
@@ -187,7 +196,7 @@ def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: 
 
 
 def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
-    """Whether a reverser carries one side of a turn towards the other, as at a pitchfork."""
+    """Return True if a reverser exchanges the sides of a turn."""
     for which in range(len(problem.system.reversers)):
         images = problem.mirrored(before, which), problem.mirrored(after, which)
         if images[0] is None or images[1] is None or images[0].branches != before.branches:
@@ -198,9 +207,9 @@ def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
 
 
 def locate_graze(problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint) -> list[Located]:
-    """Locate every touch of the section between two points of one path that differ in their crossings.
+    """Locate every touch of the section between two points of a path.
 
-    The path must not turn between them. Returned in order of energy; empty where nothing brackets a touch.
+    The path must not turn between them. The result is in order of energy, and empty without a bracket.
     """
     middle = _middle_touch(problem, section, first, second)
     found = _touches(problem, section, first, second) if middle is None else [middle]
@@ -214,7 +223,7 @@ def _touches(
     if a.count == b.count:
         return []
     if len(a.heights) == len(b.heights):
-        # The same extrema on both sides: those that changed their side of a level have touched it between.
+        # With the same extrema on both sides, those that crossed a level have touched it in between.
         found = []
         for k in range(1, len(a.heights) - 1):
             low, high = sorted((a.heights[k], b.heights[k]))
@@ -233,7 +242,7 @@ def _touches(
 
 
 def _middle_touch(problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint) -> Located | None:
-    """Locate where a symmetric connection's midpoint turns tangent to the section; None where it does not."""
+    """Locate a tangency of a symmetric connection's midpoint to the section."""
     which = problem.symmetry(first.link)
     if which is None or problem.symmetry(second.link) != which:
         return None
@@ -261,14 +270,14 @@ def _middle_touch(problem: LinkProblem, section: Section, first: PathPoint, seco
 
 
 def _between(first: PathPoint, second: PathPoint, share: float) -> Link:
-    """Return the link a share of the way from one point to another."""
+    """Interpolate between the links of two points."""
     return first.link.at(first.link.unknowns + share * (second.link.unknowns - first.link.unknowns))
 
 
 def _touch(
     problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint, k: int, level: float, extrema: int
 ) -> Located | None:
-    """Solve for the energy at which the k-th extremum of the height lies on a level."""
+    """Solve for the energy at which an extremum reaches a level."""
     width = second.energy - first.energy
     kept: dict[float, tuple[Link, Profile]] = {}
 
@@ -291,10 +300,15 @@ def _touch(
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """How energies are swept. energies: how many at first; halvings: of an interval that does not add up.
+    """Settings of an energy sweep.
 
-    same: largest difference of phases at which two links are one; closest: energies nearer to a saddle's than this
-    part of the energy scale are left out, tubes being thinner there than their seeds are far.
+    Energies within `closest` of a saddle's, relative to the energy scale, are excluded, because the tubes are thinner
+    there than the distance of their seeds.
+
+    Attributes:
+        energies: initial number of energies.
+        halvings: of an unexplained interval.
+        same: largest phase difference between equal links.
     """
 
     energies: int = 24
@@ -306,7 +320,7 @@ class SweepSettings:
 
 @dataclass(frozen=True)
 class Found:
-    """Links found at one energy, each solved, one of every two that the symmetry S exchanges."""
+    """Solved links at one energy, without images under the symmetry S."""
 
     energy: float
     points: tuple[PathPoint, ...]
@@ -315,27 +329,29 @@ class Found:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is known to be missing."""
+        """True if the search had no caveats."""
         return not self.caveat
 
     @property
     def count(self) -> int:
-        """How many connections there are on the torus."""
+        """Number of connections on the torus."""
         return self.weight * len(self.points)
 
 
 @dataclass(frozen=True)
 class Change:
-    """An event of one link between two energies and what it adds to the number of links, going up in energy."""
+    """An event and the number of links gained with increasing energy."""
 
     event: Located
     gain: int
 
 
 class Branch(NamedTuple):
-    """A connection followed in energy while it crosses its section as often as asked.
+    """A connection with the required number of section crossings, followed in energy.
 
-    energies (K,) in J, in order along it; points (K, 2): the first of its crossings, in (q, p/p₀).
+    Attributes:
+        energies (K,): along the branch, J.
+        points (K, 2): first crossing in (q, p/p₀).
     """
 
     energies: Array
@@ -344,9 +360,12 @@ class Branch(NamedTuple):
 
 @dataclass(frozen=True)
 class Interval:
-    """What happened between two energies: the changes, and sentences on what could not be followed or located.
+    """Events between two energies.
 
-    runs: the connections followed there, carried from end to end or round their turns.
+    Attributes:
+        changes: located events.
+        reasons: sentences on failures.
+        runs: connections that were followed.
     """
 
     changes: tuple[Change, ...]
@@ -355,12 +374,12 @@ class Interval:
 
     @property
     def gain(self) -> int:
-        """How many links the changes add, going up in energy."""
+        """Number of links gained with increasing energy."""
         return sum(c.gain for c in self.changes)
 
 
 class Sweep:
-    """One sweep's problem and its searches."""
+    """The problem of an energy sweep, with cached searches."""
 
     def __init__(self, system: System, source: str, target: str, crossings: int, settings: SweepSettings) -> None:
         self.problem = LinkProblem(system, source, target, distance=settings.search.distance)
@@ -371,10 +390,11 @@ class Sweep:
         self._counts: dict[tuple[Link, float], int] = {}
 
     def search(self, energy: float) -> Found:
-        """Find the links with the asked number of crossings at one energy; kept, and amended by later finds.
+        """Find the links with the required crossings at one energy (J).
 
-        Where crossings of the cuts do not converge, as next to a graze, the search is repeated with finer cuts; not
-        where cuts scatter, for finer ones are given up sooner and meet less often.
+        Results are cached, and later finds are added. If intersections of the cuts do not converge, for example next
+        to a graze, the search is repeated with finer cuts. Cuts that scatter are excluded, because finer ones stop
+        earlier and have fewer intersections.
         """
         if energy not in self._found:
             found, resolved = self._searched(energy, 1.0)
@@ -384,14 +404,14 @@ class Sweep:
         return self._found[energy]
 
     def _searched(self, energy: float, fineness: float) -> tuple[Found, bool]:
-        """Return what intersecting cuts with chords times `fineness` finds, and whether they were resolved."""
+        """Search with scaled chords; also return True if cuts are resolved."""
         try:
             manifolds = self.problem.manifolds(energy)
         except (ArithmeticError, InputError) as error:
             return Found(energy, (), 1, str(error)), False
         settings = self.settings.search
         settings = replace(settings, cut=replace(settings.cut, chord=fineness * settings.cut.chord))
-        # Both tubes fly about equally far.
+        # Both tubes have similar flight times.
         hits = (self.crossings // 2 + 1, self.crossings - self.crossings // 2)
         unstable = tube_cut(manifolds[0], self.section, hit=hits[0], settings=settings.cut)
         shared = manifolds[0] is manifolds[1] and hits[0] == hits[1]
@@ -406,7 +426,7 @@ class Sweep:
             try:
                 point = self.problem.solved(guess, energy)
             except ArithmeticError as error:
-                caveat = f"a crossing of the cuts is no connection ({error})"
+                caveat = f"a crossing of the cuts is not a connection ({error})"
                 continue
             if self.among(point.link, points) is None:
                 points.append(point)
@@ -419,21 +439,21 @@ class Sweep:
         return Found(energy, tuple(points), weight, caveat), unstable.resolved and stable.resolved
 
     def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
-        """Return the index of the point that is this link, None if none is."""
+        """Return the index of the point with this link, or None."""
         gaps = [self.problem.distance_between(link, p.link) for p in points]
         if not gaps or min(gaps) > self.settings.same:
             return None
         return int(np.argmin(gaps))
 
     def count(self, point: PathPoint) -> int:
-        """Return how often a solved link crosses the section."""
+        """Return the number of section crossings of a solved link."""
         key = (point.link, point.energy)
         if key not in self._counts:
             self._counts[key] = profile(self.problem, point.link, point.energy, self.section).count
         return self._counts[key]
 
     def place(self, event: Located) -> tuple[float, float]:
-        """Return (q, p/p₀) where an event's connection crosses the section; of an artefact, where it touches."""
+        """Return (q, p/p₀) at the section crossing or touch of an event."""
         if event.kind == "section-artefact":
             q, p = section_points(self.problem.system, self.section, event.state)
         else:
@@ -445,7 +465,7 @@ class Sweep:
         return np.full(2, np.nan) if state is None else section_points(self.problem.system, self.section, state)
 
     def _runs(self, points: Sequence[PathPoint]) -> list[Branch]:
-        """Return where a connection, followed through points, crosses the section, for points that cross as asked."""
+        """Return the stretches of a path with the required number of crossings."""
         asked = [self.count(point) == self.crossings for point in points]
         runs = [list(run) for crosses, run in groupby(zip(asked, points, strict=True), lambda pair: pair[0]) if crosses]
         branches = []
@@ -458,7 +478,7 @@ class Sweep:
         return branches
 
     def between(self, low: float, high: float) -> Interval:
-        """Explain what two neighbouring searches do not share; kept until one of them is amended."""
+        """Explain the differences between two searches, with a cache."""
         before, after = self.search(low), self.search(high)
         if (low, high) not in self._intervals:
             interval, missed = self._changes(before, after)
@@ -472,11 +492,11 @@ class Sweep:
         return self._intervals[low, high]
 
     def explained(self, low: float, high: float) -> bool:
-        """Whether the interval was explained since its searches were last amended."""
+        """Return True if an interval's cached explanation is up to date."""
         return (low, high) in self._intervals
 
     def _amend(self, energy: float, missed: list[PathPoint]) -> bool:
-        """Add connections that continuation met and the search had not seen, with their mirror images; say if any."""
+        """Add missed connections with mirror images; return True if any is new."""
         points = list(self._found[energy].points)
         before = len(points)
         for point in missed:
@@ -490,9 +510,10 @@ class Sweep:
         return len(points) > before
 
     def _changes(self, before: Found, after: Found) -> tuple[Interval, list[PathPoint]]:
-        """Follow what two neighbouring searches do not share.
+        """Follow unmatched connections of two neighbouring searches.
 
-        Returns what happened, and connections that the searches should have found.
+        Returns:
+            The events, and connections that the searches should have found.
         """
         runs: list[Branch] = []
         missed: list[PathPoint] = []
@@ -505,7 +526,7 @@ class Sweep:
                 born.discard(match)
                 runs += self._runs((point, after.points[match]))
             elif arrived is not None and match is None and self.count(arrived) == self.crossings:
-                # It met no turn and crosses as often as asked: the search has not seen it.
+                # It did not turn and has the required crossings, so the search missed it.
                 lost.discard(k)
                 missed.append(arrived)
         changes: list[Change] = []
@@ -543,7 +564,7 @@ class Sweep:
                 if counts[k] != counts[k + 1]:
                     reasons.append(f"a touch of the section next to the turn at {event.energy:.9g} J")
                 if counts[k] == self.crossings:
-                    # The partners lie on the side from which the path came.
+                    # The partners are on the side from which the path came.
                     came_from = points[k].energy if points[k].energy != event.energy else points[k - 1].energy
                     changes.append(Change(event, 2 if came_from > event.energy else -2))
             elif counts[k] != counts[k + 1]:
@@ -556,13 +577,13 @@ class Sweep:
                     )
                 elif gain:
                     rising = 1 if points[k + 1].energy > points[k].energy else -1
-                    # Of several touches, the one on the side of the asked count changed it.
+                    # Of several touches, the one next to the required count changed it.
                     near_end = points[k + 1].energy if gain > 0 else points[k].energy
                     event = min(touches, key=lambda t: abs(t.energy - near_end))
                     changes.append(Change(event, gain * rising))
 
     def _distinct(self, changes: list[Change]) -> list[Change]:
-        """Leave out events met a second time, from the partner's side."""
+        """Remove events found twice, from both partners."""
 
         def same(a: Located, b: Located) -> bool:
             near = abs(a.energy - b.energy) < 1e-7 * self.problem.system.energy_scale
@@ -577,11 +598,16 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Mark:
-    """A change of the connections with energy, as a diagram shows it.
+    """An event in a bifurcation diagram.
 
-    energy in J. kind: "saddle-node", "pitchfork" or "section-artefact". point: the first of its crossings of the
-    section, in (q, p/p₀). count_below, count_above: connections with the crossings asked for, just below and above, on
-    the torus; at_least: lower bounds only, cuts being unresolved next to it.
+    The counts are numbers of connections on the torus with the required crossings.
+
+    Attributes:
+        energy: J.
+        kind: "saddle-node", "pitchfork" or "section-artefact".
+        point: first section crossing, (q, p/p₀).
+        count_below, count_above: counts on either side.
+        at_least: True if counts are lower bounds.
     """
 
     energy: float
@@ -594,11 +620,15 @@ class Mark:
 
 @dataclass(frozen=True)
 class Bifurcation(Mark):
-    """A change that was located.
+    """A located bifurcation.
 
-    state (N,): of the connection there, on the section where it touches it, midway in its flight otherwise. residual:
-    of the equations that located it. connections: how many connections, images included, share the event. symmetric:
-    whether a reverser carries the connection to itself.
+    The state is on the section if the connection touches it, and otherwise at half of the flight time.
+
+    Attributes:
+        state (N,): of the connection.
+        residual: of the event's equations.
+        connections: number involved, with images.
+        symmetric: True if a reverser maps the connection to itself.
     """
 
     state: Array
@@ -615,13 +645,17 @@ class Bifurcation(Mark):
 
 @dataclass(frozen=True)
 class BifurcationSearch:
-    """Events in order of energy, the counts they explain, and the changes of count without a located cause.
+    """Bifurcations in order of energy, with the counts they explain.
 
-    unexplained: (low, high, sentence) of energy intervals. complete: none, and every search was complete.
-    scatters_from: the lowest energy in J from which on no search is complete, trajectories of a tube scattering
-    before they arrive so that connections accumulate without end; counts are lower bounds there, of those connections
-    that were found and followed; None where there is none. runs: every connection as it was followed; where a
-    symmetry exchanges the branches of the tubes, one of every two.
+    Above `scatters_from`, no search is complete, because trajectories of a tube scatter before they arrive and
+    connections accumulate without end. Counts are then lower bounds. If a symmetry exchanges the tubes' branches,
+    `runs` has one of each pair of connections.
+
+    Attributes:
+        unexplained: (low, high, reason) of energy intervals without a located event.
+        complete: True if there are none and every search was complete.
+        scatters_from: J, or None.
+        runs: connections that were followed.
     """
 
     system: System
@@ -641,7 +675,7 @@ class BifurcationSearch:
         return f"<bifurcations: {self.status}>"
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol bifurcations --json` prints, the energies that were asked for apart."""
+        """Return the document printed by `dpcontrol bifurcations --json`."""
         event = ("energy", "kind", "state", "count_below", "count_above", "at_least", "symmetric", "winding")
         return {
             "events": [picked(e, *event, "residual", "point") for e in self.events],
@@ -665,28 +699,30 @@ def find_bifurcations(
     settings: SweepSettings | None = None,
     progress: Progress = no_progress,
 ) -> BifurcationSearch:
-    """Find every change of the connections from `source` to `target` between two energies in J.
+    """Find the bifurcations of connections between two energies.
 
-    crossings: how often the connections cross their section; 1 are the first hits.
+    Args:
+        energies: (lowest, highest), J.
+        crossings: number of section crossings, 1 for first hits.
 
     Raises:
-        InputError: no section between the saddles, an unknown saddle, bounds without orbits, or a system of other
-            than two degrees of freedom.
+        InputError: an unknown saddle, no section between the saddles, bounds without orbits, or a system without two
+            degrees of freedom.
     """
     settings = settings or SweepSettings()
     if (source, target) not in system.sections:
         raise InputError(f"{system.name} has no section between {source} and {target}")
     if crossings < 1:
-        raise InputError(f"hits = {crossings}: connections cross their section at least once")
+        raise InputError(f"hits = {crossings}: must be at least one crossing of the section")
     low, high = numbers("energies", energies, 2)
     whole("samples", settings.energies, least=2, most=1_000_000)
     if not low < high:
-        raise InputError(f"energies {low:g} to {high:g}: must be two finite numbers, the lower first")
+        raise InputError(f"energies {low:g} to {high:g}: must be two finite numbers in ascending order")
     births = [equilibrium(system, name).energy for name in (source, target)]
     floor = max(births) + settings.closest * system.energy_scale
     start = max(low, floor)
     if start >= high:
-        text = f"energies {low:g} to {high:g} J: both orbits, and with them connections, exist only above "
+        text = f"energies {low:g} to {high:g} J: both orbits, and thus connections, exist only above "
         raise InputError(system.worded(f"{text}{max(births):.6g} J"))
     sweep = Sweep(system, source, target, crossings, settings)
     grid = [float(e) for e in np.linspace(start, high, settings.energies)]
@@ -699,7 +735,7 @@ def find_bifurcations(
         if not _adds_up(sweep, *ends) and ends[1] - ends[0] > narrowest and searched:
             grid.insert(k + 1, sum(ends) / 2)
             continue
-        # A search amended on the way may spoil what was explained before it.
+        # New finds of a search may invalidate the explanation of an earlier interval.
         k = k - 1 if k > 0 and not sweep.explained(grid[k - 1], grid[k]) else k + 1
     progress("bifurcations", 1.0)
     counts = tuple(sweep.search(energy) for energy in grid)
@@ -732,18 +768,22 @@ def _status(
     scatters_from: float | None,
     born: float | None,
 ) -> str:
-    """Return a sweep's outcome in a sentence; born: J of the later saddle, where the sweep begins only above it."""
+    """Return the outcome of a sweep as a sentence.
+
+    Args:
+        born: energy of the higher saddle, J, if the sweep starts just above it.
+    """
     status = f"{events} events explain every change of the count over {len(counts)} energies"
     if unexplained:
         status = f"{events} events located, but {len(unexplained)} changes of the count have no located cause: "
         status += "; ".join(f"{a:.6g} to {b:.6g} J, {why}" for a, b, why in unexplained[:5])
     if born is not None:
         first = counts[0]
-        there = f"{first.count} connections exist already there" if first.count else "none exist there yet"
-        status += f"; swept from {first.energy:.6g} J, just above the energy {born:.6g} J of the later saddle: {there}"
+        there = f"{first.count} connections exist there" if first.count else "no connections exist there"
+        status += f"; swept from {first.energy:.6g} J, just above the higher saddle's energy of {born:.6g} J: {there}"
     if scatters_from is not None:
         status += (
-            f"; from {scatters_from:.6g} J on counts are lower bounds (at least), of connections found and followed: "
+            f"; above {scatters_from:.6g} J counts are lower bounds (at least), of connections found and followed: "
             f"{counts[-1].caveat}"
         )
     single = [c for c in counts if not c.complete and (scatters_from is None or c.energy < scatters_from)]
@@ -756,19 +796,19 @@ def _status(
 
 def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
     interval = sweep.between(low, high)
-    # Only now: a search may have been amended while the interval was followed.
+    # Searches are read last, because continuation may have added to them.
     before, after = sweep.search(low), sweep.search(high)
     return not interval.reasons and len(before.points) + interval.gain == len(after.points)
 
 
 def _why(sweep: Sweep, low: float, high: float) -> str:
     interval, before, after = sweep.between(low, high), sweep.search(low), sweep.search(high)
-    counts = f"{before.count} become {after.count} connections, located events account for "
+    counts = f"the count changes from {before.count} to {after.count}, but located events account for "
     return "; ".join([counts + f"{interval.gain * after.weight:+d}", *interval.reasons[:2]])
 
 
 def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found]) -> tuple[Bifurcation, ...]:
-    """Join images of one event and give each event the running count."""
+    """Merge images of one event and add counts to the events."""
     weight = max((c.weight for c in counts), default=1)
     near = 1e-8 * sweep.problem.system.energy_scale
     groups: list[list[Change]] = []
@@ -784,7 +824,7 @@ def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found
     for group in groups:
         event = group[0].event
         below, above = ([c for c in counts if (c.energy <= event.energy) is side] for side in (True, False))
-        # The search just below sets the count anew, so that an unexplained interval does not spoil the rest.
+        # The count restarts at each search, so that an unexplained interval has no effect on the rest.
         running = events[-1].count_above if events else 0
         if below and not (events and events[-1].energy > below[-1].energy):
             running = below[-1].count
@@ -809,10 +849,13 @@ def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found
 
 @dataclass(frozen=True)
 class BranchDiagram:
-    """Connections between two saddles against energy.
+    """Connections between two saddles as a function of energy.
 
-    runs: each connection as it was followed; marks: the events between; counts: (energy, number on the torus, whether
-    the search was complete); scatters_from: J, as in BifurcationSearch.
+    Attributes:
+        runs: connections that were followed.
+        marks: events.
+        counts: (energy in J, number on the torus, True if complete).
+        scatters_from: J, as in BifurcationSearch.
     """
 
     source: str
@@ -844,10 +887,10 @@ def branch_diagram(search: BifurcationSearch) -> BranchDiagram:
 
 
 def diagram_from(document: dict[str, Any]) -> BranchDiagram:
-    """Return the diagram that a document holds.
+    """Return the diagram stored in a document.
 
     Raises:
-        KeyError, TypeError, ValueError: the document is of no diagram.
+        KeyError, TypeError, ValueError: the document is not a diagram.
     """
     runs = (Branch(np.array(r["energies"], dtype=float), np.array(r["points"], dtype=float)) for r in document["runs"])
     marks = (Mark(**{**m, "point": (float(m["point"][0]), float(m["point"][1]))}) for m in document["marks"])

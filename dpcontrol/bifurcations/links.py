@@ -1,27 +1,28 @@
-"""Connections as points of curves in energy: matching without a section.
+"""Links: connections as points of curves in energy, without a section.
 
-A connection leaves the seed circle γ(φ_u) ± δ v(φ_u) of its source's unstable manifold and after a time T arrives on
-that of its target's stable manifold, at phase φ_s. With X_u(φ_u, t) the seed flown forward and X_s(φ_s, t) backward,
+A connection leaves the seed circle γ(φ_u) ± δ v(φ_u) of its source's unstable manifold. After a time T, it reaches the
+seed circle of its target's stable manifold at phase φ_s. Let X_u(φ_u, t) and X_s(φ_s, t) be the seeds propagated
+forward and backward. Then
 
-    F(φ_u, φ_s, T; H) = X_u(φ_u, T/2) - X_s(φ_s, T/2) - whole turns = 0,
+    F(φ_u, φ_s, T; H) = X_u(φ_u, T/2) - X_s(φ_s, T/2) - whole turns = 0
 
-four equations of which one (energy) is redundant, for three unknowns at every energy H. No section appears: where the
-connection meets one, how often, and whether it grazes it, makes no difference here. The tangent spaces of the two
-manifolds are spanned by (∂X_u/∂φ_u, f) and (∂X_s/∂φ_s, f); they coincide, and the connection is tangent, where
+are four equations, one of them redundant by energy conservation, for three unknowns at every energy H. They do not
+depend on sections, crossings or grazes. The vectors (∂X_u/∂φ_u, f) and (∂X_s/∂φ_s, f) span the tangent spaces of the
+two manifolds. The spaces coincide, and the connection is tangent, if
 
     σ = det[∂X_u/∂φ_u, -∂X_s/∂φ_s, f, ∇H] = 0        (columns scaled to length one).
 
-A homoclinic that a reverser R carries to itself has its midpoint on Fix R (2 equations for φ, T). There R splits the
-tangent D = ∂X_u/∂φ into D₊ (fixed by R, and across ∇H) and D₋ (turned over, modulo f). σ is a product of a = D₋ and
-b = D₊: at a = 0 two symmetric connections meet, at b = 0 the symmetric one sheds a mirror pair.
+If a reverser R maps a homoclinic connection to itself, its midpoint is on Fix R (2 equations for φ, T). There R splits
+the tangent D = ∂X_u/∂φ into D₊ (fixed by R, normal to ∇H) and D₋ (reversed, modulo f). The tangency σ is a product of
+a = D₋ and b = D₊. Two symmetric connections meet at a = 0, and a mirror pair branches off at b = 0.
+
+The curve F(φ_u, φ_s, T; H) = 0 is followed by pseudo-arclength continuation. The predictor is the null vector of
+[∂F/∂(φ_u, φ_s, T), ∂F/∂H], and Newton's method corrects on the plane normal to it, so the curve may fold in energy.
+
+The number of section crossings follows from the extrema of the height over the section along the connection.
 
 Source: Champneys & Kuznetsov, Numerical detection and continuation of codimension-two homoclinic bifurcations (1994);
 Vanderbauwhede & Fiedler (1992) for the reversible case.
-
-The curve F(φ_u, φ_s, T; H) = 0 is followed by pseudo-arclength: predicted along the null vector of
-[∂F/∂(φ_u, φ_s, T), ∂F/∂H], corrected by Newton's method on the plane across it, so that it may turn back in energy.
-
-How often a connection crosses its section is counted on its flight's heights over it, extremum by extremum.
 """
 
 from collections.abc import Sequence
@@ -45,7 +46,14 @@ from dpcontrol.orbits.manifold import UnstableManifold
 
 @dataclass(frozen=True)
 class Link:
-    """A connection from seed to seed: branches (±1, ±1), phases φ_u and φ_s, duration T in s, whole turns (N,)."""
+    """A connection between two seeds.
+
+    Attributes:
+        branches: (±1, ±1).
+        phases: (φ_u, φ_s).
+        duration: T, s.
+        turns (N,): whole turns.
+    """
 
     branches: tuple[int, int]
     phases: tuple[float, float]
@@ -58,13 +66,13 @@ class Link:
         return np.array([*self.phases, self.duration])
 
     def at(self, unknowns: Sequence[float] | Array) -> "Link":
-        """Return the link moved to unknowns (3,)."""
+        """Return the link with the unknowns (3,)."""
         return replace(self, phases=(float(unknowns[0]), float(unknowns[1])), duration=float(unknowns[2]))
 
 
 @dataclass(frozen=True)
 class PathPoint:
-    """One solved point of a path: the link, its energy in J, its tangency σ."""
+    """A solved point of a path: energy (J) and tangency σ."""
 
     link: Link
     energy: float
@@ -78,7 +86,14 @@ class PathPoint:
 
 @dataclass(frozen=True)
 class Match:
-    """How two tubes meet: gap (N,), scaled; its derivative (N, 3) by (φ_u, φ_s, T); tangency σ; state (N,) midway."""
+    """The gap between two tubes at a connection's middle.
+
+    Attributes:
+        gap (N,): scaled.
+        jacobian (N, 3): derivative by (φ_u, φ_s, T).
+        tangency: σ.
+        state (N,): at the middle.
+    """
 
     gap: Array
     jacobian: Array
@@ -88,7 +103,7 @@ class Match:
 
 @dataclass(frozen=True)
 class MirrorMatch:
-    """How a tube meets a fixed set: miss (n,), scaled; a and b as in the module's text."""
+    """The scaled gap (n,) between a tube and a fixed set."""
 
     miss: Array
     fold: float
@@ -96,21 +111,24 @@ class MirrorMatch:
 
 
 def phase_gap(first: float, second: float) -> float:
-    """Return the difference of phases between -½ and ½."""
+    """Return the difference of two phases, reduced to -½ to ½."""
     return (first - second + 0.5) % 1.0 - 0.5
 
 
 class LinkProblem:
-    """Matching between the tubes of two saddles at any energy; orbits are kept by energy.
+    """Matching of two saddles' tubes at any energy, with cached orbits.
 
-    distance: of the seeds from their orbits, scaled. Systems of two degrees of freedom only.
+    Args:
+        system: system with two degrees of freedom.
+        source, target: names of the saddles.
+        distance: of seeds from their orbits, scaled.
     """
 
     def __init__(self, system: System, source: str, target: str, *, distance: float) -> None:
         if system.dimension != 4:
             raise InputError(
-                f"{system.name} has {system.dimension // 2} degrees of freedom: connections are followed in energy "
-                "for two, where tubes are surfaces in a three-dimensional energy level"
+                f"{system.name} has {system.dimension // 2} degrees of freedom: connections can be followed in energy "
+                "only for two"
             )
         self.system, self.source, self.target, self.distance = system, source, target, distance
         self._shooting: dict[str, SymmetricShooting] = {}
@@ -118,13 +136,13 @@ class LinkProblem:
         self._guesses: dict[str, dict[float, Array]] = {}
 
     def _orbit(self, saddle: str, energy: float) -> LyapunovOrbit:
-        """Return the orbit at `energy`, by Newton's method from the nearest one that is known."""
+        """Return the orbit at an energy (J), preferably from the nearest one."""
         if saddle not in self._shooting:
             self._shooting[saddle], _ = symmetric_shooting(self.system, saddle, 0)
         problem, known = self._shooting[saddle], self._guesses.setdefault(saddle, {})
         floor = float(self.system.numeric.hamiltonian(problem.centre))
         near = min(known, key=lambda e: abs(e - energy), default=floor)
-        # Unknowns grow as the root of the height above the saddle, so a guess from far off is no guess.
+        # Unknowns grow as the square root of the height above the saddle, so the guess must be near.
         if near != floor and 0.8 < (energy - floor) / (near - floor) < 1.25:
             found, residual = problem.at_energy(known[near], energy, iterations=10, tolerance=1e-13)
             if residual < 1e-12:
@@ -141,11 +159,13 @@ class LinkProblem:
         return orbit
 
     def manifold(self, saddle: str, energy: float) -> UnstableManifold:
-        """Return the unstable manifold of a saddle's orbit at `energy`, its vector turned as at the first energy.
+        """Return the unstable manifold of a saddle's orbit at `energy` (J).
+
+        Its vector has the same orientation at all energies.
 
         Raises:
             ArithmeticError: the orbit did not converge.
-            InputError: no orbit exists at that energy.
+            InputError: no orbit exists at this energy.
         """
         if (saddle, energy) not in self._manifolds:
             manifold = UnstableManifold(self._orbit(saddle, energy), self.distance)
@@ -154,31 +174,31 @@ class LinkProblem:
                 nearest = min(kept, key=lambda m: abs(m.orbit.energy - energy))
                 scale = self.system.scale**2
                 if float(np.sum(nearest.vector * manifold.vector / scale)) < 0:
-                    # A branch is a side of the orbit; the side may not change its name from energy to energy.
+                    # A branch must denote the same side of the orbit at all energies.
                     manifold.__dict__["vector"] = -manifold.vector
             self._manifolds[saddle, energy] = manifold
         return self._manifolds[saddle, energy]
 
     def manifolds(self, energy: float) -> tuple[UnstableManifold, UnstableManifold]:
-        """Return source's and target's manifolds; one object where they are the same."""
+        """Return the manifolds of source and target, one object if identical."""
         return self.manifold(self.source, energy), self.manifold(self.target, energy)
 
     def _flown(self, manifold: UnstableManifold, branch: int, phase: float, seconds: float) -> tuple[Array, Array]:
-        """Return the seed's state after `seconds` and its derivative by phase."""
+        """Return a seed's state after `seconds` (s), and its derivative by phase."""
         seeds, slopes = manifold.seeds(np.array([phase]), branch)
         state, stm = self.system.propagator.flow_with_stm(seeds[0], seconds)
         return state, stm @ slopes[0]
 
     def turned(self, states: Array) -> Array:
-        """Return states (…, N) turned around in time about the target."""
+        """Return the time-reversed states (…, N) about the target."""
         centre = self.system.equilibrium(self.target)
         return (states - centre) @ self.system.reversers[0].T + centre
 
     def match(self, link: Link, energy: float) -> Match:
-        """Fly both tubes to the middle of the connection and compare.
+        """Propagate both tubes to the middle of the connection and compare.
 
         Raises:
-            ArithmeticError: an orbit did not converge or a state became infinite.
+            ArithmeticError: an orbit did not converge or a state diverged.
         """
         system, scale = self.system, self.system.scale
         first, second = self.manifolds(energy)
@@ -194,7 +214,7 @@ class LinkProblem:
         return Match(gap, jacobian, tangency, xu)
 
     def mirror(self, link: Link, energy: float, which: int) -> MirrorMatch:
-        """Fly the unstable tube to the middle of the connection and compare with the fixed set of reverser `which`."""
+        """Compare the middle of a connection with a reverser's fixed set."""
         system, scale = self.system, self.system.scale
         manifold = self.manifold(self.source, energy)
         x, slope = self._flown(manifold, link.branches[0], link.phases[0], link.duration / 2)
@@ -210,7 +230,7 @@ class LinkProblem:
         basis = np.linalg.svd((np.eye(4) + reverser) / 2 / scale[:, None])[0][:, :2].T
         d_plus = basis @ (slope / scale)
         normal = basis @ (system.numeric.gradient(x) * scale)
-        # Not by (a, b) itself, which all but vanishes where both kinds of event fall together.
+        # The scale must not be (a, b) itself, which nearly vanishes if both kinds of event coincide.
         size = float(np.linalg.norm(slope / scale))
         fold, shedding = (
             float((d[0] * along[1] - d[1] * along[0]) / np.linalg.norm(along)) / size
@@ -219,7 +239,7 @@ class LinkProblem:
         return MirrorMatch(miss, fold, shedding)
 
     def symmetry(self, link: Link, within: float = 1e-6) -> int | None:
-        """Return which reverser carries the link to itself, None if none does."""
+        """Return the index of the reverser that preserves the link, or None."""
         for which in range(len(self.system.reversers)):
             image = self.mirrored(link, which)
             if image is not None and self.distance_between(link, image) < within:
@@ -227,7 +247,7 @@ class LinkProblem:
         return None
 
     def mirrored(self, link: Link, which: int) -> Link | None:
-        """Return the image of a homoclinic link under a reverser; None between different saddles."""
+        """Return the image of a homoclinic link under a reverser, or None."""
         if self.source != self.target:
             return None
         if which == 0:
@@ -239,14 +259,17 @@ class LinkProblem:
         return replace(link, branches=branches, phases=(link.phases[1] + 0.5, link.phases[0] + 0.5))
 
     def distance_between(self, first: Link, second: Link) -> float:
-        """Return how far apart two links are in phases and relative duration; infinite on different branches."""
+        """Return the distance of two links in phases and relative duration.
+
+        It is infinite for different branches.
+        """
         if first.branches != second.branches:
             return float("inf")
         gaps = [abs(phase_gap(a, b)) for a, b in zip(first.phases, second.phases, strict=True)]
         return max(*gaps, abs(first.duration / second.duration - 1))
 
     def solved(self, link: Link, energy: float, *, iterations: int = 12) -> PathPoint:
-        """Solve F = 0 for the link nearest to a guess.
+        """Solve F = 0 from an initial guess.
 
         Raises:
             ArithmeticError: Newton's method left the neighbourhood or did not converge.
@@ -263,7 +286,7 @@ class LinkProblem:
             elif smallest < 1e-10:
                 break
             step = np.linalg.lstsq(match.jacobian, match.gap, rcond=1e-13)[0]
-            # Where multipliers are large, rounding keeps the gap from falling, but moves the solution no more.
+            # With large multipliers, rounding limits the gap although the solution has converged.
             if residual < 1e-8 and np.all(np.abs(step) < 1e-7 * reach):
                 return here
             shrink = min(1.0, 0.3 / float(np.max(np.abs(step) / reach)) if np.any(step) else 1.0)
@@ -276,17 +299,19 @@ class LinkProblem:
 
 
 UNSOLVED = (ArithmeticError, InputError, np.linalg.LinAlgError)
-"""What Newton's method may fail by where it is led astray: beyond some energies there are not even orbits."""
+"""Errors of a diverging Newton iteration, which may reach energies without orbits."""
 _MATCHED = 1e-10  # scaled gap
-_ROUNDED = 1e-8  # scaled gap that rounding alone may leave
-_AT_REST = 1e-7  # of a step of Newton's method, in units of the weights
+_ROUNDED = 1e-8  # largest scaled gap due to rounding
+_AT_REST = 1e-7  # step of Newton's method in units of the weights
 
 
 @dataclass(frozen=True)
 class Path:
-    """A connection followed in energy. outcome: "reached" the goal, came "back" to the start, or "lost" with a reason.
+    """A connection followed in energy.
 
-    turns: indexes of points after which the path turns back in energy.
+    Attributes:
+        outcome: "reached" (the goal), "back" (at the start) or "lost".
+        turns: indices of points before a fold in energy.
     """
 
     points: tuple[PathPoint, ...]
@@ -296,10 +321,10 @@ class Path:
 
 
 def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: float = 1 / 32) -> PathPoint | None:
-    """Carry a solved connection to energy `goal` where it does not turn on the way, None where it may.
+    """Continue a connection to energy `goal` (J), None if it may turn.
 
-    Each step is predicted along ∂(φ_u, φ_s, T)/∂H and solved at fixed energy; the tangency σ must keep its sign, as it
-    does not across a turn. Cheaper than `follow`, which rounds turns.
+    Each step is predicted along ∂(φ_u, φ_s, T)/∂H and solved at fixed energy. The tangency σ must keep its sign, which
+    changes at a turn. This is cheaper than `follow`, which handles turns.
     """
     way = goal - point.energy
     done, share, here = 0.0, 1.0, point
@@ -318,7 +343,7 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
 
 
 def _stepped(problem: LinkProblem, here: PathPoint, energy: float) -> PathPoint | None:
-    """Return the connection at a nearby energy, None where the prediction was poor or the tangency changed its sign."""
+    """Return the connection at a nearby energy (J), or None."""
     try:
         match = problem.match(here.link, here.energy)
         by_energy = _energy_slope(problem, here.link, here.energy)
@@ -334,10 +359,16 @@ def _stepped(problem: LinkProblem, here: PathPoint, energy: float) -> PathPoint 
 
 
 def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps: int = 120) -> Path:
-    """Follow a connection that is solved at energy `start` towards `goal`, round every turn, until it arrives there
-    or comes back."""
+    """Follow a connection through all turns until it arrives or returns.
+
+    Args:
+        link: connection solved at energy `start`.
+        start: initial energy, J.
+        goal: final energy, J.
+        steps: largest number of steps.
+    """
     way = goal - start
-    # Turns are parabolas: over a small stretch of energy phases move as its root.
+    # Turns are parabolas, so the change in phase is the square root of a small change in energy.
     size = 0.05 * min(1.0, float(np.sqrt(100 * abs(way) / problem.system.energy_scale)))
     weights = np.array([size, size, size * link.duration, abs(way)])
     points: list[PathPoint] = []
@@ -355,9 +386,9 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
             if (
                 arrived is None
                 or moved @ tangent < 0.9 * np.linalg.norm(moved)
-                # A first step that ends behind the start has overrun a turn next to it.
+                # A first step that ends behind the start has skipped a turn.
                 or (len(points) == 1 and (arrived.energy - start) * way <= 0)
-                # Next to a pitchfork a long step changes from the pair to the symmetric connection, or back.
+                # Near a pitchfork, a long step may jump between the pair and the symmetric connection.
                 or problem.symmetry(arrived.link) != symmetry
             ):
                 length /= 2
@@ -376,7 +407,7 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
             points.append(arrived)
             tangent = following
             length = min(1.4 * length, 0.5)
-        raise ArithmeticError(f"not arrived after {steps} steps")
+        raise ArithmeticError(f"the goal was not reached in {steps} steps")
     except UNSOLVED as error:
         reason = f"a connection could not be matched: {error}"
         if points:
@@ -389,8 +420,10 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
 
 
 def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPoint | None:
-    """Return the point of a path on the plane halfway between two of its points and across their chord; None where
-    Newton's method does not find it."""
+    """Return the point of a path halfway between two points, or None.
+
+    It lies on the plane through the midpoint of their chord, normal to the chord.
+    """
     start = first.coordinates
     chord = second.coordinates - start
     weights = np.maximum(np.abs(chord), 1e-3 * np.array([1.0, 1.0, first.link.duration, problem.system.energy_scale]))
@@ -402,14 +435,14 @@ def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPo
 
 
 def _energy_slope(problem: LinkProblem, link: Link, energy: float) -> Array:
-    """Return ∂F/∂H (N,) by a central difference; Newton's method needs no more."""
+    """Return ∂F/∂H (N,) by a central difference."""
     width = 1e-5 * problem.system.energy_scale
     difference = problem.match(link, energy + width).gap - problem.match(link, energy - width).gap
     return difference / (2 * width)
 
 
 def _tangent(problem: LinkProblem, link: Link, energy: float, weights: Array, heading: Array) -> Array:
-    """Return the unit tangent (4,) of the curve, scaled, along `heading`: the last singular vector."""
+    """Return the scaled unit tangent (4,) of the curve along `heading`."""
     jacobian = np.column_stack([problem.match(link, energy).jacobian, _energy_slope(problem, link, energy)])
     tangent = np.linalg.svd(jacobian * weights)[2][-1]
     return tangent if tangent @ heading >= 0 else -tangent
@@ -418,7 +451,7 @@ def _tangent(problem: LinkProblem, link: Link, energy: float, weights: Array, he
 def _corrected(
     problem: LinkProblem, link: Link, guess: Array, tangent: Array, weights: Array
 ) -> PathPoint | None:  # fmt: skip
-    """Return the curve's point on the plane through `guess` (4,), None where it is not found."""
+    """Return the curve's point on the plane through `guess` (4,), or None."""
     unknowns, slope = guess, None
     for _ in range(8):
         here = PathPoint(link.at(unknowns[:3]), float(unknowns[3]), 0.0)
@@ -435,20 +468,23 @@ def _corrected(
         if length > 2.0:
             return None
         if length < _AT_REST and residual < _ROUNDED and abs(off) < 1e-8:
-            # Where multipliers are large, rounding keeps the gap from falling, but moves the solution no more.
+            # With large multipliers, rounding limits the gap although the solution has converged.
             return replace(here, tangency=match.tangency)
         unknowns = unknowns + step * weights
     return None
 
 
-_SAMPLES = 300  # of each half of a flight: about twenty to an arm's swing
+_SAMPLES = 300  # per half of a flight, about twenty per swing of an arm
 
 
 @dataclass(frozen=True)
 class Profile:
-    """How a connection's flight runs over the section's heights.
+    """Heights of a connection over its section.
 
-    heights (M,) and states (M, N): at its ends and at every extremum between; count: crossings in all.
+    Attributes:
+        heights (M,): at the ends and all extrema.
+        states (M, N): same points.
+        count: number of crossings.
     """
 
     heights: Array
@@ -457,7 +493,7 @@ class Profile:
 
 
 def fly_whole(problem: LinkProblem, link: Link, energy: float) -> tuple[Array, Array]:
-    """Return times (M,) s from the seed and states (M, N) of the whole flight, from seed to seed."""
+    """Return times (M,) and states (M, N) from seed to seed."""
     half = np.linspace(0.0, link.duration / 2, _SAMPLES + 1)
     out, back = (
         problem.system.propagator.sample(manifold.seeds(np.array([phase]), branch)[0][0], half)
@@ -468,7 +504,7 @@ def fly_whole(problem: LinkProblem, link: Link, energy: float) -> tuple[Array, A
 
 
 def profile(problem: LinkProblem, link: Link, energy: float, section: Section) -> Profile:
-    """Count a solved connection's crossings of a section, monotonic part by monotonic part."""
+    """Count a solved connection's section crossings between extrema of the height."""
     times, states = fly_whole(problem, link, energy)
     rates = problem.system.numeric.rate(states) @ np.asarray(section.normal)
     turning = np.flatnonzero(np.sign(rates[:-1]) * np.sign(rates[1:]) < 0)
@@ -484,7 +520,7 @@ def profile(problem: LinkProblem, link: Link, energy: float, section: Section) -
         period = section.period
         crossed = int(np.floor(high / period) - np.floor(low / period)) if period else int(low < 0 <= high)
         if crossed and section.side is not None:
-            # With a side to it the crossing's own state decides.
+            # On a one-sided section, the state at the crossing decides.
             at = int(np.argmin(np.abs(heights[ends[k] : ends[k + 1] + 2]))) + ends[k]
             crossed = int(section.admits(states[at]))
         count += crossed
@@ -492,7 +528,7 @@ def profile(problem: LinkProblem, link: Link, energy: float, section: Section) -
 
 
 def first_crossing(problem: LinkProblem, link: Link, energy: float, section: Section) -> Array | None:
-    """Return the state (N,) at which a solved connection first crosses a section, on the lift."""
+    """Return the lifted state (N,) at the first crossing of a section."""
     system = problem.system
     _, states = fly_whole(problem, link, energy)
     heights, sheets = section.height(states), section.sheets(states)
@@ -508,9 +544,12 @@ def first_crossing(problem: LinkProblem, link: Link, energy: float, section: Sec
 
 
 def _extremum(problem: LinkProblem, state: Array, span: float, share: float, section: Section) -> Array:
-    """Return the state (N,) at the extremum of the section's height between two samples, by Newton on its rate.
+    """Return the state (N,) at an extremum of the section's height.
 
-    span: s between the samples, of which `state` is the first; share: of it, to begin with.
+    Args:
+        state (N,): first of two samples around the extremum.
+        span: time between the samples, s.
+        share: initial guess as a share of the span.
     """
     numeric, propagator, normal = problem.system.numeric, problem.system.propagator, np.asarray(section.normal)
     step = share * span
