@@ -1,4 +1,4 @@
-"""The itinerary that a page puts together: its TOML text is the only truth, everything else is read from it."""
+"""Draft of an itinerary, stored only as TOML text."""
 
 import re
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from dpcontrol.scenes.model import Model, quoted
 from dpcontrol.walks.symbols import parse_walk
 
 LONGEST = 100_000
-"""Characters of a text that is read."""
+"""Largest length of a text in characters."""
 _NAME = "itinerary"
 _TEXT = """\
 title  = "Planned by looking"
@@ -33,7 +33,7 @@ initial_error = 0.02
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake in a text: its line, counted from 1, and the sentence."""
+    """An error in a text, with line number and message."""
 
     line: int
     message: str
@@ -41,10 +41,15 @@ class Mistake:
 
 @dataclass(frozen=True)
 class Draft:
-    """An itinerary's text as far as it can be read; mistake: None where it is whole, or only lacks its first symbol.
+    """A possibly incomplete itinerary.
 
-    values: the keys of the file. model: as loaded, None where there is none. itinerary: None where it lacks its first
-    symbol or has a mistake.
+    A text without symbols is not an error.
+
+    Attributes:
+        values: keys of the file.
+        model: the model, if it could be loaded.
+        itinerary: None if the text has an error or no symbols.
+        mistake: first error, or None.
     """
 
     text: str
@@ -55,7 +60,7 @@ class Draft:
 
     @property
     def walk(self) -> list[str]:
-        """The symbols, those of all parts in order."""
+        """The symbols of all parts in order."""
         return list(self.itinerary.walk) if self.itinerary else _listed(self.values.get("walk"), str)
 
     @property
@@ -73,7 +78,7 @@ class Draft:
 
     @cached_property
     def stops(self) -> list[str]:
-        """The saddles that the walk visits, in order."""
+        """The saddles visited by the walk, in order."""
         try:
             symbols = parse_walk(self.walk, self.model.system.saddles) if self.model and self.walk else ()
         except InputError:
@@ -82,19 +87,19 @@ class Draft:
 
     @property
     def fixed(self) -> str:
-        """Why the walk cannot be changed by pointing, or ""."""
+        """Reason why the walk can be edited only as text, or ""."""
         if self.mistake is not None and not self.values:
-            return f"line {self.mistake.line} of the TOML has a mistake: correct it first, or undo"
+            return f"line {self.mistake.line} of the TOML has an error: correct it first, or undo"
         if "parts" in self.values:
-            return "the TOML lists [[parts]]: change it as text"
+            return "the TOML lists [[parts]]: edit it as text"
         if self.itinerary and not all(isinstance(part, WalkPart) for part in self.itinerary.parts):
-            return "the TOML holds or keeps a place: change it as text"
+            return "the TOML has holds or sustained orbits: edit it as text"
         if self.values.get("repeat", 1) != 1:
-            return "the TOML repeats its walk: change it as text"
+            return "the TOML repeats its walk: edit it as text"
         return ""
 
     def document(self) -> dict[str, Any]:
-        """Return what the page shows of it."""
+        """Return the draft's data for the page."""
         run = self.values.get("run")
         return {
             "model": self.values.get("model", "lab"),
@@ -112,10 +117,14 @@ class Draft:
         }
 
     def changed(self, table: str, values: dict[str, Any]) -> str:
-        """Return the text with keys of a table, or of the top level ("") set.
+        """Return the text with changed values.
+
+        Args:
+            table: name of the table, "" for the top level.
+            values: new values by key.
 
         Raises:
-            InputError: the text cannot be changed by pointing.
+            InputError: the walk can be edited only as text.
         """
         if self.fixed and (not self.values or values.keys() & {"walk", "wraps"}):
             raise InputError(self.fixed)
@@ -123,12 +132,12 @@ class Draft:
 
 
 def first_text(model: str, energy: float) -> str:
-    """Return the text that a page begins with."""
+    """Return the initial text for a model and an energy (J)."""
     return _TEXT.format(model=quoted(model), energy=energy)
 
 
 def read_draft(text: str) -> Draft:
-    """Return what a text says."""
+    """Parse a text, with errors stored in the result."""
     if len(text) > LONGEST:
         return Draft(text, {}, None, None, Mistake(1, f"the text has more than {LONGEST:,} characters"))
     values: dict[str, Any] = {}
@@ -137,7 +146,7 @@ def read_draft(text: str) -> Draft:
         values = parse_toml(text, f"{_NAME}.toml").remaining()
         model = fitting_model(str(values.get("model", "lab")))
         if values.get("walk") == [] and not values.get("wraps") and "parts" not in values:
-            # A walk is begun by its first symbol; until then everything else is checked with one that exists.
+            # If the walk is empty, the other keys are validated with a placeholder symbol.
             begun = [f"{model.system.saddles[0]} +"]
             itinerary_from(with_values(text, "", {"walk": begun}, file=f"{_NAME}.toml"), _NAME, model)
             return Draft(text, values, model, None, None)
@@ -148,7 +157,7 @@ def read_draft(text: str) -> Draft:
 
 
 def line_of(text: str, message: str) -> int:
-    """Return the line, counted from 1, that a message about a TOML text is about."""
+    """Return the line number (from 1) to which an error message refers."""
     lines = text.splitlines() or [""]
     if found := re.search(r"at line (\d+)", message):
         return min(int(found[1]), len(lines))
@@ -164,7 +173,7 @@ def line_of(text: str, message: str) -> int:
         if key and (not named or (named[1] == table and not header)):
             place = re.search(rf"(?<![\w-]){re.escape(key[1])}(?![\w-])", message)
             places += [(place.start(), k)] if place else []
-    # The key that a message is about comes first in it.
+    # Messages start with the key to which they refer.
     return min(places, default=(0, 1))[1]
 
 
@@ -173,14 +182,14 @@ def _listed(value: Any, kind: type) -> list[Any]:
 
 
 def fault_of(status: str, walk: Sequence[str]) -> int | None:
-    """Return the number of the symbol, from 0, that a failed plan's sentence names; None where it names none."""
+    """Return the index of the symbol that a failed plan's status names."""
     if found := re.search(r"symbol (\d+)\b", status):
         return min(int(found[1]), len(walk)) - 1 if walk else None
     return next((k for k, text in enumerate(walk) if text in status), None)
 
 
 def enough_wraps(status: str) -> list[int] | None:
-    """Return the wraps that a failed plan's sentence advises, or None."""
+    """Return the wraps suggested in a failed plan's status, or None."""
     found = re.search(r"must be at least \[([\d, ]*)\]|wraps \[([\d, ]*)\] work", status)
     digits = re.findall(r"\d+", found[1] or found[2] or "") if found else []
     return [int(one) for one in digits] or None

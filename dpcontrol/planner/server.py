@@ -1,8 +1,8 @@
-"""The planner's address: a server for this computer's browser alone.
+"""The planner's web server, for browsers on this computer only.
 
-It listens on 127.0.0.1. Every request must carry the token of the address, the server's own Host header and, if it has
-an Origin, the server's own; all others get 403. So neither other computers, nor other users of this one, nor pages of
-other sites that the same browser shows can reach it.
+It listens on 127.0.0.1. Every request must have the token of the address, the server's Host header, and the server's
+Origin if it has an Origin. Other requests are answered with status 403. Other computers, other users of this computer
+and pages of other sites therefore have no access.
 """
 
 import asyncio
@@ -37,23 +37,26 @@ _HEADERS = {
     "x-content-type-options": "nosniff",
 }
 _LONGEST = 1 << 20
-"""Bytes of a message from a page."""
+"""Largest message from a page, bytes."""
 
 
 class Planner:
-    """A planner that serves until it is closed; also a context manager. address: to open in a browser."""
+    """A running planner, also usable as a context manager.
+
+    Its page is at `address`.
+    """
 
     def __init__(self, model: str, *, port: int = 0) -> None:
-        """Start it.
+        """Start the server.
 
         Raises:
-            InputError: the model cannot be used, or the port is taken.
+            InputError: the model cannot be used, or the port is in use.
             PartMissing: starlette, uvicorn or websockets is not installed.
         """
         for needed in ("starlette.applications", "uvicorn", "websockets"):
             _ = Later(needed).__name__
         self._model = model
-        # Importing, and the model's equilibria, take a second, for which no page then waits.
+        # Imports and the model's equilibria take a second, so they are loaded before a page connects.
         shown_model(fitting_model(model))
         self._token = secrets.token_urlsafe(24)
         self._socket = _listening(port)
@@ -77,16 +80,16 @@ class Planner:
         self.close()
 
     def open(self) -> bool:
-        """Open it in the user's browser; False where there is none."""
+        """Open the page in a browser; return False without a browser."""
         return webbrowser.open(self.address)
 
     def wait(self) -> None:
-        """Return when it is closed, or raise KeyboardInterrupt where the program is interrupted."""
+        """Block until the server is closed or the program is interrupted."""
         while self._thread.is_alive():
             self._thread.join(0.2)
 
     def close(self) -> None:
-        """End it, its workers, and what they are doing."""
+        """Stop the server and its workers."""
         self._server.should_exit = True
         self._thread.join()
 
@@ -116,12 +119,12 @@ class Planner:
         return Starlette(routes=[*routes, WebSocketRoute("/page/{session}", self._page)])
 
     def _guarded(self, application: Any) -> Callable[..., Any]:
-        """Return the application behind the checks of token, Host and Origin."""
+        """Wrap an application with checks of token, Host and Origin."""
 
         async def guarded(scope: Any, receive: Any, send: Any) -> None:
             if scope["type"] in ("http", "websocket") and not self._admits(scope):
                 if scope["type"] == "websocket":
-                    # Closed before it is accepted: the server answers with 403.
+                    # The server answers a connection closed before acceptance with 403.
                     await receive()
                     await send({"type": "websocket.close", "code": 1008})
                     return
@@ -147,7 +150,7 @@ class Planner:
         )
 
     async def _page(self, socket: Any) -> None:
-        """Serve one page: its commands in, what it shows out."""
+        """Receive the commands of one page and send its data."""
         from starlette.websockets import WebSocketDisconnect
 
         name = socket.path_params["session"]
@@ -168,19 +171,19 @@ class Planner:
             while True:
                 text = await socket.receive_text()
                 try:
-                    asked = json.loads(text)
+                    request = json.loads(text)
                 except (ValueError, RecursionError):
-                    asked = None
-                session.command(asked)
+                    request = None
+                session.command(request)
         except (WebSocketDisconnect, KeyError):
-            # A KeyError: the message is bytes, which no page of ours sends.
+            # A message of bytes causes a KeyError; our pages send text only.
             pass
         finally:
             sending.cancel()
             self._pages[name].discard(messages)
 
     def _session(self, name: str) -> PageSession:
-        """Return the session of this name, a new one if there is none."""
+        """Return the session with this name, created if necessary."""
         if name in self._sessions:
             return self._sessions[name]
 
@@ -202,7 +205,7 @@ class Planner:
         return json.dumps({"models": listed}, ensure_ascii=False)
 
     def _mark(self, model: str, found: str) -> None:
-        """Send all pages where a model's connections change."""
+        """Send the energies of a model's bifurcations to all pages."""
         self._marks[model] = f'{{"marks":{{"model":{json.dumps(model)},"found":{found}}}}}'
         for pages in self._pages.values():
             for messages in pages:
@@ -216,6 +219,6 @@ def _listening(port: int) -> socket.socket:
     except (OSError, OverflowError) as error:
         listener.close()
         raise InputError(f"--port {port}: {getattr(error, 'strerror', error)}; choose another, or 0 for any") from error
-    # Who opens the address at once waits for its first answer.
+    # Early connections are queued until the server is ready.
     listener.listen(64)
     return listener

@@ -1,7 +1,7 @@
-"""What one page has chosen and made. A page that is loaded again finds it by the session's name.
+"""State of one page, which survives a reload of the page.
 
-A session has two kinds of long work, each in a process of its own: "look", the atlas of the energy that is looked at,
-where the newest request replaces the one before, and "work" on the itinerary, one job at a time.
+A session has two slots for long jobs in separate processes. The slot "look" computes the atlas at the displayed energy,
+and a new request replaces the previous one. The slot "work" runs one job on the itinerary at a time.
 """
 
 import itertools
@@ -22,18 +22,18 @@ from dpcontrol.planner.workers import WorkerJob, Workers
 from dpcontrol.scenes.plan import plan_key
 
 _UNDONE = 200
-"""Changes that can be undone."""
+"""Largest number of changes that can be undone."""
 _ITINERARIES, _LOGS = Path("itineraries"), Path("logs")
 _KEYS = {"": {"energy", "walk", "wraps", "start", "finish"}, "run": {"mismatch", "lag", "pushes"}}
-"""What the page has controls for, by table."""
+"""Keys with controls on the page, by table."""
 _AFTER = {"": ("plan", "run", "seeds", "page"), "plan": ("run", "seeds", "page"), "run": ("page",)}
-"""What is out of date when something changes, by what does."""
+"""Results that become outdated, by the item that changes."""
 
 Done = Callable[[Any], None]
 
 
 class PageSession:
-    """One page's choices. send: called with each message for the page, as JSON."""
+    """State of one page, which sends JSON messages by `send`."""
 
     def __init__(self, workers: Workers, model: str, send: Callable[[str], None]) -> None:
         self._workers, self._send = workers, send
@@ -53,14 +53,14 @@ class PageSession:
         self._look()
 
     def everything(self) -> list[str]:
-        """Return all messages that a page needs which has just been loaded."""
+        """Return all messages for a newly loaded page."""
         first = [] if self._draft.model is None else [_message("model", shown_model(self._draft.model))]
-        # The number of commands is that of the page before.
+        # The count of commands restarts, because the old value belongs to the previous page.
         self._acknowledged = 0
         return [*first, *self._shown.values(), _message("state", self.state())]
 
     def state(self) -> dict[str, Any]:
-        """Return what the page shows beside motions and drawings."""
+        """Return the page's data other than motions and drawings."""
         working = next((job for slot in ("work", "look") if (job := self._jobs.get(slot))), None)
         draft, symbols = self._draft.document(), self._atlas.get("symbols", {})
         known = {*self._atlas.get("names", ()), *symbols}
@@ -81,39 +81,39 @@ class PageSession:
             "ack": self._acknowledged,
         }
 
-    def command(self, asked: Any) -> None:
-        """Do what a page asks for, and send it what has changed. Nonsense is answered with a sentence."""
+    def command(self, request: Any) -> None:
+        """Execute a page's command and send the new state; errors become messages."""
         try:
-            given = dict(asked)
+            given = dict(request)
             self._acknowledged = int(given.pop("n", 0))
-            self._say("")
+            self._set_message("")
             getattr(self, f"do_{given.pop('do')}")(**given)
         except InputError as error:
-            self._say(str(error), "error")
+            self._set_message(str(error), "error")
         except (TypeError, ValueError, OverflowError, KeyError, AttributeError) as error:
-            self._say(f"the command is not understood: {error}", "error")
-        self._tell()
+            self._set_message(f"invalid command: {error}", "error")
+        self._send_state()
 
     def do_model(self, name: str) -> None:
-        """Begin with another model."""
+        """Start a new itinerary with another model."""
         self._change(self._first(str(name)))
 
     def do_set(self, values: dict[str, Any], table: str = "") -> None:
-        """Set keys of the itinerary's text."""
+        """Set values in the itinerary's text."""
         if not values.keys() <= _KEYS[table]:
-            raise InputError(f"{', '.join(values)}: the page sets other keys; write these in the TOML")
+            raise InputError(f"{', '.join(values)}: the page has no control for these keys; edit the TOML")
         self._change(self._draft.changed(table, values))
 
     def do_toml(self, text: str) -> None:
-        """Take the text as edited; edits that follow one another are undone together."""
+        """Replace the text; consecutive edits are undone together."""
         self._change(str(text), typed=True)
 
     def do_undo(self) -> None:
-        """Return to the text before."""
+        """Restore the previous text."""
         self._step(-1)
 
     def do_redo(self) -> None:
-        """Return to the text after."""
+        """Restore the next text."""
         self._step(1)
 
     def do_plan(self) -> None:
@@ -130,38 +130,38 @@ class PageSession:
         self._work("plan", failed=failed, text=draft.text)
 
     def do_run(self, seed: int = 0) -> None:
-        """Run the plan, which is made first if it is not kept."""
+        """Run the plan, which is computed first if it is not cached."""
         if not 0 <= int(seed) < 2**31:
             raise InputError(f"seed = {seed}: must be 0 to 2147483647")
         log = str(self._folder / f"run-{int(seed)}.mcap")
         self._work("run", text=self._whole().text, seed=int(seed), log=log)
 
     def do_seeds(self) -> None:
-        """Run twenty seeds."""
+        """Run the plan with twenty seeds."""
         self._work("seeds", text=self._whole().text)
 
     def do_page(self) -> None:
-        """Draw the run's page."""
+        """Draw the overview of the run."""
         self._work("page", log=self._run()["log"])
 
     def do_rerun(self) -> None:
         """Open the run in the viewer."""
-        self._work("rerun", lambda _: self._say("the viewer is open", "good"), log=self._run()["log"])
+        self._work("rerun", lambda _: self._set_message("the viewer is open", "good"), log=self._run()["log"])
 
     def do_film(self) -> None:
-        """Write the run's film."""
+        """Write a film of the run."""
         film = self._target(_LOGS / f"{self._name}-{self._run()['seed']}.gif", "film")
         film.parent.mkdir(parents=True, exist_ok=True)
         self._work("film", lambda _: self._note(film=str(film)), log=self._run()["log"], film=str(film))
 
     def do_name(self, name: str) -> None:
-        """Name the files to save."""
+        """Set the name of saved files."""
         if not 0 < len(name) <= 80 or not name.isprintable() or set(name) & set(r"\/:*?<>|\"") or name[0] in ".- ":
-            raise InputError(f"name = {name[:80]!r}: use letters, digits and dashes; it names files")
+            raise InputError(f"name = {name[:80]!r}: use letters, digits and dashes")
         self._name = name
 
     def do_save(self) -> None:
-        """Write the itinerary, and the log of its run if there is one."""
+        """Save the itinerary and the log of its run, if any."""
         text, run = self._whole().text, self._made.get("run")
         toml = self._target(_ITINERARIES / f"{self._name}.toml", "toml")
         log = None if run is None else self._target(_LOGS / f"{self._name}-{run['seed']}.mcap", "log")
@@ -170,23 +170,25 @@ class PageSession:
         if log is not None and run is not None:
             write_whole(log, Path(run["log"]).read_bytes())
             self._note(log=str(log))
-        self._say(f"saved {toml}{f' and {log}' if log else ''}; run it with `dpcontrol run {self._name}`", "good")
+        self._set_message(
+            f"saved {toml}{f' and {log}' if log else ''}; run it with `dpcontrol run {self._name}`", "good"
+        )
 
     def do_cancel(self) -> None:
-        """Kill the process of the work under way; what it had kept stays."""
+        """Cancel the current job; its cached results remain."""
         if slot := next((slot for slot in ("work", "look") if slot in self._jobs), ""):
             job = self._jobs.pop(slot)
             job.kill()
             self._again = job.again
-            self._say(f"cancelled: {job.what}")
+            self._set_message(f"cancelled: {job.what}")
 
     def do_retry(self) -> None:
-        """Begin the work again whose process has ended."""
+        """Restart the last job whose process ended."""
         if self._again is not None:
             self._again()
 
     def close(self) -> None:
-        """End what is under way, and remove what was not saved."""
+        """Stop all jobs and delete unsaved files."""
         for job in self._jobs.values():
             job.kill()
         self._jobs.clear()
@@ -207,18 +209,18 @@ class PageSession:
 
     def _run(self) -> dict[str, Any]:
         if self._made.get("run") is None:
-            raise InputError("there is no run yet: press Run")
+            raise InputError("no run exists yet: press Run")
         return self._made["run"]
 
     def _target(self, file: Path, kind: str) -> Path:
-        """Return a file to write: a new one, or the one that was written before."""
+        """Return the path, of a new file or one saved here."""
         if file.exists() and self._saved.get(kind) != str(file):
-            raise InputError(f"{file} exists and was not saved from here: give another name")
+            raise InputError(f"{file} exists and was not saved by this page: choose another name")
         return file
 
     def _note(self, **saved: str) -> None:
         self._saved |= saved
-        self._say(f"saved {', '.join(saved.values())}", "good")
+        self._set_message(f"saved {', '.join(saved.values())}", "good")
 
     def _change(self, text: str, *, typed: bool = False) -> None:
         if text != self._texts[self._at]:
@@ -228,7 +230,7 @@ class PageSession:
             self._read(typed=typed)
 
     def _read(self, *, typed: bool = False) -> None:
-        """Read the text that is now the current one, and look at its energy."""
+        """Parse the current text and request the atlas of its energy."""
         before, self._draft, self._typed = self._draft, read_draft(self._texts[self._at]), typed
         if self._draft.model is not None and self._draft.model is not before.model:
             self._send(_message("model", shown_model(self._draft.model)))
@@ -244,7 +246,7 @@ class PageSession:
             self._shown.pop(kind, None)
 
     def _look(self, *, again: bool = False) -> None:
-        """Have the atlas made of the energy that the text asks for, if it is another than before."""
+        """Start the atlas for the text's energy, unless it is current."""
         draft, job = self._draft, self._jobs.get("look")
         given = {"model": draft.values.get("model", "lab"), "energy": draft.energy}
         before = self._atlas if job is None else job.given
@@ -260,12 +262,12 @@ class PageSession:
             self._atlas = atlas
             self._workers.mark(given["model"])
 
-        failed = partial(self._say, kind="error")
+        failed = partial(self._set_message, kind="error")
         self._start("look", "atlas", found, failed, given, partial(self._look, again=True))
 
     def _work(self, what: str, done: Done | None = None, *, failed: Done | None = None, **given: Any) -> None:
         if (job := self._jobs.get("work")) is not None:
-            raise InputError(f"{job.what} is under way: wait for it, or cancel it")
+            raise InputError(f"{job.what} is running: wait for it, or cancel it")
         content = _content(self._draft)
         self._forget("" if what == "plan" else what)
         self._made.pop(what, None)
@@ -273,12 +275,12 @@ class PageSession:
         text = self._draft.text
 
         def found(value: Any) -> None:
-            # The itinerary may have been changed in the meantime.
+            # The itinerary may have changed in the meantime.
             if content == _content(self._draft) and (what == "plan" or text == self._draft.text):
                 self._made[what], self._made_of = value, content
 
         def missed(sentence: str) -> None:
-            self._say(sentence, "error")
+            self._set_message(sentence, "error")
             if failed is not None and content == _content(self._draft):
                 failed(sentence)
                 self._made_of = content
@@ -289,7 +291,7 @@ class PageSession:
     def _start(
         self, slot: str, what: str, done: Done, failed: Done, given: dict[str, Any], again: Callable[[], None]
     ) -> None:
-        def heard(word: str, value: str) -> None:
+        def on_report(word: str, value: str) -> None:
             if self._jobs.get(slot) is not job:
                 return
             if word.startswith("show:"):
@@ -298,7 +300,7 @@ class PageSession:
                 self._send(self._shown[kind])
                 return
             if word == "remark":
-                self._say(json.loads(value), "remark")
+                self._set_message(json.loads(value), "remark")
             elif word != "progress":
                 del self._jobs[slot]
             if word == "done":
@@ -307,17 +309,17 @@ class PageSession:
                 failed(json.loads(value))
             elif word == "died":
                 self._again = again
-                self._say(f"the process of the {what} has ended ({value}); finished parts are kept", "error")
-            self._tell()
+                self._set_message(f"the process of the {what} ended ({value}); finished parts are cached", "error")
+            self._send_state()
 
         self._again = None
-        job = self._jobs[slot] = WorkerJob(what, given, heard, again)
+        job = self._jobs[slot] = WorkerJob(what, given, on_report, again)
         job.start(self._workers)
 
-    def _say(self, text: str, kind: str = "") -> None:
+    def _set_message(self, text: str, kind: str = "") -> None:
         self._message = {"text": text, "kind": kind}
 
-    def _tell(self) -> None:
+    def _send_state(self) -> None:
         self._send(_message("state", self.state()))
 
 
@@ -330,5 +332,5 @@ def _names() -> itertools.chain[str]:
 
 
 def _content(draft: Draft) -> str:
-    """Return what a plan depends on, without its names."""
+    """Return the key of the draft's plan, independent of name and title."""
     return "" if draft.itinerary is None else plan_key(replace(draft.itinerary, name="", title=""))

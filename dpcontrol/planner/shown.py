@@ -1,6 +1,7 @@
-"""What the page draws, as JSON: joints as places in m, cuts and connections as places on sections, series over time.
+"""Data for the page's drawings, as JSON.
 
-The page knows no lengths, angles or equations: where an arm is at which time is computed here.
+The data are positions of joints, points of cuts and connections on sections, and time series. The page itself has no
+lengths, angles or equations of the arms.
 """
 
 from collections.abc import Sequence
@@ -22,16 +23,24 @@ from dpcontrol.walks.atlas import Atlas, AtlasConnection, section_axes
 from dpcontrol.walks.symbols import Symbol, choose
 
 RATE = 60.0
-"""Frames per second of motions."""
+"""Frame rate of motions, 1/s."""
 _FINE = 1e4
-"""Places are sent in whole tenths of a millimetre."""
+"""Positions are integers in units of 0.1 mm."""
 _ARMS = ("inner", "outer")
 _BEYOND, _BELOW = 0.1, 0.025
-"""The slider's end above the highest saddle, and the first energy, in shares of all equilibria's range of energies."""
+"""Slider's end and initial energy above the highest saddle, in energy ranges of all equilibria."""
 
 
 def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -> list[list[int]]:
-    """Return pivot, joints and tip (K, 2n + 1): the pivot's x, then x and y of each arm's end, in 0.1 mm, y upward."""
+    """Return positions (K, 2n + 1) of pivot and joints in 0.1 mm.
+
+    Each row has the pivot's x, then x and y (upward) of each arm's end.
+
+    Args:
+        angles (K, n): rad.
+        lengths: of the arms, m.
+        cart (K,): position, m.
+    """
     along = np.asarray(lengths) * np.sin(angles)
     up = -np.asarray(lengths) * np.cos(angles)
     pivot = np.broadcast_to(np.asarray(cart, dtype=float), (len(angles),))
@@ -40,7 +49,7 @@ def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -
 
 
 def energies_of(model: Model) -> tuple[float, float, float]:
-    """Return the lowest and the highest energy to choose from, and the first to show, J."""
+    """Return the lowest, highest and initial energies of the slider, J."""
     points = equilibria(model.system).values()
     saddles = [point.energy for point in points if point.kind.startswith("index-1")]
     spread = max(point.energy for point in points) - min(point.energy for point in points)
@@ -49,7 +58,7 @@ def energies_of(model: Model) -> tuple[float, float, float]:
 
 
 def shown_model(model: Model) -> dict[str, Any]:
-    """Return what the page shows of a model before there is an atlas."""
+    """Return the data of a model without its atlas."""
     lowest, highest, first = energies_of(model)
     points = equilibria(model.system).values()
     lengths = model.arms.length
@@ -76,7 +85,7 @@ def fitting_model(name: str) -> Model:
     """Return a model by name or path.
 
     Raises:
-        InputError: it cannot be loaded, or the planner cannot plan with it.
+        InputError: the model cannot be loaded or does not have two arms.
     """
     model = load_model(name)
     if (count := model.arms.count) != 2:
@@ -88,7 +97,7 @@ def fitting_model(name: str) -> Model:
 
 
 def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
-    """Return orbits as moving arms, each kind's section, and each connection's place, figures and motion."""
+    """Return the data of an atlas: orbits, sections and connections."""
     lengths = model.arms.length
     n = len(lengths)
     kinds = []
@@ -147,7 +156,7 @@ def _turns(c: AtlasConnection) -> str:
 
 
 def _symbols(connections: list[AtlasConnection]) -> dict[str, str]:
-    """Return which connection each short symbol, such as "down-up +", stands for."""
+    """Return the connection's name for each short symbol, such as "down-up +"."""
     found: dict[str, str] = {}
     for source, target in dict.fromkeys((c.source, c.target) for c in connections):
         between: Any = [c for c in connections if (c.source, c.target) == (source, target)]
@@ -159,7 +168,7 @@ def _symbols(connections: list[AtlasConnection]) -> dict[str, str]:
 
 
 def shown_plan(plan: Plan) -> dict[str, Any]:
-    """Return a plan's motion with its cart, the cart's path and command, and when each symbol is done."""
+    """Return a plan's motion, cart path and times of symbols."""
     reference, notes = plan.reference, plan.notes
     times = np.arange(0.0, reference.duration, 1 / RATE)
     states = np.asarray(reference.state(times))
@@ -176,7 +185,7 @@ def shown_plan(plan: Plan) -> dict[str, Any]:
 
 
 def figures_of(plan: Plan) -> dict[str, Any]:
-    """Return a converged plan's figures against its limits."""
+    """Return a converged plan's figures and use of limits."""
     summary = summarised(plan.reference)
     return {
         "duration": plan.reference.duration,
@@ -193,7 +202,7 @@ def figures_of(plan: Plan) -> dict[str, Any]:
 
 
 def shown_run(log: RunLog) -> dict[str, Any]:
-    """Return a run's motion beside its reference's, both with their carts."""
+    """Return the motions of a run and its reference, with carts."""
     times = np.arange(log.time[0], log.time[-1], 1 / RATE)
     n = len(log.arm_lengths)
     rows = np.clip(np.searchsorted(log.time, times), 0, len(log.time) - 1)

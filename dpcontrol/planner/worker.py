@@ -1,8 +1,8 @@
-"""The process that does the long work of a page: one job at a time; whoever started it may kill it at any moment.
+"""Worker process for long jobs, which may be killed at any time.
 
-`python -m dpcontrol.planner.worker` reads a job from each line of its standard input, as JSON {"do": NAME, ...}, and
-writes lines, each a word and JSON: `progress [TEXT, SHARE]`, `show:KIND VALUE` for the page, `remark TEXT`, and last
-`done VALUE` or `failed SENTENCE`. It ends with its input.
+`python -m dpcontrol.planner.worker` reads one job per line from standard input, as JSON {"do": NAME, ...}. It writes
+lines that consist of a word and JSON: `progress [TEXT, SHARE]`, `show:KIND VALUE` for the page, and `remark TEXT`. The
+last line of a job is `done VALUE` or `failed SENTENCE`. The process exits at the end of its input.
 """
 
 import base64
@@ -32,43 +32,43 @@ from dpcontrol.scenes.run import Run, run_plan
 from dpcontrol.scenes.run_options import RunOptions
 
 SEEDS = 20
-"""Runs that the bar of successes counts."""
+"""Number of runs in the success count."""
 _EVERY = 0.05
-"""s between two reports of progress."""
+"""Interval between progress reports, s."""
 _NAME = "planned"
-"""Of every plan: its file may be named later."""
+"""Name of every plan, because the file's name may be chosen later."""
 
 
 class Reporter:
-    """Writes what a job reports."""
+    """Writer for a job's reports."""
 
     def __init__(self, handle: int) -> None:
         self._file, self._next = os.fdopen(handle, "w", encoding="utf-8"), 0.0
 
-    def say(self, word: str, value: Any) -> None:
+    def write(self, word: str, value: Any) -> None:
         """Write one line."""
         self._file.write(f"{word} {json.dumps(plain(value), ensure_ascii=False)}\n")
         self._file.flush()
 
     def progress(self, what: str, done: float) -> None:
-        """Report progress, not more often than it can be seen."""
+        """Report progress at a limited rate."""
         if (now := time.monotonic()) >= self._next:
             self._next = now + _EVERY
-            self.say("progress", [what, min(max(float(done), 0.0), 1.0)])
+            self.write("progress", [what, min(max(float(done), 0.0), 1.0)])
 
 
 def _atlas(report: Reporter, *, model: str, energy: float) -> dict[str, Any]:
     atlas = make_atlas(fitting_model(model), energy, progress=report.progress).atlas
     shown = {**shown_atlas(atlas, fitting_model(model)), "model": model}
-    report.say("show:atlas", shown)
+    report.write("show:atlas", shown)
     names = [one["name"] for one in shown["connections"]]
     return {"energy": energy, "model": model, "names": names, "symbols": shown["symbols"]}
 
 
 def _marks(report: Reporter, *, model: str) -> list[dict[str, Any]]:
-    """Return the energies at which connections appear, vanish or split, each with what happens there."""
+    """Return the energies and descriptions of the connections' bifurcations."""
     loaded, found = fitting_model(model), []
-    # Each connection has its images among those of the opposite kind.
+    # Each connection has images of the opposite kind.
     for pair in [pair for pair in loaded.system.sections if pair == tuple(sorted(pair))]:
         found += [
             {
@@ -83,13 +83,13 @@ def _marks(report: Reporter, *, model: str) -> list[dict[str, Any]]:
 
 def _plan(report: Reporter, *, text: str) -> dict[str, Any]:
     plan = _planned(text, report.progress).followed()
-    report.say("show:plan", shown_plan(plan))
+    report.write("show:plan", shown_plan(plan))
     return {"converged": True, "status": plan.status, **figures_of(plan)}
 
 
 def _run(report: Reporter, *, text: str, seed: int, log: str) -> dict[str, Any]:
     run = _flown(text, seed, report.progress, Path(log))
-    report.say("show:run", shown_run(run.log))
+    report.write("show:run", shown_run(run.log))
     return {**run.document(), "sentence": run.status, "log": log}
 
 
@@ -98,7 +98,7 @@ def _seeds(report: Reporter, *, text: str) -> dict[str, Any]:
     for seed in range(SEEDS):
         within = part_of(report.progress, seed / SEEDS, (seed + 1) / SEEDS)
         done.append(_flown(text, seed, within).converged)
-        report.say("show:seeds", done)
+        report.write("show:seeds", done)
     return {"completed": sum(done), "runs": SEEDS}
 
 
@@ -108,7 +108,7 @@ def _page(report: Reporter, *, log: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "page.png"
         save_figure(Run(read_log(log)).plot(), file)
-        report.say("show:page", f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}")
+        report.write("show:page", f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}")
 
 
 def _film(report: Reporter, *, log: str, film: str) -> None:
@@ -143,26 +143,26 @@ def _flown(text: str, seed: int, progress: Progress, log: Path | None = None) ->
 
 
 def main() -> None:
-    """Do jobs until the input ends."""
+    """Run jobs until the end of input."""
     report = Reporter(os.dup(1))
-    # What libraries print goes elsewhere.
+    # Output of libraries is redirected to standard error.
     os.dup2(2, 1)
     warnings.simplefilter("always", Remark)
-    warnings.showwarning = lambda text, kind, *_: report.say("remark", str(text)) if kind is Remark else None
+    warnings.showwarning = lambda text, kind, *_: report.write("remark", str(text)) if kind is Remark else None
     jobs: queue.SimpleQueue[str] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(jobs,), daemon=True).start()
     while True:
         given = json.loads(jobs.get())
         try:
-            report.say("done", JOBS[given.pop("do")](report, **given))
+            report.write("done", JOBS[given.pop("do")](report, **given))
         except (GoalMissed, InputError, PartMissing) as error:
-            report.say("failed", printable(str(error)))
+            report.write("failed", printable(str(error)))
         except Exception as error:  # noqa: BLE001 - the page shows it, and the process goes on
-            report.say("failed", f"this is an error of dpcontrol, {type(error).__name__}: {error}")
+            report.write("failed", f"internal error in dpcontrol, {type(error).__name__}: {error}")
 
 
 def _listen(jobs: "queue.SimpleQueue[str]") -> None:
-    """Queue jobs; where the input ends, so does this process, whatever it is computing."""
+    """Queue jobs; exit at the end of input even during a computation."""
     for line in sys.stdin:
         jobs.put(line)
     os._exit(0)

@@ -1,4 +1,4 @@
-"""Workers: processes that do one job at a time. One more than are used waits, so that none is waited for."""
+"""Pool of worker processes, with one idle worker in reserve."""
 
 import asyncio
 import json
@@ -10,31 +10,33 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-Heard = Callable[[str, str], None]
-"""Called with a word and its JSON: see `dpcontrol.planner.worker`; `died` comes with how the process ended."""
+OnReport = Callable[[str, str], None]
+"""Callback with a word and its JSON, as in `dpcontrol.planner.worker`, or with `died` and the exit status."""
 _LINE = 1 << 27
-"""Bytes of the longest line: an atlas with many connections."""
+"""Largest length of a line, bytes, for an atlas with many connections."""
 _AT_ONCE = 4
-"""Jobs at once, beside one search for bifurcations."""
+"""Number of simultaneous jobs, in addition to one search for bifurcations."""
 _GENTLE = 15
-"""How much the search for bifurcations, which nobody waits for, yields to everything else."""
+"""Nice value of the search for bifurcations, which runs in the background."""
 
 
 class WorkerJob:
-    """One job: what it is doing, what it was given, how far it is, and what begins it again."""
+    """One job with its arguments, progress and a function to restart it."""
 
-    def __init__(self, do: str, given: dict[str, Any], heard: Heard, again: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self, do: str, given: dict[str, Any], on_report: OnReport, again: Callable[[], None] | None = None
+    ) -> None:
         self.what, self.given, self.done, self.again = do, given, 0.0, again
         self._line = json.dumps({"do": do, **given}).encode() + b"\n"
-        self._heard, self._killed = heard, False
+        self._on_report, self._killed = on_report, False
         self._process: Process | None = None
 
     def start(self, workers: "Workers", *, nice: int = 0) -> None:
-        """Begin it in a process, which is ended afterwards if it was made to yield to others."""
+        """Start the job; a process with a nice value is not reused."""
         self._task = asyncio.get_running_loop().create_task(self._follow(workers, nice))
 
     def kill(self) -> None:
-        """End it at once; nothing is heard of it any more."""
+        """Kill the job and suppress further reports."""
         self._killed = True
         if self._process is not None:
             _end(self._process)
@@ -62,55 +64,58 @@ class WorkerJob:
                 self.what, self.done = json.loads(value)
             if ended := word in ("done", "failed"):
                 _end(process) if nice else workers.give_back(process)
-            self._heard(word, value)
+            self._on_report(word, value)
             if ended:
                 return
         code = await process.wait()
         if not self._killed:
-            self._heard("died", f"signal {-code}" if code < 0 else f"exit code {code}")
+            self._on_report("died", f"signal {-code}" if code < 0 else f"exit code {code}")
 
 
 class Workers:
-    """Hands out workers, and keeps those that are idle. marked: called with a model's bifurcations, once, as JSON."""
+    """Pool of workers.
+
+    The callback `marked` receives a model and its bifurcations as JSON, once per model.
+    """
 
     def __init__(self, marked: Callable[[str, str], None]) -> None:
         self._idle: list[Process] = []
         self._all: list[Process] = []
         self._marks: dict[str, WorkerJob] = {}
         self._marked = marked
-        # Many pages at once wait for each other.
+        # The semaphores limit the jobs of many simultaneous pages.
         self.slots, self.gentle = asyncio.Semaphore(_AT_ONCE), asyncio.Semaphore(1)
 
     async def prepare(self) -> None:
-        """Have a worker ready."""
+        """Start an idle worker."""
         self.give_back(await self._started())
 
     async def taken(self) -> Process:
-        """Return a worker that is idle."""
+        """Return an idle or new worker."""
         idle = [process for process in self._idle if process.returncode is None]
         self._idle = idle[1:]
         return idle[0] if idle else await self._started()
 
     def give_back(self, process: Process) -> None:
-        """Keep a worker that is idle; more than two of them are ended."""
+        """Return a worker to the pool, which keeps two idle workers."""
         if len(self._idle) < 2:
             self._idle.append(process)
         else:
             _end(process)
 
     def mark(self, model: str) -> None:
-        """Have the bifurcations of a model's connections sought, once."""
+        """Start the search for a model's bifurcations, once."""
 
-        def heard(word: str, value: str) -> None:
+        def on_report(word: str, value: str) -> None:
             if word == "done":
                 self._marked(model, value)
 
         if model not in self._marks:
-            self._marks[model] = WorkerJob("marks", {"model": model}, heard)
+            self._marks[model] = WorkerJob("marks", {"model": model}, on_report)
             self._marks[model].start(self, nice=_GENTLE)
 
     async def close(self) -> None:
-        """End all processes."""
+        """Kill all processes."""
         for process in self._all:
             _end(process)
             await process.wait()

@@ -65,7 +65,7 @@ def test_a_text_of_several_parts_is_changed_as_text_only() -> None:
     text = "\n".join(line for line in FIRST.splitlines() if line[:4] not in ("ener", "walk", "wrap"))
     draft = read_draft(text + parts)
     assert draft.itinerary is not None
-    with pytest.raises(InputError, match="change it as text"):
+    with pytest.raises(InputError, match="edit it as text"):
         draft.changed("", {"walk": WALK})
 
 
