@@ -1,1 +1,1 @@
-"""Short scripts in the notebook style, each of which ends in a picture: `python -m dpcontrol.examples.orbit`."""
+"""Notebook-style scripts with figures, for example `python -m dpcontrol.examples.orbit`."""

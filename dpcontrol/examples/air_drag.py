@@ -1,7 +1,7 @@
 # %% [markdown]
 # # A plant of your own as an expression: air drag
-# Paddles on both arms, which the model does not have. A `SymbolicPlant` adds terms to the Lagrangian and to the
-# dissipation of the simulated arms. Campaigns fly it in lockstep.
+# The simulated arms have paddles that the model lacks. A `SymbolicPlant` adds terms to the Lagrangian and the
+# dissipation of the simulated arms. Campaigns simulate it in lockstep.
 
 # %%
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ import dpcontrol as dp
 
 @dataclass(frozen=True)
 class AirDrag(dp.SymbolicPlant):
-    """Drag of so many N s²/m² at the end of each arm; lengths m of the arms."""
+    """Quadratic drag (N s²/m²) at the arms' ends, with lengths in m."""
 
     drag: tuple[float, ...]
     length: tuple[float, ...]
@@ -30,7 +30,7 @@ class AirDrag(dp.SymbolicPlant):
         for k in range(2):
             across += length[k] * ca.cos(frame.position[k]) * frame.velocity[k]
             up += length[k] * ca.sin(frame.position[k]) * frame.velocity[k]
-            # A force b v² against the motion is the slope of b v³/3.
+            # The drag force b v² is the derivative of b v³/3.
             lost += drag[k] * ca.sqrt(across**2 + up**2 + 1e-12) ** 3 / 3
         return dp.Terms(dissipation=lost)
 
@@ -48,7 +48,7 @@ figure = Figure(figsize=(7, 4), layout="constrained")
 axes = figure.subplots()
 for text, run in runs.items():
     axes.plot(run.log.time, run.log.controls["feedback"], label=text)
-axes.set(xlabel="time (s)", ylabel="feedback (m/s²)", title="What the law pays for drag that its model lacks")
+axes.set(xlabel="time (s)", ylabel="feedback (m/s²)", title="Feedback effort due to drag that the model lacks")
 axes.legend()
 
 # %%

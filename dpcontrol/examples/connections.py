@@ -1,7 +1,7 @@
 # %% [markdown]
-# # All connections, and their graph
-# At 0.2 J there are orbits about two saddles: thirty connections lead from one to the other, or back to where they
-# began. Any walk on this graph is followed by some real trajectory.
+# # All connections and their graph
+# At 0.2 J, two saddles have Lyapunov orbits with thirty homoclinic and heteroclinic connections. Every walk on their
+# graph is shadowed by a real trajectory.
 
 # %%
 import numpy as np
@@ -12,7 +12,7 @@ import dpcontrol as dp
 graph = dp.graph(dp.load_model("lab"), energy=0.2)
 kinds = {(a, b): graph.between(a, b) for a in graph.saddles for b in graph.saddles}
 
-# %% Every flight, by where it leads.
+# %% All connections by source and target.
 figure = Figure(figsize=(11, 8), layout="constrained")
 for axes, ((source, target), found) in zip(figure.subplots(2, 2).flat, kinds.items(), strict=True):
     for connection in found:

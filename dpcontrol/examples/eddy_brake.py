@@ -1,7 +1,7 @@
 # %% [markdown]
-# # A plant of your own as an expression: a brake that is switched
-# An eddy-current brake on the inner joint comes on in mid-run. Its clock is a state of the plant. A mode says whether
-# the brake is on. It is chosen when a step begins, and the step in which it changes is split at that time.
+# # A plant of your own as an expression: a switched brake
+# An eddy-current brake on the inner joint is switched on during the run. Its clock is a state of the plant, and a mode
+# is the state of the switch. The mode is set at the beginning of a step. A step with a change is split at that time.
 
 # %%
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ import dpcontrol as dp
 
 @dataclass(frozen=True)
 class EddyBrake(dp.SymbolicPlant):
-    """A brake on the inner joint, N m s/rad, from `since` s on."""
+    """A brake (N m s/rad) on the inner joint, from time `since` (s)."""
 
     strength: float
     since: float
@@ -55,7 +55,7 @@ axes = figure.subplots()
 for text, run in runs.items():
     axes.plot(run.log.time, run.log.controls["feedback"], label=text)
 axes.axvline(SINCE, color="black", linewidth=0.8)
-axes.set(xlabel="time (s)", ylabel="feedback (m/s²)", title="A brake on the inner joint that comes on in mid-run")
+axes.set(xlabel="time (s)", ylabel="feedback (m/s²)", title="Feedback as the inner joint's brake is switched on")
 axes.legend()
 
 # %%

@@ -1,7 +1,7 @@
 # %% [markdown]
 # # From rest and back
-# What a rig can do: hang still, swing up to Down-Up, turn the outer arm there, and come back to rest; on arms that are
-# off by 5 %, with encoders, an estimator and feedback.
+# From rest, the arms swing up to Down-Up, the outer arm turns there, and the arms return to rest. The parameters have
+# errors of 5 %, and the loop has encoders, an estimator and feedback.
 
 # %%
 import dpcontrol as dp

@@ -1,8 +1,8 @@
 # %% [markdown]
-# # The bench for people who train agents
-# A gymnasium environment on the same simulated bench: encoders, delay, mismatch, blows. The agent adds a share of the
-# cart's greatest acceleration to the feedforward of a plan. Its reward is what the score asks for: angles near the
-# reference, and a completed itinerary at the end. It needs `pip install 'dpcontrol[gym]'`.
+# # An environment for reinforcement learning
+# A gymnasium environment on the simulated bench with encoders, delay, mismatch and blows. The agent adds a fraction of
+# the cart's largest acceleration to the feedforward of a plan. Rewards are small errors of the angles and, at the end,
+# a completed itinerary. It needs `pip install 'dpcontrol[gym]'`.
 
 # %%
 from typing import Any
@@ -16,14 +16,20 @@ from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.review.score import Flown, verdict_on
 
 LOST, COMPLETED, EFFORT = 1.5, 100.0, 0.01
-"""rad from the reference at which an episode ends; reward of a completed itinerary; cost of a full acceleration."""
+"""Error that ends an episode (rad), reward of a completed itinerary, and cost of full acceleration."""
 
 
 class BenchEnv(gymnasium.Env):
-    """An itinerary on the bench; options: of its runs, such as `mismatch` or `knocks_per_minute`.
+    """An itinerary on the simulated bench.
 
-    Observation: sine and cosine of the measured angles, their rates over the last step in 10 rad/s, position (m) and
-    velocity (3 m/s) of the cart, the errors of angles (rad) and rates, and the feedforward's share of the limit.
+    The observation consists of the sines and cosines of the measured angles, the angular rates over the last step (in
+    10 rad/s), and the cart's position (m) and velocity (in 3 m/s). They are followed by the errors of angles and
+    rates, and the feedforward relative to its limit.
+
+    Args:
+        itinerary: name or path.
+        ticks: ticks per step.
+        options: of the runs, such as `mismatch`.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as gymnasium declares it
@@ -40,7 +46,7 @@ class BenchEnv(gymnasium.Env):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Draw a bench: its arms, first errors and blows are those of the seed."""
+        """Draw the bench's arms, initial errors and blows from a seed."""
         super().reset(seed=seed)
         own, drawn = self.assembly, int(self.np_random.integers(1 << 31))
         draw = own.draw(seed=drawn)
@@ -60,7 +66,7 @@ class BenchEnv(gymnasium.Env):
         return np.concatenate([*parts, [self.forward[self.tick] / self.most]]).astype(np.float32)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """Hold the agent's share for some ticks, or until the run is over."""
+        """Apply the agent's action for some ticks or until the run ends."""
         own, last = float(np.clip(action, -1.0, 1.0)[0]) * self.most, len(self.states) - 1
         self.before, reason, distance = self.measured, "", 0.0
         for _ in range(self.ticks):
@@ -81,7 +87,7 @@ class BenchEnv(gymnasium.Env):
         return self._observed(), reward + COMPLETED * completed, bool(reason) or over, False, info
 
     def _completed(self) -> bool:
-        """Return the score's verdict on the whole episode."""
+        """Return the verdict on the complete episode."""
         limits, count = self.assembly.limits, len(self.truth)
         flown = Flown(
             self.rig.period * np.arange(count, dtype=float), np.array(self.truth), self.states[:count, : self.arms],
@@ -92,7 +98,7 @@ class BenchEnv(gymnasium.Env):
 
 # %%
 def rewards(env: BenchEnv, gain: float, *, seed: int) -> list[float]:
-    """Return the rewards of an episode in which the cart is steered by a share of the angles' errors."""
+    """Return the rewards of an episode with proportional feedback of the angles."""
     seen, _ = env.reset(seed=seed)
     found, over, n = [], False, env.arms
     while not over:

@@ -1,7 +1,7 @@
 # %% [markdown]
 # # A system of your own: Hénon–Heiles
-# Three saddles about one well, turned into each other by 120 degrees. Orbits, tubes, connections and walks need only a
-# Hamiltonian, its coordinates and its saddles.
+# The system has one well and three saddles, related by rotations of 120 degrees. Orbits, tubes, connections and walks
+# need only a Hamiltonian, its coordinates and its saddles.
 #
 #     H = ½ (p_x² + p_y²) + ½ (x² + y²) + x² y - y³/3
 #
@@ -26,7 +26,7 @@ def henon_heiles() -> dp.System:
     return dp.System.from_hamiltonian("henon-heiles", hamiltonian, coordinates=("x", "y"), equilibria=saddles)
 
 
-# %% The connections that leave the orbit at the top and come back to it, on the potential.
+# %% The homoclinic connections of the top orbit, over the potential.
 if __name__ == "__main__":
     orbit = dp.orbit(henon_heiles(), "top", energy=0.17)
     found = dp.connections(orbit).connections

@@ -1,7 +1,7 @@
 # %% [markdown]
 # # Identify the arms from a recording
-# Free swings of the arms, as encoders record them, tell the ratios of inertia and friction. Of your own rig take
-# `dp.open_recording("swing.mat")` in place of the simulated swings here.
+# Encoder recordings of free swings determine the ratios of inertia and friction. For your own rig, use
+# `dp.open_recording("swing.mat")` instead of the simulated swings.
 
 # %%
 from dataclasses import replace
@@ -17,13 +17,13 @@ wrong = replace(lab, parameters=replace(lab.arms, inertia=tuple(1.2 * np.array(l
 found = dp.identify(recording, model=wrong)
 print(found.status)
 
-# %% What is left over, beside the model that it started from.
+# %% The residuals, compared with those of the initial model.
 figure = Figure(figsize=(8, 4), layout="constrained")
 axes = figure.subplots()
 for residuals in found.residuals:
     axes.plot(1e3 * residuals, linewidth=0.7)
 before = 1e3 * float(np.median(found.started_at))
-axes.set(xlabel="sample", ylabel="residual (mrad)", title=f"After identification; {before:.3g} mrad rms before it")
+axes.set(xlabel="sample", ylabel="residual (mrad)", title=f"After identification ({before:.3g} mrad rms before)")
 
 # %%
 figure.savefig("identify.png", dpi=110)

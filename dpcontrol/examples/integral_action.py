@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A law of your own as an expression
-# LQR with integral action on the cart. On a tilted track, with a filter that estimates nothing but the state, the
-# regulator alone holds the cart off its place. The law is built of CasADi expressions: campaigns fly it in lockstep, it
-# has margins, and it leaves as C.
+# LQR with integral action on the cart. On a tilted track, with a filter that estimates only the state, the plain
+# regulator has a steady error of the cart's position. The law consists of CasADi expressions, so it supports lockstep
+# campaigns, margins and C export.
 
 # %%
 from pathlib import Path
@@ -30,7 +30,7 @@ model = dp.closed_loop(plan).assembly.model
 
 
 def gains(weight: float) -> np.ndarray:
-    """Return the gains on the errors, and on the integral of the cart's, which weighs so much."""
+    """Return the gains on the errors and the cart's weighted integral."""
     a, b = (one[0] for one in model.linearised(plan.reference.state(0.0)[None], np.zeros(1)))
     integrates = np.block([[a, np.zeros((6, 1))], [model.period * np.eye(6)[CART], 1.0]])
     push = np.append(b, 0.0)[:, None]
@@ -39,7 +39,7 @@ def gains(weight: float) -> np.ndarray:
 
 
 def law(weight: float) -> dp.SymbolicLaw:
-    """Return the regulator; with weight 0, without integral action."""
+    """Return the regulator, without integral action if the weight is 0."""
     gain = gains(max(weight, 1e-9))
 
     def lqr(state, reference, memory, parameters):
@@ -56,7 +56,7 @@ loops = {text: dp.closed_loop(plan, controller=one, tilt=TILT) for text, one in 
 runs = {text: loop.run(seed=1) for text, loop in loops.items()}
 counted = loops["with integral action"].campaign(runs=16)
 source = loops["with integral action"].export("controller", force=True)
-print(f"{counted.results[0].completed.successes} of 16 runs completed; {source.figures.operations} operations a tick")
+print(f"{counted.results[0].completed.successes} of 16 runs completed; {source.figures.operations} operations per tick")
 
 # %%
 figure = Figure(figsize=(7, 4), layout="constrained")

@@ -1,6 +1,6 @@
 # %% [markdown]
-# # Mismatch against controllers
-# How often is a turn completed when the plant differs from the model? Three laws on the same seeds.
+# # Controllers under model mismatch
+# The share of completed turns if the plant differs from the model, for two laws with the same seeds.
 
 # %%
 from matplotlib.figure import Figure
@@ -11,7 +11,7 @@ mismatches = (0.05, 0.2, 0.35, 0.5)
 laws = {"controller": ["adaptive", "tvlqr"]}
 campaigns = [dp.campaign("outer-turn", runs=16, mismatch=m, over=laws, workers=1) for m in mismatches]
 
-# %% The share that is completed, with Wilson's interval.
+# %% The share of completed runs with Wilson's interval.
 figure = Figure(figsize=(7, 4.5), layout="constrained")
 axes = figure.subplots()
 for k, law in enumerate(laws["controller"]):

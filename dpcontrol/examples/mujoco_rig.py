@@ -1,8 +1,8 @@
 # %% [markdown]
 # # The arms in MuJoCo
-# Another program simulates the plant: `dp.mjcf` writes the arms on their cart for MuJoCo, which needs
-# `pip install 'dpcontrol[mujoco]'`. The rig has encoders, a delay of one period, and a drive that lags. Its arms differ
-# from the model by 2 %.
+# MuJoCo simulates the plant, for which `dp.mjcf` writes the arms on their cart. It needs
+# `pip install 'dpcontrol[mujoco]'`. The rig has encoders, a delay of one period and drive lag. Its arms differ from the
+# model by 2 %.
 
 # %%
 import mujoco
@@ -16,7 +16,7 @@ COUNT, SCALE = 2 * np.pi / 40_000, 1e-6
 
 
 class MujocoRig:
-    """A rig with the arms of `model`, drawn by a seed, that starts near the reference of `plan`."""
+    """A rig with random arms near `model`, which starts near the reference."""
 
     def __init__(self, plan, *, seed: int) -> None:
         random, model, first = np.random.default_rng(seed), plan.itinerary.model, plan.reference.state(0.0)
@@ -31,7 +31,7 @@ class MujocoRig:
 
     @property
     def truth(self):
-        """Angles and rates of the arms, then position and velocity of the cart."""
+        """Angles and rates of the arms, position and velocity of the cart."""
         q, v = self.data.qpos, self.data.qvel
         return np.concatenate([np.cumsum(q[1:]), np.cumsum(v[1:]), [q[0], v[0]]])
 
@@ -39,7 +39,7 @@ class MujocoRig:
         if self.begun:
             for _ in range(SUBSTEPS):
                 step = self.model.opt.timestep
-                # The servo's control is held over a step: its mean there.
+                # The servo's control is constant during a step, so it is the mean.
                 self.data.ctrl[0] = self.wanted + self.acting * step / 2
                 mujoco.mj_step(self.model, self.data)
                 self.wanted += self.acting * step
@@ -56,7 +56,7 @@ class MujocoRig:
 
 
 def flown(name: str, seeds) -> list:
-    """Return the runs of an itinerary in MuJoCo."""
+    """Simulate runs of an itinerary in MuJoCo."""
     plan = dp.plan(name)
     loop = dp.closed_loop(plan, drive_lag=LAG)
     return [loop.run(rig=MujocoRig(plan, seed=seed)) for seed in seeds]

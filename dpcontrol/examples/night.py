@@ -1,7 +1,7 @@
 # %% [markdown]
-# # Falling, and getting up
-# Two blows on the arms are more than the law bears. The arms are calmed, the pendulum rises from rest again, and does
-# the symbol that failed once more. `dpcontrol run turn-from-rest --hours 8` does so for a night.
+# # Recovery after a fall
+# Two blows on the arms exceed the law's limits. The supervisor calms the arms, the pendulum swings up from rest again,
+# and the failed symbol is repeated. `dpcontrol run turn-from-rest --hours 8` does so for a night.
 
 # %%
 import dpcontrol as dp

@@ -1,7 +1,7 @@
 # %% [markdown]
-# # One orbit, and its family
-# About each saddle there is an unstable periodic orbit at every energy above the saddle's. An error grows along it by
-# its Floquet multiplier, period after period.
+# # An orbit and its family
+# At every energy above a saddle's there is an unstable periodic orbit about it. In each period, an error grows by the
+# orbit's Floquet multiplier.
 
 # %%
 import numpy as np
@@ -12,7 +12,7 @@ import dpcontrol as dp
 lab = dp.load_model("lab")
 orbits = [dp.orbit(lab, "down-up", energy=energy) for energy in (-0.16, -0.12, -0.07, 0.0, 0.1, 0.2)]
 
-# %% Each orbit over one period, in the outer arm's phase plane.
+# %% Each orbit over one period in the outer arm's phase plane.
 figure = Figure(figsize=(7, 5), layout="constrained")
 axes = figure.subplots()
 for orbit in orbits:
