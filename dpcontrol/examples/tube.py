@@ -1,7 +1,7 @@
 # %% [markdown]
 # # A tube and its cut
-# The trajectories that leave an orbit form a tube. Its cut with a section, here the outer arm upright after a turn, is a
-# closed curve. The mirror image of this curve belongs to the tube that approaches the orbit. At each intersection of
+# The trajectories that leave an orbit form a tube. Its cut with a section, here the outer arm upright after a turn, is
+# a closed curve. The mirror image of this curve belongs to the tube that approaches the orbit. At each intersection of
 # the two curves, a trajectory leaves the orbit and returns. It is a homoclinic orbit.
 
 # %%

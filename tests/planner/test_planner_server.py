@@ -159,7 +159,7 @@ def test_an_itinerary_is_saved_once_under_a_name_and_not_over_another(page: Page
     other = Page(address, "one-more")
     other.send({"do": "set", "values": {"walk": ["down-up -"], "wraps": []}})
     other.send({"do": "name", "name": "mine"})
-    assert "give another name" in other.send({"do": "save"})["message"]["text"]
+    assert "choose another name" in other.send({"do": "save"})["message"]["text"]
 
 
 def test_a_model_that_the_planner_cannot_use_and_a_port_that_is_taken_are_refused(address: str) -> None:
