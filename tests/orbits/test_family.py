@@ -1,4 +1,4 @@
-"""Families of Lyapunov orbits: members, ends, and what happens on the way."""
+"""Families of Lyapunov orbits: members, ends and events."""
 
 import json
 
@@ -19,11 +19,11 @@ from dpcontrol.review.page import save_figure
 from dpcontrol.scenes.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS
 
-STATE = 1e-9  # the bar; about 1e-12 is reached
-RECIPROCAL = 1e-6  # members' multipliers go up to 1e7
-CROSSING = 1e-10  # J: a root of a determinant that is known to rounding times the multiplier, here about one
-RATE = 0.03  # relative: the exponential law holds in the limit only
-LIMIT = 1e-4  # J: what the extrapolated end may be off
+STATE = 1e-9  # required; about 1e-12 is achieved
+RECIPROCAL = 1e-6  # multipliers of members are up to 1e7
+CROSSING = 1e-10  # J: root of a determinant whose error is rounding times the multiplier, here about one
+RATE = 0.03  # relative: the exponential law is asymptotic
+LIMIT = 1e-4  # J: error of the extrapolated end
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def families(system):
 
 
 @pytest.mark.parametrize("saddle", ["down-up", "up-down"])
-def test_both_families_end_in_the_homoclinics_of_up_up(families, system, saddle):
+def test_both_families_end_in_homoclinics_of_up_up(families, system, saddle):
     family = families[saddle]
     assert family.converged
     assert [e.kind for e in family.ends] == ["saddle", "homoclinics"]
@@ -48,9 +48,9 @@ def test_both_families_end_in_the_homoclinics_of_up_up(families, system, saddle)
 
 
 @pytest.mark.parametrize("saddle", ["down-up", "up-down"])
-def test_the_period_grows_by_the_slow_growth_rate_of_up_up(system, saddle):
-    """Two passages by Up-Up in a period: energy - limit ~ exp(-μ T/2), μ from the linearised equations."""
-    # The law holds in the limit; the arcs are good to much larger multipliers than the monodromy matrices are.
+def test_the_period_grows_at_the_slow_rate_of_up_up(system, saddle):
+    """With two passages of Up-Up per period, energy - limit ~ exp(-μ T/2), μ from the linearised equations."""
+    # The law is asymptotic. Arcs remain accurate for much larger multipliers than monodromy matrices do.
     family = lyapunov_family(system, saddle, energies=(0.48, 1.0), settings=FamilySettings(largest_multiplier=1e13))
     gap = equilibrium(system, "up-up").energy - family.energies[-6:]
     slope = np.polyfit(family.periods[-6:], np.log(gap), 1)[0]
@@ -68,7 +68,7 @@ def test_energy_and_period_grow_together_and_multipliers_stay_reciprocal(familie
     assert np.abs(products - 1).max() < RECIPROCAL
 
 
-def test_members_are_the_orbits_that_continuation_in_energy_finds(families, system):
+def test_members_agree_with_continuation_in_energy(families, system):
     family = families["down-up"]
     for member in family.members[10::15]:
         alone = lyapunov_orbit(system, "down-up", energy=member.energy)
@@ -76,7 +76,7 @@ def test_members_are_the_orbits_that_continuation_in_energy_finds(families, syst
         assert alone.period == pytest.approx(member.period, abs=STATE)
 
 
-def test_a_bound_is_met_exactly_by_the_reference_orbits(system):
+def test_the_member_at_a_bound_is_the_reference_orbit(system):
     family = lyapunov_family(system, "down-up", energies=(-0.07, 0.2))
     assert [e.kind for e in family.ends] == ["energy bound", "energy bound"]
     for member, energy in ((family.members[0], -0.07), (family.members[-1], 0.2)):
@@ -87,7 +87,7 @@ def test_a_bound_is_met_exactly_by_the_reference_orbits(system):
         assert member.unstable_multiplier == pytest.approx(multiplier, rel=1e-8)
 
 
-def test_the_family_does_not_depend_on_its_steps(families, system):
+def test_the_family_is_independent_of_the_step(families, system):
     coarse = lyapunov_family(system, "down-up", energies=(-1.0, 0.2), settings=FamilySettings(step=0.12))
     assert len(coarse.members) < len(families["down-up"].members)
     assert np.abs(coarse.members[-1].state - LYAPUNOV_ORBITS["lab", "down-up", 0.2][0]).max() < STATE
@@ -115,7 +115,7 @@ def hill_system(growth, coupling):
 
 
 @pytest.mark.parametrize(("growth", "coupling"), [(1.0, 1.0), (0.5, 2.0)])
-def test_hyperbolicity_is_lost_where_mathieus_equation_has_a_periodic_solution(growth, coupling):
+def test_hyperbolicity_is_lost_at_a_periodic_solution_of_mathieus_equation(growth, coupling):
     """x = √(2E) cos t makes ÿ + (bE - a + bE cos 2t) y = 0, periodic at the characteristic value a₀(bE/2)."""
     expected = brentq(lambda e: coupling * e - growth - mathieu_a(0, coupling * e / 2), 0.01, 3.0, xtol=1e-14)
     family = lyapunov_family(hill_system(growth, coupling), "origin", energies=(0.0, 5.0))
@@ -125,7 +125,7 @@ def test_hyperbolicity_is_lost_where_mathieus_equation_has_a_periodic_solution(g
     assert np.all(np.abs(family.floquet_multipliers[:-1, 0]) > 1)
 
 
-def test_a_family_that_may_have_few_members_says_that_it_goes_on(system):
+def test_a_limit_on_members_is_reported_with_the_status(system):
     family = lyapunov_family(system, "down-up", energies=(-1.0, 1.0), settings=FamilySettings(most_members=5))
     assert not family.converged
     assert "allow more" in family.status
@@ -140,7 +140,7 @@ def test_a_family_that_may_have_few_members_says_that_it_goes_on(system):
         ("down-up", (0.2, -0.1), "in ascending order"),
     ],
 )
-def test_impossible_families_are_refused_with_what_is_possible(system, saddle, energies, fragment):
+def test_impossible_families_are_refused_with_the_valid_range(system, saddle, energies, fragment):
     with pytest.raises(InputError, match=fragment):
         lyapunov_family(system, saddle, energies=energies)
 
@@ -157,7 +157,7 @@ def test_the_verb_prints_the_family_and_draws_it(capsys, tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_verb_wants_one_energy_or_two(capsys):
+def test_the_verb_requires_one_energy_or_two(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["orbit", "lab", "--saddle", "up-down"])
     assert ended.value.code == 2

@@ -67,7 +67,7 @@ def test_monodromy_is_symplectic_in_canonical_coordinates(orbits, key):
     assert np.abs(matrix.T @ form @ matrix - form).max() < 1e-12 * size
 
 
-def test_a_hair_above_the_saddle_the_orbit_is_the_linear_centre(systems):
+def test_just_above_the_saddle_the_orbit_is_the_linear_centre(systems):
     point = equilibria(systems["lab"])["down-up"]
     orbit = lyapunov_orbit(systems["lab"], "down-up", energy=point.energy + 1e-9)
     frequency = abs(point.eigenvalues.imag).max()
@@ -77,7 +77,7 @@ def test_a_hair_above_the_saddle_the_orbit_is_the_linear_centre(systems):
     assert np.log(orbit.unstable_multiplier) == pytest.approx(growth * orbit.period, rel=1e-6)
 
 
-def test_the_end_of_the_family_is_noticed_and_named(systems):
+def test_the_end_of_the_family_is_detected_and_reported(systems):
     orbit = lyapunov_orbit(systems["lab"], "down-up", energy=1.0)
     assert not orbit.converged
     # The family runs into the homoclinics of Up-Up, whose energy bounds it.
@@ -86,7 +86,7 @@ def test_the_end_of_the_family_is_noticed_and_named(systems):
     assert reached < equilibria(systems["lab"])["up-up"].energy + 1e-3
 
 
-def test_the_orbit_does_not_depend_on_the_steps_that_lead_to_it(systems):
+def test_the_orbit_is_independent_of_the_continuation_steps(systems):
     coarse, fine = (
         lyapunov_orbit(systems["lab"], "up-down", energy=0.2, settings=ContinuationSettings(step=step))
         for step in (0.3, 0.01)
@@ -96,8 +96,8 @@ def test_the_orbit_does_not_depend_on_the_steps_that_lead_to_it(systems):
 
 
 @pytest.mark.parametrize("energy", [-1.505, -1.5, -1.495])
-def test_far_up_the_orbit_found_is_of_the_family_whatever_the_steps(systems, energy):
-    """Other families cross nearby: long steps that are not checked end on orbits of less than half the period."""
+def test_at_high_energies_the_orbit_belongs_to_its_family_for_any_step(systems, energy):
+    """Other families cross nearby, so unchecked long steps end on orbits with less than half the period."""
     default, fine = (
         lyapunov_orbit(systems["three-body"], "L1", energy=energy, settings=settings)
         for settings in (ContinuationSettings(), ContinuationSettings(step=0.02))
@@ -107,7 +107,7 @@ def test_far_up_the_orbit_found_is_of_the_family_whatever_the_steps(systems, ene
     assert default.period == pytest.approx(fine.period, rel=1e-9)
 
 
-def test_where_a_family_ends_is_told_after_few_arcs(systems, monkeypatch):
+def test_the_end_of_a_family_is_found_with_few_arcs(systems, monkeypatch):
     flown = []
     arc = SymmetricShooting.arc
 
@@ -119,7 +119,7 @@ def test_where_a_family_ends_is_told_after_few_arcs(systems, monkeypatch):
     orbit = lyapunov_orbit(systems["lab"], "up-down", energy=0.6)
     assert not orbit.converged
     assert len(flown) < 300
-    # Newton's method may be led to arcs of any length: the longest that were flown once took a minute.
+    # Newton's method may reach arcs of any length. Long arcs once took a minute to integrate.
     assert max(flown) < 20 * orbit.period
 
 
@@ -133,7 +133,7 @@ def test_where_a_family_ends_is_told_after_few_arcs(systems, monkeypatch):
         ("down-up", float("nan"), "finite"),
     ],
 )
-def test_impossible_orbits_are_refused_with_what_is_possible(systems, saddle, energy, fragment):
+def test_impossible_orbits_are_refused_with_the_valid_range(systems, saddle, energy, fragment):
     with pytest.raises(InputError, match=fragment):
         lyapunov_orbit(systems["lab"], saddle, energy=energy)
 
@@ -144,7 +144,7 @@ def test_a_family_that_does_not_exist_is_refused(systems):
 
 
 @pytest.mark.parametrize("key", [("lab", "down-up", 0.2), ("lab", "up-down", 0.2)], ids=str)
-def test_the_local_manifold_is_carried_into_itself_by_the_flow(orbits, key):
+def test_the_flow_maps_the_local_manifold_to_itself(orbits, key):
     orbit = orbits[key]
     manifold = UnstableManifold(orbit)
     for phase in (0.0, 0.17, 0.43, 0.61, 0.9):
@@ -154,11 +154,11 @@ def test_the_local_manifold_is_carried_into_itself_by_the_flow(orbits, key):
             start, end = frame.states + np.array([[1], [np.exp(0.3 * manifold.exponent)]]) * amplitude * frame.vectors
             gap = orbit.system.propagator.flow(start, 0.3 * orbit.period) - end
             errors.append(orbit.system.scaled_distance(gap, np.zeros(4)))
-        # Linear to first order: the error falls with the square of the amplitude.
+        # The manifold is linear to first order, so the error is quadratic in the amplitude.
         assert errors[1] < 0.03 * errors[0] + 1e-13
 
 
-def test_the_frame_is_one_smooth_curve_of_period_one(orbits):
+def test_the_frame_is_smooth_with_period_one(orbits):
     manifold = UnstableManifold(orbits["lab", "down-up", 0.2])
     phases = np.linspace(-0.7, 1.6, 24)
     here, moved, again = (manifold.frame(phases + shift) for shift in (0.0, 1e-6, 1.0))
@@ -167,7 +167,7 @@ def test_the_frame_is_one_smooth_curve_of_period_one(orbits):
         assert np.abs(getattr(again, name) - getattr(here, name)).max() < 1e-9
 
 
-def test_seeds_keep_their_distance_and_the_orbits_energy(orbits):
+def test_seeds_have_the_given_distance_and_the_orbits_energy(orbits):
     orbit = orbits["lab", "down-up", -0.07]
     manifold = UnstableManifold(orbit, 1e-4)
     phases = np.linspace(0, 1, 13)
@@ -178,7 +178,7 @@ def test_seeds_keep_their_distance_and_the_orbits_energy(orbits):
         assert np.allclose(np.linalg.norm(gaps, axis=1), 1e-4, rtol=1e-3)
 
 
-def test_the_nearest_phase_of_a_point_on_the_orbit_is_its_own(orbits):
+def test_the_nearest_phase_of_an_orbit_point_is_its_phase(orbits):
     orbit = orbits["lab", "down-up", -0.07]
     curve = OrbitCurve(orbit)
     state = orbit.system.propagator.flow(orbit.state, 0.3 * orbit.period)

@@ -1,4 +1,4 @@
-"""Rotating orbits and their families, against independent values, scipy and the orbits' own symmetries."""
+"""Rotating orbits and their families, compared with independent values, scipy and symmetries."""
 
 import json
 
@@ -19,11 +19,11 @@ from dpcontrol.orbits.rotating import (
 )
 from dpcontrol.scenes.model import load_model
 
-STATE = 1e-9  # the bar; what is reached is about 1e-13
+STATE = 1e-9  # required; about 1e-13 is achieved
 PERIOD = 1e-11
 MULTIPLIER = 1e-8
-DOP853 = 1e-8  # what scipy's DOP853 at 1e-12 leaves after a period, times multipliers of a few
-LOCATED = 1e-9  # J: two ways to the same change of stability
+DOP853 = 1e-8  # error of scipy's DOP853 at 1e-12 after a period, times multipliers of a few
+LOCATED = 1e-9  # J: difference between two methods for the same change of stability
 
 REFERENCE = {
     (2, -0.06985): (
@@ -39,7 +39,7 @@ REFERENCE = {
         "elliptic",
     ),
 }
-"""(turning arm, energy): state, period, multipliers, kind; computed apart from this project in 113-bit arithmetic."""
+"""(turning arm, energy): state, period, multipliers, kind; computed independently in 113-bit arithmetic."""
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def family(found):
 
 
 @pytest.mark.parametrize("key", REFERENCE, ids=str)
-def test_the_scan_finds_the_reference_orbits_without_a_guess(found, key):
+def test_the_scan_finds_the_reference_orbits(found, key):
     state, period, multipliers, kind = REFERENCE[key]
     orbit = min(found[key], key=lambda o: np.abs(o.state - state).max())
     assert np.abs(orbit.state - state).max() < STATE
@@ -68,7 +68,7 @@ def test_the_scan_finds_the_reference_orbits_without_a_guess(found, key):
     assert orbit.converged
 
 
-def test_every_orbit_closes_after_one_turn_of_its_arm(system, found):
+def test_every_orbit_closes_after_one_turn(system, found):
     f, p = quick_rate(system.equations), system.parameters
     for (arm, energy), orbits in found.items():
         assert orbits
@@ -83,8 +83,8 @@ def test_every_orbit_closes_after_one_turn_of_its_arm(system, found):
             assert np.abs(flown - turned).max() < DOP853 * max(1.0, abs(orbit.floquet_multipliers[0]))
 
 
-def test_multipliers_are_those_of_differences_of_the_section_map(system, found):
-    """The return map to the turning arm's hanging position in (angle, momentum) of the other, by finite differences."""
+def test_multipliers_agree_with_finite_differences_of_the_poincare_map(system, found):
+    """Finite differences of the return map to the hanging position, in (angle, momentum) of the other arm."""
     orbit = found[1, 0.2][-1]
     energy = ca.Function("H", [system.equations.state, system.equations.parameters], [system.equations.hamiltonian])
 
@@ -121,21 +121,21 @@ def test_both_senses_are_reflections_of_each_other(system, found):
         assert here.winding == (0, -1)
 
 
-def test_a_denser_scan_finds_the_same_orbits(system, found):
+def test_a_finer_scan_finds_the_same_orbits(system, found):
     denser = rotating_orbits(system, 2, -0.06985, settings=RotatingSettings(first_angles=1111, jump=0.1))
     assert len(denser) == len(found[2, -0.06985])
     for a, b in zip(denser, found[2, -0.06985], strict=True):
         assert np.abs(a.state - b.state).max() < STATE
 
 
-def test_the_other_arm_may_stand_upright_on_the_mirror(system):
+def test_the_other_arm_may_be_upright_on_the_symmetry_line(system):
     upright = [o for o in rotating_orbits(system, 1, 0.6) if o.state[1] > 3]
     assert upright
     assert all(o.state[1] == np.pi for o in upright)
 
 
 @pytest.mark.slow
-def test_a_family_keeps_to_one_curve_and_says_why_it_was_left(family):
+def test_a_family_stays_on_one_curve_and_reports_its_ends(family):
     assert family.converged
     states = np.array([m.state for m in family.members])
     assert np.abs(np.diff(states, axis=0)).max() < 2.0
@@ -143,7 +143,7 @@ def test_a_family_keeps_to_one_curve_and_says_why_it_was_left(family):
     assert "reached the bound of 0.42 J" in family.ends[1]
 
 
-def test_a_family_changes_stability_where_both_sides_differ(system, family):
+def test_both_sides_of_a_stability_change_differ(system, family):
     change = next(c for c in family.changes if abs(c.orbit.energy - -0.07812225474946) < LOCATED)
     assert (change.critical_trace, change.before, change.after) == (-2.0, "inverse hyperbolic", "elliptic")
     for step, kind in ((-1e-3, "elliptic"), (1e-3, "inverse hyperbolic")):
@@ -152,7 +152,7 @@ def test_a_family_changes_stability_where_both_sides_differ(system, family):
     assert all(c.orbit.kind == "parabolic" or abs(abs(c.orbit.trace) - 2) < 1e-8 for c in family.changes)
 
 
-def test_a_family_turns_back_where_its_multipliers_meet_at_one(family):
+def test_a_family_folds_when_its_multipliers_meet_at_one(family):
     (fold,) = family.folds
     lowest = family.energies.min()
     assert lowest - 1e-3 < fold.energy <= lowest
@@ -160,7 +160,7 @@ def test_a_family_turns_back_where_its_multipliers_meet_at_one(family):
 
 
 @pytest.mark.slow
-def test_changes_of_stability_do_not_depend_on_the_steps(found, family):
+def test_changes_of_stability_are_independent_of_the_step(found, family):
     finer = rotating_family(found[2, -0.06985][-1], (-0.12, 0.42), settings=RotatingFamilySettings(step=0.02))
     assert len(finer.changes) == len(family.changes)
     for a, b in zip(finer.changes, family.changes, strict=True):
@@ -168,13 +168,13 @@ def test_changes_of_stability_do_not_depend_on_the_steps(found, family):
 
 
 @pytest.mark.slow
-def test_families_of_one_energy_are_followed_once_each(system, found):
-    """The fold at -0.1107 J joins the two fastest of the six: five families."""
+def test_each_family_at_an_energy_is_followed_once(system, found):
+    """The fold at -0.1107 J connects the two fastest of six orbits, so there are five families."""
     families = rotating_families(found[2, -0.06985], (-0.115, -0.05))
     assert len(found[2, -0.06985]) == 6
     assert [len(f.folds) for f in families] == [0, 0, 0, 0, 1]
     folded = families[-1]
-    # Only the folded family has members of both periods at the energy: 0.498 and 0.781 s.
+    # Only the folded family has members with both periods at this energy, 0.498 and 0.781 s.
     there = [m.period for m in folded.members if abs(m.energy + 0.06985) < 0.02]
     assert min(there) < 0.52
     assert max(there) > 0.75
@@ -220,14 +220,14 @@ def test_the_verb_follows_their_families_and_draws_them(capsys, tmp_path):
         ("orbit three-body --rotating inner --energy -1.5", 2, "need two arms"),
     ],
 )
-def test_the_verb_refuses_rotating_orbits_that_there_are_not(capsys, line, code, fragment):
+def test_the_verb_refuses_rotating_orbits_that_do_not_exist(capsys, line, code, fragment):
     with pytest.raises(SystemExit) as done:
         main(line.split())
     assert done.value.code == code
     assert fragment in capsys.readouterr().err
 
 
-def test_where_the_arm_cannot_turn_there_are_no_orbits(system):
+def test_without_enough_energy_to_turn_there_are_no_orbits(system):
     assert rotating_orbits(system, 1, -0.3) == ()
 
 

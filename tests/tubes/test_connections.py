@@ -1,4 +1,4 @@
-"""Cuts and connections, against independent values, scipy's integration, and changed sampling."""
+"""Cuts and connections, compared with independent values, scipy's integration and other sampling."""
 
 import numpy as np
 import pytest
@@ -16,10 +16,10 @@ from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts, ne
 from tests.reference_values import CONNECTIONS
 from tests.uniform_rods import uniform_rods
 
-STATE = 1e-9  # the bar; what is reached is about 1e-12
+STATE = 1e-9  # required; about 1e-12 is achieved
 RESIDUAL = 1e-11
-FLIGHT_TIME = 1e-5  # s: the nearest phase is sought by golden section on a distance with kinks
-NEAR_ORBIT = 2e-6  # scaled: how near free flight in double comes before rounding grows
+FLIGHT_TIME = 1e-5  # s: accuracy of a golden-section search on a distance with kinks
+NEAR_ORBIT = 2e-6  # scaled: closest approach of free propagation in double precision
 
 
 def search(key, **settings):
@@ -34,7 +34,7 @@ def found():
 
 
 def on_torus(first, second):
-    """Largest difference of states, angles modulo a turn."""
+    """Largest difference of states, with angles modulo a turn."""
     gap = np.asarray(first) - np.asarray(second)
     return max(np.abs(2 * np.sin(gap[:2] / 2)).max(), np.abs(gap[2:]).max())
 
@@ -54,7 +54,7 @@ def test_all_reference_connections_and_their_images_are_found(found, key):
 
 
 @pytest.mark.parametrize("key", CONNECTIONS, ids=str)
-def test_senses_pair_up_and_symmetric_ones_lie_on_the_mirror(found, key):
+def test_senses_form_pairs_and_symmetric_connections_lie_on_the_symmetry_line(found, key):
     connections = found[key].connections
     assert sum(c.sense for c in connections) == 0
     for c in connections:
@@ -78,18 +78,18 @@ def flown_by_scipy(system, state, seconds):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("key", CONNECTIONS, ids=str)
-def test_windings_are_those_of_an_independent_flight(found, key):
+def test_windings_agree_with_an_independent_integration(found, key):
     system = load_model("lab").system
     for c in found[key].connections:
         after, before = (flown_by_scipy(system, c.state, t) for t in (c.time_in, -c.time_out))
         for state, saddle, turns in ((before, key[0], (0, 0)), (after, key[1], c.winding)):
             home = system.equilibrium(saddle)[:2] + 2 * np.pi * np.asarray(turns)
-            # Orbits swing less than a turn about their saddle's lattice point.
+            # Orbits stay within a turn of their saddle's lattice point.
             assert np.abs(state[:2] - home).max() < np.pi
 
 
 @pytest.mark.parametrize("key", [("down-up", "down-up", -0.07), ("down-up", "up-down", 0.2)], ids=str)
-def test_connections_flow_back_to_both_orbits(found, key):
+def test_connections_reach_both_orbits(found, key):
     for c in found[key].connections:
         for orbit, sign in ((c.source, -1), (c.target, 1)):
             times = sign * np.linspace(0, 3.0, 1500)
@@ -98,7 +98,7 @@ def test_connections_flow_back_to_both_orbits(found, key):
 
 
 @pytest.mark.parametrize("key", CONNECTIONS, ids=str)
-def test_flight_times_and_phases_are_those_of_first_approach(found, key):
+def test_flight_times_and_phases_refer_to_the_first_approach(found, key):
     for c in found[key].connections:
         for orbit, seconds, phase, sign in (
             (c.source, c.time_out, c.phase_out, -1),
@@ -120,7 +120,7 @@ def test_time_reversal_exchanges_the_flight_times_of_mirror_pairs(found):
         assert twin.transversality_angle == pytest.approx(c.transversality_angle, abs=1e-6)
 
 
-def test_names_and_states_survive_another_sampling_and_another_seed_distance(found):
+def test_names_and_states_are_independent_of_sampling_and_seed_distance(found):
     key = ("down-up", "down-up", -0.07)
     finer = search(key, distance=3e-4, cut=CutSettings(first_phases=237, chord=0.02))
     assert [c.name for c in finer.connections] == [c.name for c in found[key].connections]
@@ -129,15 +129,15 @@ def test_names_and_states_survive_another_sampling_and_another_seed_distance(fou
         assert a.transversality_angle == pytest.approx(b.transversality_angle, abs=1e-6)
 
 
-def test_transversality_angles_do_not_depend_on_where_tangents_are_taken_from(found):
-    """The angle between the cuts, from finite differences of the pieces near the crossing."""
+def test_transversality_angles_agree_with_finite_differences(found):
+    """The angle between the cuts follows from finite differences near the intersection."""
     key = ("down-up", "down-up", -0.07)
     fine = search(key, cut=CutSettings(chord=0.002))
     for c in found[key].connections:
         if not c.symmetric or c.sense < 0:
             continue
         piece = next(p for p in fine.cuts[0].pieces if p.direction > 0)
-        # On the mirror q = 0 the stable cut is the reflection of the unstable one.
+        # On the symmetry line q = 0, the stable cut is the reflection of the unstable cut.
         k = np.argmin(np.linalg.norm(piece.states - c.state, axis=1))
         tangent = piece.points[k + 1] - piece.points[k - 1]
         expected = 2 * np.degrees(np.arctan2(abs(tangent[0]), abs(tangent[1])))
@@ -146,7 +146,7 @@ def test_transversality_angles_do_not_depend_on_where_tangents_are_taken_from(fo
 
 def test_open_cuts_are_reported_with_their_cause(found):
     search = found["down-up", "down-up", 0.2]
-    # Beyond a graze an earlier crossing counts, so that nothing is missing of this one.
+    # Beyond a graze, an earlier crossing counts, so this one is complete.
     assert search.complete
     assert not any(end.hides for _, end in search.open_ends)
     assert {end.branch for _, end in search.open_ends} == {1, -1}
@@ -155,7 +155,7 @@ def test_open_cuts_are_reported_with_their_cause(found):
     assert found["down-up", "down-up", -0.07].complete
 
 
-def test_a_tube_without_time_to_arrive_says_so():
+def test_a_tube_with_too_little_time_is_reported():
     system = load_model("lab").system
     manifold = UnstableManifold(lyapunov_orbit(system, "down-up", energy=-0.07))
     cut = tube_cut(manifold, system.sections["down-up", "down-up"], settings=CutSettings(longest=0.5))
@@ -164,7 +164,7 @@ def test_a_tube_without_time_to_arrive_says_so():
     assert "never arrives" in cut.open_ends[0].reason
 
 
-def test_a_cut_that_may_not_be_refined_says_so():
+def test_a_cut_at_its_refinement_limit_is_reported():
     system = load_model("lab").system
     manifold = UnstableManifold(lyapunov_orbit(system, "down-up", energy=0.2))
     cut = tube_cut(manifold, system.sections["down-up", "down-up"], settings=CutSettings(most_points=120))
@@ -176,7 +176,7 @@ def test_no_heteroclinics_below_the_energy_of_up_down():
         orbits_between(load_model("lab").system, "down-up", "up-down", 0.17)
 
 
-def test_orbits_of_different_energy_are_not_connected():
+def test_orbits_of_different_energy_are_refused():
     system = load_model("lab").system
     first, second = (lyapunov_orbit(system, "down-up", energy=e) for e in (-0.07, 0.0))
     with pytest.raises(InputError, match="the flow conserves energy"):
@@ -184,8 +184,8 @@ def test_orbits_of_different_energy_are_not_connected():
 
 
 @pytest.mark.parametrize("distance", [1e-9, 3e-2])
-def test_seeds_too_near_or_too_far_do_not_pass_for_a_complete_search(distance):
-    """Too near, rounding over distance drowns the cut; too far, the linear manifold is not the tube."""
+def test_seeds_too_near_or_too_far_make_a_search_incomplete(distance):
+    """Rounding dominates the cuts of near seeds, and the linear approximation fails for distant seeds."""
     expected = CONNECTIONS["down-up", "down-up", -0.07]
     result = search(("down-up", "down-up", -0.07), distance=distance)
     wrong = len(result.connections) != expected[0]
@@ -196,7 +196,7 @@ def test_seeds_too_near_or_too_far_do_not_pass_for_a_complete_search(distance):
         assert min(off) < STATE
 
 
-def test_polylines_cross_where_they_should():
+def test_polylines_cross_at_known_points():
     t = np.linspace(0, 2 * np.pi, 400)
     circle = np.column_stack([np.cos(t), np.sin(t)])
     line = np.column_stack([np.linspace(-2, 2, 7), np.full(7, 0.5)])
@@ -216,8 +216,8 @@ def test_near_touches_are_those_within_the_curves_sagitta(gap, seen):
 
 
 @pytest.mark.slow
-def test_closed_cuts_that_cross_unevenly_are_refined_until_they_do_not():
-    """With λ = 9e4 the cut has folds thinner than its chords; two closed curves cross an even number of times."""
+def test_closed_cuts_are_refined_until_they_cross_evenly():
+    """With λ = 9e4, the cut has folds thinner than its chords. Closed curves cross an even number of times."""
     orbits = orbits_between(load_model("printed").system, "down-up", "up-down", 0.1788112)
     coarse = find_connections(*orbits, settings=ConnectionSettings(finest=1.0))
     assert len(coarse.connections) % 4 != 0
@@ -231,7 +231,7 @@ def test_closed_cuts_that_cross_unevenly_are_refined_until_they_do_not():
         assert "more often" not in fine.status
 
 
-def test_a_search_out_of_time_has_refined_first_what_a_coarse_sampling_shows(monkeypatch):
+def test_a_search_refines_coarse_intersections_first(monkeypatch):
     solve, solved = intersections._solved, []
     monkeypatch.setattr(intersections, "_TOGETHER", 1)
     monkeypatch.setattr(intersections, "_solved", lambda *each: solved.append(each) or solve(*each))
@@ -250,7 +250,7 @@ def test_a_search_out_of_time_has_refined_first_what_a_coarse_sampling_shows(mon
     assert some.left > 0 == every.left
 
 
-def test_a_thorough_search_that_missed_some_says_how_many_at_least_and_advises_no_thorough_one():
+def test_an_incomplete_thorough_search_reports_a_lower_bound_and_another_remedy():
     orbits = orbits_between(load_model("lab").system, "down-up", "down-up", -0.07)
     search = find_connections(*orbits, settings=ConnectionSettings(seconds=1e-9, thorough=True))
     assert not search.complete
@@ -260,8 +260,8 @@ def test_a_thorough_search_that_missed_some_says_how_many_at_least_and_advises_n
     assert "thorough" not in search.status
 
 
-def test_cuts_that_run_beside_each_other_without_meeting_are_no_failed_crossings(monkeypatch):
-    """From q = 0.3 down to a graze the cuts near each other to 6e-7, nearer than their chords follow them."""
+def test_parallel_cuts_without_intersections_are_not_failures(monkeypatch):
+    """Between q = 0.3 and a graze, the cuts are 6e-7 apart, which is below the error of their chords."""
     system = uniform_rods((0.35, 0.1), (0.25, 0.5))
     orbit, settings = lyapunov_orbit(system, "up-down", energy=2.047837), ConnectionSettings()
     manifold, section = local_manifold(orbit, settings.distance), system.sections["up-down", "up-down"]

@@ -1,4 +1,4 @@
-"""Connections in 113-bit arithmetic, against independent values, a third precision and free flight."""
+"""Connections in 113-bit arithmetic, compared with independent values, a third precision and propagation."""
 
 import json
 from decimal import Decimal
@@ -18,13 +18,13 @@ from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
 
-RESIDUAL = 1e-20  # the bar; what is reached is about 1e-31
-AGREES = 1e-10  # with the double state; what is reached is about 1e-13
-LAST_BIT = 0.5  # ulp: the reference holds doubles, correctly rounded from more digits
-MIRROR = 1e-28  # two separate solutions of one orbit and its mirror image
-FREE_EXTENDED = 1e-9  # scaled; free flight in 113 bits comes within about 1e-16
-FREE_DOUBLE = 2e-6  # scaled: how near free flight in double comes before rounding grows
-FLOW = 1e-31  # 113 bits hold 34 digits of numbers of size 10, over half a second of motion
+RESIDUAL = 1e-20  # required; about 1e-31 is achieved
+AGREES = 1e-10  # difference from the double state; about 1e-13 is achieved
+LAST_BIT = 0.5  # ulp: the reference has doubles, correctly rounded from more digits
+MIRROR = 1e-28  # difference of separate solutions for an orbit and its mirror image
+FREE_EXTENDED = 1e-9  # scaled; free propagation in 113 bits approaches to about 1e-16
+FREE_DOUBLE = 2e-6  # scaled: closest approach of free propagation in double precision
+FLOW = 1e-31  # 113 bits have 34 digits, for numbers of size 10 over half a second
 
 REFINED = [
     ("down-up", "down-up", -0.07, 0),
@@ -54,17 +54,17 @@ def nearest(connections, state):
 
 
 def free_flight(refined, orbit, *, forward, periods=8, samples=8):
-    """How near free flight from a refined state, never restarted, comes to a periodic orbit of its, scaled."""
+    """Scaled closest approach to a periodic orbit of free propagation from a refined state."""
     end, sign = refined.ends[1 if forward else 0], 1.0 if forward else -1.0
     times = extended(sign * np.arange(1, periods * samples + 1) / samples) * end.duration
     states = refined.propagator.sample(refined.state, times)
     phases, distances = OrbitCurve(orbit).distances(states.astype(float))
-    # The double curve is good to 1e-9: which of the nearest is nearest is settled in extended precision.
+    # The curve in double precision has an error of 1e-9, so the minimum is found in extended precision.
     return min(distance(end, states[k], float(phases[k])) for k in np.argsort(distances)[:8])
 
 
 def distance(end, state, phase):
-    """Scaled distance of a state from a refined periodic orbit near a phase, the foot found by Gauss-Newton steps."""
+    """Scaled distance of a state from a refined periodic orbit, minimised by Gauss-Newton steps."""
     system = end.guess.system
     at = extended(phase)[()]
     for _ in range(4):
@@ -78,7 +78,7 @@ def distance(end, state, phase):
 
 
 REFINED_ONCE = {}
-"""Connections as the default settings refine them, by name: seconds each, and shared by tests."""
+"""Connections refined with default settings, by name; shared by tests because each takes seconds."""
 
 
 def in_113_bits(lab, connection, energy, **options):
@@ -99,7 +99,7 @@ def refined(request, lab, found):
     return state, connection, in_113_bits(lab, connection, key[2])
 
 
-def test_a_refined_connection_is_the_reference_one_to_the_last_bit(refined):
+def test_a_refined_connection_equals_the_reference_to_the_last_bit(refined):
     state, connection, found = refined
     expected = np.array(state)
     rest = extended(expected) + pi_times(np.rint((connection.state - expected) / np.pi))
@@ -107,7 +107,7 @@ def test_a_refined_connection_is_the_reference_one_to_the_last_bit(refined):
     assert np.all(np.abs(gap) <= LAST_BIT * np.spacing(np.abs(expected)) + 1e-30)
 
 
-def test_the_residual_is_below_what_double_can_express(refined):
+def test_the_residual_is_below_double_precision(refined):
     _, _, found = refined
     assert found.converged
     assert found.residual <= RESIDUAL
@@ -116,14 +116,14 @@ def test_the_residual_is_below_what_double_can_express(refined):
 
 
 @pytest.mark.benchmark
-def test_free_flight_in_extended_precision_reaches_both_orbits(refined):
+def test_free_propagation_in_extended_precision_reaches_both_orbits(refined):
     _, connection, found = refined
     assert free_flight(found, connection.target, forward=True) < FREE_EXTENDED
     assert free_flight(found, connection.source, forward=False) < FREE_EXTENDED
 
 
 @pytest.mark.parametrize("key", [("down-up", "down-up", 0.2), ("up-down", "up-down", 0.2)], ids=str)
-def test_free_flight_in_double_reaches_both_orbits(found, key):
+def test_free_propagation_in_double_reaches_both_orbits(found, key):
     for c in found[key].connections:
         for orbit, sign in ((c.source, -1), (c.target, 1)):
             flown = orbit.system.propagator.sample(c.state, sign * np.linspace(0, 3.5, 1500))
@@ -131,7 +131,7 @@ def test_free_flight_in_double_reaches_both_orbits(found, key):
 
 
 @pytest.mark.slow
-def test_mirror_images_refined_apart_agree(lab, found):
+def test_separately_refined_mirror_images_agree(lab, found):
     key = ("down-up", "down-up", -0.07)
     c = nearest(found[key].connections, CONNECTIONS[key][1][1])
     twin = nearest(found[key].connections, c.state * [-1, -1, 1, 1])
@@ -141,7 +141,7 @@ def test_mirror_images_refined_apart_agree(lab, found):
 
 
 @pytest.mark.benchmark
-def test_the_state_does_not_depend_on_how_far_out_the_leads_begin(lab, found):
+def test_the_state_is_independent_of_the_length_of_the_leads(lab, found):
     key = ("down-up", "up-down", 0.2)
     c = nearest(found[key].connections, CONNECTIONS[key][1][0])
     states = [
@@ -163,7 +163,7 @@ def test_refined_orbits_have_the_reference_period_and_energy(lab, found):
 
 
 def test_flow_agrees_with_two_hundred_bits(lab):
-    """The same equations in heyoka's multiprecision reals, which have an arithmetic of their own."""
+    """The same equations in heyoka's multiprecision reals, a separate arithmetic."""
     equations, parameters = lab.system.equations, lab.parameters.decimal_base()
     propagator = ExtendedPropagator(equations, parameters)
     state = extended([0.4, 2.9, 6.0, -3.0])
@@ -180,7 +180,7 @@ def test_flow_agrees_with_two_hundred_bits(lab):
         assert abs(Decimal(str(mine)) - Decimal(str(other))) < Decimal(FLOW)
 
 
-def test_energy_is_kept_to_the_last_digits(lab):
+def test_energy_is_conserved_to_the_last_digits(lab):
     propagator = ExtendedPropagator(lab.system.equations, lab.parameters.decimal_base())
     state = extended([0.4, 2.9, 6.0, -3.0])
     energies = [propagator.energy(x) for x in propagator.sample(state, extended(np.linspace(0.1, 1, 5)))]
@@ -200,7 +200,7 @@ def test_exact_base_parameters_round_to_the_double_ones(lab):
 
 
 @pytest.mark.slow
-def test_a_refinement_that_stays_above_its_tolerance_says_so(lab, found):
+def test_a_refinement_above_its_tolerance_is_reported(lab, found):
     c = found["down-up", "down-up", -0.07].connections[0]
     assert "not refined" in in_113_bits(lab, c, -0.07, settings=RefinementSettings(tolerance=5e-33)).status
     with pytest.raises(GoalMissed, match="could be refined only to a residual"):
@@ -234,7 +234,7 @@ def test_the_command_prints_digits_as_strings(capsys, found):
     ],
     ids=str,
 )
-def test_a_connection_that_is_not_named_rightly_is_refused(capsys, arguments, fragment):
+def test_an_unknown_connection_name_is_refused(capsys, arguments, fragment):
     code, document = run(capsys, *arguments)
     assert code == 2
     assert fragment in document["status"]

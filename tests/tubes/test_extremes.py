@@ -1,4 +1,4 @@
-"""Where methods fail: a hair above a saddle, far up, at a grazing crossing; and energies of no reference value."""
+"""Extreme cases: just above a saddle, high energies, grazing crossings, and energies without reference values."""
 
 from decimal import Decimal
 
@@ -13,11 +13,11 @@ from dpcontrol.shooting.extended import refine
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import tube_cut
 
-STATE = 1e-9  # the bars; what is reached is about 1e-13
+STATE = 1e-9  # required; about 1e-13 is achieved
 PERIOD = 1e-11
 RESIDUAL = 1e-11
-AREA = 3e-5  # of a cut that is an ellipse but for terms of the energy above the saddle
-TOUCH = 1e-4  # rad: how near a trajectory passes the section beside the phase at which one grazes it
+AREA = 3e-5  # relative; the cut is an ellipse up to terms in the energy above the saddle
+TOUCH = 1e-4  # rad: distance from the section next to a grazing phase
 NEAR_ORBIT = 2e-6
 
 
@@ -28,8 +28,8 @@ def lab():
 
 @pytest.mark.parametrize("saddle", ["down-up", "up-down"])
 @pytest.mark.parametrize("above", [1e-6, 1e-9])
-def test_a_hair_above_the_saddle_the_tube_encloses_the_orbits_action(lab, saddle, above):
-    """dJ/dH = T: the cut encloses T (H - H₀), although at 1e-9 J the orbit is no larger than the seeds' distance."""
+def test_just_above_the_saddle_the_tube_encloses_the_orbits_action(lab, saddle, above):
+    """dJ/dH = T, so the cut encloses T (H - H₀), even if the orbit is as small as the seeds' distance."""
     system = lab.system
     orbit = lyapunov_orbit(system, saddle, energy=float(system.numeric.hamiltonian(system.equilibrium(saddle))) + above)
     assert orbit.converged
@@ -40,14 +40,14 @@ def test_a_hair_above_the_saddle_the_tube_encloses_the_orbits_action(lab, saddle
     for piece in cut.pieces:
         x, y = piece.points[:-1].T
         area = abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2 * momentum_scale(system, section)
-        # A polygon of n points of an ellipse encloses sin(2π/n) / (2π/n) of it.
+        # A polygon with n points on an ellipse encloses sin(2π/n) / (2π/n) of its area.
         step = 2 * np.pi / len(x)
         assert area == pytest.approx(orbit.period * above * np.sin(step) / step, rel=AREA)
 
 
 @pytest.mark.parametrize("saddle", ["down-up", "up-down"])
-def test_far_up_an_orbit_near_the_end_of_its_family_still_closes_and_pairs_its_multipliers(lab, saddle):
-    """At 0.489 J, 1.6 mJ below the homoclinics of Up-Up, multipliers exceed 1e7."""
+def test_near_the_end_of_its_family_an_orbit_closes_with_reciprocal_multipliers(lab, saddle):
+    """At 0.489 J, which is 1.6 mJ below the homoclinics of Up-Up, multipliers exceed 1e7."""
     orbit = lyapunov_orbit(lab.system, saddle, energy=0.489)
     assert orbit.converged
     assert orbit.unstable_multiplier > 1e7
@@ -55,14 +55,14 @@ def test_far_up_an_orbit_near_the_end_of_its_family_still_closes_and_pairs_its_m
     assert abs(orbit.floquet_multipliers[0] * orbit.floquet_multipliers[3] - 1) < 1e-15 * orbit.unstable_multiplier
 
 
-def test_beyond_the_end_of_the_family_the_reason_is_the_answer(lab):
+def test_beyond_the_end_of_the_family_the_status_gives_the_reason(lab):
     orbit = lyapunov_orbit(lab.system, "down-up", energy=0.6)
     assert not orbit.converged
     assert "could be followed only to 0.49" in orbit.status
 
 
-def test_a_phase_that_grazes_is_where_a_trajectory_touches_the_section(lab):
-    """On one side of the phase the crossing's normal rate vanishes; on the other the section is missed by a hair."""
+def test_at_a_grazing_phase_the_trajectory_touches_the_section(lab):
+    """On one side of the phase, the normal rate vanishes. On the other, the trajectory just misses the section."""
     system = lab.system
     section, orbit = system.sections["down-up", "down-up"], lyapunov_orbit(system, "down-up", energy=0.2)
     manifold = UnstableManifold(orbit, 1e-4)
@@ -73,7 +73,7 @@ def test_a_phase_that_grazes_is_where_a_trajectory_touches_the_section(lab):
     for end in grazing:
         low, high = end.phase_interval
         assert (high - low) % 1 < 1e-8
-        # 1e-7 beside it the rate has grown to a few hundredths, and differences are above rounding.
+        # At a distance of 1e-7, the rate is a few hundredths and differences exceed rounding.
         sides = []
         for phase in (low - 1e-7, high + 1e-7):
             seed = manifold.seeds(np.array([phase]), end.branch)[0][0]
@@ -98,7 +98,7 @@ def test_a_phase_that_grazes_is_where_a_trajectory_touches_the_section(lab):
         ("down-up", "up-down", "0.24"),
     ],
 )
-def test_energies_of_no_reference_value_agree_with_extended_precision(lab, source, target, energy):
+def test_connections_at_other_energies_agree_with_extended_precision(lab, source, target, energy):
     found = find_connections(*orbits_between(lab.system, source, target, float(energy)))
     assert found.connections
     assert max(c.residual for c in found.connections) <= RESIDUAL
@@ -113,7 +113,7 @@ def test_energies_of_no_reference_value_agree_with_extended_precision(lab, sourc
 
 
 @pytest.mark.parametrize("energy", [-0.12, 0.05, 0.15])
-def test_connections_of_other_energies_flow_back_to_their_orbits_both_ways(lab, energy):
+def test_connections_at_other_energies_reach_both_orbits(lab, energy):
     found = find_connections(*orbits_between(lab.system, "down-up", "down-up", energy))
     for c in found.connections:
         for orbit, sign in ((c.source, -1), (c.target, 1)):

@@ -1,4 +1,4 @@
-"""Searches name each connection once, know which are symmetric, and admit what they may have missed."""
+"""Searches list each connection once, detect symmetry and report incompleteness."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from dpcontrol.walks.symbols import choose, parse_symbol
 
 ON_MIRROR = 1e-8  # rad
 STATE = 1e-7  # scaled
-PITCHFORK = -0.10032106461843  # J, of the lab's Down-Up homoclinics, 4 below and 8 above: good to 1e-11
+PITCHFORK = -0.10032106461843  # J, of the lab's Down-Up homoclinics, 4 below and 8 above; error 1e-11
 
 
 def homoclinics(model: str, saddle: str, energy: float) -> ConnectionSearch:
@@ -22,7 +22,7 @@ def homoclinics(model: str, saddle: str, energy: float) -> ConnectionSearch:
 
 
 @pytest.mark.parametrize("energies", [(0.0975, 0.0979), (0.1715, 0.1720)], ids=str)
-def test_a_trajectory_that_meets_its_orbits_neighbourhood_again_is_no_saddle_node(energies):
+def test_a_trajectory_that_returns_near_its_orbit_is_not_a_saddle_node(energies):
     system = load_model("printed").system
     found = find_bifurcations(system, "down-up", "down-up", energies=energies, settings=SweepSettings(energies=2))
     assert found.complete
@@ -31,14 +31,14 @@ def test_a_trajectory_that_meets_its_orbits_neighbourhood_again_is_no_saddle_nod
 
 
 @pytest.mark.slow
-def test_next_to_a_pitchfork_each_connection_is_counted_once():
+def test_near_a_pitchfork_each_connection_is_counted_once():
     assert len(homoclinics("lab", "down-up", PITCHFORK + 1e-9).connections) == 8
-    # Nearer the tubes are tangent to rounding, which is admitted.
+    # Nearer to it, the tubes are tangent to rounding, which the status reports.
     assert not homoclinics("lab", "down-up", PITCHFORK + 1e-10).complete
 
 
 @pytest.mark.parametrize("energy", [0.06, 0.17, 0.18, 0.195])
-def test_symmetric_connections_are_those_on_the_mirror_however_strong_the_orbit(energy):
+def test_symmetric_connections_lie_on_the_symmetry_line_for_any_multiplier(energy):
     search = homoclinics("printed", "down-up", energy)
     for c in search.connections:
         assert c.symmetric == (abs(np.sin(c.state[0])) < ON_MIRROR), c.name
@@ -46,7 +46,7 @@ def test_symmetric_connections_are_those_on_the_mirror_however_strong_the_orbit(
 
 
 @pytest.mark.slow
-def test_a_short_symbol_names_one_motion_from_energy_to_energy():
+def test_a_short_symbol_selects_the_same_motion_at_nearby_energies():
     system = load_model("printed").system
     named = []
     for energy in (0.17, 0.18, 0.19):
@@ -54,7 +54,7 @@ def test_a_short_symbol_names_one_motion_from_energy_to_energy():
         named.append(choose(parse_symbol("down-up +", edges.saddles), edges.connections))
     assert all(c.symmetric for c in named)
     rates = np.array([c.state[2:] for c in named])
-    # The same motion moves little where its energy does.
+    # A small change in energy moves the same motion only slightly.
     assert np.abs(np.diff(rates, axis=0)).max() < 0.1 * np.abs(rates).max()
 
 
@@ -73,14 +73,14 @@ def test_a_search_that_may_be_incomplete_exits_with_one(arguments):
     assert shown.code == 1
 
 
-def test_what_was_asked_for_and_found_is_complete_though_cuts_are_open():
+def test_a_search_with_a_time_limit_may_be_complete_with_open_cuts():
     shown = dpcontrol("connect", "lab", "--from", "down-up", "--to", "up-down", "--energy", "0.2", "--json")
     assert shown.document["open_cuts"]
     assert shown.document["complete"]
     assert shown.code == 0
 
 
-def test_a_search_that_runs_out_of_time_says_what_it_left():
+def test_a_search_that_runs_out_of_time_is_partial():
     orbits = orbits_between(load_model("lab").system, "down-up", "down-up", -0.07)
     search = find_connections(*orbits, settings=ConnectionSettings(seconds=1e-6))
     assert not search.complete
@@ -90,7 +90,7 @@ def test_a_search_that_runs_out_of_time_says_what_it_left():
 
 
 @pytest.mark.slow
-def test_flights_whose_rounding_grows_past_any_fixed_gap_are_found():
+def test_connections_with_large_rounding_errors_are_found():
     system = uniform_rods((0.2, 0.1), (0.1, 0.1))
     search = find_connections(*orbits_between(system, "up-down", "up-down", 0.250155))
     assert len(search.connections) == 32

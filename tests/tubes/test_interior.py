@@ -1,4 +1,4 @@
-"""The inside of tubes, against scipy's integration, the transit that tubes mean, and time reversal."""
+"""The interior of tubes, compared with scipy's integration, transit and time reversal."""
 
 import numpy as np
 import pytest
@@ -22,12 +22,12 @@ from dpcontrol.tubes.intersections import (
     tube_interior,
 )
 
-ENERGY = 1e-14  # J: states are solved for, not corrected
-NEAR_CUT = 0.01  # share of points that may lie within a chord's height of a cut, where a polygon cannot tell
-DOP853 = 1e-7  # what scipy's DOP853 at 1e-12 is good for until the first return
+ENERGY = 1e-14  # J: states solve the energy equation directly
+NEAR_CUT = 0.01  # share of points within the error of the cut's chords
+DOP853 = 1e-7  # error of scipy's DOP853 at 1e-12 until the first return
 
 TURNING = {"down-up": 1, "up-down": 0}
-"""Saddle: index of the angle that turns when its bottleneck is passed."""
+"""Index of the angle that turns on passage of each saddle's bottleneck."""
 
 
 def cut_of(saddle, energy, chord=0.02):
@@ -42,7 +42,7 @@ def carried(request):
     return tube_interior(manifold, cut, settings=InteriorSettings(across=24, returns=2))
 
 
-def test_a_polygon_holds_the_points_of_its_disc():
+def test_a_polygon_contains_the_points_of_its_disc():
     t = np.linspace(0, 2 * np.pi, 2001)[:-1]
     vertices = np.column_stack([np.cos(t), np.sin(t)])
     points = np.random.default_rng(7).uniform(-1.5, 1.5, (4000, 2))
@@ -51,7 +51,7 @@ def test_a_polygon_holds_the_points_of_its_disc():
     assert np.array_equal(inside(points, vertices)[clear], radius[clear] < 1)
 
 
-def test_states_lie_on_the_section_at_the_tubes_energy_and_cross_its_way(carried):
+def test_states_have_the_tubes_section_energy_and_direction(carried):
     system, section = carried.orbit.system, carried.section
     assert len(carried.points) > 50
     assert np.abs(system.numeric.hamiltonian(carried.states) - carried.orbit.energy).max() < ENERGY
@@ -60,15 +60,15 @@ def test_states_lie_on_the_section_at_the_tubes_energy_and_cross_its_way(carried
     assert np.all(system.numeric.rate(carried.states) @ np.asarray(section.normal) > 0)
 
 
-def test_what_is_inside_the_unstable_tube_has_come_through_the_bottleneck(carried):
+def test_states_inside_the_unstable_tube_have_passed_the_bottleneck(carried):
     turning = TURNING[carried.orbit.saddle]
     assert np.all(carried.backward.arrived[:, 0])
     passed = carried.backward.winding[:, 0, turning] == -1
     assert np.mean(~passed) < NEAR_CUT
 
 
-def test_what_is_outside_the_unstable_tube_has_not(carried):
-    """Points of the section just outside the cut come from the same well: the turning angle made no turn."""
+def test_states_outside_the_unstable_tube_have_not_passed_the_bottleneck(carried):
+    """Points just outside the cut come from the same well, so the turning angle makes no turn."""
     system, section = carried.orbit.system, carried.section
     outline = next(o for o in carried.outlines if o.branch == 1 and not o.stable)
     centre = carried.points[np.argmin(carried.radius)]
@@ -84,7 +84,7 @@ def test_what_is_outside_the_unstable_tube_has_not(carried):
     assert np.count_nonzero(fits) > 5
 
 
-def test_what_is_inside_the_stable_tube_goes_through_next(carried):
+def test_states_inside_the_stable_tube_pass_the_bottleneck_next(carried):
     turning = TURNING[carried.orbit.saddle]
     passes = np.abs(carried.forward.winding[:, 0, turning]) == 1
     system, section = carried.orbit.system, carried.section
@@ -95,11 +95,11 @@ def test_what_is_inside_the_stable_tube_goes_through_next(carried):
     assert 0.1 < np.mean(passes) < 0.9
 
 
-def test_one_return_back_the_unstable_interior_fills_the_stable_one(carried):
+def test_one_return_earlier_the_unstable_interior_fills_the_stable_one(carried):
     assert np.mean(carried.backward.in_stable[:, 0] != 0) > 1 - NEAR_CUT
 
 
-def test_returns_are_those_of_an_independent_flight(carried):
+def test_returns_agree_with_an_independent_integration(carried):
     system = carried.orbit.system
     f, p, turning = quick_rate(system.equations), system.parameters, TURNING[carried.orbit.saddle]
 
@@ -113,12 +113,12 @@ def test_returns_are_those_of_an_independent_flight(carried):
                 rate, (0, sign * (seconds + 0.05)), start, "DOP853", rtol=1e-12, atol=1e-12, dense_output=True
             ).sol
             assert np.abs(dense(sign * seconds) - run.states[k, 0]).max() < DOP853
-            # Nothing is crossed on the way.
+            # There is no crossing in between.
             path = np.sin(dense(sign * np.linspace(1e-4, seconds - 1e-4, 4000))[turning] / 2)
             assert np.all(np.sign(path) == np.sign(path[0]))
 
 
-def test_angle_and_radius_make_a_colour_wheel(carried):
+def test_angle_and_radius_form_a_colour_wheel(carried):
     assert carried.radius.min() == 0
     assert 0.9 < carried.radius.max() <= 1
     assert np.all((carried.angle >= 0) & (carried.angle < 2 * np.pi))
@@ -133,7 +133,7 @@ def test_angle_and_radius_make_a_colour_wheel(carried):
     ],
     ids=str,
 )
-def test_the_reference_rotating_orbits_live_inside_both_tubes(saddle, energy, state):
+def test_the_reference_rotating_orbits_lie_inside_both_tubes(saddle, energy, state):
     manifold, cut = cut_of(saddle, energy)
     system = manifold.orbit.system
     points, outlines = section_points(system, cut.section, np.array([state])), outlines_of(cut, manifold)
@@ -143,7 +143,7 @@ def test_the_reference_rotating_orbits_live_inside_both_tubes(saddle, energy, st
 
 
 def test_the_area_of_a_cut_is_the_action_of_its_orbit():
-    """Stokes: the tube's cut encloses ∮ p dq of its orbit, whatever the section."""
+    """By Stokes' theorem, the cut encloses ∮ p dq of its orbit on any section."""
     manifold, cut = cut_of("down-up", -0.07, chord=0.005)
     system, orbit = manifold.orbit.system, manifold.orbit
     outline = next(o for o in outlines_of(cut, manifold) if o.branch == 1 and not o.stable)
@@ -155,7 +155,7 @@ def test_the_area_of_a_cut_is_the_action_of_its_orbit():
     assert area == pytest.approx(action, rel=1e-4)
 
 
-def test_an_open_cut_has_no_inside_and_says_why():
+def test_an_open_cut_is_refused_with_the_reason():
     with pytest.raises(InputError, match=r"no closed cut.*grazes"):
         tube_interior(*cut_of("down-up", 0.2))
 

@@ -1,4 +1,4 @@
-"""Searches whose time was too short say that longer flights exist; branches that escape are no reason for doubt."""
+"""Searches with a short flight time report longer flights; escaping branches hide no connections."""
 
 import pytest
 from command_line import dpcontrol
@@ -17,7 +17,7 @@ def hamiltonian(q, p, _):
 
 
 @pytest.mark.slow
-def test_a_search_that_longer_flights_would_add_to_is_a_goal_missed() -> None:
+def test_a_search_that_excludes_longer_flights_misses_its_goal() -> None:
     short = dpcontrol(*THREE_BODY, "--longest", "4", "--json")
     longer = dpcontrol(*THREE_BODY, "--longest", "4.3", "--json")
     assert short.code == 1
@@ -28,7 +28,7 @@ def test_a_search_that_longer_flights_would_add_to_is_a_goal_missed() -> None:
 
 
 @pytest.mark.slow
-def test_three_bodies_have_units_of_their_own() -> None:
+def test_three_bodies_have_normalised_units() -> None:
     ended = dpcontrol("orbit", "three-body", "--saddle", "L1", "--energy", "-1.5185")
     assert ended.code == 0
     assert "at -1.5185: converged" in ended.stdout
@@ -41,8 +41,8 @@ def test_three_bodies_have_units_of_their_own() -> None:
 
 
 @pytest.mark.slow
-def test_a_branch_that_escapes_is_named_and_no_reason_for_doubt() -> None:
-    """Above the saddle, its orbit's outer branch runs down the cubic potential to infinity."""
+def test_an_escaping_branch_is_reported_and_keeps_the_search_complete() -> None:
+    """Above the saddle, the outer branch escapes to infinity along the cubic potential."""
     system = System.from_hamiltonian(
         "henon-heiles", hamiltonian, coordinates=("x", "y"), equilibria={"top": (0.0, 1.0), "left": (-0.9, -0.5)}
     )

@@ -1,4 +1,4 @@
-"""The same search in systems without angles, with one reverser, with three arms, with weightless rods."""
+"""Searches in systems without angles, with one reverser, with three arms or with massless rods."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings
 
 ENERGY = -1.5175
-# Independent values in double precision (Taylor integration), good to about 1e-11.
+# Independent values in double precision (Taylor integration), with errors of about 1e-11.
 THREE_BODY = {
     "L1": (0.9323697524160935, (0.923777498791804, 0, 0, 0.07339510442768143), 2.9706237194261025, 1813.7997792118724),
     "L2": (1.0688263265633298, (1.0559587015976588, 0, 0, 0.07082340230733564), 3.225008242523218, 1488.7507959652266),
@@ -33,7 +33,7 @@ def three_body():
 
 
 @pytest.mark.parametrize("point", THREE_BODY)
-def test_collinear_points_and_their_lyapunov_orbits_are_the_independent_ones(three_body, point):
+def test_collinear_points_and_their_lyapunov_orbits_agree_with_independent_values(three_body, point):
     x, state, period, multiplier = THREE_BODY[point]
     assert three_body.equilibrium(point)[0] == pytest.approx(x, rel=1e-14)
     orbit = lyapunov_orbit(three_body, point, energy=ENERGY)
@@ -46,7 +46,7 @@ def test_collinear_points_and_their_lyapunov_orbits_are_the_independent_ones(thr
 
 def test_l1_homoclinics_on_the_far_side_are_found_among_all(three_body):
     orbit = lyapunov_orbit(three_body, "L1", energy=ENERGY)
-    # Long enough for half a lap inside, short enough for few passages of the smaller primary.
+    # The time suffices for half an inner lap, but only for few passages of the smaller primary.
     search = find_connections(orbit, orbit, settings=ConnectionSettings(cut=CutSettings(longest=3.6)))
     for state in L1_HOMOCLINICS:
         assert min(np.abs(c.state - state).max() for c in search.connections) < STATE
@@ -68,14 +68,14 @@ def test_l1_and_l2_are_first_connected_at_the_second_crossing(three_body):
     for c in second.connections:
         assert c.residual < 1e-11
         assert c.hits == (2, 2)
-        # Flown freely, it reaches the neighbourhoods of L2 and, backward, of L1.
+        # Free propagation reaches the neighbourhoods of L2 and, backward, of L1.
         after = three_body.propagator.flow(c.state, c.time_in)
         before = three_body.propagator.flow(c.state, -c.time_out)
         assert after[0] == pytest.approx(THREE_BODY["L2"][0], abs=0.05)
         assert before[0] == pytest.approx(THREE_BODY["L1"][0], abs=0.05)
 
 
-def test_a_branch_that_scatters_chaotically_is_given_up_and_named(three_body):
+def test_a_chaotically_scattering_branch_is_stopped_and_reported(three_body):
     manifold = UnstableManifold(lyapunov_orbit(three_body, "L1", energy=ENERGY), 1e-4)
     settings = CutSettings(longest=8.0, most_jumps=15)
     cut = tube_cut(manifold, three_body.sections["L1", "L1"], settings=settings)
@@ -83,7 +83,7 @@ def test_a_branch_that_scatters_chaotically_is_given_up_and_named(three_body):
     assert "scatters before crossing 1" in cut.status
 
 
-def test_energy_has_the_papers_constant(three_body):
+def test_energy_uses_the_constant_of_the_paper(three_body):
     mu = load_model("three-body").parameters.mass_ratio
     x, y, vx, vy = state = np.array([0.4, 0.3, 0.1, -0.2])
     r1, r2 = np.hypot(x + mu, y), np.hypot(x - 1 + mu, y)

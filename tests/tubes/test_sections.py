@@ -1,4 +1,4 @@
-"""Connections on another section than the saddles' own, and later hits: orbits that come back, arms that turn twice."""
+"""Connections on other sections and at later hits, such as returning orbits and double turns."""
 
 import json
 
@@ -13,8 +13,8 @@ from dpcontrol.tubes.intersections import ConnectionSettings
 from tests.tubes.test_connections import flown_by_scipy, on_torus
 
 RESIDUAL = 1e-11
-SAME = 1e-7  # two flights of half a second with one scipy crossing between
-SHORT = 2.0  # periods: what arrives later scatters
+SAME = 1e-7  # two integrations of half a second, and a crossing found by scipy
+SHORT = 2.0  # periods; later arrivals scatter
 
 
 @pytest.fixture(scope="module")
@@ -24,14 +24,14 @@ def lab():
 
 @pytest.fixture(scope="module")
 def back(lab):
-    """Homoclinics of Down-Up at 0.2 J that cross θ₁ = θ₂ twice."""
+    """Homoclinics of Down-Up at 0.2 J with two crossings of θ₁ = θ₂."""
     orbits = orbits_between(lab, "down-up", "down-up", 0.2)
     settings = ConnectionSettings(cut=CutSettings(longest=SHORT))
     return find_connections(*orbits, hits=(1, 2), section=lab.named_sections["aligned"], settings=settings)
 
 
 def crossings_of(system, connection):
-    """Return the states at which a connection's free flight meets its section, from orbit to orbit."""
+    """Return the section crossings of a connection under free propagation."""
     section, found = connection.section, [connection.state]
     for sign, last in ((1, connection.time_in), (-1, connection.time_out)):
         state, left = system.propagator.flow(connection.state, sign * 1e-6), last - 1e-6
@@ -41,8 +41,8 @@ def crossings_of(system, connection):
     return found
 
 
-def test_homoclinics_that_come_back_cross_where_the_arms_align_both_ways(lab, back):
-    # Flights are searched up to `SHORT` only, and the status says so.
+def test_returning_homoclinics_cross_the_aligned_section_in_both_directions(lab, back):
+    # The search is limited to `SHORT`, which the status reports.
     assert "longer flights exist" in back.status
     assert len(back.connections) == 16
     assert sum(c.winding == (0, 0) for c in back.connections) == 8
@@ -55,7 +55,7 @@ def test_homoclinics_that_come_back_cross_where_the_arms_align_both_ways(lab, ba
         assert (there * again < 0) == (c.winding == (0, 0)), "what does not come back turns twice"
 
 
-def test_orbits_that_come_back_are_symmetric_where_a_mirror_exchanges_their_crossings(lab, back):
+def test_returning_orbits_are_symmetric_if_a_reverser_exchanges_their_crossings(lab, back):
     symmetric = 0
     for c in back.connections:
         first, second = crossings_of(lab, c)
@@ -65,7 +65,7 @@ def test_orbits_that_come_back_are_symmetric_where_a_mirror_exchanges_their_cros
     assert symmetric == 4
 
 
-def test_arms_that_turn_twice_do_so_by_an_independent_flight(lab, back):
+def test_double_turns_agree_with_an_independent_integration(lab, back):
     double = [c for c in back.connections if abs(c.winding[1]) == 2]
     assert len(double) == 8
     for c in double:
@@ -74,7 +74,7 @@ def test_arms_that_turn_twice_do_so_by_an_independent_flight(lab, back):
         assert np.abs(after[:2] - [0, np.pi] - 2 * np.pi * np.array(c.winding)).max() < np.pi
 
 
-def test_the_same_orbits_are_found_from_their_other_crossing(lab, back):
+def test_the_other_crossing_gives_the_same_orbits(lab, back):
     orbits = orbits_between(lab, "down-up", "down-up", 0.2)
     settings = ConnectionSettings(cut=CutSettings(longest=SHORT))
     other = find_connections(*orbits, hits=(2, 1), section=lab.named_sections["aligned"], settings=settings)
@@ -82,7 +82,7 @@ def test_the_same_orbits_are_found_from_their_other_crossing(lab, back):
         assert min(on_torus(crossings_of(lab, c)[1], d.state) for d in back.connections) < SAME
 
 
-def test_names_tell_the_section_and_the_verb_finds_them_by_it(back, capsys):
+def test_names_include_the_section_and_the_verb_accepts_them(back, capsys):
     names = [c.name for c in back.connections]
     assert len(set(names)) == len(names)
     assert all("h1.2:aligned@" in name for name in names)
@@ -108,7 +108,7 @@ def test_names_tell_the_section_and_the_verb_finds_them_by_it(back, capsys):
         ("--longest 0", "x>0"),
     ],
 )
-def test_sections_that_do_not_serve_are_refused(options, fragment, capsys):
+def test_unsuitable_sections_are_refused(options, fragment, capsys):
     line = "connect lab --from down-up --to down-up --energy 0.2 "
     with pytest.raises(SystemExit) as done:
         main((line + options).split())

@@ -1,7 +1,7 @@
-"""How far from their orbit a tube's seeds should start: the error of the cuts' crossings charted against it.
+"""Optimal distance of a tube's seeds from their orbit, by the error of the cuts' intersections.
 
-Truth is computed apart from this project in 113-bit arithmetic. Too near, rounding over the distance turns into an
-error of phase; too far, the straight vector leaves the curved manifold. The default must be at the best.
+True values were computed independently in 113-bit arithmetic. At small distances, rounding causes an error in phase. At
+large distances, the linear approximation departs from the manifold. The default must be near the optimum.
 """
 
 import numpy as np
@@ -16,8 +16,8 @@ from tests.reference_values import CONNECTIONS
 
 DISTANCES = (1e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 1e-2)
 CHARTED = (("down-up", "down-up", -0.07), ("up-down", "up-down", 0.2))
-BESIDE_THE_BEST = 3.01  # the bar: a factor of three
-REFINED = 1e-12  # after multiple shooting no distance shows any more
+BESIDE_THE_BEST = 3.01  # required: within a factor of three
+REFINED = 1e-12  # multiple shooting removes the effect of the distance
 
 
 def images(key):
@@ -28,7 +28,7 @@ def images(key):
 
 
 def off(state, truths):
-    """Scaled distance of a state from the nearest of the truths, angles modulo a turn."""
+    """Scaled distance of a state from the nearest true value, with angles modulo a turn."""
     gap = np.abs(state - truths)
     gap[:, :2] = np.abs(2 * np.sin(gap[:, :2] / 2)) / np.pi
     gap[:, 2:] /= 10
@@ -36,7 +36,7 @@ def off(state, truths):
 
 
 def unrefined_errors(key, distance):
-    """The errors of all crossings of the cuts, before they are refined from farther out."""
+    """The errors of all intersections of the cuts before refinement."""
     system, settings = load_model("lab").system, ConnectionSettings(distance=distance)
     orbit, _ = orbits_between(system, *key)
     manifold, section = UnstableManifold(orbit, distance), system.sections[key[:2]]
@@ -47,28 +47,28 @@ def unrefined_errors(key, distance):
 
 @pytest.fixture(scope="module")
 def chart():
-    """Geometric mean of the errors at each distance: single ones are as lucky as rounding is."""
+    """Geometric mean of the errors at each distance, because single errors depend on rounding."""
     return np.array([
         np.exp(np.mean(np.log([e for key in CHARTED for e in unrefined_errors(key, distance)])))
         for distance in DISTANCES
     ])  # fmt: skip
 
 
-def test_the_default_distance_is_at_the_best(chart):
+def test_the_default_distance_is_near_the_optimum(chart):
     best = DISTANCES[int(np.argmin(chart))]
     default = ConnectionSettings().distance
     assert max(best / default, default / best) < BESIDE_THE_BEST
     assert chart[DISTANCES.index(default)] < 3 * chart.min()
 
 
-def test_errors_grow_either_way_as_rounding_and_truncation_do(chart):
+def test_errors_grow_on_both_sides_like_rounding_and_truncation(chart):
     assert chart[0] > 5 * chart.min(), "rounding, which falls as the distance grows"
     growth = np.log(chart[-1] / chart[-2]) / np.log(DISTANCES[-1] / DISTANCES[-2])
     assert 1.5 < growth < 3.5, "truncation, a power of the distance"
 
 
 @pytest.mark.parametrize("distance", [DISTANCES[0], DISTANCES[-1]])
-def test_what_is_refined_does_not_depend_on_the_distance(distance):
+def test_refined_connections_are_independent_of_the_distance(distance):
     key = CHARTED[0]
     orbits = orbits_between(load_model("lab").system, *key)
     found = find_connections(*orbits, settings=ConnectionSettings(distance=distance))

@@ -1,4 +1,4 @@
-"""Symmetric connections of three arms: at isolated energies, against scipy's DOP853."""
+"""Symmetric connections of three arms at isolated energies, compared with scipy's DOP853."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def _flown(start: np.ndarray, times: np.ndarray) -> np.ndarray:
     return done.y.T
 
 
-def test_the_outermost_arm_turns_once_between_two_moments_on_one_orbit(turn: Connection) -> None:
+def test_the_outermost_arm_turns_once_between_two_visits_of_its_orbit(turn: Connection) -> None:
     assert turn.winding == (0, 0, 1)
     assert turn.symmetric
     assert turn.residual < 1e-12
@@ -44,7 +44,7 @@ def test_the_outermost_arm_turns_once_between_two_moments_on_one_orbit(turn: Con
     assert np.abs(turn.state[:3] - [0.0, 0.0, 2 * np.pi]).max() == 0.0
 
 
-def test_dop853_flies_each_segment_to_the_next_node(turn: Connection) -> None:
+def test_dop853_reaches_the_next_node_of_each_segment(turn: Connection) -> None:
     orbit = turn.orbit
     for k, state in enumerate(orbit.states[:-1]):
         assert np.abs(_flown(state, orbit.times[k : k + 2])[-1] - orbit.states[k + 1]).max() < SAME
@@ -53,8 +53,8 @@ def test_dop853_flies_each_segment_to_the_next_node(turn: Connection) -> None:
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_flown_from_the_middle_it_comes_to_its_orbit_either_way(turn: Connection, sign: float) -> None:
-    """Rounding grows on the way in as the distance shrinks: 1e-6 of a distance of 3e-7 is what is left."""
+def test_propagation_from_the_middle_reaches_the_orbit_in_both_directions(turn: Connection, sign: float) -> None:
+    """Rounding grows as the distance decreases, so the closest approach is 1e-6 for seeds at 3e-7."""
     times = sign * np.linspace(0.0, turn.orbit.times[-1], 400)
     _, distances = OrbitCurve(turn.source).distances(_flown(turn.state, times))
     assert distances[0] > 0.1
@@ -62,8 +62,8 @@ def test_flown_from_the_middle_it_comes_to_its_orbit_either_way(turn: Connection
 
 
 @pytest.mark.slow
-def test_it_exists_at_its_own_energy_only(turn: Connection) -> None:
-    """Beside that energy the tube passes the middle at a distance that grows as the energy's."""
+def test_a_symmetric_connection_exists_at_one_energy_only(turn: Connection) -> None:
+    """At other energies, the tube misses the middle in proportion to the energy difference."""
     searches = [
         find_symmetric_connections(SYSTEM, "down-down-up", energies=energies, settings=COARSE)
         for energies in ((-1.02, turn.source.energy - 1e-4), (turn.source.energy + 1e-4, -0.99))
@@ -72,7 +72,7 @@ def test_it_exists_at_its_own_energy_only(turn: Connection) -> None:
     assert all(search.status.startswith("at least 0 between") for search in searches)
 
 
-def test_the_front_door_searches_the_orbits_family(turn: Connection) -> None:
+def test_dp_connections_searches_the_orbits_family(turn: Connection) -> None:
     orbit = dp.orbit(dp.load_model("triple"), "down-down-up", energy=-1.02)
     with pytest.raises(dp.InputError, match="isolated energies"):
         dp.connections(orbit)
@@ -82,13 +82,13 @@ def test_the_front_door_searches_the_orbits_family(turn: Connection) -> None:
         dp.connections(orbit, energies=(-0.99, -1.02))
 
 
-def test_two_arms_are_told_to_give_one_energy() -> None:
+def test_two_arms_require_one_energy() -> None:
     orbit = dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07)
     with pytest.raises(dp.InputError, match="2 coordinates, so its connections form families"):
         dp.connections(orbit, energies=(-0.1, -0.07))
 
 
-def test_a_family_of_more_unstable_directions_is_left_with_a_sentence() -> None:
+def test_a_search_stops_at_a_second_unstable_direction() -> None:
     search = find_symmetric_connections(SYSTEM, "down-down-up", energies=(-0.85, -0.7), family=1, settings=COARSE)
     assert search.searched[1] < -0.7
     assert "2 unstable directions" in search.status
@@ -106,7 +106,7 @@ def test_three_arms_turn_along_the_tube_in_closed_loop_while_the_cart_moves_by_m
     assert round((run.log.truth[-1, 2] - run.log.truth[0, 2]) / (2 * np.pi)) == 1
 
 
-def test_what_is_no_walk_of_three_arms_is_refused(turn: Connection) -> None:
+def test_invalid_walks_of_three_arms_are_refused(turn: Connection) -> None:
     search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, "at least 1")
     assert dp.shadow(search, [turn.name]).connections == (turn,)
     with pytest.raises(dp.InputError, match="give each symbol as a separate walk"):

@@ -1,4 +1,4 @@
-"""Searches end: sections respect angles, and a search whose time is over says so and is not kept."""
+"""Searches end: sections respect angles, and searches at the time limit are partial and not cached."""
 
 from math import pi
 
@@ -17,7 +17,7 @@ LAB = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0
 
 
 def spring(**options):
-    """A mass on a spring that swings round its pivot: saddle upright, one angle."""
+    """A mass on a spring that swings around its pivot, with an upright saddle and one angle."""
 
     def hamiltonian(q, p, _):
         (r, angle), (p_r, p_angle) = q, p
@@ -33,8 +33,8 @@ def spring(**options):
     )
 
 
-def test_a_pendulum_on_a_spring_is_searched_where_it_hangs():
-    """As on the section that its user would name, which has always ended."""
+def test_a_pendulum_on_a_spring_is_searched_on_its_hanging_section():
+    """The default section gives the result of the hanging section."""
     named = spring(
         sections={"hanging": dp.Section.plane("hanging", (0, 1), period=2 * pi)}, between={("up", "up"): "hanging"}
     )
@@ -47,7 +47,7 @@ def test_a_pendulum_on_a_spring_is_searched_where_it_hangs():
     assert "turning-up" in spring().named_sections
 
 
-def test_two_saddles_of_an_angle_are_searched_both_ways_round():
+def test_two_saddles_of_an_angle_are_searched_in_both_directions():
     def hamiltonian(q, p, _):
         (x, angle), (p_x, p_angle) = q, p
         return (p_x**2 + p_angle**2 + x**2) / 2 + ca.cos(2 * angle) + 0.1 * x * ca.sin(angle)
@@ -65,7 +65,7 @@ def test_two_saddles_of_an_angle_are_searched_both_ways_round():
     assert turns == {0, -1}, search.status
 
 
-def test_a_search_whose_time_is_over_is_a_goal_missed_with_what_was_found():
+def test_a_search_at_its_time_limit_misses_its_goal_with_partial_results():
     shown = dpcontrol(*LAB, "--seconds", "0.001", "--json")
     assert shown.code == 1
     assert shown.document["partial"] is True
@@ -75,7 +75,7 @@ def test_a_search_whose_time_is_over_is_a_goal_missed_with_what_was_found():
     assert (whole.code, whole.document["partial"], whole.document["count"]) == (0, False, 8)
 
 
-def test_a_search_has_a_minute_by_default():
+def test_the_default_time_limit_is_one_minute():
     assert search_settings().seconds == 60.0
     assert search_settings(seconds=2.0).seconds == 2.0
 
@@ -87,7 +87,7 @@ def test_times_out_of_range_are_refused(seconds):
     assert "seconds" in shown.message
 
 
-def test_a_partial_atlas_is_not_kept(tmp_path, monkeypatch):
+def test_a_partial_atlas_is_not_cached(tmp_path, monkeypatch):
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
     model = dp.load_model("lab")
     hurried = AtlasSettings(search=search_settings(seconds=1e-3))
@@ -102,7 +102,7 @@ def test_a_partial_atlas_is_not_kept(tmp_path, monkeypatch):
     assert not any(kind.partial for one in again for kind in one.atlas.kinds)
 
 
-def test_tubes_report_how_far_they_are():
+def test_tubes_report_progress():
     told = []
     orbit = dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07)
     dp.connections(orbit, progress=lambda what, done: told.append((what, done)))
@@ -112,7 +112,7 @@ def test_tubes_report_how_far_they_are():
     assert any(what.startswith("refining") for what, _ in told)
 
 
-def test_without_a_terminal_progress_is_lines(monkeypatch, capsys):
+def test_without_a_terminal_progress_is_reported_in_lines(monkeypatch, capsys):
     monkeypatch.setattr(progress_module, "_LINE", 0.0)
     orbit = dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07)
     dp.connections(orbit)
@@ -121,7 +121,7 @@ def test_without_a_terminal_progress_is_lines(monkeypatch, capsys):
     assert all(line.startswith("connections: ") and "% after" in line for line in told)
 
 
-def test_a_part_of_a_budget_never_outlasts_it():
+def test_a_part_of_a_budget_does_not_exceed_it():
     assert Budget(1.0).part(5.0).seconds <= 1.0
     assert Budget(10.0).until(0.4).seconds == pytest.approx(4.0, rel=1e-3)
     assert Budget(float("inf")).until(0.5).seconds == float("inf")
@@ -129,7 +129,7 @@ def test_a_part_of_a_budget_never_outlasts_it():
 
 
 @pytest.mark.slow
-def test_three_bodies_have_no_joules_in_any_search():
+def test_searches_with_three_bodies_do_not_mention_joules():
     begin = ("three-body", "--energy", "-1.5175")
     texts = [
         dpcontrol("atlas", *begin).stdout,

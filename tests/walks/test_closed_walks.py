@@ -38,7 +38,7 @@ def exponents(system, orbit, rounds=3):
 
 
 @pytest.mark.slow
-def test_random_closed_walks_become_periodic_orbits(edges):
+def test_random_closed_walks_give_periodic_orbits(edges):
     solver, classifier = WalkSolver(edges.connections), WalkClassifier(edges.system, edges.connections)
     for asked in drawn_requests(edges, 10, lengths=(1, 8), extra=(0, 4), seed=7, periodic=True):
         wraps = [n + more for n, more in zip(solver.least(asked.chain, periodic=True), asked.extra, strict=True)]
@@ -54,7 +54,7 @@ def test_random_closed_walks_become_periodic_orbits(edges):
 
 
 @pytest.mark.slow
-def test_a_turn_repeated_four_times_is_one_orbit_run_four_times(edges):
+def test_four_equal_turns_give_the_orbit_of_one_turn(edges):
     solver, classifier = WalkSolver(edges.connections), WalkClassifier(edges.system, edges.connections)
     turn = edges.between("up-down", "up-down")[0]
     once, often = (solver.solve([turn] * k, [1] * k, periodic=True) for k in (1, 4))

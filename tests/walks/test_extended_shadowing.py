@@ -82,7 +82,7 @@ def test_a_closed_walk_returns_in_one_flight(lab, refined_dance):
 
 
 @pytest.mark.slow
-def test_other_nodes_give_the_same_digits(turns, refined_dance):
+def test_different_nodes_give_the_same_digits(turns, refined_dance):
     denser = shadow([turns["+"], turns["-"]], wraps=[1, 2], periodic=True, settings=ShadowingSettings(segments=11))
     other = refine(denser.shot.solution)
     gap = other.states[other.marked[0]] - refined_dance.states[refined_dance.marked[0]]
@@ -90,7 +90,7 @@ def test_other_nodes_give_the_same_digits(turns, refined_dance):
     assert str(other.duration)[:26] == str(refined_dance.duration)[:26]
 
 
-def test_a_symmetric_orbit_lies_on_its_mirror(turns):
+def test_a_symmetric_orbit_meets_its_symmetry_line(turns):
     refined = refine(shadow([turns["+"]], wraps=[1], periodic=True).shot.solution)
     assert refined.converged
     state = refined.states[refined.marked[0]]
@@ -99,7 +99,7 @@ def test_a_symmetric_orbit_lies_on_its_mirror(turns):
 
 
 @pytest.mark.benchmark
-def test_connections_of_the_rotating_orbit_mirror_each_other(lab):
+def test_connections_of_the_rotating_orbit_are_mirror_images(lab):
     """Searched and refined apart: one leaves the rotating orbit, the other joins it; λ = -2.74 at that end."""
     vertex = rotating_vertex(rotating_orbits(lab.system, 2, -0.06985)[-1])
     saddle = lyapunov_orbit(lab.system, "down-up", energy=-0.06985)
@@ -119,7 +119,7 @@ def test_connections_of_the_rotating_orbit_mirror_each_other(lab):
     assert np.abs(gap).max() < 1e-18
 
 
-def test_too_few_steps_are_a_status(dance):
+def test_too_few_steps_are_reported_in_the_status(dance):
     refined = refine(dance.shot.solution, settings=RefinementSettings(iterations=0))
     assert not refined.converged
     assert refined.status.startswith("not refined: the gap stays at ")

@@ -18,14 +18,14 @@ def graph():
     return connection_graph(orbits, [(a, b, SimpleNamespace(name=name)) for name, a, b in edges])
 
 
-def test_every_orbit_is_a_node_and_every_connection_an_edge_of_its_own(graph):
+def test_every_orbit_is_a_node_and_every_connection_an_edge(graph):
     assert set(graph.nodes) == {"a", "b", "c", "c family 1"}
     assert graph.number_of_edges("a", "a") == 2
     assert graph.edges["a", "b", "ab"]["connection"].name == "ab"
     assert graph.nodes["a"]["orbit"].name == "a"
 
 
-def test_as_many_walks_as_the_adjacency_matrix_raised_to_their_length_counts(graph):
+def test_the_number_of_walks_is_a_power_of_the_adjacency_matrix(graph):
     names = list(graph.nodes)
     adjacency = np.array([[graph.number_of_edges(a, b) for b in names] for a in names])
     for length in (1, 2, 5):

@@ -46,7 +46,7 @@ def found(system, aligned):
 
 
 @pytest.mark.slow
-def test_every_connection_of_another_section_can_stand_in_a_walk(aligned, found):
+def test_connections_on_other_sections_can_be_symbols(aligned, found):
     assert aligned
     assert all(":aligned@" in c.name for c in aligned)
     assert [c.name for c in found.named] == [c.name for c in aligned]
@@ -60,7 +60,7 @@ def test_every_connection_of_another_section_can_stand_in_a_walk(aligned, found)
 
 
 @pytest.mark.slow
-def test_what_a_name_asks_for_changes_no_other_symbol_and_no_count(edges, found):
+def test_named_symbols_do_not_change_other_symbols_or_counts(edges, found):
     """The symbol "down-up +" is the most transversal of the first hits, whatever is searched beside them."""
     assert found.named
     assert [c.name for c in found.connections] == [c.name for c in edges.connections]
@@ -68,7 +68,7 @@ def test_what_a_name_asks_for_changes_no_other_symbol_and_no_count(edges, found)
 
 
 @pytest.mark.slow
-def test_second_hits_are_searched_for_the_pair_that_names_them_only(system):
+def test_second_hits_are_searched_only_for_the_named_pair(system):
     pairs = [("down-up", "down-up"), ("up-down", "up-down")]
     name = "up-down>up-down[1,0]h1.2@0.0000,0.0000"
     found = walk_edges(system, 0.2, name, pairs=pairs)
@@ -77,7 +77,7 @@ def test_second_hits_are_searched_for_the_pair_that_names_them_only(system):
         resolve([name], found)
 
 
-def test_a_grown_edge_is_solved_for_by_what_it_is_made_of(edges):
+def test_a_composite_edge_is_solved_from_its_parts(edges):
     (edge,) = resolve([GROWN], edges)
     plain = resolve(["down-up +", "down-up -"], edges)
     orbit = shadow(plain, wraps=[1])
@@ -90,7 +90,7 @@ def test_a_grown_edge_is_solved_for_by_what_it_is_made_of(edges):
     assert np.abs(again.state - twice.sample(twice.symbol_times[:1])[0]).max() < SAME_ORBIT
 
 
-def test_grown_edges_know_their_simple_symbols():
+def test_composite_edges_list_their_elementary_symbols():
     symbol = parse_symbol(f"({GROWN})·3·(down-up > up-down)", SADDLES)
     assert [s.text for s in symbol.simple] == ["down-up +", "down-up -", "down-up > up-down"]
     assert (symbol.source, symbol.target, symbol.wraps) == ("down-up", "up-down", (3,))
@@ -101,7 +101,7 @@ def test_grown_edges_know_their_simple_symbols():
     assert expanded(walk, (4, 5)) == (texts, (1, 3, 4, 5))
 
 
-def test_grown_edges_that_cannot_be_are_refused(edges):
+def test_invalid_composite_edges_are_refused(edges):
     with pytest.raises(InputError, match='put "up-down > down-up" between them'):
         resolve(["(down-up > up-down)·1·(down-up +)"], edges)
     with pytest.raises(InputError, match="lead from down-up to down-up"):
@@ -112,7 +112,7 @@ def test_grown_edges_that_cannot_be_are_refused(edges):
         resolve(["(down-up > up-down)·1·(up-down +)"], edges)
 
 
-def test_a_grown_edge_with_too_few_wraps_names_the_least(system):
+def test_a_composite_edge_with_too_few_wraps_reports_the_minimum(system):
     found = find_edges(system, HAIR, pairs=[("up-down", "up-down")])
     with pytest.raises(GoalMissed, match=r"symbol 1 of 1 .*too few: must be at least \[\d\]"):
         resolve(["(up-down +)·0·(up-down +)"], found)
@@ -132,7 +132,7 @@ def test_rotating_orbits_are_vertices_by_name(system):
 
 
 @pytest.mark.slow
-def test_walks_turn_at_a_rotating_orbit_as_often_as_asked(system):
+def test_walks_turn_at_a_rotating_orbit_the_given_number_of_times(system):
     texts = ("down-up > outer-rotating", "outer-rotating > down-up")
     found = walk_edges(system, LOW, *texts)
     assert "outer-rotating" in found.saddles
@@ -150,7 +150,7 @@ def test_walks_turn_at_a_rotating_orbit_as_often_as_asked(system):
     assert [c.name for c in through(stops, find_edges(system, LOW, symbols=ways(stops)))] == named
 
 
-def test_rotating_orbits_that_are_not_there_are_told_of(system, edges):
+def test_missing_rotating_orbits_are_reported(system, edges):
     with pytest.raises(InputError, match=r"no 'inner-rotating' at -0.07 J: 0 orbits were found"):
         walk_edges(system, -0.07, "down-up > inner-rotating")
     with pytest.raises(InputError, match="go by way of a saddle"):
@@ -165,7 +165,7 @@ def test_rotating_orbits_that_are_not_there_are_told_of(system, edges):
         rotating_connections(saddle, orbit, section="inner-down")
 
 
-def test_symbols_without_names_choose_among_what_they_are_given(edges):
+def test_unnamed_symbols_select_the_most_transversal_symmetric_connection(edges):
     """The rule that stands in the documentation: symmetric if there is one, and of those the most transversal."""
     chosen = choose(parse_symbol("down-up +", SADDLES), edges.connections)
     rivals = [c for c in edges.connections if c.sense > 0 and c.symmetric]

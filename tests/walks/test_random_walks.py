@@ -33,7 +33,7 @@ def solver(edges):
 
 
 @pytest.mark.benchmark
-def test_random_walks_become_the_orbits_that_were_asked_for(edges, classifier, solver):
+def test_random_walks_give_the_requested_orbits(edges, classifier, solver):
     for asked in drawn_requests(edges, 25, lengths=(1, 16), extra=(0, 4), seed=SEED, periodic=False):
         least = solver.least(asked.chain)
         wraps = [n + more for n, more in zip(least, asked.extra, strict=True)]
@@ -54,7 +54,7 @@ def test_leads_of_any_length_are_part_of_the_orbit(edges, classifier, solver, le
     assert orbit.duration == pytest.approx(first.time_out + between + last.time_in + spare, abs=1e-9)
 
 
-def test_forty_wraps_are_tiled_and_do_not_wander_off(edges, classifier, solver):
+def test_forty_wraps_stay_near_the_periodic_orbit(edges, classifier, solver):
     chain = next(
         asked.chain for asked in drawn_requests(edges, 9, lengths=(3, 3), extra=(0, 0), seed=SEED, periodic=False)
     )
@@ -65,14 +65,14 @@ def test_forty_wraps_are_tiled_and_do_not_wander_off(edges, classifier, solver):
 
 
 @pytest.mark.slow
-def test_a_walk_of_128_symbols_is_as_good_as_a_short_one(edges, classifier, solver):
+def test_a_walk_of_128_symbols_is_as_accurate_as_a_short_one(edges, classifier, solver):
     orbit = solver.solve(random_walk(edges, 128, np.random.default_rng(SEED)), [1] * 127)
     assert orbit.converged, orbit.status
     assert orbit.residual < RESIDUAL
     assert classifier.complaints(orbit) == []
 
 
-def test_one_turn_repeated_twenty_times_is_no_other_orbit(edges, classifier, solver):
+def test_one_turn_repeated_twenty_times_keeps_its_orbit(edges, classifier, solver):
     for connection in edges.between("up-down", "up-down")[:2]:
         orbit = solver.solve([connection] * 20, [0] * 19)
         assert orbit.converged, orbit.status

@@ -51,7 +51,7 @@ def test_a_turn_is_shadowed_with_its_leads(turns):
     assert ends[1, 1] - ends[0, 1] == pytest.approx(2 * np.pi, abs=1.5)
 
 
-def test_a_walk_over_both_saddles_keeps_energy_and_winding(system, connections):
+def test_a_walk_over_both_saddles_conserves_energy_and_winding(system, connections):
     walked = chain(connections, ROUND_TRIP)
     orbit = shadow(walked, wraps=[2, 3, 2])
     assert orbit.converged
@@ -66,7 +66,7 @@ def test_a_walk_over_both_saddles_keeps_energy_and_winding(system, connections):
     assert np.abs((last.max(0) + last.min(0)) / 2 - home).max() < 0.1
 
 
-def test_samples_are_one_trajectory(system, connections):
+def test_samples_lie_on_one_trajectory(system, connections):
     orbit = shadow(chain(connections, ROUND_TRIP[:2]), wraps=[1])
     times = np.linspace(0.0, orbit.duration, 400)
     states = orbit.sample(times)
@@ -88,7 +88,7 @@ def test_wraps_lengthen_a_stop_by_whole_periods(connections):
     assert stays[2] == pytest.approx(expected, abs=1e-3)
 
 
-def test_the_orbit_does_not_depend_on_the_number_of_segments(connections):
+def test_the_orbit_is_independent_of_the_number_of_segments(connections):
     walked = chain(connections, ROUND_TRIP[:2])
     coarse, fine = (shadow(walked, wraps=[1], settings=ShadowingSettings(segments=s)) for s in (8, 16))
     assert coarse.converged
@@ -97,7 +97,7 @@ def test_the_orbit_does_not_depend_on_the_number_of_segments(connections):
     assert np.abs(coarse.sample(times) - fine.sample(times)).max() < 1e-9
 
 
-def test_segments_too_long_for_the_multiplier_are_noticed(connections):
+def test_segments_too_long_for_the_multiplier_are_detected(connections):
     """One segment of a whole period multiplies rounding by λ = 2,000: the gap cannot close to 1e-12."""
     walked = chain(connections, ["down-up +", "down-up -"])
     tight = NewtonSettings(tolerance=1e-12)
@@ -109,7 +109,7 @@ def test_segments_too_long_for_the_multiplier_are_noticed(connections):
     assert long.residual > 5 * short.residual
 
 
-def test_plus_stands_for_the_most_transversal_symmetric_connection(turns):
+def test_plus_selects_the_most_transversal_symmetric_connection(turns):
     for sense in (1, -1):
         chosen = choose(parse_symbol(f"down-up {'+' if sense > 0 else '-'}", SADDLES), turns)
         rivals = [c for c in turns if c.sense == sense and c.symmetric]
@@ -122,7 +122,7 @@ def test_a_connection_can_be_named(turns):
         assert choose(parse_symbol(connection.name, SADDLES), turns) is connection
 
 
-def test_a_name_of_another_energy_is_refused_with_those_that_exist(turns):
+def test_a_name_from_another_energy_is_refused_with_the_available_ones(turns):
     with pytest.raises(InputError, match=r"no connection is named .* available: down-up>down-up"):
         choose(parse_symbol("down-up>down-up[0,1]h1.1@9.0000,9.0000", SADDLES), turns)
 
@@ -138,7 +138,7 @@ def test_a_name_of_another_energy_is_refused_with_those_that_exist(turns):
         (["down-up +", "up-down +"], 'ends at down-up, symbol 2 .* put "down-up > up-down" between'),
     ],
 )
-def test_walks_that_cannot_be_walked_are_refused(walk, fragment):
+def test_invalid_walks_are_refused(walk, fragment):
     with pytest.raises(InputError, match=fragment):
         parse_walk(walk, SADDLES)
 
@@ -146,7 +146,7 @@ def test_walks_that_cannot_be_walked_are_refused(walk, fragment):
 @pytest.mark.parametrize(
     ("wraps", "fragment"), [([], "1 interior stop;"), ([1, 2], "1 interior stop;"), ([-1], "zero or more")]
 )
-def test_wraps_that_do_not_fit_are_refused(turns, wraps, fragment):
+def test_invalid_wraps_are_refused(turns, wraps, fragment):
     with pytest.raises(InputError, match=fragment):
         shadow([turns[0], turns[1]], wraps=wraps)
 
@@ -157,7 +157,7 @@ def test_walks_of_two_energies_are_refused(turns, connections):
 
 
 @pytest.mark.parametrize("periodic", [False, True])
-def test_a_guess_off_by_a_thousandth_leads_to_the_same_orbit(system, connections, periodic):
+def test_a_guess_with_an_error_of_a_thousandth_gives_the_same_orbit(system, connections, periodic):
     """Noise on all nodes: at the ends it is 1e5 times what the orbit is away from its first and last orbits."""
     walked = chain(connections, ROUND_TRIP)
     wraps = [1, 0, 2, 1][: 4 if periodic else 3]

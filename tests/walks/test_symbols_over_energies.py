@@ -16,7 +16,7 @@ def printed():
 
 
 @pytest.mark.slow
-def test_a_symbol_that_stands_for_another_motion_is_reported_with_the_energy(printed):
+def test_a_change_of_the_selected_motion_is_reported_with_its_energy(printed):
     shown = dpcontrol("walk", "printed", "--energy", "0.19", "-s", "down-up +", "--compare", "0.195", "--json")
     assert shown.code == 0
     changes = shown.document["symbol_changes"]
@@ -30,7 +30,7 @@ def test_a_symbol_that_stands_for_another_motion_is_reported_with_the_energy(pri
 
 
 @pytest.mark.slow
-def test_a_connection_is_followed_where_its_symbol_leaves_it(printed):
+def test_a_connection_is_followed_beyond_the_change_of_its_symbol(printed):
     first = printed.chosen(0.19)
     assert first is not None
     there = printed.followed(first, 0.195)
@@ -46,7 +46,7 @@ def test_a_connection_is_followed_where_its_symbol_leaves_it(printed):
     assert back.name == first.name
 
 
-def test_a_symbol_that_keeps_its_motion_has_no_changes():
+def test_a_symbol_with_a_single_motion_has_no_changes():
     system = load_model("lab").system
     branches = SymbolBranches(system, parse_symbol("down-up -", system.saddles))
     assert branches.changes(-0.071, -0.07) == ()
@@ -58,7 +58,7 @@ def test_a_symbol_that_keeps_its_motion_has_no_changes():
     assert followed.name == end.name
 
 
-def test_a_place_is_halved_from_either_side():
+def test_bisection_works_in_both_directions():
     for low, high in ((0.0, 1.0), (1.0, 0.0)):
         last, first = bisected(low, high, lambda x, low=low: abs(x - low) < 0.3)
         assert abs(last - low) < 0.3 <= abs(first - low)
@@ -74,7 +74,7 @@ def test_a_place_is_halved_from_either_side():
         (("--compare", "nan", "-s", "down-up +"), "finite"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(options, words):
+def test_invalid_comparisons_are_refused(options, words):
     shown = dpcontrol("walk", "lab", "--energy", "-0.07", *options)
     assert shown.code == 2
     assert words in shown.message

@@ -53,7 +53,7 @@ def around(orbit, times):
     return orbit.sample(times + orbit.symbol_times[0])
 
 
-def test_a_walk_of_one_symbol_is_its_own_connection(found):
+def test_a_walk_of_one_symbol_is_its_connection(found):
     for connection in found[:3]:
         same = as_connection(shadow([connection]))
         assert np.abs(same.state - connection.state).max() < SAME_ORBIT
@@ -64,7 +64,7 @@ def test_a_walk_of_one_symbol_is_its_own_connection(found):
         assert same.transversality_angle == pytest.approx(connection.transversality_angle, abs=SAME_ANGLE)
 
 
-def test_a_grown_edge_is_an_edge_of_longer_walks(turn, back, other, grown):
+def test_a_composite_edge_can_be_part_of_longer_walks(turn, back, other, grown):
     plain = shadow([turn, back, other], wraps=[1, 2])
     short = shadow([grown, other], wraps=[2])
     assert short.converged
@@ -74,7 +74,7 @@ def test_a_grown_edge_is_an_edge_of_longer_walks(turn, back, other, grown):
     assert np.abs(around(short, times) - around(plain, times)).max() < SAME_ORBIT
 
 
-def test_a_grown_edge_may_come_later_and_may_be_grown_again(turn, back, other, grown):
+def test_composite_edges_may_be_nested_and_come_later(turn, back, other, grown):
     plain = shadow([other, turn, back, turn], wraps=[2, 1, 2])
     again = as_connection(shadow([other, grown], wraps=[2]))
     short = shadow([again, turn], wraps=[2])
@@ -84,7 +84,7 @@ def test_a_grown_edge_may_come_later_and_may_be_grown_again(turn, back, other, g
     assert np.abs(around(short, times) - around(plain, times)).max() < SAME_ORBIT
 
 
-def test_closed_walks_may_hold_grown_edges(turn, back, other, grown):
+def test_closed_walks_may_contain_composite_edges(turn, back, other, grown):
     plain = shadow([turn, back, other], wraps=[1, 2, 1], periodic=True)
     short = shadow([grown, other], wraps=[2, 1], periodic=True)
     assert short.converged
@@ -98,7 +98,7 @@ def test_closed_walks_may_hold_grown_edges(turn, back, other, grown):
     assert logs[1] == pytest.approx(logs[0], abs=1e-8)
 
 
-def test_a_grown_edge_leaves_as_its_first_symbol_does(turn, back, other, grown):
+def test_a_composite_edge_leaves_like_its_first_symbol(turn, back, other, grown):
     """Its stable tube passes the stop's own within λ^-(2 wraps + 2) or so: there it crosses as the first symbol's."""
     for edge, crossings in ((grown, 2), (as_connection(shadow([turn, back, other], wraps=[1, 1])), 3)):
         assert edge.hits == (1, crossings)
@@ -113,7 +113,7 @@ def test_a_grown_edge_leaves_as_its_first_symbol_does(turn, back, other, grown):
         assert phase == pytest.approx(edge.phase_in, abs=1e-9)
 
 
-def test_a_symmetric_edge_is_its_own_mirror_image(turn, back, found):
+def test_a_symmetric_edge_equals_its_mirror_image(turn, back, found):
     """Forth and back is mirrored into itself; a turn and its mirror image's neighbour are not."""
     assert as_connection(shadow([turn, back], wraps=[2])).symmetric
     assert as_connection(shadow([turn, turn], wraps=[2])).symmetric
@@ -122,7 +122,7 @@ def test_a_symmetric_edge_is_its_own_mirror_image(turn, back, found):
     assert not as_connection(shadow([turn, lopsided, turn], wraps=[2, 2])).symmetric
 
 
-def test_a_heteroclinic_round_trip_becomes_a_homoclinic_edge(system):
+def test_a_heteroclinic_round_trip_gives_a_homoclinic_edge(system):
     pairs = [("down-up", "up-down"), ("up-down", "down-up")]
     there, home = (find_connections(*orbits_between(system, *pair, 0.2)).connections[0] for pair in pairs)
     edge = as_connection(shadow([there, home], wraps=[1]))
@@ -138,7 +138,7 @@ def test_a_heteroclinic_round_trip_becomes_a_homoclinic_edge(system):
     )
 
 
-def test_the_name_tells_what_a_grown_edge_is_made_of(turn, back, other, grown):
+def test_the_name_of_a_composite_edge_lists_its_parts(turn, back, other, grown):
     assert components(grown.name) == ((turn.name, back.name), (1,))
     again = as_connection(shadow([grown, other], wraps=[2]))
     assert components(again.name) == ((grown.name, other.name), (2,))
@@ -147,11 +147,11 @@ def test_the_name_tells_what_a_grown_edge_is_made_of(turn, back, other, grown):
         assert components(name) is None
 
 
-def test_a_grown_edge_can_be_named_in_a_walk(found, grown):
+def test_a_composite_edge_can_be_named_in_a_walk(found, grown):
     assert choose(parse_symbol(grown.name, SADDLES), [*found, grown]) is grown
 
 
-def test_orbits_that_connect_nothing_are_refused(turn):
+def test_orbits_without_connections_are_refused(turn):
     with pytest.raises(InputError, match="the orbit is periodic"):
         as_connection(shadow([turn], wraps=[1], periodic=True))
     hopeless = ShadowingSettings(newton=NewtonSettings(iterations=0))

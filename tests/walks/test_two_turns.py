@@ -68,7 +68,7 @@ def spiral(turn, manifold, section):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(4))
-def test_every_pair_of_turns_is_found_again_among_second_hits(turns, first):
+def test_every_pair_of_turns_is_among_the_second_hits(turns, first):
     # Only one branch of a tube is searched where a symmetry mirrors the other.
     plus = [c for c in turns.connections if c.orbit.start.amplitude > 0]
     assert len(plus) == 4

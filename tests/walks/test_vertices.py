@@ -51,7 +51,7 @@ def into(rotating, lyapunov, section):
     return find_lap_connections(lyapunov, rotating, section=section)
 
 
-def test_a_negative_multiplier_makes_the_manifold_one_sided(system, rotating):
+def test_a_negative_multiplier_gives_a_one_sided_manifold(system, rotating):
     manifold = local_manifold(rotating)
     assert manifold.exponent == pytest.approx(np.log(-MULTIPLIER), abs=1e-12)
     frame = manifold.frame(np.array([0.3, 1.3, 2.3, -0.7]))
@@ -63,7 +63,7 @@ def test_a_negative_multiplier_makes_the_manifold_one_sided(system, rotating):
     assert np.abs(matrix @ frame.vectors[0] - MULTIPLIER * frame.vectors[0]).max() < FLOWN
 
 
-def test_the_frame_moves_with_the_flow_and_is_mirrored(system, rotating):
+def test_the_frame_follows_the_flow_and_is_symmetric(system, rotating):
     orbit = rotating
     manifold = local_manifold(orbit)
     phases = np.linspace(-0.6, 1.6, 23)
@@ -85,7 +85,7 @@ def test_the_frame_moves_with_the_flow_and_is_mirrored(system, rotating):
     assert np.abs(slope - frame.vector_slopes).max() < 1e-5 * np.abs(slope).max()
 
 
-def test_the_curve_of_a_turning_orbit_finds_its_phases(rotating):
+def test_the_curve_of_a_rotating_orbit_finds_its_phases(rotating):
     curve = OrbitCurve(rotating)
     phases = np.array([0.0, 0.2, 0.77, 0.999])
     states = local_manifold(rotating).frame(phases + np.array([0, 3, -2, 1])).states
@@ -111,7 +111,7 @@ def test_connections_leave_the_rotating_orbit_and_join_it(system, rotating, lyap
     assert out.connections[0].name.startswith("outer-rotating>down-up[0,")
 
 
-def test_the_mirror_turns_one_search_into_the_other(system, out, into):
+def test_the_symmetry_maps_one_search_to_the_other(system, out, into):
     """(θ, ω)(t) to (-θ, ω)(-t) keeps the rotating orbit and Down-Up: the searches know nothing of each other."""
     assert len(out.connections) == len(into.connections)
     for c in out.connections:

@@ -35,7 +35,7 @@ def crossing(system):
     return find_edges(system, CROSSING_BORN + HAIR, pairs=pairs)
 
 
-def test_no_wraps_are_too_few_between_turns_that_have_just_been_born(system, tangent):
+def test_zero_wraps_are_too_few_just_above_the_saddle_node(system, tangent):
     solver, classifier = WalkSolver(tangent.connections), WalkClassifier(system, tangent.connections)
     plus = [c for c in tangent.connections if c.sense > 0]
     assert len(plus) == 2
@@ -50,7 +50,7 @@ def test_no_wraps_are_too_few_between_turns_that_have_just_been_born(system, tan
         assert classifier.complaints(solver.solve(walk, [1])) == []
 
 
-def test_the_least_wraps_of_a_closed_walk_cannot_be_lowered_anywhere(system, tangent):
+def test_the_fewest_wraps_of_a_closed_walk_cannot_be_reduced(system, tangent):
     solver, classifier = WalkSolver(tangent.connections), WalkClassifier(system, tangent.connections)
     plus = [c for c in tangent.connections if c.sense > 0]
     walk = [plus[0], plus[1], plus[0]]
@@ -63,7 +63,7 @@ def test_the_least_wraps_of_a_closed_walk_cannot_be_lowered_anywhere(system, tan
 
 
 @pytest.mark.slow
-def test_the_nearly_tangent_symbol_among_transversal_ones_is_the_one_at_fault(system, crossing):
+def test_the_nearly_tangent_symbol_is_reported_as_the_cause(system, crossing):
     solver, classifier = WalkSolver(crossing.connections), WalkClassifier(system, crossing.connections)
     turns = [c for c in crossing.between("down-up", "down-up") if c.symmetric and c.transversality_angle > 20]
     blamed = 0
@@ -81,7 +81,7 @@ def test_the_nearly_tangent_symbol_among_transversal_ones_is_the_one_at_fault(sy
     assert blamed > 0
 
 
-def test_an_orbit_that_follows_the_twin_is_not_passed_off_as_the_one_asked_for(tangent):
+def test_an_orbit_that_follows_the_twin_is_reported(tangent):
     """Twins 1e-5 apart: what was solved for one is described as the other's."""
     first, twin = (c for c in tangent.connections if c.sense > 0)
     shot = solve_shooting(first_guess([first, twin, first], [2, 2]))
@@ -95,7 +95,7 @@ def test_an_orbit_that_follows_the_twin_is_not_passed_off_as_the_one_asked_for(t
     assert "more wraps" in wrong.status
 
 
-def test_wraps_other_than_asked_are_not_passed_off(tangent):
+def test_wraps_other_than_requested_are_reported(tangent):
     turn = tangent.connections[0]
     shot = solve_shooting(first_guess([turn, turn], [2]))
     wrong = described(shot, (turn, turn), [3], rivals=tangent.connections)
@@ -104,7 +104,7 @@ def test_wraps_other_than_asked_are_not_passed_off(tangent):
     assert "wraps [2] instead of [3]" in wrong.status
 
 
-def test_one_node_a_period_is_too_few_and_the_sentence_says_so(crossing):
+def test_one_node_per_period_is_reported_as_too_few(crossing):
     """λ = 1,880 a period: rounding of rates of 20 rad/s leaves no gap below 1e-12."""
     walk = [crossing.between("down-up", "up-down")[0], crossing.between("up-down", "down-up")[0]]
     tight = NewtonSettings(tolerance=1e-12)
