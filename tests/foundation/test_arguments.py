@@ -1,4 +1,4 @@
-"""Arguments of Python functions that are of the wrong kind are refused in a sentence that names them."""
+"""Arguments of the wrong type are refused by name."""
 
 from math import inf, nan
 

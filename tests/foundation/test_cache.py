@@ -1,4 +1,4 @@
-"""The cache: what was kept and nothing else, and never a reason to stop."""
+"""The cache returns only what was stored, and its failures are never fatal."""
 
 import errno
 import os
@@ -122,7 +122,7 @@ def test_a_cache_that_cannot_be_emptied_is_a_sentence(root: Path, monkeypatch: p
 
 
 def forbidden(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    """Let the system refuse every look into a folder, as it refuses users who may not search it."""
+    """Make the system deny access to a folder, as for users without search permission."""
     plain = os.stat
 
     def refused(path: object, **options: object) -> os.stat_result:
@@ -165,7 +165,7 @@ COMPILES = "from dpcontrol.dynamics.compiled import hy; x = hy.make_vars('x'); h
 
 
 def compiled(folder: Path) -> subprocess.CompletedProcess[str]:
-    """Compile a formula in a process of its own, whose home is empty."""
+    """Compile a formula in a separate process with an empty home folder."""
     env = {**os.environ, "DPCONTROL_CACHE": str(folder), "XDG_CACHE_HOME": "", "HOME": str(folder.parent / "home")}
     return subprocess.run([sys.executable, "-c", COMPILES], env=env, capture_output=True, text=True, check=True)
 
@@ -193,7 +193,7 @@ def test_a_cache_of_heyoka_that_fails_spoils_no_answer(root: Path, damage: str) 
 
 
 def test_every_kind_is_written_by_what_makes_it() -> None:
-    """No module keeps anything by other means than the store, which seals it."""
+    """All modules use the store, which adds the checksum."""
     package = Path(store.__file__).parents[1]
     users = [file.read_text() for file in package.rglob("*.py") if file.name not in ("cache.py", "api.py")]
     assert {kind for text in users for kind in re.findall(r"cache_file\(\"([\w-]+)\"", text)} == set(KINDS)

@@ -1,4 +1,4 @@
-"""Files are whole or absent, and what killed writers left behind goes."""
+"""Files are complete or absent, and temporary files of killed writers are removed."""
 
 import os
 import signal

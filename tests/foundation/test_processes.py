@@ -1,4 +1,4 @@
-"""Workers end with the process that started them, however that one ends."""
+"""Workers exit with their parent process, regardless of how it ends."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ import psutil
 import pytest
 
 PATIENCE = 60.0
-"""Seconds after which workers count as left for ever, as they were; it takes them a moment."""
+"""Time after which workers count as orphaned, s."""
 
 POOL = """
 import time
@@ -30,14 +30,14 @@ BenchProcess(SimpleNamespace(rehearse=partial(time.sleep, 600.0)))
 @pytest.mark.parametrize(
     ("does", "children", "killed_by"),
     [
-        # Two workers and the process that keeps book of what they share.
+        # Two workers and the resource tracker.
         (POOL, 3, (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP)),
-        # Two processes import the rig's modules one after the other.
+        # Two processes import the rig's modules in sequence.
         pytest.param(BENCH, 2, (signal.SIGKILL,), marks=pytest.mark.slow),
     ],
 )
 def test_workers_end_with_a_killed_parent(does: str, children: int, killed_by: tuple[signal.Signals, ...]) -> None:
-    # Under nohup, and in what it starts, a hangup is ignored.
+    # Processes under nohup ignore a hangup.
     killed_by = tuple(number for number in killed_by if signal.getsignal(number) is not signal.SIG_IGN)
     quiet = {"start_new_session": True, "stderr": subprocess.DEVNULL}
     parents = [subprocess.Popen([sys.executable, "-c", does], **quiet) for _ in killed_by]
@@ -49,7 +49,7 @@ def test_workers_end_with_a_killed_parent(does: str, children: int, killed_by: t
                 time.sleep(0.02)
             families += family
         for parent, number in zip(parents, killed_by, strict=True):
-            # To the parent alone, as `kill` and the kernel's out-of-memory killer do.
+            # The signal goes to the parent only, as from `kill` and the out-of-memory killer.
             os.kill(parent.pid, number)
             assert parent.wait() == -number
         _, left = psutil.wait_procs(families, timeout=PATIENCE)

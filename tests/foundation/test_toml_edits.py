@@ -1,4 +1,4 @@
-"""A table's keys are set in TOML text, and nothing else changes: comments, order, spacing, line ends."""
+"""Edits of TOML text change only the given keys, not comments, order, spacing or line ends."""
 
 import tomllib
 

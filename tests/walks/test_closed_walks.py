@@ -1,6 +1,6 @@
-"""Closed walks become periodic orbits: they close, keep their walk for another round, and have reciprocal multipliers.
+"""Closed walks give periodic orbits with reciprocal multipliers.
 
-The multipliers are found again by QR factors of state-transition matrices that are flown one by one.
+The multipliers are compared with QR factors of separately integrated state-transition matrices.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from dpcontrol.walks.shadowing import WalkSolver
 from dpcontrol.walks.walks import drawn_requests
 
 CLOSURE = 1e-11
-RECIPROCAL = 1e-8  # λ ≈ 1e3 a symbol: rounding of the state-transition matrices' small parts
+RECIPROCAL = 1e-8  # λ ≈ 1e3 per symbol: rounding of small parts of the state-transition matrices
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def edges():
 
 
 def exponents(system, orbit, rounds=3):
-    """Return the logarithms of the multipliers' absolute values, by QR iteration around the orbit."""
+    """Return the logarithms of the multipliers' moduli by QR iteration around the orbit."""
     states, durations = orbit.orbit.states, np.diff(orbit.orbit.times)
     scale = system.scale
     stms = [system.propagator.flow_with_stm(x, h)[1] * scale / scale[:, None]

@@ -1,4 +1,4 @@
-"""Shadowing orbits in 113-bit arithmetic: against free flight, other nodes, a mirror, and double precision."""
+"""Shadowing orbits in 113-bit arithmetic, compared with propagation, other nodes, symmetry and doubles."""
 
 from decimal import Decimal
 
@@ -15,10 +15,10 @@ from dpcontrol.tubes.connections import find_connections, find_lap_connections, 
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
 from dpcontrol.walks.symbols import choose, parse_symbol
 
-RESIDUAL = 1e-20  # the bar; what is reached is about 2e-32
-AGREES = 1e-10  # with the double nodes; what is reached is about 3e-14
-FREE = 1e-8  # one flight over a whole period with λ = 2e21: 1e-32 grows to 1e-11, 1e-16 to more than the orbit
-SAME = 1e-26  # the same orbit from other nodes; residuals of 1e-32 times a condition number of about 1e4
+RESIDUAL = 1e-20  # required; about 2e-32 is achieved
+AGREES = 1e-10  # difference from the double nodes; about 3e-14 is achieved
+FREE = 1e-8  # over a period with λ = 2e21, 1e-32 grows to 1e-11 and 1e-16 to more than the orbit's size
+SAME = 1e-26  # same orbit from other nodes: residuals of 1e-32, condition number of about 1e4
 SADDLES = ("down-up", "up-down")
 
 
@@ -52,16 +52,16 @@ def test_an_open_walk_of_four_symbols_is_refined(lab, turns):
     assert refined.residual < RESIDUAL
     assert refined.correction < AGREES
     assert "refined in" in refined.status
-    # What the digits say is what the arrays hold, on the section θ₂ = 2π to 30 digits.
+    # The digits equal the arrays, and lie on the section θ₂ = 2π to 30 digits.
     state = refined.states[refined.marked[0]]
     assert refined.digits == digits(state)
     assert all(len(text.lstrip("-").replace(".", "")) >= 30 for text in refined.digits[1:])
     turn = pi_times(2.0 * np.rint(float(state[1]) / (2 * np.pi)))
     assert abs(state[1] - turn) < 1e-30
-    # Crossings come as in double, but for its accuracy.
+    # Crossings agree with double precision.
     times = refined.times[refined.marked].astype(float)
     assert times == pytest.approx(orbit.symbol_times - orbit.symbol_times[0], abs=AGREES)
-    # One flight over a symbol and both its stops, never restarted.
+    # Uninterrupted propagation over a symbol and both its stops.
     propagator = ExtendedPropagator(lab.system.equations, lab.parameters.decimal_base())
     flown = propagator.flow(state, refined.times[refined.marked[2]])
     assert np.abs(flown - refined.states[refined.marked[2]]).max() < FREE
@@ -94,17 +94,17 @@ def test_a_symmetric_orbit_meets_its_symmetry_line(turns):
     refined = refine(shadow([turns["+"]], wraps=[1], periodic=True).shot.solution)
     assert refined.converged
     state = refined.states[refined.marked[0]]
-    # The mirror keeps (0, 2πk, ω₁, ω₂); nothing in the equations asks for θ₁ = 0.
+    # The fixed set is (0, 2πk, ω₁, ω₂), although the equations do not require θ₁ = 0.
     assert abs(state[0]) < SAME
 
 
 @pytest.mark.benchmark
 def test_connections_of_the_rotating_orbit_are_mirror_images(lab):
-    """Searched and refined apart: one leaves the rotating orbit, the other joins it; λ = -2.74 at that end."""
+    """Two separate searches, from and to the rotating orbit with λ = -2.74."""
     vertex = rotating_vertex(rotating_orbits(lab.system, 2, -0.06985)[-1])
     saddle = lyapunov_orbit(lab.system, "down-up", energy=-0.06985)
     section = lab.system.named_sections["outer-down"]
-    # Nearer ends take longer; at 1e-10 their energy is wrong by 1e-20, which the gaps take up.
+    # Nearer ends take longer. At 1e-10, their energy error of 1e-20 appears in the defects.
     rough = RefinementSettings(amplitude=1e-10, tolerance=1e-20, segments=3)
     states = []
     for pair in ((vertex, saddle), (saddle, vertex)):
@@ -115,7 +115,7 @@ def test_connections_of_the_rotating_orbit_are_mirror_images(lab):
         states.append(refined.states[refined.marked[0]])
     signs = np.array([-1.0, 1.0, 1.0, 1.0])
     gap = (extended(signs) * states[0] - states[1])[[0, 2, 3]]
-    # The local manifolds leave out the square of their amplitude, 1e-20, which grows by λ^0.5 or so on its way.
+    # The error of local manifolds is the square of the amplitude, 1e-20, and grows by about λ^0.5.
     assert np.abs(gap).max() < 1e-18
 
 

@@ -1,4 +1,4 @@
-"""The connection graph: orbits and connections as a multigraph whose walks are itineraries."""
+"""The connection graph, a multigraph of orbits and connections."""
 
 from itertools import pairwise
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ from dpcontrol.walks.atlas import connection_graph, walks
 
 @pytest.fixture
 def graph():
-    """Two loops at a, one at b, one edge each way, and c alone."""
+    """Two loops at a, one at b, an edge in each direction, and an isolated node c."""
     edges = [("p", "a", "a"), ("q", "a", "a"), ("r", "b", "b"), ("ab", "a", "b"), ("ba", "b", "a")]
     orbits = [SimpleNamespace(name=name) for name in ("a", "b", "c", "c family 1")]
     return connection_graph(orbits, [(a, b, SimpleNamespace(name=name)) for name, a, b in edges])

@@ -1,4 +1,4 @@
-"""Walks whose symbols name what the graph does not hold: other sections and hits, grown edges, rotating orbits."""
+"""Symbols outside the graph: other sections and hits, composite edges and rotating orbits."""
 
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ from dpcontrol.walks.symbols import choose, expanded, parse_symbol, parse_walk
 from dpcontrol.walks.walks import resolve, through, vertex_names, ways
 
 LOW = -0.06985  # J: the outer arm's fastest rotating orbit has λ = -2.74
-MULTIPLIER = -2.7436245634812297  # computed apart from this project in 113-bit arithmetic
-SAME_ORBIT = 1e-10  # rad, rad/s; two solutions of one orbit with gaps of 1e-12 and a condition number of 1e3
-HAIR = 0.17807033  # J, just above the birth of the inner arm's turns: no wraps at all are too few
+MULTIPLIER = -2.7436245634812297  # computed independently in 113-bit arithmetic
+SAME_ORBIT = 1e-10  # rad, rad/s; two solutions with defects of 1e-12 and a condition number of 1e3
+HAIR = 0.17807033  # J, just above the saddle-node of the inner arm's turns, so zero wraps are too few
 SADDLES = ("down-up", "up-down")
 GROWN = "(down-up +)·1·(down-up -)"
 
@@ -61,7 +61,7 @@ def test_connections_on_other_sections_can_be_symbols(aligned, found):
 
 @pytest.mark.slow
 def test_named_symbols_do_not_change_other_symbols_or_counts(edges, found):
-    """The symbol "down-up +" is the most transversal of the first hits, whatever is searched beside them."""
+    """The symbol "down-up +" selects the most transversal first hit, regardless of other searches."""
     assert found.named
     assert [c.name for c in found.connections] == [c.name for c in edges.connections]
     assert resolve(["down-up +"], found)[0].name == resolve(["down-up +"], edges)[0].name
@@ -82,7 +82,7 @@ def test_a_composite_edge_is_solved_from_its_parts(edges):
     plain = resolve(["down-up +", "down-up -"], edges)
     orbit = shadow(plain, wraps=[1])
     assert np.abs(edge.state - orbit.sample(orbit.symbol_times[:1])[0]).max() < SAME_ORBIT
-    # Its own name leads to it as well, and people may leave out the dots.
+    # Its full name is also valid, and the dots are optional.
     assert resolve([edge.name], edges)[0].name == edge.name
     assert resolve([GROWN.replace("·", " ")], edges)[0].name == edge.name
     again = resolve([f"({edge.name})·2·(down-up +)"], edges)[0]
@@ -140,10 +140,10 @@ def test_walks_turn_at_a_rotating_orbit_the_given_number_of_times(system):
     assert orbit.converged
     assert orbit.wraps_realised == (3,)
     longer = shadow(resolve(texts, found), wraps=[5], rivals=found.known)
-    # The turns that the arm makes from end to end.
+    # Number of turns of the arm from end to end.
     turned = [o.sample(np.array([o.duration]))[0, 1] - o.sample(np.zeros(1))[0, 1] for o in (orbit, longer)]
     assert turned[1] - turned[0] == pytest.approx(4 * np.pi, abs=1e-3)
-    # Named connections lead to the same walk, and so do stops.
+    # Named connections and stops give the same walk.
     named = [c.name for c in resolve(texts, found)]
     assert [c.name for c in resolve(named, walk_edges(system, LOW, *named))] == named
     stops = ("down-up", "outer-rotating", "down-up")
@@ -166,7 +166,7 @@ def test_missing_rotating_orbits_are_reported(system, edges):
 
 
 def test_unnamed_symbols_select_the_most_transversal_symmetric_connection(edges):
-    """The rule that stands in the documentation: symmetric if there is one, and of those the most transversal."""
+    """The documented rule is symmetric connections first, then the most transversal one."""
     chosen = choose(parse_symbol("down-up +", SADDLES), edges.connections)
     rivals = [c for c in edges.connections if c.sense > 0 and c.symmetric]
     assert chosen.transversality_angle == pytest.approx(max(c.transversality_angle for c in rivals), abs=1e-6)

@@ -1,7 +1,7 @@
-"""Walks drawn at random from the lab's graph at 0.2 J: every one becomes the orbit that was asked for.
+"""Random walks on the lab's graph at 0.2 J, each of which gives the requested orbit.
 
-What the orbit does is read by a classifier that knows only its trajectory and the published connections; gaps are
-flown by DOP853.
+A classifier decodes the orbit from its trajectory and the published connections only. Defects are
+checked by DOP853.
 """
 
 import numpy as np

@@ -59,7 +59,7 @@ def test_a_walk_over_both_saddles_conserves_energy_and_winding(system, connectio
     assert orbit.wraps_realised == (2, 3, 2)
     states = orbit.sample(np.linspace(0, orbit.duration, 3000))
     assert np.abs(system.numeric.hamiltonian(states) - 0.2).max() < 1e-12
-    # The lattice point about which it ends is the sum of the windings.
+    # Its final lattice point is the sum of the windings.
     total = np.sum([c.winding for c in walked], axis=0)
     home = np.array([0.0, np.pi]) + 2 * np.pi * total
     last = states[-300:, :2]
@@ -98,7 +98,7 @@ def test_the_orbit_is_independent_of_the_number_of_segments(connections):
 
 
 def test_segments_too_long_for_the_multiplier_are_detected(connections):
-    """One segment of a whole period multiplies rounding by λ = 2,000: the gap cannot close to 1e-12."""
+    """A segment of one period multiplies rounding by λ = 2,000, so the defect exceeds 1e-12."""
     walked = chain(connections, ["down-up +", "down-up -"])
     tight = NewtonSettings(tolerance=1e-12)
     long, short = (shadow(walked, wraps=[6], settings=ShadowingSettings(n, newton=tight)) for n in (1, 8))
@@ -158,7 +158,7 @@ def test_walks_of_two_energies_are_refused(turns, connections):
 
 @pytest.mark.parametrize("periodic", [False, True])
 def test_a_guess_with_an_error_of_a_thousandth_gives_the_same_orbit(system, connections, periodic):
-    """Noise on all nodes: at the ends it is 1e5 times what the orbit is away from its first and last orbits."""
+    """The noise on all nodes is 1e5 times the distance of the ends from their orbits."""
     walked = chain(connections, ROUND_TRIP)
     wraps = [1, 0, 2, 1][: 4 if periodic else 3]
     guess = first_guess(walked, wraps, periodic=periodic)
@@ -181,7 +181,7 @@ def test_twice_the_segments_give_the_same_orbit(system, connections, periodic):
 
 
 def _apart(system, first, second):
-    """Return the largest scaled distance of two orbits, both timed from their first symbol's section."""
+    """Return the largest scaled distance of two orbits, timed from their first symbol."""
     times = np.linspace(0.0, first.symbol_times[-1] - first.symbol_times[0], 400)
     states = [orbit.sample(times + orbit.symbol_times[0]) for orbit in (first, second)]
     return float(np.max(np.abs(states[1] - states[0]) / system.scale))

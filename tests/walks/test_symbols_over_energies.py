@@ -1,4 +1,4 @@
-"""A symbol that comes to stand for another connection is reported with the energy; followed connections stay one."""
+"""Changes of the connection that a symbol selects, and connections followed in energy."""
 
 import pytest
 from command_line import dpcontrol
@@ -21,7 +21,7 @@ def test_a_change_of_the_selected_motion_is_reported_with_its_energy(printed):
     assert shown.code == 0
     changes = shown.document["symbol_changes"]
     assert [round(one["energy"], 5) for one in changes] == pytest.approx([0.19122, 0.19332], abs=2e-5)
-    # Independent of any following: at each change the symbol stands for different points of the section on both sides.
+    # Independently of continuation, the selected points on the section differ on both sides of each change.
     for one in changes:
         below, above = (printed.chosen(one["energy"] + way * 2 * max(one["within"], 1e-6)) for way in (-1, 1))
         assert below is not None
@@ -38,7 +38,7 @@ def test_a_connection_is_followed_beyond_the_change_of_its_symbol(printed):
     other = printed.chosen(0.195)
     assert other is not None
     assert there.name != other.name
-    # The motion is nearly the same; the other one's rate differs by 26 rad/s.
+    # The motion is nearly the same, while the other one's rate differs by 26 rad/s.
     assert there.state == pytest.approx(first.state, abs=0.2)
     assert there.transversality_angle == pytest.approx(first.transversality_angle, abs=1.0)
     back = printed.followed(there, 0.19)
@@ -82,7 +82,7 @@ def test_invalid_comparisons_are_refused(options, words):
 
 @pytest.mark.slow
 def test_energies_are_compared_along_one_branch(monkeypatch):
-    """The walk that each energy is planned with names the followed connection, whatever its symbol stands for there."""
+    """The walk at each energy names the followed connection, even if its symbol selects another one."""
     from dpcontrol.scenes.itinerary import load_itinerary
 
     itinerary = load_itinerary("outer-turn")

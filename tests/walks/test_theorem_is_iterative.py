@@ -1,4 +1,4 @@
-"""An orbit found by shadowing is an edge of other walks."""
+"""Shadowing orbits serve as edges of other walks."""
 
 import numpy as np
 import pytest
@@ -12,9 +12,9 @@ from dpcontrol.walks.shadowing import ShadowingSettings, shadow
 from dpcontrol.walks.symbols import choose, components, composed, parse_symbol
 from dpcontrol.walks.walks import as_connection
 
-SAME_ORBIT = 1e-10  # rad, rad/s; two solutions of one orbit with gaps of 1e-12 and a condition number of 1e3
-SAME_FLIGHT = 1e-8  # s and phase: where a slow approach passes 1e-3 is known no better than this
-SAME_ANGLE = 1e-5  # degrees; the search's tangents come from one flight, good to 1e-7
+SAME_ORBIT = 1e-10  # rad, rad/s; two solutions with defects of 1e-12 and a condition number of 1e3
+SAME_FLIGHT = 1e-8  # s and phase: accuracy of the time at which a slow approach passes 1e-3
+SAME_ANGLE = 1e-5  # degrees; tangents of the search have an error of 1e-7
 SADDLES = ("down-up", "up-down")
 
 
@@ -44,12 +44,12 @@ def other(found, turn):
 
 
 @pytest.fixture(scope="module")
-def grown(turn, back):
+def composite(turn, back):
     return as_connection(shadow([turn, back], wraps=[1]))
 
 
 def around(orbit, times):
-    """States at times from the first symbol's crossing."""
+    """States at times since the first symbol's crossing."""
     return orbit.sample(times + orbit.symbol_times[0])
 
 
@@ -64,9 +64,9 @@ def test_a_walk_of_one_symbol_is_its_connection(found):
         assert same.transversality_angle == pytest.approx(connection.transversality_angle, abs=SAME_ANGLE)
 
 
-def test_a_composite_edge_can_be_part_of_longer_walks(turn, back, other, grown):
+def test_a_composite_edge_can_be_part_of_longer_walks(turn, back, other, composite):
     plain = shadow([turn, back, other], wraps=[1, 2])
-    short = shadow([grown, other], wraps=[2])
+    short = shadow([composite, other], wraps=[2])
     assert short.converged
     assert short.wraps_realised == (2,)
     assert plain.wraps_realised == (1, 2)
@@ -74,9 +74,9 @@ def test_a_composite_edge_can_be_part_of_longer_walks(turn, back, other, grown):
     assert np.abs(around(short, times) - around(plain, times)).max() < SAME_ORBIT
 
 
-def test_composite_edges_may_be_nested_and_come_later(turn, back, other, grown):
+def test_composite_edges_may_be_nested_and_come_later(turn, back, other, composite):
     plain = shadow([other, turn, back, turn], wraps=[2, 1, 2])
-    again = as_connection(shadow([other, grown], wraps=[2]))
+    again = as_connection(shadow([other, composite], wraps=[2]))
     short = shadow([again, turn], wraps=[2])
     assert short.converged
     assert short.wraps_realised == (2,)
@@ -84,9 +84,9 @@ def test_composite_edges_may_be_nested_and_come_later(turn, back, other, grown):
     assert np.abs(around(short, times) - around(plain, times)).max() < SAME_ORBIT
 
 
-def test_closed_walks_may_contain_composite_edges(turn, back, other, grown):
+def test_closed_walks_may_contain_composite_edges(turn, back, other, composite):
     plain = shadow([turn, back, other], wraps=[1, 2, 1], periodic=True)
-    short = shadow([grown, other], wraps=[2, 1], periodic=True)
+    short = shadow([composite, other], wraps=[2, 1], periodic=True)
     assert short.converged
     assert short.wraps_realised == (2, 1)
     assert short.duration == pytest.approx(plain.duration, abs=SAME_ORBIT)
@@ -98,15 +98,15 @@ def test_closed_walks_may_contain_composite_edges(turn, back, other, grown):
     assert logs[1] == pytest.approx(logs[0], abs=1e-8)
 
 
-def test_a_composite_edge_leaves_like_its_first_symbol(turn, back, other, grown):
-    """Its stable tube passes the stop's own within λ^-(2 wraps + 2) or so: there it crosses as the first symbol's."""
-    for edge, crossings in ((grown, 2), (as_connection(shadow([turn, back, other], wraps=[1, 1])), 3)):
+def test_a_composite_edge_leaves_like_its_first_symbol(turn, back, other, composite):
+    """Its stable tube is within about λ^-(2 wraps + 2) of the stop's, so it crosses like the first symbol's."""
+    for edge, crossings in ((composite, 2), (as_connection(shadow([turn, back, other], wraps=[1, 1])), 3)):
         assert edge.hits == (1, crossings)
         assert np.abs(edge.state - turn.state).max() < 1e-8
         assert np.abs(edge.state - turn.state).max() > 0
         assert edge.time_out == pytest.approx(turn.time_out, abs=SAME_FLIGHT)
         assert edge.transversality_angle == pytest.approx(turn.transversality_angle, abs=1e-4)
-        # It arrives as its last symbol does, and near its target it is on the manifold to which it belongs.
+        # It arrives like its last symbol, and its end lies on the target's local manifold.
         near = edge.orbit.sample(np.array([edge.time_in]))[0]
         phase, distance = OrbitCurve(edge.target).nearest(near)
         assert distance == pytest.approx(1e-3, rel=1e-6)
@@ -114,7 +114,7 @@ def test_a_composite_edge_leaves_like_its_first_symbol(turn, back, other, grown)
 
 
 def test_a_symmetric_edge_equals_its_mirror_image(turn, back, found):
-    """Forth and back is mirrored into itself; a turn and its mirror image's neighbour are not."""
+    """A forward and a backward turn are symmetric; a turn and a neighbour of its mirror image are not."""
     assert as_connection(shadow([turn, back], wraps=[2])).symmetric
     assert as_connection(shadow([turn, turn], wraps=[2])).symmetric
     lopsided = next(c for c in found if not c.symmetric)
@@ -138,17 +138,17 @@ def test_a_heteroclinic_round_trip_gives_a_homoclinic_edge(system):
     )
 
 
-def test_the_name_of_a_composite_edge_lists_its_parts(turn, back, other, grown):
-    assert components(grown.name) == ((turn.name, back.name), (1,))
-    again = as_connection(shadow([grown, other], wraps=[2]))
-    assert components(again.name) == ((grown.name, other.name), (2,))
+def test_the_name_of_a_composite_edge_lists_its_parts(turn, back, other, composite):
+    assert components(composite.name) == ((turn.name, back.name), (1,))
+    again = as_connection(shadow([composite, other], wraps=[2]))
+    assert components(again.name) == ((composite.name, other.name), (2,))
     assert composed(("a>b[0,1]h1.1@0,0", "c"), (3,)) == "(a>b[0,1]h1.1@0,0)·3·(c)"
     for name in (turn.name, "down-up +", "down-up>down-up[0,1]h1.1@(a", "down-up>down-up[0,1]h1.1@(a)·x·(b)"):
         assert components(name) is None
 
 
-def test_a_composite_edge_can_be_named_in_a_walk(found, grown):
-    assert choose(parse_symbol(grown.name, SADDLES), [*found, grown]) is grown
+def test_a_composite_edge_can_be_named_in_a_walk(found, composite):
+    assert choose(parse_symbol(composite.name, SADDLES), [*found, composite]) is composite
 
 
 def test_orbits_without_connections_are_refused(turn):

@@ -1,8 +1,8 @@
-"""Two turns of the outer arm in one orbit, found twice: by shadowing, and as a second-hit intersection of the tubes.
+"""Double turns of the outer arm, found by shadowing and as second-hit intersections of the tubes.
 
-The unstable tube's second crossing of θ₂ = 2πk is a spiral there: phases within 1e-3 of a turn's own, of which each
-wrap takes a λ-th. It is cut in steps of the logarithm of that distance, and searched like any other cut. From its seed
-to the second crossing an error grows by 1e10 and more, hence the wide acceptance before the orbit is refined.
+The unstable tube's second crossing of θ₂ = 2πk is a spiral at phases within 1e-3 of a turn's phase. Each
+wrap reduces the distance by λ. The cut is sampled in logarithmic steps and searched like any other cut. From the seed
+to the second crossing, errors grow by more than 1e10, which requires a wide acceptance before refinement.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from dpcontrol.walks.shadowing import WalkSolver
 
 SAME = 1e-9
 SETTINGS = ConnectionSettings(accept=0.3, same=1e-10)
-NEAREST, FARTHEST = 5e-10, 1e-4  # phases from the turn's own; no wraps lie between, more lie nearer
+NEAREST, FARTHEST = 5e-10, 1e-4  # distances from the turn's phase without wraps; wraps are nearer
 PER_FACTOR_E = 20
 
 
@@ -28,7 +28,7 @@ def turns():
 
 
 def seed_phase(turn, manifold, section):
-    """Return the phase of the seed, at the manifold's distance, whose trajectory is nearest to a connection."""
+    """Return the phase of the seed whose trajectory is nearest to a connection."""
     start = turn.orbit.start
     side = TubeSide(manifold, section, False, 1, int(np.sign(start.amplitude)), 12 * turn.source.period)
     phase = start.phase
@@ -43,12 +43,12 @@ def seed_phase(turn, manifold, section):
 
 
 def cut_direction(turn):
-    """Return the sign with which a turn crosses its section."""
+    """Return the sign of a turn's section crossing."""
     return int(np.sign(turn.source.system.numeric.rate(turn.state) @ np.asarray(turn.section.normal)))
 
 
 def spiral(turn, manifold, section):
-    """Return the second-hit cut of the unstable tube beside a turn, on both sides of its phase."""
+    """Return the second-hit cut of the unstable tube on both sides of a turn's phase."""
     branch = int(np.sign(turn.orbit.start.amplitude))
     sampler = Sampler(manifold, section, 2, branch, SETTINGS.cut)
     count = int(PER_FACTOR_E * np.log(FARTHEST / NEAREST))
@@ -60,7 +60,7 @@ def spiral(turn, manifold, section):
         parts = np.split(np.arange(count), np.flatnonzero(~samples.continuous(4 * sampler.chord)) + 1)
         for run in [samples[part] for part in parts]:
             direction = int(np.sign(run.rates[0]))
-            # On the other side of the turn's phase the trajectory falls back instead of turning on.
+            # On the other side of the turn's phase, the trajectory returns without a turn.
             if len(run) > 3 and direction == cut_direction(turn):
                 pieces.append(Piece(branch, run.phases, run.points, run.states, run.times, direction, closed=False))
     return Cut(section, 2, tuple(pieces), (), 2 * count, True, "beside one turn")
@@ -69,7 +69,7 @@ def spiral(turn, manifold, section):
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(4))
 def test_every_pair_of_turns_is_among_the_second_hits(turns, first):
-    # Only one branch of a tube is searched where a symmetry mirrors the other.
+    # If a symmetry exchanges the branches, only one branch is searched.
     plus = [c for c in turns.connections if c.orbit.start.amplitude > 0]
     assert len(plus) == 4
     manifold = UnstableManifold(turns.source, SETTINGS.distance)

@@ -1,4 +1,4 @@
-"""Hyperbolic periodic orbits as vertices: their tubes, their connections, and walks that stop there."""
+"""Hyperbolic periodic orbits as vertices, with their tubes, connections and walks."""
 
 import numpy as np
 import pytest
@@ -13,11 +13,11 @@ from dpcontrol.walks.shadowing import shadow
 from dpcontrol.walks.walks import as_connection
 
 ENERGY = -0.06985  # J: the outer arm's rotating orbit has λ = -2.74, and Down-Up its Lyapunov orbit
-MULTIPLIER = -2.7436245634812297  # computed apart from this project in 113-bit arithmetic
-RESIDUAL = 1e-11  # the bar; what is reached is about 1e-13
-MIRRORED = 1e-9  # two separate searches of one connection and its mirror image, truncated at (3e-7)² and λ^-14
-FLOWN = 1e-9  # one flight of a period or two, λ² times 1e-13
-SPLINE = 2e-7  # scaled, where the outer arm passes below at 21 rad/s; 1e-10 elsewhere
+MULTIPLIER = -2.7436245634812297  # computed independently in 113-bit arithmetic
+RESIDUAL = 1e-11  # required; about 1e-13 is achieved
+MIRRORED = 1e-9  # separate searches of a connection and its mirror image, truncated at (3e-7)² and λ^-14
+FLOWN = 1e-9  # propagation over two periods, λ² times 1e-13
+SPLINE = 2e-7  # scaled, at the outer arm's lowest position with 21 rad/s; 1e-10 elsewhere
 ENERGY_ERROR = 1e-12  # J, between nodes
 
 
@@ -76,7 +76,7 @@ def test_the_frame_follows_the_flow_and_is_symmetric(system, rotating):
         assert np.abs(grown - frame.vectors[k + 1]).max() < FLOWN * np.abs(frame.vectors[k + 1]).max()
     image = (manifold.frame(-phases).states - orbit.rest) @ orbit.mirror.T + orbit.rest
     assert np.abs(image - frame.states).max() < FLOWN
-    # Slopes are derivatives of what they stand beside.
+    # Slopes are the derivatives of states and vectors.
     step = 1e-5
     sides = [manifold.frame(phases + s * step) for s in (1, -1)]
     slope = (sides[0].states - sides[1].states) / (2 * step)
@@ -90,7 +90,7 @@ def test_the_curve_of_a_rotating_orbit_finds_its_phases(rotating):
     phases = np.array([0.0, 0.2, 0.77, 0.999])
     states = local_manifold(rotating).frame(phases + np.array([0, 3, -2, 1])).states
     found, distances = curve.distances(states)
-    # Phase zero is phase one.
+    # Phases zero and one are equal.
     assert np.abs((found - phases + 0.5) % 1.0 - 0.5).max() < 1e-8
     assert distances.max() < SPLINE
 
@@ -112,7 +112,7 @@ def test_connections_leave_the_rotating_orbit_and_join_it(system, rotating, lyap
 
 
 def test_the_symmetry_maps_one_search_to_the_other(system, out, into):
-    """(θ, ω)(t) to (-θ, ω)(-t) keeps the rotating orbit and Down-Up: the searches know nothing of each other."""
+    """The map (θ, ω)(t) to (-θ, ω)(-t) preserves the rotating orbit and Down-Up. The searches are independent."""
     assert len(out.connections) == len(into.connections)
     for c in out.connections:
         image = system.reversers[-1] @ c.state
@@ -134,7 +134,7 @@ def test_wraps_at_the_rotating_orbit_are_turns(system, rotating, into, out):
         assert orbit.residual < RESIDUAL
         states = orbit.sample(np.linspace(0.0, orbit.duration, 1500))
         assert np.abs(system.numeric.hamiltonian(states) - ENERGY).max() < ENERGY_ERROR
-        # Samples follow one trajectory: no jump of a turn anywhere.
+        # Samples lie on one trajectory without jumps of a turn.
         assert np.abs(np.diff(states[:, 1])).max() < 1.0
         home = (states[:40, 1].mean(), states[-40:, 1].mean())
         turned.append(round((home[1] - home[0]) / (2 * np.pi)))
@@ -146,7 +146,7 @@ def test_wraps_at_the_rotating_orbit_are_turns(system, rotating, into, out):
 
 
 def test_each_turn_flips_the_sign_of_a_periodic_dance(into, out):
-    """λ < 0 at the stop: a closed orbit that stays a turn longer passes the mirror of its tube once more."""
+    """With λ < 0 at the stop, each additional turn exchanges the sides of the orbit's tube."""
     signs = []
     for wraps in (1, 2, 3):
         orbit = shadow([into.connections[0], out.connections[0]], wraps=[wraps, 1], periodic=True)
@@ -166,7 +166,7 @@ def test_a_walk_may_start_and_end_at_the_rotating_orbit(rotating, into, out):
     curve = OrbitCurve(rotating)
     for state in orbit.orbit.states[[0, -1]]:
         assert curve.nearest(state)[1] < 1e-7
-    # As an edge it is told as its symbols are: laps before it left do not count.
+    # Laps before the departure do not count for an edge, as for its symbols.
     edge = as_connection(orbit)
     inside = edge.orbit.sample(np.arange(-edge.time_out, edge.time_in, 1e-3))[:, 1] / (2 * np.pi)
     assert sum(edge.hits) - 1 == np.count_nonzero(np.diff(np.floor(inside)))

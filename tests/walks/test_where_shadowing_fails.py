@@ -1,6 +1,6 @@
-"""Where a walk has no orbit, or none can be had: each failure names the symbol at fault, and what would help.
+"""Failures of shadowing, each reported with the cause and a remedy.
 
-Energies are those of the lab's saddle-nodes, at which pairs of connections are born, and a hair above.
+Energies are at the lab's saddle-nodes, at which pairs of connections appear, and just above.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from dpcontrol.walks.shadowing import ShadowingSettings, WalkSolver, described, 
 
 TURN_BORN = -0.141987140339  # Down-Up to itself
 CROSSING_BORN = 0.188368752752  # Down-Up to Up-Down
-HAIR = 2e-10  # J; twins 1e-5 apart (scaled), tubes meeting at 0.02° to 0.05°
+HAIR = 2e-10  # J; twins are 1e-5 apart (scaled), and tubes meet at 0.02° to 0.05°
 
 
 @pytest.fixture(scope="module")
@@ -24,13 +24,13 @@ def system():
 
 @pytest.fixture(scope="module")
 def tangent(system):
-    """Down-Up's two pairs of turns just after they were born."""
+    """The two pairs of turns of Down-Up just above their saddle-nodes."""
     return find_edges(system, TURN_BORN + HAIR, pairs=[("down-up", "down-up")])
 
 
 @pytest.fixture(scope="module")
 def crossing(system):
-    """Transversal turns of Down-Up, and crossings just after they were born."""
+    """Transversal turns of Down-Up, and heteroclinics just above their saddle-node."""
     pairs = [("down-up", "down-up"), ("down-up", "up-down"), ("up-down", "down-up")]
     return find_edges(system, CROSSING_BORN + HAIR, pairs=pairs)
 
@@ -82,7 +82,7 @@ def test_the_nearly_tangent_symbol_is_reported_as_the_cause(system, crossing):
 
 
 def test_an_orbit_that_follows_the_twin_is_reported(tangent):
-    """Twins 1e-5 apart: what was solved for one is described as the other's."""
+    """Two twins are 1e-5 apart, and the solution for one is described as the other."""
     first, twin = (c for c in tangent.connections if c.sense > 0)
     shot = solve_shooting(first_guess([first, twin, first], [2, 2]))
     assert shot.orbit.converged
@@ -105,7 +105,7 @@ def test_wraps_other_than_requested_are_reported(tangent):
 
 
 def test_one_node_per_period_is_reported_as_too_few(crossing):
-    """λ = 1,880 a period: rounding of rates of 20 rad/s leaves no gap below 1e-12."""
+    """With λ = 1,880 per period, rounding of rates of 20 rad/s keeps the defect above 1e-12."""
     walk = [crossing.between("down-up", "up-down")[0], crossing.between("up-down", "down-up")[0]]
     tight = NewtonSettings(tolerance=1e-12)
     long = shadow(walk, wraps=[4], settings=ShadowingSettings(1, newton=tight), rivals=crossing.connections)
