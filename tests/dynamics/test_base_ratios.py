@@ -1,4 +1,4 @@
-"""Base-parameter ratios: what a clamped cart can tell, and the arms nearest to given ones that have them."""
+"""Base-parameter ratios, which a clamped cart determines, and the nearest arms with given ratios."""
 
 from dataclasses import replace
 
@@ -20,9 +20,9 @@ from dpcontrol.dynamics.chain import (
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.scenes.model import load_model
 
-# A handful of roundings.
+# A few rounding errors.
 EXACT = 1e-12
-# What scipy's constrained minimiser leaves of the distance.
+# Error of scipy's constrained minimiser.
 MINIMISED = 1e-6
 
 LAB = with_laws(load_model("lab").arms, tuple(Friction))
@@ -35,13 +35,13 @@ EACH = pytest.mark.parametrize("arms", [SINGLE, LAB, TRIPLE], ids=["single", "do
 
 
 def grown(arms: ArmChainParameters, factor: float) -> ArmChainParameters:
-    """The same arms of `factor` times the mass, inertia and friction."""
+    """The same arms with `factor` times the mass, inertia and friction."""
     names = ("mass", "inertia", "viscous", *arms.friction)
     return replace(arms, **{name: tuple(factor * v for v in getattr(arms, name)) for name in names})
 
 
 @EACH
-def test_arms_that_grow_in_proportion_swing_alike_and_have_the_same_ratios(arms: ArmChainParameters) -> None:
+def test_scaled_arms_have_the_same_motion_and_ratios(arms: ArmChainParameters) -> None:
     larger = grown(arms, 3.7)
     rate = equations_of(arms, Level.DISSIPATIVE).function()
     state = np.linspace(0.3, 2.0, 2 * arms.count)
@@ -50,7 +50,7 @@ def test_arms_that_grow_in_proportion_swing_alike_and_have_the_same_ratios(arms:
 
 
 @EACH
-def test_equations_from_ratios_are_those_of_the_arms(arms: ArmChainParameters) -> None:
+def test_equations_from_ratios_equal_those_of_the_arms(arms: ArmChainParameters) -> None:
     rate = equations_of(arms, Level.CART).function()
     state = np.linspace(-0.7, 2.0, 2 * arms.count + 2)
     again = base_from_ratios(base_ratios(arms), arms)
@@ -59,18 +59,18 @@ def test_equations_from_ratios_are_those_of_the_arms(arms: ArmChainParameters) -
 
 
 @EACH
-def test_nearest_arms_have_the_ratios_asked_for(arms: ArmChainParameters) -> None:
+def test_nearest_arms_have_the_requested_ratios(arms: ArmChainParameters) -> None:
     wanted = base_ratios(arms) * np.random.default_rng(1).uniform(0.97, 1.03, len(base_ratios(arms)))
     assert base_ratios(nearest_arms(wanted, arms)) == pytest.approx(wanted, rel=1e-9)
 
 
-def test_arms_with_the_ratios_already_stay_as_they_are() -> None:
+def test_arms_with_the_requested_ratios_are_unchanged() -> None:
     again = nearest_arms(base_ratios(LAB), LAB)
     assert again.mass == pytest.approx(LAB.mass, rel=EXACT)
     assert again.inertia == pytest.approx(LAB.inertia, rel=EXACT)
 
 
-def test_no_other_arms_with_the_ratios_are_nearer() -> None:
+def test_the_nearest_arms_agree_with_constrained_minimisation() -> None:
     wanted = base_ratios(LAB) * np.array([1.02, 0.99, 1.01, 1.015, 1, 1, 1, 1, 1, 1])
     columns = ("mass", "centre_of_mass", "inertia")
 
@@ -99,14 +99,14 @@ def test_friction_below_zero_becomes_zero() -> None:
 
 
 @pytest.mark.parametrize("value", [-1.0, 0.0, float("nan"), 1e-9])
-def test_ratios_of_no_pendulum_are_refused(value: float) -> None:
+def test_ratios_without_a_pendulum_are_refused(value: float) -> None:
     wanted = base_ratios(LAB)
     wanted[0] = value
     with pytest.raises(GoalMissed, match="no arms near"):
         nearest_arms(wanted, LAB)
 
 
-def test_laws_are_added_at_zero_and_taken_away() -> None:
+def test_friction_laws_are_added_at_zero_and_removed() -> None:
     plain = with_laws(LAB, ())
     assert plain.friction == ()
     assert with_laws(plain, (Friction.QUADRATIC,)).quadratic == (0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Arms that can be: shipped models pass without a word, odd ones are remarked on, impossible ones refused."""
+"""Plausibility of arms: shipped models pass, unusual ones have remarks, impossible ones are refused."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +15,12 @@ from dpcontrol.scenes.model import load_model
 
 @pytest.mark.parametrize("name", known("models"))
 @pytest.mark.filterwarnings("error")
-def test_a_shipped_model_is_not_remarked_on(name: str) -> None:
+def test_shipped_models_have_no_remarks(name: str) -> None:
     assert load_model(name).remarks == ()
 
 
 def with_first(name: str, value: float) -> str:
-    """Return the lab's file with another value of its first arm."""
+    """Return the lab's file with another value for its first arm."""
     lines = find("models", "lab").read_text().splitlines()
     (at,) = [k for k, line in enumerate(lines) if line.split("=")[0].strip() == name]
     second = lines[at].split(",")[1]
@@ -31,7 +31,7 @@ def with_first(name: str, value: float) -> str:
 @pytest.mark.parametrize(
     ("name", "value", "odd"),
     [
-        # Numbers by hand: 0.0938 kg, 0.1727 m, centre at 0.1086 m; weight and what hangs on it 0.333 N m.
+        # Values by hand: 0.0938 kg, 0.1727 m, centre at 0.1086 m; gravity torque with the outer arm 0.333 N m.
         ("inertia", 0.0, "a uniform rod of 0.093844 kg has 0.000233 kg m², and with this centre at most 0.000654"),
         ("inertia", 1e-6, "is that of a point mass 0.108565 m along a weightless rod of 0.172719 m"),
         ("inertia", 4e-3, "puts its mass of 0.093844 kg 0.206 m from its centre in the mean"),
@@ -39,7 +39,7 @@ def with_first(name: str, value: float) -> str:
         ("viscous", 0.5, "gravity's torque on it of at most 0.333 N m turns it at 0.67 rad/s at the fastest"),
     ],
 )
-def test_an_odd_arm_is_remarked_on_with_its_numbers(name: str, value: float, odd: str, tmp_path: Path) -> None:
+def test_an_unusual_arm_has_a_remark_with_its_numbers(name: str, value: float, odd: str, tmp_path: Path) -> None:
     file = tmp_path / "odd.toml"
     file.write_text(with_first(name, value))
     ended = dpcontrol("model", file, "--json")
@@ -53,7 +53,7 @@ def test_an_odd_arm_is_remarked_on_with_its_numbers(name: str, value: float, odd
 @pytest.mark.parametrize(
     ("name", "value"), [("inertia", 4.4), ("inertia", -1e-9), ("centre_of_mass", 108.6), ("viscous", 1e6)]
 )
-def test_an_arm_that_no_bench_has_is_refused(name: str, value: float, tmp_path: Path) -> None:
+def test_an_unrealistic_arm_is_refused(name: str, value: float, tmp_path: Path) -> None:
     file = tmp_path / "impossible.toml"
     file.write_text(with_first(name, value))
     ended = dpcontrol("model", file)
@@ -62,7 +62,7 @@ def test_an_arm_that_no_bench_has_is_refused(name: str, value: float, tmp_path: 
     assert f"{name} = {value:g}" in ended.message
 
 
-def test_friction_of_every_law_is_measured_against_gravity() -> None:
+def test_friction_of_every_law_is_compared_with_gravity() -> None:
     for law in ("coulomb", "quadratic"):
         assert not oddities(replace(LAB, **{law: (1e-3, 1e-3)}))
         assert any(text.startswith(f"{law} = 10 ") for text in oddities(replace(LAB, **{law: (10.0, 0.0)})))

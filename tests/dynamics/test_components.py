@@ -1,4 +1,4 @@
-"""Components of the plant against equations that are written down by hand here."""
+"""Components of the plant, compared with equations written by hand."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ COUPLING = PENDULUM.mass[0] * PENDULUM.centre_of_mass[0]
 def flown(
     plant: PlantParameters, state: np.ndarray, commands: np.ndarray, *, period: float = 1e-3, lanes: int = 0
 ) -> np.ndarray:
-    """Return the states (K+1, N) at the ends of periods in which the commands (K,) are held, or those of many lanes."""
+    """Return the states (K+1, N) at the ends of periods with constant commands (K,), or of many lanes."""
     whole = np.concatenate([state, [0.0] * bool(plant.lag), plant.own_states(state)])
     first = np.repeat(whole[:, None], lanes, axis=1) if lanes else whole
     moving = SimulatedPlant([plant] * max(lanes, 1), first, track=10.0)
@@ -62,7 +62,7 @@ def test_a_belt_is_two_masses_on_a_spring_and_a_damper(lag: float) -> None:
     assert np.abs(found[:, 2] - found[:, -2]).max() > 1e-4
 
 
-def test_a_heavy_cart_on_a_belt_is_moved_by_its_arm_and_pulled_by_the_belt() -> None:
+def test_arm_and_belt_move_a_heavy_cart() -> None:
     frequency, mass, lag = 12.0, 1.5, 0.004
     omega, given, whole = 2 * np.pi * 12.0, commands(100, 5.0), mass + PENDULUM.mass[0]
     plant = PlantParameters(PENDULUM, lag=lag, cart_mass=mass, components=(Belt(frequency, 0.1, motor_scale=True),))
@@ -83,7 +83,7 @@ def test_a_heavy_cart_on_a_belt_is_moved_by_its_arm_and_pulled_by_the_belt() -> 
     assert found[-1] == pytest.approx(y, abs=EXACT)
 
 
-def test_a_knock_on_the_cart_leaves_the_motor_and_its_loop_alone() -> None:
+def test_a_knock_on_the_cart_has_no_effect_on_the_motor_and_its_loop() -> None:
     plant = PlantParameters(LAB, lag=0.005, components=(Belt(20.0, 0.1, motor_scale=True),))
     start = np.array([0.1, 0.2, 0.0, 0.0, 0.0, 0.0])
     moving = SimulatedPlant([plant], np.concatenate([start, [1.0], plant.own_states(start)]), track=1.0)
@@ -102,7 +102,7 @@ def test_encoder_play_is_the_play_operator_of_the_joints() -> None:
     joints = np.diff(found[:, :2], axis=1, prepend=0.0)
     expected = joints[0] + offsets
     for joint, encoder in zip(joints, found[:, 6:], strict=True):
-        # Stop at the nearer end of the play: the backlash of textbooks.
+        # The textbook backlash stops at the nearer end of the play.
         for k, half in enumerate(np.array(widths) / 2):
             if joint[k] - expected[k] > half:
                 expected[k] = joint[k] - half
@@ -125,14 +125,14 @@ def test_a_cable_turns_the_inner_arm_only() -> None:
     assert found[-1, :2] == pytest.approx(expected, abs=EXACT)
 
 
-def test_a_joint_slides_with_its_kinetic_torque_and_comes_to_rest_exactly() -> None:
+def test_a_joint_slides_with_its_kinetic_torque_and_stops_exactly() -> None:
     kinetic, breakaway = 0.01, 0.02
     plant = PlantParameters(PENDULUM, components=(Stiction((breakaway,), (kinetic,)),))
     found = flown(plant, np.array([0.8, 0.0, 0.0, 0.0]), np.zeros(4500))
     angle, rate = found[:, 0], found[:, 1]
 
     def swing(begin: float) -> float:
-        """Return the angle at which a swing from rest at `begin` turns: all energy has gone into friction."""
+        """Return the turning angle of a swing from rest at `begin`, by the energy lost to friction."""
         side = np.sign(begin)
         ends = np.linspace(begin, -begin, 400_001)
         left = WEIGHT * (np.cos(ends) - np.cos(begin)) - kinetic * np.abs(begin - ends)
@@ -147,7 +147,7 @@ def test_a_joint_slides_with_its_kinetic_torque_and_comes_to_rest_exactly() -> N
     seen = [float(angle[k]) for k in range(1, len(rate)) if rate[k] * rate[k - 1] < 0 or (rate[k] == 0 != rate[k - 1])]
     assert seen == pytest.approx(turns, abs=1e-4)
     assert abs(np.sin(angle[-1])) * WEIGHT < breakaway
-    # At rest to the last bit, and for good.
+    # At rest exactly and permanently.
     assert np.count_nonzero(rate[-1000:]) == 0
     assert len(set(angle[-1000:].tolist())) == 1
 
@@ -160,12 +160,12 @@ def test_a_joint_at_rest_breaks_away_just_beyond_its_torque(share: float, moves:
     assert bool(found[-1, 0]) is moves
 
 
-def test_two_joints_stick_one_by_one_and_turn_as_one_arm_while_the_outer_sticks() -> None:
+def test_two_joints_stick_in_turn_and_form_one_arm_while_the_outer_sticks() -> None:
     plant = PlantParameters(LAB.frictionless(), components=(Stiction((1e-4, 1.0), (1e-5, 1.0)),))
     found = flown(plant, np.array([0.5, 0.5, 0.0, 0.0, 0.0, 0.0]), np.zeros(250))
     assert np.array_equal(found[:, 2], found[:, 3])
     assert found[:, 1] == pytest.approx(found[:, 0], abs=1e-12)
-    # One rigid body: inertias and weights add up.
+    # As one rigid body, inertias and weights add up.
     base = LAB.frictionless().base()
     inertia, weight = base[0] + 2 * base[1] + base[2], base[3] + base[4]
 
@@ -193,7 +193,7 @@ ALL = (
 
 
 @pytest.mark.parametrize("components", [(), ALL[:1], ALL[1:2], ALL[2:3], ALL[3:], ALL], ids=str)
-def test_a_plant_alone_moves_as_among_others_to_the_last_bit(components: tuple[SymbolicPlant, ...]) -> None:
+def test_a_plant_moves_identically_alone_and_among_others(components: tuple[SymbolicPlant, ...]) -> None:
     plant = PlantParameters(LAB, lag=0.005, components=components)
     start, given = np.array([0.2, -0.1, 0.5, 1.0, 0.0, 0.0]), commands(300, 6.0)
     alone = flown(plant, start, given)

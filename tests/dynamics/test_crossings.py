@@ -1,4 +1,4 @@
-"""Crossings of many trajectories at once, against roots sought on plain propagation."""
+"""Crossings of many trajectories, compared with roots on plain propagation."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def pendulum():
 
 @pytest.fixture(scope="module")
 def states():
-    """From hardly moving to turning over several times, eleven of them: more than fly side by side."""
+    """Eleven states, from almost at rest to several turns, which exceeds the lanes of one batch."""
     spread = np.random.default_rng(3)
     fast = spread.uniform(-1, 1, (8, 4)) * [np.pi, np.pi, 12.0, 12.0]
     slow = spread.uniform(-1, 1, (3, 4)) * [0.05, 0.05, 0.1, 0.1]
@@ -33,7 +33,7 @@ def states():
 
 
 def by_bracketing(propagator, section, state, longest):
-    """Return all crossing times that count, by signs on a fine grid and bracketed roots of the height."""
+    """Return all valid crossing times, by bracketed roots of the height on a fine grid."""
     grid = np.linspace(0, longest, 3001)[1:]
     flown = propagator.sample(state, grid)
     heights = section.height(flown)
@@ -67,7 +67,7 @@ def test_every_crossing_is_a_bracketed_root_of_the_height(pendulum, states, sect
                 assert np.abs(crossing.state - pendulum.flow(state, times[hit - 1])).max() < STATE
 
 
-def test_a_trajectory_does_not_depend_on_its_companions(pendulum, states):
+def test_a_trajectory_is_independent_of_the_others(pendulum, states):
     together = pendulum.crossings(states, LIFTED, longest=LONGEST)
     order = np.random.default_rng(5).permutation(len(states))
     shuffled = pendulum.crossings(states[order], LIFTED, longest=LONGEST)
@@ -80,7 +80,7 @@ def test_a_trajectory_does_not_depend_on_its_companions(pendulum, states):
                 assert np.array_equal(other.state, together[k].state)
 
 
-def test_a_trajectory_that_turns_over_many_times_meets_every_sheet(pendulum):
+def test_a_trajectory_with_many_turns_meets_every_sheet(pendulum):
     state = np.array([0.3, 0.2, 25.0, 60.0])
     expected = by_bracketing(pendulum, LIFTED, state, 1.0)
     assert len(expected) >= 6
@@ -91,7 +91,7 @@ def test_a_trajectory_that_turns_over_many_times_meets_every_sheet(pendulum):
     assert len(set(np.rint(sheets))) >= 6
 
 
-def test_a_state_that_is_not_finite_never_arrives_and_spoils_no_other(pendulum, states):
+def test_a_nonfinite_state_does_not_arrive_or_affect_others(pendulum, states):
     expected = pendulum.crossings(states[1:4], LIFTED, longest=LONGEST)
     spoilt = np.vstack([states[1], [np.nan] * 4, states[2:4], [0, 0, np.inf, 0]])
     found = pendulum.crossings(spoilt, LIFTED, longest=LONGEST)
@@ -104,8 +104,8 @@ def test_a_state_that_is_not_finite_never_arrives_and_spoils_no_other(pendulum, 
     assert pendulum.crossings(np.empty((0, 4)), LIFTED, longest=LONGEST) == []
 
 
-def test_a_switched_off_sheet_leaves_the_step_as_precise(pendulum):
-    """Energy after a long flight to a section with one sheet only: as well kept as in plain propagation."""
+def test_a_disabled_sheet_does_not_reduce_the_accuracy(pendulum):
+    """The energy on the way to a section with one sheet is as accurate as in plain propagation."""
     system = load_model("lab").system
     state = np.array([0.4, 2.9, 6.0, -3.0])
     crossing = pendulum.crossing(state, LEVEL, longest=5.0, hit=4)
@@ -113,11 +113,11 @@ def test_a_switched_off_sheet_leaves_the_step_as_precise(pendulum):
 
 
 def test_a_collision_ends_one_flight_only():
-    """Falling straight into a mass has no end in finite steps; its companion crosses all the same."""
+    """A collision with a mass needs infinitely many steps, but the other trajectory still crosses."""
     system = load_model("three-body").system
     section = Section("x = 2", (1, 0, 0, 0), (0, 1, 0, 0), (0, 1), offset=2.0)
     leaving = np.array([1.5, 0.0, 3.0, 0.0])
-    centre = np.array([-9.537e-4, 0.0, 0.0, 0.0])  # on the large mass: the rate is not finite
+    centre = np.array([-9.537e-4, 0.0, 0.0, 0.0])  # on the large mass, with an infinite rate
     found = system.propagator.crossings(np.array([centre, leaving]), section, longest=2.0)
     assert found[0] is None
     assert found[1] is not None

@@ -1,4 +1,4 @@
-"""The plant's levels and its fixed step, against conservation laws and an adaptive integrator."""
+"""The plant's levels and fixed step, compared with conservation laws and an adaptive integrator."""
 
 from dataclasses import replace
 
@@ -11,8 +11,8 @@ from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, after_blow, lo
 from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 from dpcontrol.foundation.errors import InputError
 
-ROUND_OFF = 1e-10  # Two hundredths of a second of rates up to 50 rad/s; a stiff loop leaves 5e-11.
-COULOMB = 1e-9  # Where a joint's rate changes its sign within the step.
+ROUND_OFF = 1e-10  # 0.02 s at rates up to 50 rad/s; a stiff loop has 5e-11.
+COULOMB = 1e-9  # If a joint's rate changes sign within the step.
 EXACT = 1e-11
 LEVELS = [
     PlantParameters(LAB),
@@ -61,15 +61,15 @@ def test_the_fixed_step_agrees_with_taylor_series_to_round_off(plant: PlantParam
     assert worst(plant, duration, steps=steps) < ROUND_OFF
 
 
-def test_longer_steps_break_and_coulomb_friction_asks_for_shorter_ones() -> None:
+def test_longer_steps_fail_and_coulomb_friction_requires_shorter_ones() -> None:
     assert worst(LEVELS[0], 0.02, steps=1) > 1e-4
     assert worst(LEVELS[0], 0.02, steps=10) < ROUND_OFF
-    # Arms that are slow enough to turn back within the step.
+    # Slow arms reverse within the step.
     assert worst(DRY, 1e-3, steps=1, slow=True) > 100 * COULOMB
     assert worst(DRY, 1e-3, steps=round(1e-3 / longest_step(DRY)), slow=True) < COULOMB
 
 
-def test_many_plants_step_as_one_does() -> None:
+def test_many_plants_step_like_a_single_one() -> None:
     plant = LEVELS[1]
     step = plant_step(2, plant.level)
     starts = states(plant, 9)
@@ -90,7 +90,7 @@ def test_without_lag_mass_and_tilt_the_plant_is_the_cart_level() -> None:
         assert rate(plant, s, 7.0) == pytest.approx(np.array(cart(s, 7.0, LAB.base())).ravel(), rel=1e-13, abs=1e-12)
 
 
-def test_a_fast_loop_is_the_cart_level_and_a_heavy_cart_the_drive_level() -> None:
+def test_a_fast_loop_gives_the_cart_level_and_a_heavy_cart_the_drive_level() -> None:
     begin = np.array([0.4, 2.8, 6.0, -9.0, 0.1, -0.3])
     cart = stepped(PlantParameters(LAB), begin, 4.0, 0.02, steps=20)
 
@@ -99,7 +99,7 @@ def test_a_fast_loop_is_the_cart_level_and_a_heavy_cart_the_drive_level() -> Non
         steps = int(np.ceil(0.02 / longest_step(plant)))
         return float(np.abs(stepped(plant, np.append(begin, 0.0), 4.0, 0.02, steps=steps)[:6] - cart).max())
 
-    # What a lag adds vanishes with it, in proportion.
+    # The effect of a small lag is proportional to it.
     assert away(1e-4) < 5e-3
     assert away(1e-4) / away(5e-5) == pytest.approx(2.0, abs=0.05)
     start = np.append(begin, -2.0)
@@ -120,7 +120,7 @@ def test_the_drive_level_is_the_exact_exponential() -> None:
     assert end[4] == pytest.approx(0.05 + v * t + u * t**2 / 2 + (a - u) * lag * (t - lag * (1 - fade)), abs=EXACT)
 
 
-def test_force_changes_the_momentum_along_the_track_and_the_arms_feel_only_the_carts_acceleration() -> None:
+def test_force_changes_the_momentum_and_acts_on_the_arms_only_by_acceleration() -> None:
     plant = PlantParameters(LAB, lag=0.004, cart_mass=0.8, cart_viscous=2.0, tilt=0.1)
     first, second = LAB.mass
     s = np.array([first * LAB.centre_of_mass[0] + second * LAB.length[0], second * LAB.centre_of_mass[1]])
@@ -135,7 +135,7 @@ def test_force_changes_the_momentum_along_the_track_and_the_arms_feel_only_the_c
         assert f[6] == pytest.approx((5.0 - f[5]) / 0.004, rel=1e-12, abs=1e-9)
 
 
-def test_a_tilted_pendulum_is_a_level_one_seen_askew() -> None:
+def test_a_tilted_pendulum_is_a_rotated_level_one() -> None:
     tilt = 0.07
     begin = np.array([0.4, 2.8, 6.0, -9.0, 0.1, 0.0])
     turn = np.array([tilt, tilt, 0, 0, 0, 0])
@@ -147,18 +147,18 @@ def test_a_tilted_pendulum_is_a_level_one_seen_askew() -> None:
     assert f[2:4] == pytest.approx([0, 0], abs=1e-12)
 
 
-def test_a_knock_is_a_huge_acceleration_for_a_moment() -> None:
+def test_a_knock_equals_a_short_large_acceleration() -> None:
     begin = np.array([0.4, 2.8, 6.0, -9.0, 0.1, -0.3])
     plant, moment = PlantParameters(LAB), 1e-9
     after = after_blow(plant, begin, knock=0.5)
     assert after == pytest.approx(stepped(plant, begin, 0.5 / moment, moment, steps=1), abs=1e-6)
     assert after[5] - begin[5] == pytest.approx(0.5, abs=1e-15)
     lagging = after_blow(PlantParameters(LAB, lag=0.01), np.append(begin, 1.0), knock=0.5)
-    # The loop's velocity reference v + lag · a is as before: the drive will undo the knock.
+    # The loop's velocity reference v + lag · a is unchanged, so the drive compensates the knock.
     assert lagging[5] + 0.01 * lagging[6] == pytest.approx(begin[5] + 0.01, abs=1e-14)
 
 
-def test_a_couple_on_an_arm_changes_its_momentum_only_and_moves_a_free_cart_too() -> None:
+def test_a_couple_on_an_arm_changes_only_its_momentum_and_moves_a_free_cart() -> None:
     first, second = LAB.mass
     a, b, c, *_ = LAB.base()
     x = np.array([0.4, 2.8, 6.0, -9.0, 0.1, -0.3])
@@ -184,6 +184,6 @@ def test_a_couple_on_an_arm_changes_its_momentum_only_and_moves_a_free_cart_too(
         ({"tilt": float("nan")}, "tilt = nan"),
     ],
 )
-def test_an_impossible_plant_is_named(given: dict[str, float], message: str) -> None:
+def test_an_impossible_plant_is_refused_by_name(given: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
         PlantParameters(LAB, **given)

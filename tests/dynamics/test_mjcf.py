@@ -1,4 +1,4 @@
-"""Arms written for MuJoCo move there as they do here; the example's rig is flown."""
+"""Arms exported to MuJoCo have the same motion there; the example's rig runs."""
 
 import re
 from dataclasses import replace
@@ -15,12 +15,12 @@ from dpcontrol.scenes.model import load_model
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'dpcontrol[mujoco]'")
 
 SAME = 1e-6
-"""rad after a second: Runge-Kutta of order 4 at 0.5 ms."""
+"""Error of fourth-order Runge-Kutta at 0.5 ms after one second, rad."""
 LAB, START = load_model("lab").arms, np.array([0.5, -1.3, 2.0, -4.0])
 
 
 def moved(text: str, *, clamped: bool, push: float = 0.0) -> np.ndarray:
-    """Return angles and rates after a second; clamped: the cart; push m/s²: what a force gives the cart's mass."""
+    """Return angles and rates after one second, with a clamped or pushed cart (m/s²)."""
     if clamped:
         text = re.sub(r'<joint name="cart".*?/>', "", text)
         text = re.sub(r"<actuator>.*?</actuator>", "", text)
@@ -36,7 +36,7 @@ def moved(text: str, *, clamped: bool, push: float = 0.0) -> np.ndarray:
 
 
 def by_hand(*, viscous: tuple[float, float] = (0.0, 0.0), push: float = 0.0) -> np.ndarray:
-    """Return the same by Lagrange's equations of two arms on a cart accelerated by `push` m/s²."""
+    """Return the same by Lagrange's equations for two arms on an accelerated cart."""
     m, a, j, g = LAB.mass, LAB.centre_of_mass, LAB.inertia, LAB.gravity
     inner = LAB.length[0]
     s1, s2 = m[0] * a[0] + m[1] * inner, m[1] * a[1]
@@ -52,31 +52,31 @@ def by_hand(*, viscous: tuple[float, float] = (0.0, 0.0), push: float = 0.0) -> 
     return solve_ivp(slope, (0, 1), START, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
 
 
-def test_without_friction_arms_move_as_by_hand_for_a_second() -> None:
+def test_without_friction_arms_move_as_by_lagranges_equations() -> None:
     found = moved(dp.mjcf(LAB.frictionless()), clamped=True)
     assert np.abs(found - by_hand())[:2].max() < SAME
 
 
-def test_viscous_friction_is_that_of_the_joints() -> None:
+def test_viscous_friction_equals_that_of_the_joints() -> None:
     viscous = (2e-3, 5e-4)
     found = moved(dp.mjcf(replace(LAB, viscous=viscous)), clamped=True)
     assert np.abs(found - by_hand(viscous=viscous))[:2].max() < SAME
 
 
-def test_the_servo_accelerates_the_cart_as_its_control_does_after_its_lag() -> None:
-    # A cart of 1e6 kg does not feel the arms. A lag of 2 ms moves the end of a second's motion by some milliradians.
+def test_the_servo_accelerates_the_cart_with_its_lag() -> None:
+    # The arms have no effect on a cart of 1e6 kg. A lag of 2 ms changes the result by some milliradians.
     found = moved(dp.mjcf(LAB.frictionless(), cart_mass=1e6), clamped=False, push=2.0)
     assert np.abs(found - by_hand(push=2.0))[:2].max() < 0.02
     assert np.abs(found - by_hand())[:2].max() > 0.2
 
 
 @pytest.mark.parametrize("change", [{"cart_mass": 0.0}, {"lag": -1.0}])
-def test_a_cart_or_a_drive_that_is_none_is_refused(change: dict[str, float]) -> None:
+def test_an_invalid_cart_or_drive_is_refused(change: dict[str, float]) -> None:
     with pytest.raises(dp.InputError, match="must be above 0"):
         dp.mjcf(LAB, **change)
 
 
-def test_the_verb_writes_what_mujoco_reads(tmp_path: Path) -> None:
+def test_mujoco_loads_the_file_of_the_verb(tmp_path: Path) -> None:
     file = tmp_path / "lab.xml"
     done = dpcontrol("model", "lab", "--mjcf", str(file))
     assert done.code == 0, done.stderr
@@ -86,14 +86,14 @@ def test_the_verb_writes_what_mujoco_reads(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["outer-turn", "cross"])
-def test_the_examples_rig_is_flown(name: str) -> None:
+def test_the_rig_of_the_example_runs(name: str) -> None:
     from dpcontrol.examples.mujoco_rig import flown
 
     (run,) = flown(name, [3])
     assert run.converged, run.status
 
 
-# Slow: a minute in MuJoCo, several times.
+# Slow: several minutes in MuJoCo.
 @pytest.mark.slow
 def test_nineteen_of_twenty_seeds_complete_the_turn_in_mujoco() -> None:
     from dpcontrol.examples.mujoco_rig import flown

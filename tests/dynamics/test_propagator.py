@@ -1,4 +1,4 @@
-"""Propagation, against scipy's DOP853 and the structure that the exact flow has."""
+"""Propagation, compared with scipy's DOP853 and properties of the exact flow."""
 
 import casadi as ca
 import heyoka as hy
@@ -11,7 +11,7 @@ from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.propagator import PolynomialInputPropagator, Section
 from dpcontrol.scenes.model import load_model
 
-DOP853 = 1e-9  # what scipy's DOP853 at 1e-12 is good for over a second of this motion
+DOP853 = 1e-9  # error of scipy's DOP853 at 1e-12 over a second of this motion
 SYMPLECTIC = 1e-11
 STATE = np.array([0.4, 2.9, 6.0, -3.0])
 
@@ -39,7 +39,7 @@ def test_flow_agrees_with_dop853(lab, pendulum):
     assert np.abs(pendulum.flow(STATE, 1.0) - expected).max() < DOP853
 
 
-def test_cart_level_flow_holds_its_input(lab):
+def test_cart_level_flow_has_constant_input(lab):
     equations = arm_chain_equations(2, Level.CART)
     state = np.append(STATE, [0.1, -0.3])
     expected = by_scipy(equations, lab.parameters.base(), state, 0.5, [4.0]).y[:, -1]
@@ -52,7 +52,7 @@ def test_flow_and_its_reverse_cancel(pendulum):
     assert np.abs(pendulum.flow(pendulum.flow(STATE, 0.8), -0.8) - STATE).max() < 1e-11
 
 
-def test_energy_is_kept_to_rounding(lab, pendulum):
+def test_energy_is_conserved_to_rounding(lab, pendulum):
     states = pendulum.sample(STATE, np.linspace(0, 5, 200))
     assert np.ptp(lab.system.numeric.hamiltonian(states)) < 1e-13
 
@@ -62,7 +62,7 @@ def test_state_transition_matrix_agrees_with_differences_and_is_symplectic(lab, 
     steps = 1e-5 * np.eye(4)
     columns = [(pendulum.flow(STATE + s, 0.5) - pendulum.flow(STATE - s, 0.5)) / 2e-5 for s in steps]
     assert np.allclose(stm, np.array(columns).T, rtol=1e-6, atol=1e-6)
-    # In (q, p) the flow's derivative is symplectic; T maps (q, ω) to (q, p).
+    # In (q, p) the flow's derivative is symplectic. T maps (q, ω) to (q, p).
     to_canonical = [
         np.vstack([np.eye(4)[:2], lab.system.numeric.momentum_jacobian(x)]) for x in (STATE, end)
     ]  # fmt: skip
@@ -96,7 +96,7 @@ def test_crossings_of_a_lifted_section_are_those_of_a_dense_solution(lab, pendul
     assert pendulum.crossing(STATE, section, longest=3.0, hit=len(expected) + 1) is None
 
 
-def test_a_section_that_is_never_met_gives_none(lab, pendulum):
+def test_a_section_that_is_not_reached_gives_none(lab, pendulum):
     section = Section("angle_1 = 1", (1, 0, 0, 0), (0, 1, 0, 0), (0, 1), offset=1.0)
     assert pendulum.crossing([0.01, 0.0, 0.0, 0.0], section, longest=2.0) is None
 
@@ -112,7 +112,7 @@ def test_a_one_sided_section_counts_only_that_side(pendulum):
     assert pendulum.crossing(STATE, rising, longest=5.0).time == pytest.approx(expected.time, abs=1e-12)
 
 
-def test_every_mapped_operation_means_the_same_in_heyoka():
+def test_every_mapped_operation_agrees_with_heyoka():
     x = ca.SX.sym("x", 2)
     a, b = x[0], x[1]
     expressions = [
@@ -127,7 +127,7 @@ def test_every_mapped_operation_means_the_same_in_heyoka():
     assert np.allclose(compiled(point), np.array(function(point)).ravel(), rtol=1e-15, atol=1e-15)
 
 
-def test_an_operation_without_a_counterpart_is_named():
+def test_an_operation_without_a_counterpart_is_refused_by_name():
     x = ca.SX.sym("x")
     with pytest.raises(NotImplementedError, match="no heyoka counterpart"):
         to_heyoka(ca.Function("f", [x], [ca.floor(x)]), [hy.make_vars("x", "y")])

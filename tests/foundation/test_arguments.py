@@ -20,20 +20,20 @@ def orbit():
 @pytest.mark.parametrize(
     "value", [None, "x", 1j, nan, inf, HUGE, True, [], pytest.param(10**5000, id="thousands of digits")]
 )
-def test_what_is_no_finite_number_is_refused(value):
+def test_values_that_are_not_finite_numbers_are_refused(value):
     with pytest.raises(InputError, match=r"energy = .*: must be a finite number"):
         number("energy", value)
 
 
 @pytest.mark.parametrize("value", [None, "3", 0, 1.5, nan, HUGE, True])
-def test_what_is_no_whole_number_in_bounds_is_refused(value):
+def test_values_that_are_not_integers_in_range_are_refused(value):
     with pytest.raises(InputError, match=r"hits = .*: must be a whole number from 1 to 9"):
         whole("hits", value, least=1, most=9)
     assert whole("hits", 3.0, least=1, most=9) == 3
 
 
 @pytest.mark.parametrize("value", [None, 3, b"log.mcap", []])
-def test_what_is_no_path_is_refused(value):
+def test_values_that_are_not_paths_are_refused(value):
     with pytest.raises(InputError, match="must be the path of a file"):
         path("file", value)
 
@@ -65,7 +65,7 @@ def test_what_is_no_path_is_refused(value):
         (lambda _: dp.Section.plane("x", (0, 1), period=0), "must be positive"),
     ],
 )
-def test_functions_refuse_arguments_of_the_wrong_kind(orbit, call, words):
+def test_functions_refuse_arguments_of_the_wrong_type(orbit, call, words):
     with pytest.raises(InputError) as refused:
         call(orbit)
     assert words in str(refused.value)
@@ -99,12 +99,12 @@ def test_functions_refuse_arguments_of_the_wrong_kind(orbit, call, words):
         (lambda: dp.identify([3], model=dp.load_model("lab")), "recordings = 3"),
     ],
 )
-def test_objects_of_another_kind_are_refused_by_name(call, words):
+def test_objects_of_the_wrong_type_are_refused_by_name(call, words):
     with pytest.raises(InputError) as refused:
         call()
     assert str(refused.value).startswith(words)
 
 
-def test_values_of_an_option_may_be_an_array():
+def test_option_values_may_be_an_array():
     campaign = dp.campaign("outer-turn", runs=1, over={"lag": np.array([0.0, 0.002])}, workers=1)
     assert campaign.completed.runs == 2

@@ -26,7 +26,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("content", [b"", b"orbits", bytes(range(256)) * 40])
-def test_what_was_kept_is_read_back(content: bytes, root: Path) -> None:
+def test_stored_content_is_read_back(content: bytes, root: Path) -> None:
     file = cache_file("atlases", "lab", KEY)
     assert kept(file) is None
     keep(file, content)
@@ -34,7 +34,7 @@ def test_what_was_kept_is_read_back(content: bytes, root: Path) -> None:
     assert os.listdir(file.parent) == [file.name]
 
 
-def test_content_that_was_cut_changed_or_renamed_is_as_good_as_absent(root: Path) -> None:
+def test_truncated_changed_or_renamed_content_counts_as_absent(root: Path) -> None:
     file, other = cache_file("plans", "turn", KEY), cache_file("plans", "cross", KEY)
     keep(file, b"states 1.0 2.0")
     whole = file.read_bytes()
@@ -49,7 +49,7 @@ def test_content_that_was_cut_changed_or_renamed_is_as_good_as_absent(root: Path
 
 
 @pytest.mark.parametrize("reason", [errno.ENOSPC, errno.EROFS, errno.EACCES])
-def test_a_cache_that_cannot_be_written_is_gone_without_and_named_once(
+def test_without_a_writable_cache_results_are_recomputed_with_one_remark(
     reason: int, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(path: Path, data: bytes) -> int:
@@ -66,7 +66,7 @@ def test_a_cache_that_cannot_be_written_is_gone_without_and_named_once(
     assert not [file for file in root.rglob("*") if file.is_file()]
 
 
-def test_a_name_of_any_length_and_any_signs_stays_within_the_cache(root: Path) -> None:
+def test_names_of_any_length_and_characters_stay_within_the_cache(root: Path) -> None:
     for name in ("ü" * 300, "../../etc/passwd", "a\0b", "\udcff"):
         file = cache_file("plans", name, KEY)
         assert file.parent == root / "plans"
@@ -74,7 +74,7 @@ def test_a_name_of_any_length_and_any_signs_stays_within_the_cache(root: Path) -
         assert kept(file) == b"content"
 
 
-def test_emptying_the_cache_leaves_what_others_keep_in_its_folder(root: Path) -> None:
+def test_emptying_the_cache_keeps_files_of_other_programs(root: Path) -> None:
     for kind in KINDS:
         keep(cache_file(kind, "turn", KEY), b"content")
     half = root / "plans" / f".turn-{KEY}.npz.x3_y.partial"
@@ -90,7 +90,7 @@ def test_emptying_the_cache_leaves_what_others_keep_in_its_folder(root: Path) ->
     assert all(file.read_text() == "mine" for file in others)
 
 
-def test_the_verb_shows_the_cache_and_empties_it(root: Path) -> None:
+def test_the_verb_lists_and_empties_the_cache(root: Path) -> None:
     keep(cache_file("plans", "turn", KEY), b"content")
     shown = dpcontrol("cache", "--json").document
     assert shown["folder"] == str(root)
@@ -101,14 +101,14 @@ def test_the_verb_shows_the_cache_and_empties_it(root: Path) -> None:
     assert dpcontrol("cache", "--json").document["entries"] == 0
 
 
-def test_a_cache_that_is_not_there_is_empty(root: Path) -> None:
+def test_a_missing_cache_is_empty(root: Path) -> None:
     assert cache_contents(clear=True).entries == 0
     assert not root.exists()
     root.write_text("a file")
     assert cache_contents().entries == 0
 
 
-def test_a_cache_that_cannot_be_emptied_is_a_sentence(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_emptied_is_reported(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keep(cache_file("plans", "turn", KEY), b"content")
 
     def read_only(path: Path, missing_ok: bool = False) -> None:
@@ -133,7 +133,7 @@ def forbidden(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     monkeypatch.setattr(os, "stat", refused)
 
 
-def test_a_cache_that_may_not_be_searched_counts_as_none_and_is_named_once(
+def test_a_cache_without_search_permission_counts_as_none_with_one_remark(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root.mkdir()
@@ -147,7 +147,7 @@ def test_a_cache_that_may_not_be_searched_counts_as_none_and_is_named_once(
     assert "Permission denied" in str(remark.message)
 
 
-def test_an_overlong_folder_of_the_cache_counts_as_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_overlong_cache_folder_counts_as_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / ("c" * 300)))
     file = cache_file("plans", "turn", KEY)
     with pytest.warns(Remark, match=os.strerror(errno.ENAMETOOLONG)):
@@ -170,7 +170,7 @@ def compiled(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", COMPILES], env=env, capture_output=True, text=True, check=True)
 
 
-def test_machine_code_of_heyoka_is_kept_listed_and_emptied_with_the_cache(root: Path) -> None:
+def test_heyokas_machine_code_is_stored_listed_and_deleted_with_the_cache(root: Path) -> None:
     compiled(root)
     assert not (root.parent / "home").exists()
     size = (root / COMPILER / "cache.db").stat().st_size
@@ -180,7 +180,7 @@ def test_machine_code_of_heyoka_is_kept_listed_and_emptied_with_the_cache(root: 
 
 
 @pytest.mark.parametrize("damage", ["database", "folder"])
-def test_a_cache_of_heyoka_that_fails_spoils_no_answer(root: Path, damage: str) -> None:
+def test_a_failing_cache_of_heyoka_has_no_effect_on_results(root: Path, damage: str) -> None:
     root.mkdir()
     if damage == "folder":
         (root / COMPILER).write_text("in the way")
@@ -192,7 +192,7 @@ def test_a_cache_of_heyoka_that_fails_spoils_no_answer(root: Path, damage: str) 
     assert done.stderr.count("Remark: ") == 1
 
 
-def test_every_kind_is_written_by_what_makes_it() -> None:
+def test_every_kind_is_written_by_its_module() -> None:
     """All modules use the store, which adds the checksum."""
     package = Path(store.__file__).parents[1]
     users = [file.read_text() for file in package.rglob("*.py") if file.name not in ("cache.py", "api.py")]

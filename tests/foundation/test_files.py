@@ -22,7 +22,7 @@ with whole_file(Path(sys.argv[1])) as temporary:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX's")
-def test_temporary_files_of_killed_writers_are_swept_and_those_of_living_ones_kept(tmp_path: Path) -> None:
+def test_temporary_files_of_killed_writers_are_deleted_and_those_of_live_ones_kept(tmp_path: Path) -> None:
     file = tmp_path / "table.parquet"
     (beside := tmp_path / ".table.parquet.notes.partial").write_text("the user's own")
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}

@@ -40,7 +40,7 @@ def test_a_key_keeps_its_place_and_comment_and_a_new_one_follows_the_last() -> N
         "[[run.blows]]\ntime = 1.0\n", '[run]\nnote = """\n[run]\ndelay = 7\n"""\ndelay = 3\n',
     ],
 )  # fmt: skip
-def test_what_is_read_afterwards_is_what_was_there_and_the_values(text: str) -> None:
+def test_edited_text_parses_to_the_old_keys_with_the_new_values(text: str) -> None:
     for end in ("\n", "\r\n"):
         before = text.replace("\n", end)
         after = with_values(before, "run", VALUES, file="a.toml")
@@ -54,6 +54,6 @@ def test_what_is_read_afterwards_is_what_was_there_and_the_values(text: str) -> 
 @pytest.mark.parametrize(
     "text", ["run = {delay = 1}\n", "run.delay = 1\n", '[run]\n"delay" = 1\n', '["run"]\ndelay = 1\n']
 )
-def test_text_that_is_written_otherwise_is_left_alone_by_name(text: str) -> None:
+def test_text_in_an_unsupported_form_is_refused_by_name(text: str) -> None:
     with pytest.raises(InputError, match=r"a\.toml: its \[run\] .*write there delay = 2\.5, zeros = \[0\.03, -0\.02\]"):
         with_values(text, "run", VALUES, file="a.toml")

@@ -1,11 +1,12 @@
-"""Multiple shooting: the program of `dpcontrol.references.problem` without collocation, as a check on it.
+"""Multiple shooting as an independent check of collocation (`dpcontrol.references.problem`).
 
     x_{i+1} = Φ(x_i, u_i; h_i)        Φ: the flow over interval i under the interval's own input polynomial
 
-Φ and the integral of the cost come from Dormand & Prince's explicit method of order eight. The method named in the
-settings supplies nothing but the places of the input's values. Solved by IPOPT with casadi's own derivatives: slower
-than collocation, and made of other equations, so that an agreement means something.
-Sources: Bock & Plitt, A multiple shooting algorithm for direct solution of optimal control problems, IFAC (1984);
+Φ and the integral of the cost use Dormand & Prince's explicit method of order eight. The method in the settings
+supplies only the points of the input's values. IPOPT with casadi's derivatives solves the program. It is slower than
+collocation and uses different equations, so agreement is significant.
+
+Sources: Bock & Plitt, A multiple shooting algorithm for direct solution of optimal control problems, IFAC (1984).
 Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I, section II.5, for the coefficients (as in SciPy).
 """
 
@@ -46,12 +47,12 @@ _C = np.asarray(DOP853.C, dtype=float)[:_STAGES]
 def solve_by_shooting(
     problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, mesh: Array, steps: int = 1
 ) -> Solved:
-    """Solve the program on `mesh` (N+1,) s from the problem's guess, with `steps` of the integrator per interval.
+    """Solve the program on `mesh` (N+1,) s with `steps` of the integrator per interval.
 
-    Limits hold for the states at the ends of intervals and the inputs at the method's points.
+    Limits apply to the states at the ends of intervals and to the inputs at the method's points.
 
     Raises:
-        InputError: a jerk limit, a free duration, a periodic orbit or a given energy: collocation serves those.
+        InputError: a jerk limit, a free duration, a periodic orbit or a given energy, which require collocation.
     """
     ends, limits = problem.ends, problem.limits
     if limits.jerk > 0 or ends.stretch > 0 or ends.closing is not None or ends.energy is not None:
@@ -94,7 +95,7 @@ def solve_by_shooting(
 
 
 def _flow(problem: ReferenceProblem, method: Method, settings: ReferenceSettings, steps: int) -> ca.Function:
-    """Return (scaled state, inputs (K,), length, guess at the stages) -> (scaled state at the end, cost)."""
+    """Return the function (scaled state, inputs (K,), length, stage guess) -> (final scaled state, cost)."""
     e = problem.equations
     count, nx, nz = len(method.points), e.dimension, problem.pendulum_dimension
     scale = ca.DM(state_scale(nx, problem.limits))
@@ -136,7 +137,7 @@ def _bounds(
 
 
 def _flown(propagator: PolynomialInputPropagator, method: Method, mesh: Array, states: Array, inputs: Array) -> Array:
-    """Return the states (N, K+1, nx) at the method's support, flown from each interval's start."""
+    """Return the states (N, K+1, nx) at the method's support, integrated from each interval's start."""
     lengths = np.diff(mesh)
     coefficients = power_coefficients(method.points, inputs[..., 0])
     coefficients = coefficients / lengths[:, None] ** np.arange(len(method.points))

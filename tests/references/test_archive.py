@@ -18,7 +18,7 @@ def stored(turn: tuple[StandIn, Reference], tmp_path: Path) -> tuple[Reference, 
     return reference, path
 
 
-def test_a_reference_comes_back_as_it_was(stored: tuple[Reference, Path]) -> None:
+def test_a_reference_is_restored_exactly(stored: tuple[Reference, Path]) -> None:
     reference, path = stored
     back = load_reference(path)
     times = np.linspace(0.0, reference.duration, 333)
@@ -36,7 +36,7 @@ def test_the_file_is_readable_with_numpy_alone(stored: tuple[Reference, Path]) -
         header = json.loads(str(file["header"]))
         assert header["format"] == "dpcontrol-reference"
         assert file["states"].shape == reference.states.shape
-        # The documented layout is enough to evaluate the input with a plain polynomial fit.
+        # The documented layout suffices to evaluate the input by a polynomial fit.
         fit = np.polyfit(file["points"], file["inputs"][7, :, 0], len(file["points"]) - 1)
         time = file["mesh"][7] + 0.3 * (file["mesh"][8] - file["mesh"][7])
     assert np.polyval(fit, 0.3) == pytest.approx(float(reference.input(time)[0]), abs=1e-9)
@@ -82,9 +82,7 @@ def test_a_foreign_or_changed_file_is_refused(stored: tuple[Reference, Path], tm
             load_reference(tmp_path / "changed.npz")
 
 
-def test_a_missing_file_and_notes_that_are_not_json_are_one_sentence(
-    stored: tuple[Reference, Path], tmp_path: Path
-) -> None:
+def test_a_missing_file_and_invalid_notes_are_reported(stored: tuple[Reference, Path], tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no reference"):
         load_reference(tmp_path / "nothing.npz")
     with pytest.raises(InputError, match="notes"):

@@ -1,4 +1,4 @@
-"""Where references fail: each cause is noticed, and named."""
+"""Failures of references, each detected and reported with its cause."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def farthest(problem: ReferenceProblem, reference: Reference) -> float:
     return away_from_guess(problem, reference)[0]
 
 
-def test_references_of_orbits_stay_well_within_what_counts_as_the_same_motion(
+def test_references_of_orbits_stay_close_to_their_orbits(
     tracked: tuple[StandIn, Reference],
 ) -> None:
     orbit, reference = tracked
@@ -45,17 +45,17 @@ def test_references_of_orbits_stay_well_within_what_counts_as_the_same_motion(
 
 
 @pytest.mark.benchmark
-def test_a_straight_line_does_not_pass_as_an_itinerary() -> None:
+def test_a_straight_line_is_not_accepted_as_an_itinerary() -> None:
     orbit = stitched(OUTER_TURN_LOW, DOWN_UP_LOW, DOWN_UP_LOW, wraps=1)
     found = find_reference(problem_of(straight(orbit), orbit.duration), QUICK)
     assert not found.converged
     assert "is an orbit of the same arms" in found.status
 
 
-def test_another_motion_that_the_solver_is_content_with_does_not_pass() -> None:
+def test_a_converged_solution_with_another_motion_is_refused() -> None:
     orbit = orbit_stretch(0.7)
     turned = np.array([0.0, 0.0, 0.0, 9.0])
-    # At both ends it is the orbit; on the way the outer arm would have to be where nothing takes it.
+    # At both ends it is the orbit; in between, the outer arm has an impossible position.
     guess = lambda t: orbit.guess(t) + np.outer(np.sin(np.pi * np.asarray(t) / 0.7), turned)  # noqa: E731
     problem = problem_of(guess, orbit.duration)
     method = method_named("radau-7")
@@ -66,7 +66,7 @@ def test_another_motion_that_the_solver_is_content_with_does_not_pass() -> None:
     assert "so it is another motion than the itinerary's" in found.status
 
 
-def test_friction_raised_step_by_step_leads_to_the_solution_that_a_cold_start_finds() -> None:
+def test_continuation_in_friction_gives_the_solution_of_a_cold_start() -> None:
     orbit = orbit_stretch(0.7)
     problem = problem_of(orbit.guess, orbit.duration, friction=10.0)
     method = method_named("radau-7")
@@ -84,7 +84,7 @@ def cost_at_the_arms_own_friction(problem: ReferenceProblem) -> float:
     return found.rms_cart_acceleration**2 * found.duration
 
 
-def test_friction_beyond_reach_is_named_with_the_share_that_can_be_made_up_for() -> None:
+def test_excessive_friction_is_reported_with_the_share_that_can_be_compensated() -> None:
     orbit = orbit_stretch(0.75)
     found = find_reference(problem_of(orbit.guess, orbit.duration, friction=60.0), QUICK)
     assert not found.converged
@@ -94,7 +94,7 @@ def test_friction_beyond_reach_is_named_with_the_share_that_can_be_made_up_for()
 
 
 @pytest.mark.parametrize("without", ["S", "G and S"])
-def test_a_cart_without_authority_is_named(without: str) -> None:
+def test_a_cart_without_authority_is_reported(without: str) -> None:
     orbit = orbit_stretch(0.5)
     problem = problem_of(orbit.guess, orbit.duration)
     parameters = problem.parameters.copy()
@@ -107,7 +107,7 @@ def test_a_cart_without_authority_is_named(without: str) -> None:
     assert "the cart's acceleration moves no arm" in found.status
 
 
-def test_a_limit_too_tight_is_named_with_when_it_binds() -> None:
+def test_a_limit_that_is_too_tight_is_reported_with_its_time() -> None:
     orbit = orbit_stretch(0.7)
     free = find_reference(problem_of(orbit.guess, orbit.duration), QUICK)
     found = find_reference(problem_of(orbit.guess, orbit.duration, limits=Limits(position=1e-5)), QUICK)
@@ -126,7 +126,7 @@ def test_a_mesh_too_coarse_is_refused_by_the_error_between_nodes() -> None:
     assert "error between nodes" in found.status
 
 
-def test_a_dwell_integrated_instead_of_tiled_is_noticed_by_where_it_ends() -> None:
+def test_a_dwell_that_is_integrated_instead_of_tiled_is_detected_at_its_end() -> None:
     equations = arm_chain_equations(2, Level.CONSERVATIVE)
     wobbles = 8 * DOWN_UP_LOW.period
     times = np.linspace(0.0, wobbles, 6000)
@@ -144,7 +144,7 @@ def test_a_dwell_integrated_instead_of_tiled_is_noticed_by_where_it_ends() -> No
     assert find_reference(tiled, QUICK).converged
 
 
-def test_friction_is_told_from_the_other_parameters_by_what_it_does() -> None:
+def test_friction_is_distinguished_from_other_parameters_by_dissipation() -> None:
     names = [str(symbol) for symbol in EQUATIONS.parameters.elements()]
     told = friction_parameters(problem_of(orbit_stretch(0.5).guess, 0.5))
     assert [name for name, is_friction in zip(names, told, strict=True) if is_friction] == ["k_0", "k_1"]

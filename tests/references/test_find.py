@@ -16,9 +16,9 @@ from dpcontrol.references.reference import Reference
 from dpcontrol.references.trajectory import error_between_nodes, first_trajectory, largest_on_intervals
 from dpcontrol.references.transcription import solve
 
-TOLERANCE = 1e-6  # The error between nodes that a reference promises, scaled.
-LIMIT = 1e-9  # How far a limit may be passed anywhere.
-EXACT = 1e-12  # Fixed ends are not variables of the program.
+TOLERANCE = 1e-6  # Required error between nodes, scaled.
+LIMIT = 1e-9  # Allowed violation of a limit.
+EXACT = 1e-12  # Fixed ends are constants of the program.
 EQUATIONS = arm_chain_equations(2, Level.CART)
 
 
@@ -27,7 +27,7 @@ def stretch_problem(limits: Limits | None = None, duration: float = 0.7) -> Refe
     return ReferenceProblem(EQUATIONS, LAB.base(), orbit.guess, orbit.duration, limits or Limits())
 
 
-def test_error_between_nodes_is_what_an_independent_integrator_finds(
+def test_error_between_nodes_agrees_with_an_independent_integrator(
     tracked: tuple[StandIn, Reference],
 ) -> None:
     _, reference = tracked
@@ -53,9 +53,9 @@ def test_error_between_nodes_is_what_an_independent_integrator_finds(
             rtol=1e-12,
             atol=1e-12,
         )
-        # The last time belongs to the next interval, whose start is this one's end.
+        # The last time belongs to the next interval.
         worst = max(worst, float((np.abs(flow.y.T - reference.state(times)) / scale).max()))
-    # The two look at different places between the nodes.
+    # The two methods use different points between the nodes.
     assert worst <= 1.2 * reference.max_error_between_nodes + 1e-10
     assert max(worst, reference.max_error_between_nodes) <= TOLERANCE
 
@@ -83,7 +83,7 @@ def test_reference_stays_near_the_orbit_at_the_effort_of_friction(
     assert nearest.max() < 0.05
 
 
-def test_reported_largest_values_are_those_of_a_dense_grid(crossing: tuple[StandIn, Reference]) -> None:
+def test_reported_largest_values_agree_with_a_dense_grid(crossing: tuple[StandIn, Reference]) -> None:
     _, reference = crossing
     times = np.linspace(0.0, reference.duration, 100_001)
     states, inputs = reference.state(times), reference.input(times)
@@ -94,7 +94,7 @@ def test_reported_largest_values_are_those_of_a_dense_grid(crossing: tuple[Stand
 
 
 @pytest.mark.parametrize("name", ["position", "velocity", "acceleration"])
-def test_a_limit_that_binds_is_kept_between_the_nodes(name: str) -> None:
+def test_an_active_limit_holds_between_the_nodes(name: str) -> None:
     free = find_reference(stretch_problem(), ReferenceSettings())
     bound = 0.85 * getattr(free, f"max_cart_{name}")
     held = find_reference(stretch_problem(replace(Limits(), **{name: bound})), ReferenceSettings())
@@ -107,7 +107,7 @@ def test_a_limit_that_binds_is_kept_between_the_nodes(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "unit"), [("position", "m"), ("acceleration", "m/s²")])
-def test_infeasible_limits_are_named_with_what_would_be_needed(name: str, unit: str) -> None:
+def test_infeasible_limits_are_reported_with_the_required_values(name: str, unit: str) -> None:
     free = find_reference(stretch_problem(), ReferenceSettings())
     bound = 0.01 * getattr(free, f"max_cart_{name}")
     refused = find_reference(stretch_problem(replace(Limits(), **{name: bound})), ReferenceSettings(iterations=60))
@@ -118,7 +118,7 @@ def test_infeasible_limits_are_named_with_what_would_be_needed(name: str, unit: 
     assert np.isfinite(refused.states).all()
 
 
-def test_a_mesh_too_coarse_is_seen_between_nodes_though_the_nodes_are_exact() -> None:
+def test_a_coarse_mesh_has_errors_between_nodes_despite_exact_nodes() -> None:
     problem, method = stretch_problem(), radau(5)
     errors = {}
     for intervals in (5, 10, 20):
@@ -128,7 +128,7 @@ def test_a_mesh_too_coarse_is_seen_between_nodes_though_the_nodes_are_exact() ->
         assert solved.violation < 1e-9
         errors[intervals] = error_between_nodes(problem, solved.trajectory).max()
     assert errors[5] > 100 * TOLERANCE
-    # Of order five at least, so a factor of 32 for half the length; the coarse meshes are not asymptotic yet.
+    # The order is at least five, a factor of 32 per halving. Coarse meshes are not yet asymptotic.
     assert errors[5] / errors[10] > 10
     assert errors[10] / errors[20] > 20
 
@@ -140,7 +140,7 @@ def test_refinement_splits_until_the_tolerance_holds() -> None:
     assert len(reference.mesh) > 8
 
 
-def test_too_few_rounds_end_with_the_error_and_a_remedy() -> None:
+def test_too_few_rounds_are_reported_with_the_error_and_a_remedy() -> None:
     reference = find_reference(stretch_problem(), ReferenceSettings(method="radau-2", rounds=1))
     assert not reference.converged
     assert "error between nodes" in reference.status
@@ -148,13 +148,13 @@ def test_too_few_rounds_end_with_the_error_and_a_remedy() -> None:
     assert np.isfinite(reference.max_error_between_nodes)
 
 
-def test_a_tolerance_beyond_double_precision_ends_before_the_mesh_explodes() -> None:
+def test_a_tolerance_below_double_precision_does_not_refine_without_end() -> None:
     reference = find_reference(stretch_problem(duration=0.2), ReferenceSettings(tolerance=1e-18))
     assert not reference.converged
     assert "where 1.0e-18 is asked" in reference.status
 
 
-def test_splitting_keeps_good_intervals_and_cuts_bad_ones() -> None:
+def test_splitting_keeps_accurate_intervals() -> None:
     mesh = split_mesh(np.array([0.0, 1.0, 2.0, 3.0]), np.array([1e-9, 1e-5, np.inf]), tolerance=1e-6, order=5)
     assert mesh[:2] == pytest.approx([0.0, 1.0])
     assert mesh == pytest.approx([0.0, 1.0, 1.5, 2.0, 2.25, 2.5, 2.75, 3.0])
@@ -165,18 +165,18 @@ def test_a_trajectory_on_a_finer_mesh_is_the_same_polynomial() -> None:
     coarse = first_trajectory(problem, method, np.linspace(0.0, problem.duration, 8))
     fine = on_mesh(coarse, np.sort(np.concatenate([coarse.mesh, [0.03, 0.31]])))
     again = on_mesh(fine, coarse.mesh)
-    # Both halves hold the same polynomial of degree five, extrapolated from one of them.
+    # Both halves have the same polynomial of degree five.
     assert again.states == pytest.approx(coarse.states, abs=1e-5)
     assert fine.states[0, 0] == pytest.approx(coarse.states[0, 0], abs=EXACT)
 
 
-def test_the_largest_value_between_samples_is_found() -> None:
+def test_the_largest_value_between_samples_is_computed() -> None:
     points = radau(5).points
     curve = Polynomial([0.0, 4.0, -4.0])
     assert largest_on_intervals(points, curve(points)[None, :], above=0.5) == pytest.approx(1.0, abs=EXACT)
 
 
-def test_impossible_problems_are_refused_in_one_sentence() -> None:
+def test_impossible_problems_are_refused() -> None:
     orbit = orbit_stretch(0.5)
     with pytest.raises(InputError, match="cart level"):
         ReferenceProblem(arm_chain_equations(2, Level.CONSERVATIVE), LAB.base(), orbit.guess, 0.5)

@@ -1,4 +1,4 @@
-"""What a program may ask beyond fixed ends and fixed times: jerk limits, free durations, closed and pinned orbits."""
+"""Programs with jerk limits, free durations, closed orbits or pinned orbits."""
 
 from dataclasses import replace
 
@@ -19,8 +19,8 @@ from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]
 
-LIMIT = 1e-9  # How far a limit may be passed anywhere, as a share of it.
-EXACT = 1e-9  # What the solver leaves of an equation, in units of the state.
+LIMIT = 1e-9  # Allowed relative violation of a limit.
+EXACT = 1e-9  # Residual of the solver's equations, in units of the state.
 SECONDS = 0.5
 QUICK = ReferenceSettings(method="radau-7", interval=0.05)
 
@@ -48,14 +48,14 @@ def test_a_jerk_limit_holds_between_the_nodes_and_makes_the_input_continuous() -
     bound = 0.8 * slopes_of(free, times).max()
     held = find_reference(swing(Limits(jerk=float(bound))), QUICK)
     assert held.converged, held.status
-    # A jump between intervals would be a slope of its own here, far above any bound.
+    # A jump between intervals would appear as a slope far above the bound.
     slopes = slopes_of(held, times)
     assert slopes.max() <= bound * (1 + 1e-6)
     assert slopes.max() > 0.9 * bound
     assert effort(held) >= effort(free) * (1 - 1e-6)
 
 
-def test_a_free_duration_saves_effort_within_the_stretch_allowed() -> None:
+def test_a_free_duration_saves_effort_within_its_limit() -> None:
     fixed = find_reference(swing(), QUICK)
     freed = find_reference(swing(ends=EndConditions(stretch=0.2)), QUICK)
     assert freed.converged, freed.status
@@ -64,7 +64,7 @@ def test_a_free_duration_saves_effort_within_the_stretch_allowed() -> None:
     assert effort(freed) < effort(fixed)
     given = orbit_stretch(SECONDS).guess(np.array([0.0, SECONDS]))
     assert freed.state(freed.duration)[:4] == pytest.approx(given[1], abs=EXACT)
-    # The same duration, fixed, is the same optimum.
+    # A fixed duration of the same value gives the same optimum.
     again = replace(
         swing(ends=EndConditions(start=np.array([*given[0], 0, 0]), end=np.array([*given[1], 0, 0]))),
         duration=freed.duration,
@@ -73,7 +73,7 @@ def test_a_free_duration_saves_effort_within_the_stretch_allowed() -> None:
     assert effort(find_reference(again, QUICK)) == pytest.approx(effort(freed), rel=1e-3)
 
 
-def test_a_closed_orbit_ends_where_it_starts_at_the_energy_asked_for() -> None:
+def test_a_closed_orbit_has_the_requested_energy() -> None:
     problem = swing(ends=EndConditions(closing=np.zeros(6), energy=-0.07, stretch=0.1), seconds=DOWN_UP_LOW.period)
     found = find_reference(problem, replace(QUICK, pendulum_weight=0.01))
     assert found.converged, found.status
@@ -81,7 +81,7 @@ def test_a_closed_orbit_ends_where_it_starts_at_the_energy_asked_for() -> None:
     assert last == pytest.approx(first, abs=EXACT)
     energy = NumericEquations(arm_chain_equations(2, Level.CONSERVATIVE), LAB.base()).hamiltonian(first[:4])
     assert float(energy) == pytest.approx(-0.07, abs=EXACT)
-    # Friction takes a closed orbit nothing less than it is given.
+    # On a closed orbit, friction dissipates all supplied energy.
     assert found.rms_cart_acceleration > 0.01
 
 
@@ -95,13 +95,13 @@ def test_a_closed_orbit_ends_where_it_starts_at_the_energy_asked_for() -> None:
         ("hermite-simpson", Limits(), EndConditions()),
     ],
 )
-def test_fatrop_refuses_what_couples_its_stages(name: str, limits: Limits, ends: EndConditions) -> None:
+def test_fatrop_refuses_constraints_that_couple_stages(name: str, limits: Limits, ends: EndConditions) -> None:
     with pytest.raises(InputError, match=r'fatrop.*use "ipopt"'):
         find_reference(swing(limits, ends, DOWN_UP_LOW.period), replace(QUICK, method=name, solver="fatrop"))
 
 
 @pytest.mark.parametrize("name", ["lobatto-4", "lobatto-5", "hermite-simpson"])
-def test_neighbouring_lobatto_intervals_share_the_input_between_them(name: str) -> None:
+def test_neighbouring_lobatto_intervals_share_their_common_input(name: str) -> None:
     problem, method = swing(), method_named(name)
     assert method.shares_inputs
     first = first_trajectory(problem, method, np.linspace(0.0, SECONDS, 26))

@@ -33,7 +33,7 @@ def test_differentiation_and_end_are_exact_for_polynomials_of_the_states_degree(
     assert method.end @ values == pytest.approx(curve(1.0), abs=ROUNDING)
 
 
-def test_interpolation_gives_the_values_at_the_points_and_the_polynomial_between() -> None:
+def test_interpolation_reproduces_the_points_and_the_polynomial() -> None:
     points = radau(5).points
     curve = np.polynomial.Polynomial([1.0, -2.0, 0.5, 3.0, -1.0])
     at = np.concatenate([points, np.linspace(0.0, 1.0, 17)])
@@ -41,6 +41,6 @@ def test_interpolation_gives_the_values_at_the_points_and_the_polynomial_between
 
 
 @pytest.mark.parametrize("name", ["radau-1", "radau-13", "radau", "gauss-0", "radau-x", ""])
-def test_an_unknown_method_is_refused_with_what_is_allowed(name: str) -> None:
+def test_an_unknown_method_is_refused_with_the_valid_names(name: str) -> None:
     with pytest.raises(InputError, match="radau"):
         method_named(name)

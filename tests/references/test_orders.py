@@ -1,4 +1,4 @@
-"""Orders of convergence: the collocation equations as an initial-value problem, on meshes halved again and again.
+"""Orders of convergence of the collocation equations as an initial-value problem.
 
 Source: Hairer & Wanner, Solving Ordinary Differential Equations II, section IV.5 (orders at the ends of
 steps).
@@ -19,8 +19,8 @@ from dpcontrol.references.transcription import interval_function
 
 Array = NDArray[np.float64]
 
-NEAR_THEORY = 0.3  # Of the order: what the project promises.
-ROUNDING = 1e-10  # Below this, two integrators at machine precision and Newton's steps differ too.
+NEAR_THEORY = 0.3  # Required accuracy of the order.
+ROUNDING = 1e-10  # Difference of two integrators at machine precision and of Newton's steps.
 MESHES = (8, 16, 32, 64)
 EQUATIONS = arm_chain_equations(2, Level.CART)
 SECONDS = 0.4
@@ -31,13 +31,13 @@ NAMES = [
 
 
 def pushed(times: Array) -> Array:
-    """Give the cart's acceleration, smooth and not a polynomial, m/s²."""
+    """Return a smooth, non-polynomial acceleration of the cart, m/s²."""
     return np.asarray(3.0 * np.sin(7.0 * np.asarray(times) + 0.4), dtype=np.float64)
 
 
 @pytest.fixture(scope="module")
 def flown() -> tuple[Array, Array]:
-    """The first and the last state of the motion, from another integrator."""
+    """The first and last states of the motion, by another integrator."""
     start = np.array([*orbit_stretch(SECONDS).guess(0.0), 0.0, 0.0])
     rate = quick_rate(EQUATIONS)
     flow = solve_ivp(
@@ -48,7 +48,7 @@ def flown() -> tuple[Array, Array]:
 
 
 def stepped(method: Method, start: Array, intervals: int) -> Array:
-    """Return the last state, interval by interval by Newton's method on the transcription's own equations."""
+    """Return the last state, by Newton's method on the transcription's equations for each interval."""
     problem = ReferenceProblem(EQUATIONS, LAB.base(), orbit_stretch(SECONDS).guess, SECONDS)
     interval = interval_function(problem, method, ReferenceSettings())
     count, nx = len(method.points), EQUATIONS.dimension
@@ -68,9 +68,7 @@ def stepped(method: Method, start: Array, intervals: int) -> Array:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_errors_at_the_ends_of_intervals_fall_with_the_order_of_the_method(
-    name: str, flown: tuple[Array, Array]
-) -> None:
+def test_errors_at_the_ends_of_intervals_have_the_order_of_the_method(name: str, flown: tuple[Array, Array]) -> None:
     start, exact = flown
     method, scale = method_named(name), state_scale(EQUATIONS.dimension, Limits())
     errors = np.array([np.abs((stepped(method, start, n) - exact) / scale).max() for n in MESHES])

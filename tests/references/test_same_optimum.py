@@ -1,4 +1,4 @@
-"""One program, many transcriptions, two solvers: one optimum."""
+"""Several transcriptions and two solvers have the same optimum."""
 
 from dataclasses import replace
 
@@ -18,11 +18,11 @@ from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]
 
-SAME_COST = 1e-3  # Shares and scaled differences that the project promises.
+SAME_COST = 1e-3  # Required relative and scaled differences.
 SAME_STATES = 1e-4
 SECONDS = 0.5
 TIMES = np.linspace(0.0, SECONDS, 2001)
-# Intervals short enough for an error between nodes below 1e-6 in each.
+# Intervals with an error between nodes below 1e-6.
 COLLOCATED = [
     ("radau-3", 0.01, "ipopt"),
     ("radau-5", 0.02, "ipopt"),
@@ -60,7 +60,7 @@ def collocated(problem: ReferenceProblem, name: str, interval: float, solver: st
 
 @pytest.fixture(scope="module")
 def shot() -> tuple[float, Array]:
-    """Cost and states of the optimum by multiple shooting."""
+    """Cost and states of the optimum by multiple shooting, computed once."""
     method = method_named("radau-7")
     solved = solve_by_shooting(swing(), method, settings=ReferenceSettings(), mesh=mesh_of(0.05), steps=2)
     assert solved.succeeded
@@ -82,7 +82,7 @@ def test_shooting_agrees_where_a_limit_binds() -> None:
     free = find_reference(swing(), ReferenceSettings())
     problem = swing(Limits(acceleration=0.85 * free.max_cart_acceleration))
     method = method_named("radau-5")
-    # Both hold the limit at the same places: the programs are the same but for the equations of motion.
+    # Both apply the limit at the same points, so the programs differ only in the equations of motion.
     flown = solve_by_shooting(problem, method, settings=ReferenceSettings(), mesh=mesh_of(0.02))
     held = collocated(problem, "radau-5", 0.02, "ipopt")
     assert flown.succeeded
@@ -102,7 +102,7 @@ def test_shooting_agrees_where_a_limit_binds() -> None:
         (Limits(), EndConditions(energy=-0.07)),
     ],
 )
-def test_shooting_refuses_what_only_collocation_serves(limits: Limits, ends: EndConditions) -> None:
+def test_shooting_refuses_problems_that_require_collocation(limits: Limits, ends: EndConditions) -> None:
     with pytest.raises(InputError, match="multiple shooting serves fixed times"):
         solve_by_shooting(
             replace(swing(limits), ends=ends), method_named("radau-5"), settings=ReferenceSettings(), mesh=mesh_of(0.1)

@@ -14,13 +14,13 @@ from dpcontrol.references.problem import Limits
 from dpcontrol.references.sustained import SectionMap, SustainedOrbit, sustained_orbit
 from dpcontrol.scenes.model import load_model
 
-ERROR_BETWEEN_NODES = 1e-9  # What is promised, scaled.
-CLOSURE = 1e-9  # rad, rad/s, m: a solver's tolerance, scaled back.
-INPUT = 1e-7  # m/s²: inputs of neighbouring intervals differ by 1e-9 where they meet.
-EFFORT = 0.02  # Relative; the efforts measured before were given to two or three digits.
-DIFFERENCE = 1e-6  # Step of central differences: leaves 1e-6 of curvature and rounding at rates of tens of rad/s.
-SLOPE = 2e-5  # Of finite differences over half a period, relative to the largest entry.
-MULTIPLIER = 1e-7  # Relative; both sides at machine precision, amplified by a monodromy of norm thousands.
+ERROR_BETWEEN_NODES = 1e-9  # Required, scaled.
+CLOSURE = 1e-9  # rad, rad/s, m: tolerance of the solver without scaling.
+INPUT = 1e-7  # m/s²: inputs of neighbouring intervals differ by 1e-9 at their common node.
+EFFORT = 0.02  # Relative; known efforts have two or three digits.
+DIFFERENCE = 1e-6  # Step of central differences, with an error of 1e-6 at rates of tens of rad/s.
+SLOPE = 2e-5  # Error of finite differences over half a period, relative to the largest entry.
+MULTIPLIER = 1e-7  # Relative; machine precision amplified by a monodromy matrix with a norm of thousands.
 LAB = load_model("lab")
 
 Array = np.ndarray
@@ -38,7 +38,7 @@ def arms(friction: float) -> ArmChainParameters:
 
 
 def flow(orbit: SustainedOrbit, state: Array, begin: float, duration: float, pulse: Input = lambda _: 0.0) -> Array:
-    """Integrate by the clock from `begin` with the orbit's input and a pulse of the time since; DOP853."""
+    """Integrate by DOP853 from time `begin` with the orbit's input and a pulse."""
     rate = quick_rate(orbit.equations)
 
     def right(t: float, x: Array) -> Array:
@@ -50,7 +50,7 @@ def flow(orbit: SustainedOrbit, state: Array, begin: float, duration: float, pul
 
 
 def returned(orbit: SustainedOrbit, here: SectionMap, state: Array, height: float = 0.0) -> Array:
-    """Fly from a section, the clock reset there, to where the next is really crossed."""
+    """Integrate from a section, with the clock reset there, to the crossing of the next one."""
 
     def push(time: float) -> float:
         return height * float(here.pulse(time))
@@ -58,7 +58,7 @@ def returned(orbit: SustainedOrbit, here: SectionMap, state: Array, height: floa
     time = here.duration
     for _ in range(3):
         found = flow(orbit, state, here.start.time, time, push)
-        # Newton's step: along the orbit lateness grows by a second each second.
+        # Newton's step, in which the delay along the orbit grows by one second per second.
         time -= float(here.end.lateness(found))
     return flow(orbit, state, here.start.time, time, push)
 
@@ -76,12 +76,12 @@ def test_the_orbit_solves_the_equations_with_friction_and_closes_at_the_known_ef
     start = orbit.state(0.0)
     assert start == pytest.approx(orbit.reference.state(orbit.period), abs=CLOSURE)
     assert float(LAB.system.numeric.hamiltonian(start[:4])) == pytest.approx(energy, abs=1e-10)
-    # Flown independently; half a period of an orbit whose errors grow by two thousand in a whole one.
+    # Independent integration over half a period; errors grow by two thousand in a whole period.
     half = flow(orbit, start, 0.0, orbit.period / 2)
     assert half == pytest.approx(orbit.state(orbit.period / 2), abs=1e-7)
 
 
-def test_the_cart_is_centred_and_the_orbit_goes_on_for_ever() -> None:
+def test_the_cart_is_centred_and_the_orbit_is_periodic() -> None:
     orbit = sustained("down-up", 0.2)
     times = np.arange(4000) / 4000 * orbit.period
     assert abs(orbit.state(times)[:, 4].mean()) < 1e-4 * orbit.reference.max_cart_position
@@ -90,14 +90,14 @@ def test_the_cart_is_centred_and_the_orbit_goes_on_for_ever() -> None:
     assert orbit.state(0.0)[0] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_input_gives_what_friction_takes_with_little_more_than_the_least_effort() -> None:
+def test_the_input_compensates_friction_with_nearly_minimal_effort() -> None:
     orbit = sustained("down-up", 0.2)
     times = (np.arange(4000) + 0.5) / 4000 * orbit.period
     states, effort = orbit.state(times), orbit.input(times)
     taken = LAB.arms.viscous[0] * states[:, 2] ** 2 + LAB.arms.viscous[1] * (states[:, 3] - states[:, 2]) ** 2
     gains = -_coupling(states)
     assert np.mean(gains * effort) == pytest.approx(np.mean(taken), rel=1e-4)
-    # By Cauchy and Schwarz no input of that power is smaller; the orbit also has to stay one.
+    # By the Cauchy-Schwarz inequality, no input of this power is smaller. The orbit must also be closed.
     least = np.mean(taken) / np.sqrt(np.mean(gains**2))
     assert least <= orbit.reference.rms_cart_acceleration <= 1.2 * least
 
@@ -108,7 +108,7 @@ def _coupling(states: Array) -> Array:
     return (weights * np.cos(states[:, :2]) * states[:, 2:4]).sum(1)
 
 
-def test_without_friction_it_is_the_lyapunov_orbit_with_its_multipliers() -> None:
+def test_without_friction_the_sustained_orbit_is_the_lyapunov_orbit() -> None:
     orbit = sustained("down-up", 0.2, 0.0)
     assert orbit.reference.max_cart_acceleration < 1e-9
     assert orbit.state(0.0)[:4] == pytest.approx(orbit.lyapunov.state, abs=1e-9)
@@ -117,11 +117,11 @@ def test_without_friction_it_is_the_lyapunov_orbit_with_its_multipliers() -> Non
     for values in (orbit.multipliers, orbit.section_multipliers(1), orbit.section_multipliers(5)):
         assert values[0].real == pytest.approx(largest, rel=MULTIPLIER)
         assert values[-1].real == pytest.approx(1 / largest, rel=MULTIPLIER)
-        # A double one moves by the root of what the matrix is off by.
+        # A double multiplier has an error of the square root of the matrix error.
         assert values[1:-1] == pytest.approx(np.ones(len(values) - 2), abs=1e-4)
 
 
-def test_multipliers_are_those_of_a_period_flown_with_the_input_replayed() -> None:
+def test_multipliers_agree_with_the_integration_of_a_period() -> None:
     orbit = sustained("down-up", -0.07)
     columns = []
     for k in range(6):
@@ -133,7 +133,7 @@ def test_multipliers_are_those_of_a_period_flown_with_the_input_replayed() -> No
     assert matrix == pytest.approx(monodromy, abs=SLOPE * np.abs(monodromy).max())
     values = orbit.multipliers
     assert values[0].real == pytest.approx(np.abs(np.linalg.eigvals(monodromy)).max(), rel=1e-5)
-    # Liouville: what friction takes from volumes, by its trace; the cart takes none.
+    # By Liouville's theorem, friction reduces volumes by its trace. The cart has no effect.
     trace = [np.trace(np.array(_jacobian(orbit, t))) for t in (np.arange(2000) + 0.5) / 2000 * orbit.period]
     assert np.prod(values).real == pytest.approx(np.exp(np.mean(trace) * orbit.period), rel=1e-6)
     assert np.sort(np.abs(values))[2:4] == pytest.approx([0.976, 1.0], abs=5e-3)
@@ -145,14 +145,14 @@ def _jacobian(orbit: SustainedOrbit, time: float) -> Array:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 7])
-def test_section_maps_are_what_differences_of_flights_to_the_next_section_give(which: int) -> None:
+def test_section_maps_agree_with_finite_differences(which: int) -> None:
     orbit = sustained("down-up", 0.2)
-    # The last of the eight passes the end of the period.
+    # The last of the eight sections is beyond the end of the period.
     here = orbit.section_maps(8)[which]
     start = here.start
     assert returned(orbit, here, start.state) == pytest.approx(here.end.state, abs=1e-7)
     for k in range(6):
-        # Differences off the section are moved onto it, for the clock is reset on it.
+        # Differences are projected onto the section, because the clock is reset there.
         step = DIFFERENCE * (start.projection @ np.eye(6)[k])
         ends = [returned(orbit, here, start.state + sign * step) for sign in (1, -1)]
         slope = (ends[0] - ends[1]) / (2 * DIFFERENCE)
@@ -164,9 +164,7 @@ def test_section_maps_are_what_differences_of_flights_to_the_next_section_give(w
 
 
 @pytest.mark.parametrize(("saddle", "energy"), [("down-up", -0.07), ("down-up", 0.2), ("up-down", 0.2)])
-def test_section_multipliers_are_the_saddles_two_the_energys_and_the_carts_pair_of_ones(
-    saddle: str, energy: float
-) -> None:
+def test_section_multipliers_belong_to_the_saddle_the_energy_and_the_cart(saddle: str, energy: float) -> None:
     orbit = sustained(saddle, energy)
     values = orbit.section_multipliers(4)
     assert len(values) == 5
@@ -175,7 +173,7 @@ def test_section_multipliers_are_the_saddles_two_the_energys_and_the_carts_pair_
     assert values[-1].real == pytest.approx(1 / largest, rel=0.1)
     assert np.sort(np.abs(values[1:3])) == pytest.approx([1.0, 1.0], abs=1e-12)
     assert 0.96 < values[3].real < 0.999
-    # A product of all maps has them, and a zero for the direction off the section.
+    # The product of all maps has these multipliers, and zero for the direction normal to the section.
     product = np.eye(6)
     for here in orbit.section_maps(4):
         product = here.matrix @ product
@@ -183,12 +181,12 @@ def test_section_multipliers_are_the_saddles_two_the_energys_and_the_carts_pair_
     assert np.sort(np.abs(np.linalg.eigvals(product)))[0] < 1e-10
 
 
-def test_sections_are_crossed_by_the_orbit_at_their_times_and_only_there() -> None:
+def test_the_orbit_crosses_sections_only_at_their_times() -> None:
     orbit = sustained("down-up", 0.2)
     times = np.arange(20000) / 20000 * orbit.period
     for section in orbit.sections(5):
         late = section.lateness(orbit.state(times))
-        # Near the section; the plane cuts the orbit's far side too.
+        # Only near the section, because the plane also intersects the far side of the orbit.
         near = np.abs(times - section.time) < orbit.period / 10
         assert (np.sign(late[near]) == np.sign(times[near] - section.time)).all()
         assert section.lateness(orbit.state(section.time + 1e-5)) == pytest.approx(1e-5, rel=1e-3)
@@ -201,7 +199,7 @@ def test_sections_are_crossed_by_the_orbit_at_their_times_and_only_there() -> No
     ("saddle", "energy", "friction"),
     [("down-up", -0.175429, 1.0), ("down-up", 0.25, 1.0), ("up-down", 0.1755, 1.0), ("down-up", 0.2, 5.0)],
 )
-def test_small_and_large_orbits_and_five_times_the_friction_are_sustained(
+def test_small_and_large_orbits_are_sustained_with_five_times_the_friction(
     saddle: str, energy: float, friction: float
 ) -> None:
     orbit = sustained(saddle, energy, friction)
@@ -219,7 +217,7 @@ def test_effort_grows_in_proportion_to_friction_and_to_small_amplitudes() -> Non
     assert near[0] == pytest.approx(near[1], rel=0.01)
 
 
-def test_limits_that_are_too_tight_are_a_status_that_says_which() -> None:
+def test_the_status_names_limits_that_are_too_tight() -> None:
     lyapunov = lyapunov_orbit(LAB.system, "down-up", energy=0.2)
     orbit = sustained_orbit(lyapunov, LAB.arms, limits=Limits(acceleration=0.05))
     assert not orbit.converged

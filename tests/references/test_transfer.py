@@ -1,4 +1,4 @@
-"""Swing-ups, landings, and pieces joined."""
+"""Swing-ups, landings and joined pieces."""
 
 import numpy as np
 import pytest
@@ -24,8 +24,8 @@ def swing_up():
     return find_transfer(EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=Limits(), settings=SETTINGS)
 
 
-def test_a_swing_up_is_a_motion_of_the_arms(swing_up):
-    """Every interval, flown again by a tight propagator from its start, ends where the next begins."""
+def test_a_swing_up_satisfies_the_equations_of_motion(swing_up):
+    """An accurate propagator reaches the start of the next interval from each interval's start."""
     assert swing_up.converged
     assert np.abs(swing_up.state(0.0) - HANGING).max() < 1e-12
     assert np.abs(swing_up.state(swing_up.duration) - UP).max() < 1e-9
@@ -39,13 +39,13 @@ def test_a_swing_up_is_a_motion_of_the_arms(swing_up):
         assert gap.max() < 1e-6
 
 
-def test_a_swing_up_keeps_to_the_limits(swing_up):
+def test_a_swing_up_satisfies_the_limits(swing_up):
     assert swing_up.max_cart_position <= 0.4 + 1e-9
     assert swing_up.max_cart_velocity <= 3.0 + 1e-9
     assert swing_up.max_cart_acceleration <= 30.0 + 1e-9
 
 
-def test_a_transfer_that_no_duration_allows_says_what_stands_in_the_way():
+def test_an_impossible_transfer_is_reported_with_the_cause():
     tight = Limits(position=0.01, velocity=0.05, acceleration=0.2)
     with pytest.raises(
         GoalMissed, match=r"no transfer in 0.5 s within .*without limits it takes a cart (position|velocity|accel)"
@@ -56,8 +56,8 @@ def test_a_transfer_that_no_duration_allows_says_what_stands_in_the_way():
         )  # fmt: skip
 
 
-def test_the_least_sensitive_motion_that_leaves_room_is_taken():
-    """Of two durations the one that is said to let errors grow less, though the other comes first and is gentler."""
+def test_the_least_sensitive_motion_within_margins_is_selected():
+    """Of two durations, the one with the smaller error growth is selected, although the other has less effort."""
     asked = {}
 
     def sensitivity(motion):
@@ -73,7 +73,7 @@ def test_the_least_sensitive_motion_that_leaves_room_is_taken():
     assert found.duration == 2.0
 
 
-def test_longer_durations_are_tried_if_the_first_ones_give_no_motion():
+def test_longer_durations_are_tried_after_failures():
     coarse = ReferenceSettings(method="radau-5", interval=0.1, tolerance=1e-3)
     found = find_transfer(
         EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=Limits(), settings=coarse,
@@ -93,7 +93,7 @@ def test_the_guess_turns_the_arms_smoothly():
     assert np.abs(slope - states[:, 2:])[1:-1].max() < 1e-4
 
 
-def test_pieces_are_joined_in_time_and_a_jump_between_them_is_seen(swing_up):
+def test_pieces_are_joined_in_time_and_jumps_are_detected(swing_up):
     method = method_named("radau-7")
     hold = still(UP, 0.5, method=method, limits=Limits(), interval=0.1)
     whole, begins = joined([swing_up, hold])

@@ -1,4 +1,4 @@
-"""Random itineraries at 0.2 J: a sample of the two hundred in tests/benchmarks/test_references.py."""
+"""Random itineraries at 0.2 J, a sample of the two hundred in tests/benchmarks/test_references.py."""
 
 import pytest
 from walk_references import complaints, random_references
@@ -9,7 +9,7 @@ from dpcontrol.walks.edges import find_edges
 
 
 @pytest.mark.slow
-def test_random_itineraries_converge_and_stop_where_their_walks_ask() -> None:
+def test_random_itineraries_converge_with_the_stops_of_their_walks() -> None:
     model = load_model("lab")
     edges = find_edges(model.system, 0.2)
     settings = ReferenceSettings(method="radau-7", interval=0.05)

@@ -1,4 +1,4 @@
-"""Random itineraries and their references, shared by a default test and a benchmark."""
+"""Random itineraries and their references, for a default test and a benchmark."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ class Followed:
 
 
 def problem_of(model: Model, orbit: ShadowingOrbit, friction: float = 1.0) -> ReferenceProblem:
-    """Return the problem of following a walk's orbit with the arms' friction times a factor."""
+    """Return the problem of following a walk's orbit with scaled friction of the arms."""
     arms = replace(model.arms, viscous=tuple(friction * k for k in model.arms.viscous))
     return ReferenceProblem(
         arm_chain_equations(model.arms.count, Level.CART), arms.base(), orbit.sample, orbit.duration
@@ -35,7 +35,7 @@ def problem_of(model: Model, orbit: ShadowingOrbit, friction: float = 1.0) -> Re
 def random_references(
     model: Model, edges: Edges, count: int, *, seed: int, lengths: tuple[int, int], settings: ReferenceSettings
 ) -> Iterator[Followed]:
-    """Draw walks, wraps from zero to three above the least, and friction from half to twice the arms' own."""
+    """Draw walks, up to three wraps above the fewest, and 0.5 to 2 times the arms' friction."""
     generator, solver = np.random.default_rng(seed), WalkSolver(edges.connections)
     for _ in range(count):
         chain = random_walk(edges, int(generator.integers(lengths[0], lengths[1] + 1)), generator)
@@ -47,7 +47,7 @@ def random_references(
 
 
 def complaints(model: Model, followed: Followed) -> list[str]:
-    """Say what a reference fails in: convergence, limits, or the stops that the walk asks for."""
+    """Return the failures of a reference: convergence, limits or the walk's stops."""
     orbit, reference = followed.orbit, followed.reference
     what = f"{' '.join(orbit.walk)}, wraps {orbit.wraps}, friction ×{followed.friction:.2f}"
     if not reference.converged:
@@ -70,7 +70,7 @@ def complaints(model: Model, followed: Followed) -> list[str]:
         np.array(notes["saddles"][name]["angles"]) + 2 * np.pi * np.array(turns)
         for (name, turns), *_ in labels(plan, states)
     ]
-    # A connection may pass close by another orbit on its way.
+    # A connection may pass close to another orbit.
     left = iter(seen)
     same = all(any(np.allclose(one, stop) for one in left) for stop in wanted)
     return [] if same else [f"{what}: stops {np.round(seen, 2).tolist()}, not {np.round(wanted, 2).tolist()}"]

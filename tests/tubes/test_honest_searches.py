@@ -73,7 +73,7 @@ def test_a_search_that_may_be_incomplete_exits_with_one(arguments):
     assert shown.code == 1
 
 
-def test_a_search_with_a_time_limit_may_be_complete_with_open_cuts():
+def test_a_search_may_be_complete_with_open_cuts():
     shown = dpcontrol("connect", "lab", "--from", "down-up", "--to", "up-down", "--energy", "0.2", "--json")
     assert shown.document["open_cuts"]
     assert shown.document["complete"]
