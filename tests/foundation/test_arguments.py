@@ -48,7 +48,7 @@ def test_values_that_are_not_paths_are_refused(value):
         (lambda orbit: dp.connections(orbit, hits=(0, 1)), "hits = 0"),
         (lambda orbit: dp.atlas(orbit.system, energy=-0.07, hits=(None, 1)), "hits = None"),
         (lambda orbit: dp.atlas(orbit.system, energy=1j), "energy = 1j"),
-        (lambda orbit: dp.graph(orbit.system, energy=-0.07, symbols=[None]), "a symbol is a text"),
+        (lambda orbit: dp.graph(orbit.system, energy=-0.07, symbols=[None]), "a symbol must be text"),
         (
             lambda orbit: dp.find_bifurcations(orbit.system, "down-up", "down-up", energies=("x", 1)),
             "energies = 'x'",
