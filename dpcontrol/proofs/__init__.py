@@ -1,1 +1,1 @@
-"""Proofs in ball arithmetic that periodic orbits, closed walks and connections exist; certificates and a check."""
+"""Existence proofs in ball arithmetic for orbits, walks and connections."""

@@ -1,12 +1,11 @@
-"""Ball arithmetic: flint's numbers, its working precision, exact decimals, and equations that flint evaluates.
+"""Ball arithmetic with flint: precision, exact decimals and evaluation of equations.
 
-A ball is a midpoint with a radius; flint's operations return balls that contain every result from numbers in the balls
-they are given. A comparison of balls is true only if it holds for all numbers in them. flint's working precision and
-the length of its power series belong to the whole process: `working` is the one place that sets them, and it restores
-them.
+A ball is a midpoint with a radius. Operations of flint return balls that contain all results for numbers in the
+operands. A comparison of balls is true only if it holds for all their numbers. Working precision and series length are
+global settings of flint, which only `working` sets and restores.
 
-A casadi graph is read once as a list of operations, each value assigned once. The same list is evaluated on balls,
-complex balls and power series of balls. Parameters enter as exact fractions.
+A casadi graph is converted once to a list of operations with single assignments. The list is evaluated on balls,
+complex balls and power series of balls. Parameters are exact fractions.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,12 +24,12 @@ flint: Any = Later("flint")
 
 
 class NotClosed(Exception):
-    """An enclosure does not close: one clause that names the step."""
+    """An enclosure does not close; the message names the step."""
 
 
 @contextmanager
 def working(bits: int) -> Iterator[None]:
-    """Set flint's working precision, and restore it and the length of its series afterwards."""
+    """Set flint's working precision, and restore precision and series length afterwards."""
     context = flint.ctx
     before = context.prec, context.cap
     context.prec = bits
@@ -41,46 +40,46 @@ def working(bits: int) -> Iterator[None]:
 
 
 def ball(value: Any) -> Any:
-    """Return a number as a ball: doubles as the binary numbers that they are, fractions enclosed, balls unchanged."""
+    """Return a number as a ball, exactly if possible."""
     if isinstance(value, Fraction):
         return flint.arb(flint.fmpq(value.numerator, value.denominator))
     return value if isinstance(value, flint.arb) else flint.arb(float(value))
 
 
 def symmetric(radius: Any) -> Any:
-    """Return the ball about zero that reaches as far as `radius`, a ball or a number."""
+    """Return the ball about zero with the given radius."""
     return flint.arb(0, ball(radius).abs_upper())
 
 
 def exact(value: Any, digits: int = 40) -> Fraction:
-    """Return a decimal of so many significant digits near the midpoint of a ball."""
+    """Return the midpoint of a ball, rounded to `digits` significant digits."""
     return Fraction(ball(value).mid().str(digits, radius=False))
 
 
 def decimal(value: Fraction) -> str:
-    """Return a fraction whose denominator divides a power of ten as its digits."""
+    """Return the decimal digits of a fraction that has finitely many."""
     return str(Context(prec=1200).divide(Decimal(value.numerator), Decimal(value.denominator)))
 
 
 def text(value: Any, digits: int = 20) -> str:
-    """Return a ball as its known digits and a radius."""
+    """Format a ball as certain digits and a radius."""
     return ball(value).str(digits)
 
 
 def bound(value: Any, *, lower: bool = False) -> str:
-    """Return an upper, or a lower, bound of a ball of at least zero with three digits."""
+    """Format an upper or lower bound of a nonnegative ball, three digits."""
     number = Fraction((ball(value).lower() if lower else ball(value).upper()).fmpq().str())
     rounded = Context(prec=3, rounding=ROUND_FLOOR if lower else ROUND_CEILING)
     return f"{rounded.divide(Decimal(number.numerator), Decimal(number.denominator)):g}"
 
 
 def columns(rows: Sequence[Sequence[Any]]) -> Any:
-    """Return a matrix of balls."""
+    """Return a matrix of balls from its rows."""
     return flint.arb_mat([[ball(x) for x in row] for row in rows])
 
 
 def identity() -> Any:
-    """Return the matrix of the identity of four states."""
+    """Return the identity matrix for four states."""
     return flint.arb_mat(4, 4, [flint.arb(int(k % 5 == 0)) for k in range(16)])
 
 
@@ -93,7 +92,7 @@ def _power(base: Any, exponent: Any) -> Any:
 
 
 def _sqrt(x: Any) -> Any:
-    # Across a branch cut a complex root is no analytic function: flint then returns no number.
+    # A complex root is not analytic across its branch cut. In this case flint returns NaN.
     return x.sqrt(analytic=True) if isinstance(x, flint.acb) else x.sqrt()
 
 
@@ -127,9 +126,10 @@ _BINARY: dict[int, Callable[[Any, Any], Any]] = {
 class Instructions:
     """A casadi function of (state, parameters) as operations on numbered values.
 
-    start: all values; the state's come first, those that depend on it are None before they are computed. steps:
-    (function, places of the results, places of the arguments). outputs: places of the entries, None for a structural
-    zero.
+    Attributes:
+        start: initial values, the state first, None if computed later.
+        steps: (function, indices of results, indices of arguments).
+        outputs: indices of entries, None for structural zeros.
     """
 
     start: tuple[Any, ...]
@@ -137,7 +137,7 @@ class Instructions:
     outputs: tuple[tuple[int | None, ...], ...]
 
     def __call__(self, state: Sequence[Any]) -> list[list[Any]]:
-        """Return the entries of each output, column by column; structural zeros as zero."""
+        """Return the entries of each output in column-major order."""
         work = [*state, *self.start[len(state) :]]
         for function, into, arguments in self.steps:
             result = function(*[work[i] for i in arguments])
@@ -146,10 +146,10 @@ class Instructions:
 
 
 def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: Sequence[Fraction]) -> Instructions:
-    """Return the program of casadi expressions of `state` and `parameters`, which have exact values.
+    """Return the program of casadi expressions with exact parameter values.
 
     Raises:
-        InputError: the expressions hold an operation that has no enclosure here.
+        InputError: an operation of the expressions is not supported.
     """
     function = ca.Function("f", [state, parameters], ca.cse(list(outputs)))
     known: list[Any] = [None] * state.shape[0]
@@ -196,7 +196,7 @@ def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: S
             where[into[0]] = applied(lambda a, power=exponent: _power(a, power), where[source[0]])
         else:
             raise InputError(
-                f"the equations use casadi's operation {code}, which the prover does not enclose; write the energy "
+                f"the equations use casadi's operation {code}, which the prover does not support; write the energy "
                 "with + - * /, powers, sqrt, exp, log, sin, cos, tan and hyperbolic functions"
             )
     return Instructions(tuple(known), tuple(steps), tuple(tuple(p) for p in places))

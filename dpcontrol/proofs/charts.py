@@ -1,15 +1,17 @@
 """Charts of an energy's sections, and rigorous maps between them.
 
-A chart about a node x̄ has a basis u, s, f, w: the directions that grow and shrink along an orbit, the flow, and a
-direction in which the energy changes. Its section is the plane through x̄ spanned by u, s and w. A point of the section
-on the energy h is given by two numbers y:
+A chart about a node x̄ has a basis u, s, f, w. These are the growing and shrinking directions along an orbit, the flow,
+and a direction in which the energy changes. The section is the plane through x̄ spanned by u, s and w. Two numbers y
+determine a point of the section with energy h:
 
-    x(y) = x̄ + u y_1 + s y_2 + w z(y),      H(x(y)) = h,
+    x(y) = x̄ + u y_1 + s y_2 + w z(y),      H(x(y)) = h.
 
-z by the interval Newton method: existence and uniqueness in an interval. The flow maps one chart to the next, a map of
-the plane, with crossing time s(y) near zero after the segment's duration. Its derivative follows from that of the flow,
+The interval Newton method proves existence and uniqueness of z in an interval. The flow maps one chart to the next,
+with crossing time s(y) near zero after the segment's duration. The derivative of this map of the plane is
 
-    Dg = L (1 - f n/(n·f)) V M ∂x/∂y,      L, n: rows of the inverse basis; V: the flow over s; M: over the duration.
+    Dg = L (1 - f n/(n·f)) V M ∂x/∂y,
+
+where L and n are rows of the inverse basis, and V and M are derivatives of the flow over s and over the duration.
 """
 
 from collections.abc import Sequence
@@ -27,7 +29,7 @@ from dpcontrol.proofs.flow import Field, FlowSettings, Vector, fly
 
 @dataclass(frozen=True)
 class SectionChart:
-    """A node (N,), exact, and the basis (N, N) of its section: columns u, s, f, w, exact doubles."""
+    """An exact node (N,) with the basis (N, N) of its section."""
 
     node: tuple[Fraction, ...]
     basis: tuple[tuple[float, ...], ...]
@@ -39,11 +41,11 @@ class SectionChart:
 
     @cached_property
     def rows(self) -> list[Vector]:
-        """The rows of the inverse basis, as balls: y_1, y_2, the section's normal, z."""
+        """The rows of the inverse basis: y_1, y_2, the normal, z."""
         return columns(self.basis).inv().tolist()
 
     def coordinates(self, state: Vector, shift: Vector) -> Vector:
-        """Return (y_1, y_2, height above the section, z) of a state that a shift has been added to."""
+        """Return (y_1, y_2, height above the section, z) of a shifted state."""
         away = [x - ball(c) - t for x, c, t in zip(state, self.node, shift, strict=True)]
         return [dot(row, away) for row in self.rows]
 
@@ -53,10 +55,10 @@ class SectionChart:
         return [ball(c) + u[i] * y[0] + s[i] * y[1] + w[i] * z for i, c in enumerate(self.node)]
 
     def lift(self, field: Field, energy: Any, y: Vector) -> tuple[Vector, Any]:
-        """Return the state on the energy over a box y, and z there.
+        """Return the states of given energy over a box y, and z.
 
         Raises:
-            NotClosed: the interval Newton method does not show that there is exactly one.
+            NotClosed: the interval Newton method does not prove a unique z.
         """
         w, middle = self.columns[3], [v.mid() for v in y]
         guess = flint.arb(0)
@@ -73,7 +75,7 @@ class SectionChart:
         raise NotClosed("the energy does not fix a node's section")
 
     def tangents(self, field: Field, state: Vector) -> Any:
-        """Return ∂x/∂y (N, 2) over a box of states on the energy."""
+        """Return ∂x/∂y (N, 2) over a box of states with constant energy."""
         u, s, _, w = self.columns
         gradient = field.gradient(state)
         across = dot(gradient, w)
@@ -90,9 +92,12 @@ def dot(first: Vector, second: Vector) -> Any:
 class ChartSegment:
     """The map g between two charts over a box about zero.
 
-    value (2,): g(0). slope (2, 2): Dg over the box. time: duration over the box in s, `at_node` from the node itself,
-    `delays` (2,) its derivative by y over the box. spans: of the flight over the box, as `FlownBall` has them.
-    landed (N,): the state at the end, from the node itself.
+    The duration (s) is `time` over the box and `at_node` from the node. Its derivative by y is `delays` (2,). The state
+    `landed` (N,) is the end of the node's trajectory, and `spans` are those of `FlownBall`.
+
+    Attributes:
+        value (2,): g(0).
+        slope (2, 2): Dg over the box.
     """
 
     value: Vector
@@ -106,7 +111,7 @@ class ChartSegment:
 
 @dataclass(frozen=True)
 class Leg:
-    """A segment to prove: between two charts, its duration in s, the whole turns (N,) added to the second's node."""
+    """A segment between two charts, with duration (s) and whole turns (N,)."""
 
     first: SectionChart
     second: SectionChart
@@ -116,7 +121,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Surface:
-    """An energy of a system with exact parameters: its field, the exact energy, and which states (N,) turn by 2π."""
+    """An energy surface with exact parameters; some states (N,) have period 2π."""
 
     field: Field
     energy: Fraction
@@ -137,7 +142,7 @@ class Surface:
 
 
 def staying(field: Field, state: Vector, longest: Any) -> tuple[Vector, Vector, Vector]:
-    """Return a box that states do not leave for a time forward and backward, and f and Df over it.
+    """Return an invariant box over a time, with f and Df.
 
     Raises:
         NotClosed: no box closes.
@@ -152,7 +157,7 @@ def staying(field: Field, state: Vector, longest: Any) -> tuple[Vector, Vector, 
 
 
 def _crossing(surface: Surface, chart: SectionChart, state: Vector, shift: Vector) -> tuple[Any, Vector, Vector]:
-    """Return when states meet a chart's section, exactly once in a short time about now, and f and Df meanwhile."""
+    """Return the unique crossing time near zero, with f and Df."""
     height = chart.coordinates(state, shift)[2]
     longest = (3 * height / dot(chart.rows[2], surface.field.rate(state)[0])).abs_upper() + flint.arb(1) / 10**30
     _, rates, slopes = staying(surface.field, state, longest)
@@ -163,7 +168,9 @@ def _crossing(surface: Surface, chart: SectionChart, state: Vector, shift: Vecto
 
 
 def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, settings: FlowSettings) -> ChartSegment:
-    """Enclose the map from one chart over a box |y_i| ≤ radii_i to the next, whose box is |y_i| ≤ arriving_i.
+    """Enclose the map from a chart's box to the next chart.
+
+    The boxes are |y_i| ≤ radii_i and |y_i| ≤ arriving_i.
 
     Raises:
         NotClosed: an enclosure does not close.
@@ -175,11 +182,11 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     states, _ = leg.first.lift(field, surface.height, y)
     tangents = leg.first.tangents(field, states)
     flown = fly(field, start, tangents * columns([[v] for v in y]), leg.duration, settings)
-    # The point: where it meets the section, and its coordinates there.
+    # The point's section crossing and coordinates.
     time, rates, _ = _crossing(surface, leg.second, flown.thin, shift)
     landed = [x + time * f for x, f in zip(flown.thin, rates, strict=True)]
     value = leg.second.coordinates(landed, shift)[:2]
-    # The box: its times, and the derivative there.
+    # The box's crossing times and derivative.
     times, rates, slopes = _crossing(surface, leg.second, flown.box, shift)
     grown = columns([[v.abs_upper() for v in row] for row in field.matrix(slopes)]) * times.abs_upper()
     late = flint.arb_mat(4, 4, [symmetric(v) for v in (grown.exp() - identity()).entries()])
@@ -191,7 +198,7 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     slope = [[dot(row, one) for one in projected] for row in leg.second.rows[:2]]
     ends = [x + times * f for x, f in zip(flown.box, rates, strict=True)]
     arrived = [symmetric(r) for r in arriving]
-    # Over the second box no two z, the chart's own and the one that arrives, have one energy: they are the same.
+    # Over the second box, z is unique for given energy, so the chart's z and the arriving z are equal.
     own = leg.second.lift(field, surface.height, arrived)[1]
     reached = leg.second.place(arrived, own.union(leg.second.coordinates(ends, shift)[3]))
     if dot(field.gradient(reached), leg.second.columns[3]).contains(0):
@@ -201,11 +208,15 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
 
 
 def directions(system: System, states: Array, stms: Array, *, closed: bool, first: Array, last: Array) -> Array:
-    """Return bases (K, N, N) of sections at nodes (K, N), columns u, s, f, w, in doubles.
+    """Return bases (K, N, N) of the nodes' sections, in doubles.
 
-    stms (K - 1, N, N), or (K, N, N) of a closed chain: from each node to the next. first, last (N,): directions that
-    grow from the first node, and shrink towards the last; carried along they become those of all nodes. u, s, w are
-    orthogonal to the flow in scaled coordinates, u and s in the energy's tangent plane.
+    The columns are u, s, f, w. In scaled coordinates, u, s and w are orthogonal to the flow, and u and s lie in the
+    tangent plane of the energy surface.
+
+    Args:
+        stms (K - 1, N, N): state-transition matrices, (K, N, N) for a closed chain.
+        first (N,): growing direction at the first node.
+        last (N,): shrinking direction at the last node.
     """
     scale, numeric, count = system.scale, system.numeric, len(states)
     flow = numeric.rate(states) / scale
@@ -235,5 +246,5 @@ def directions(system: System, states: Array, stms: Array, *, closed: bool, firs
 
 
 def chart_of(state: Array, basis: Array) -> SectionChart:
-    """Return the chart about a state (N,) with a basis (N, N), both doubles."""
+    """Return the chart about a state (N,) with a basis (N, N)."""
     return SectionChart(tuple(Fraction(float(v)) for v in state), tuple(tuple(float(v) for v in row) for row in basis))

@@ -1,8 +1,10 @@
-"""Check a certificate of a periodic orbit, by code that shares nothing with the search but the arithmetic of flint.
+"""Independent check of a periodic orbit's certificate.
 
-The right-hand side of two arms is typed here by hand, with derivatives from dual numbers. The integrator is classical:
+This code shares only flint's arithmetic with the search.
+
+The right-hand side of two arms is written by hand, with derivatives from dual numbers. The integrator is classical:
 Picard's iteration for a box that holds a step's solutions, Taylor polynomials at fixed steps, and Lagrange's remainder
-from the next coefficient over that box. Nothing is reduced to charts: the unknowns are all nodes x_k, durations τ_k and
+from the next coefficient over that box. Charts are not used. The unknowns are all nodes x_k, durations τ_k and
 one number ε,
 
     Φ(x_k, τ_k) - x_{k+1} - [k last] (turn + ε v) = 0,      n_k·(x_k - x̄_k) = 0,      H(x_0) = h,
@@ -10,7 +12,7 @@ one number ε,
 and Newton–Kantorovich is applied to them about the certificate's numbers, in a ball of the radius that it calls
 `unique`. Since H(x_0 + ε v) = H(x_0) along a solution and ∇H·v has a sign, ε vanishes.
 
-A certificate carries a digest of its content, which catches slips; the mathematics does not depend on it.
+A certificate includes a digest of its content to detect accidental changes, on which the proof does not depend.
 
 Source: Moore, Kearfott, Cloud, Introduction to Interval Analysis (2009), chapter 10.
 """
@@ -31,17 +33,17 @@ _BITS, _STEP, _ORDER, _BOX_ORDER = 140, Fraction(1, 500), 18, 8
 
 
 class Rejected(Exception):
-    """A certificate does not show what it says: one clause."""
+    """A certificate is invalid; the message is one clause."""
 
 
 def digest(certificate: Mapping[str, Any]) -> str:
-    """Return the digest of a certificate's content without its own."""
+    """Return the digest of a certificate's content, excluding the digest itself."""
     rest = {key: value for key, value in certificate.items() if key != "digest"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True, ensure_ascii=True).encode()).hexdigest()
 
 
 class _Dual:
-    """A number with its four partial derivatives; balls or power series."""
+    """A number with four partial derivatives, as balls or power series."""
 
     def __init__(self, value: Any, partials: Sequence[Any]) -> None:
         self.value, self.partials = value, partials
@@ -71,7 +73,7 @@ class _Dual:
 
 
 class _Pendulum:
-    """Two arms in flint's arithmetic; made where flint is at its precision."""
+    """Two arms in flint's arithmetic at the working precision."""
 
     def __init__(self, flint: Any, data: Mapping[str, Any]) -> None:
         self.flint, number = flint, self.number
@@ -118,12 +120,12 @@ class _Pendulum:
         return [f.value for f in found], self.flint.arb_mat([f.partials for f in found])
 
     def late(self, slopes: Any, time: Any) -> Any:
-        """Return the derivative of the flow over a time, from Df over a box that is not left meanwhile."""
+        """Return the flow's derivative over a time from an invariant box."""
         grown = (self.matrix([v.abs_upper() for v in slopes.entries()]) * time).exp() - self.identity()
         return self.identity() + self.matrix([self.about(v) for v in grown.entries()])
 
     def series(self, x: Sequence[Any], order: int, width: int) -> list[list[Any]]:
-        """Return Taylor coefficients 0 … order of the states, and of `width` columns of the flow's derivative."""
+        """Return Taylor coefficients of the states and the flow's derivative."""
         start = [[v] for v in x] + [[v] for row in self.identity().tolist() for v in row[:width]]
         for known in range(1, order + 1):
             self.flint.ctx.cap = known
@@ -134,7 +136,7 @@ class _Pendulum:
         return start
 
     def rough(self, x: Sequence[Any], time: Any) -> list[Any]:
-        """Return a box that holds the solutions from a box over a ball of times about or from zero."""
+        """Return a box that contains all solutions from another box."""
         box = list(x)
         for _ in range(12):
             reached = [v + time * r for v, r in zip(x, self.slopes(box)[0], strict=True)]
@@ -144,7 +146,7 @@ class _Pendulum:
         raise Rejected("a step's box does not close")
 
     def step(self, thin: Sequence[Any], carried: Any, spread: Any, h: Any) -> tuple[list[Any], Any]:
-        """Return a thin point and the derivative over its box one step later."""
+        """Advance a thin point and the derivative by one step."""
         box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]
         around = self.rough(box, h * self.flint.arb(0.5, 0.5))
 
@@ -155,7 +157,7 @@ class _Pendulum:
             ]
 
         far = [c[-1] for c in self.series(around, _ORDER + 1, 0)]
-        # Coefficient k of the derivative along a solution is that at the solution's state times the derivative there.
+        # Coefficient k along a solution equals the coefficient at its state times the derivative.
         rest = self.matrix([c[-1] for c in self.series(around, _BOX_ORDER + 1, 4)[4:]])
         rest = rest * self.late(self.slopes(around)[1], h)
         over = ahead(self.series(box, _BOX_ORDER, 4)[4:], _BOX_ORDER, rest.entries())
@@ -169,23 +171,23 @@ class _Pendulum:
 
 
 def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> str:
-    """Return a sentence on what a certificate proves.
+    """Check a certificate and return the proved statement.
 
     Raises:
-        Rejected: it proves nothing; says where it fails.
+        Rejected: the certificate is invalid; the message gives the failed step.
         PartMissing: python-flint is not installed.
     """
     from dpcontrol.proofs.balls import flint, working
 
     try:
         if certificate["digest"] != digest(certificate) or certificate["format"] != FORMAT:
-            raise Rejected("its digest is not that of its content, or its format is unknown")
+            raise Rejected("its digest does not match its content, or its format is unknown")
         if certificate["system"]["equations"] != "double pendulum":
-            raise Rejected("the check knows the equations of the double pendulum only")
+            raise Rejected("the check supports only the equations of the double pendulum")
         with working(_BITS):
             return _checked(_Pendulum(flint, certificate["system"]), certificate, progress)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, np.linalg.LinAlgError) as error:
-        raise Rejected(f"a part is missing or is no number ({type(error).__name__}: {error})") from error
+        raise Rejected(f"a value is missing or is not a number ({type(error).__name__}: {error})") from error
 
 
 def _checked(own: _Pendulum, data: Mapping[str, Any], progress: Progress) -> str:
@@ -197,7 +199,7 @@ def _checked(own: _Pendulum, data: Mapping[str, Any], progress: Progress) -> str
     sizes = {len(nodes), len(normals), len(durations)}, {len(v) for v in [*nodes, *normals, scale, turns]}
     positive = count > 1 and 0 < exists <= unique and min(durations) > 0 and all(s > 0 for s in scale)
     if sizes != ({count}, {4}) or not positive or any(turns[2:]):
-        raise Rejected("its nodes, normals, durations, turns or radii do not fit together")
+        raise Rejected("its nodes, normals, durations, turns or radii are inconsistent")
     spread, product = arb_mat([[own.about(s * unique)] for s in scale]), own.identity()
     matrix, residual = [[zero] * (last + 1) for _ in range(last + 1)], [zero] * (last + 1)
     push = [g.mid() * s * s for g, s in zip(own.energy(nodes[0]).partials, scale, strict=True)]
@@ -227,15 +229,15 @@ def _checked(own: _Pendulum, data: Mapping[str, Any], progress: Progress) -> str
     steps = (inverse * arb_mat([[v] for v in residual])).entries()
     contraction, first = (reduce(lambda a, b: a.max(b.abs_upper()), values, zero) for values in (sums, steps))
     if not (contraction < 1 and first <= (1 - contraction) * exists):
-        raise Rejected("Newton–Kantorovich does not show that an orbit is within `exists` of its nodes")
+        raise Rejected("Newton–Kantorovich does not prove an orbit within `exists` of its nodes")
     moved = [x + p * own.about(unique) for x, p in zip(start, push, strict=True)]
     if sum((a * b for a, b in zip(own.energy(moved).partials, push, strict=True)), zero).contains(0):
-        raise Rejected("the energy does not fix the orbit")
+        raise Rejected("the energy does not determine the orbit")
     period, (low, high) = number(sum(durations)) + count * own.about(exists), (number(v) for v in data["period"])
     least, pair = number(data["multiplier_exceeds"]), abs(product.trace() - 2)
     # λ + 1/λ grows with |λ| > 1.
     if not (low <= period and period <= high and least >= 1 and pair > least + 1 / least):
-        raise Rejected("its period or its multiplier is not shown to lie in its bounds")
+        raise Rejected("its period or its multiplier is not proved to be within its bounds")
     return (
         f"exactly one periodic orbit crosses the {count} planes within {data['unique']} of the nodes (scaled); it is "
         f"within {data['exists']}, its period lies in its bounds, its multiplier exceeds {data['multiplier_exceeds']}"

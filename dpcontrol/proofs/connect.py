@@ -1,21 +1,21 @@
-"""Connections proved by covering relations with cone conditions, and the horseshoe that they make together.
+"""Proofs of connections and horseshoes by covering relations with cone conditions.
 
-Around each node of a periodic orbit, and of a computed connection from one orbit to another, stands a box |y_1| ≤ r_u,
-|y_2| ≤ r_s in the node's chart. A box covers the next one if its image under the flow stretches across it,
+Each node of a periodic orbit, or of a computed connection between two orbits, has a box |y_1| ≤ r_u, |y_2| ≤ r_s in its
+chart. A box covers the next one if its image under the flow stretches across it,
 
     |Dg_uu| r_u - |Dg_us| r_s - |g_u(0)| > r_u',        |Dg_su| r_u + |Dg_ss| r_s + |g_s(0)| < r_s',
 
-for every Dg over the box. Slopes of directions that grow are carried forward, those of directions that shrink backward;
-around an orbit they return into the cone where they began, and lengths in it have grown. So the points that stay in an
-orbit's boxes for all past times form a disc of its unstable manifold that crosses the boxes; for all future times, of
-the stable one. If boxes cover one another from the first orbit's along a connection's to the last orbit's, an orbit
-leads through all of them: a connection. There the manifolds' tangents lie in the cones, which have no direction in
-common: it is transversal, and the cones enclose its angle.
+for every Dg over the box. Slopes of growing directions are propagated forward and those of shrinking directions
+backward. Around an orbit, they return to the initial cone, in which lengths have grown. The points that stay in an
+orbit's boxes for all past times therefore form a disc of its unstable manifold that crosses the boxes. For all future
+times, they form a disc of the stable manifold. If boxes cover one another from the first orbit along a connection to
+the last orbit, an orbit passes through all of them. It is a connection. The manifolds' tangents lie in the cones, which
+are disjoint, so the connection is transversal and the cones enclose its angle.
 
-All connections of one orbit leave and join the same boxes. So for every sequence of connections, with any numbers of
-rounds beyond the fewest between them, boxes cover one another along the sequence, and an orbit follows it: a horseshoe.
-Covering relations were chosen because one set of enclosures, a few for each connection, serves all sequences, and the
-numbers of rounds are explicit; a Newton–Kantorovich bound uniform over sequences would need the same enclosures.
+All connections of one orbit leave and join the same boxes. For every sequence of connections, with any number of rounds
+above the minimum, boxes cover one another along the sequence and an orbit follows it. This is a horseshoe. Covering
+relations have the advantage that a few enclosures per connection suffice for all sequences, with explicit numbers of
+rounds. A Newton–Kantorovich bound uniform over sequences would need the same enclosures.
 
 Sources: Zgliczyński, Gidea, Covering relations for multidimensional dynamical systems (2004); Zgliczyński, Covering
 relations, cone conditions and the stable manifold theorem (2009).
@@ -49,14 +49,14 @@ from dpcontrol.proofs.flow import FlowSettings
 from dpcontrol.tubes.connections import Connection
 
 _KEPT = 0.95
-"""Share of a box's stretched width that the next one takes."""
+"""Width of the next box relative to the stretched width of a box."""
 
 
 @dataclass(frozen=True)
 class Boxes:
-    """Boxes along a chain: charts, half-widths (K, 2) in u and s, and the segment from each to the next.
+    """Boxes along a chain of charts, with half-widths (K, 2).
 
-    grows, shrinks: slopes of the directions that grow (s over u) and shrink (u over s) at each box. times: durations.
+    Slopes of the growing directions (`grows`) are s over u, and those of the shrinking directions u over s.
     """
 
     charts: Sequence[SectionChart]
@@ -72,7 +72,7 @@ def _covered(
     """Return the enclosure of a leg whose first box covers its second.
 
     Raises:
-        NotClosed: it is not shown to.
+        NotClosed: the covering is not proved.
     """
     u, s, wide, high = (ball(float(v)) for v in (*widths, *arriving))
     try:
@@ -87,33 +87,33 @@ def _covered(
 
 
 def _forward(one: ChartSegment, slope: Any) -> tuple[Any, Any]:
-    """Return the slope of a direction in the cone that grows after a segment, and by what it has grown, at least."""
+    """Return slope and least growth of the growing cone after a segment."""
     (a, b), (c, d) = one.slope.tolist()
     return (c + d * slope) / (a + b * slope), abs(a + b * slope)
 
 
 def _backward(one: ChartSegment, slope: Any) -> tuple[Any, Any]:
-    """Return the slope of a direction in the cone that shrinks before a segment, and its growth backward."""
+    """Return slope and backward growth of the shrinking cone before a segment."""
     (a, b), (c, d) = one.slope.tolist()
     return (d * slope - b) / (a - c * slope), abs((a - c * slope) / (a * d - b * c))
 
 
 def _rates(bases: Array, stms: Array) -> Array:
-    """Return by what u and s grow in each leg (K, 2), in doubles."""
+    """Return the growth factors (K, 2) of u and s per leg."""
     maps = np.linalg.inv(bases[1:]) @ stms @ bases[:-1]
     return np.abs(np.stack([maps[:, 0, 0], maps[:, 1, 1]], axis=1))
 
 
 def nodes_of(orbit: LyapunovOrbit) -> int:
-    """Return how many nodes an orbit gets: each leg stretches about twice."""
+    """Return the number of nodes, for stretching by about two per leg."""
     return max(3, min(8, int(np.log(abs(orbit.unstable_multiplier)) / 0.75)))
 
 
 def orbit_boxes(surface: Surface, orbit: LyapunovOrbit, radius: float, settings: FlowSettings) -> Boxes:
-    """Return boxes around a periodic orbit, each of which covers the next, with cones that return into themselves.
+    """Return covering boxes around a periodic orbit, with invariant cones.
 
     Raises:
-        NotClosed: they are not shown to.
+        NotClosed: the covering or the cones are not proved.
     """
     system, count = orbit.system, nodes_of(orbit)
     durations = np.full(count, orbit.period / count)
@@ -122,7 +122,7 @@ def orbit_boxes(surface: Surface, orbit: LyapunovOrbit, radius: float, settings:
     ones = np.cos(np.arange(4) + 1.0) * system.scale
     bases = directions(system, states, stms, closed=True, first=ones, last=ones)
     rates = _rates(np.concatenate([bases, bases[:1]]), stms)
-    # Around the orbit widths follow the stretching, but for the same factor in each leg.
+    # The widths follow the stretching, up to a constant factor per leg.
     even = rates / np.exp(np.log(rates).mean(axis=0))
     widths = np.concatenate([np.ones((1, 2)), np.cumprod(even, axis=0)[:-1]])
     widths = radius * widths / widths.max(axis=0)
@@ -139,17 +139,20 @@ def orbit_boxes(surface: Surface, orbit: LyapunovOrbit, radius: float, settings:
         (slope, by), (back_slope, back_by) = _forward(one, grows[-1]), _backward(back, shrinks[-1])
         grows, shrinks, longer, shorter = [*grows, slope], [*shrinks, back_slope], longer * by, shorter * back_by
     if not (grows[-1] in cone and shrinks[-1] in cone and longer > 2 and shorter > 2):
-        raise NotClosed(f"the cones of the orbit about {orbit.saddle} do not return into themselves")
+        raise NotClosed(f"the cones of the orbit about {orbit.saddle} are not invariant")
     return Boxes(charts, widths, segments, grows[:-1], [shrinks[-1], *reversed(shrinks[1:-1])])
 
 
 @dataclass(frozen=True)
 class CoveringRelation:
-    """A connection's boxes: those along it, and between which of the orbits' boxes they stand.
+    """The boxes along a connection and their neighbours on the orbits.
 
-    first: leaves from the source's box before this one; last: the target's box that is joined. before, after: enclosed
-    seconds from leaving the one to the section, and from there to joining the other. angle: degrees. state: its box on
-    the section.
+    The connection leaves the source's box before `first` and joins the target's box `last`. The enclosed times `before`
+    and `after` (s) run from the source's box to the section, and from there to the target's box.
+
+    Attributes:
+        angle: deg.
+        state: enclosure on the section.
     """
 
     connection: Connection
@@ -162,9 +165,9 @@ class CoveringRelation:
 
 
 def _times(connection: Connection, radius: float) -> tuple[Array, int, int, int]:
-    """Return the times (K,) of a connection's nodes, the index of that on the section, and the phases at both ends.
+    """Return a connection's node times (K,), section index and end phases.
 
-    At its ends it runs in step with a node of the orbit there, at half the radius from it.
+    The ends are in phase with a node of the orbit, at half the radius from it.
     """
     orbit, ends = connection.orbit, []
     for end, at, sign in ((orbit.start, orbit.times[0], 1), (orbit.end, orbit.times[-1], -1)):
@@ -193,7 +196,7 @@ def link(
     """Prove a connection between the boxes of two orbits.
 
     Raises:
-        NotClosed: a box is not shown to cover the next, or the connection not to be what it is called.
+        NotClosed: the covering or the connection's identity is not proved.
     """
     system, radius = connection.source.system, float(source.widths.max())
     times, middle, first, last = _times(connection, radius)
@@ -226,7 +229,7 @@ def link(
         back, _ = _backward(one, back)
     flight = [box for one in found for _, _, box in one.spans]
     if crossings(surface, connection.section, flight) != sum(connection.hits) - 1:
-        raise NotClosed("its section is not crossed as often as its hits say")
+        raise NotClosed("the number of its section crossings does not match its hits")
     y = [symmetric(float(v)) for v in widths[middle]]
     state, _ = charts[middle].lift(surface.field, surface.height, y)
     before = sum((one.time for one in found[: middle + 1]), flint.arb(0))
@@ -236,10 +239,10 @@ def link(
 
 
 def _angle(surface: Surface, connection: Connection, chart: SectionChart, state: Any, slopes: tuple[Any, Any]) -> Any:
-    """Return the angle in degrees between both tubes' cuts in (q, p/p₀) on the connection's section.
+    """Return the angle (deg) between both tubes' cuts in (q, p/p₀).
 
     Raises:
-        NotClosed: the cones are not shown to have no direction in common.
+        NotClosed: the cones are not proved to be disjoint.
     """
     system, section = connection.source.system, connection.section
     e = system.equations
@@ -248,7 +251,7 @@ def _angle(surface: Surface, connection: Connection, chart: SectionChart, state:
     if section.period is not None:
         sheets = 2 * flint.arb.pi() if section.period == 2 * np.pi else ball(section.period)
         height = height - (height / sheets + flint.arb(1) / 2).mid().floor() * sheets
-    # The orbit meets the section a little before or after the chart: all is enclosed over that time.
+    # The orbit meets the section slightly before or after the chart, so the enclosures cover this time.
     late = (2 * height / dot(normal, surface.field.rate(state)[0])).abs_upper()
     around, rate, entries = staying(surface.field, state, late)
     drift = columns([[v.abs_upper() * late for v in row] for row in surface.field.matrix(entries)]).exp() - identity()
@@ -265,21 +268,23 @@ def _angle(surface: Surface, connection: Connection, chart: SectionChart, state:
     (a, b), (c, d) = flat
     across = abs(a * d - b * c)
     if not across > 0:
-        raise NotClosed("the cones of both manifolds are not shown to be apart")
+        raise NotClosed("the cones of both manifolds are not proved to be disjoint")
     return flint.arb.atan2(across, abs(a * c + b * d)) * 180 / flint.arb.pi()
 
 
 def horseshoe(surface: Surface, boxes: Boxes, links: Sequence[CoveringRelation]) -> tuple[list[list[int]], Any]:
-    """Return the horseshoe of links from one orbit's boxes: the least wraps between each two (L, L), and a lower bound
-    of the topological entropy in nats per second.
+    """Return the horseshoe of links between one orbit's boxes.
 
-    The wraps of a passage follow from its duration. In the boxes an orbit's distance from the periodic one shrinks to
-    less than a half each round from either end, so that five times what one round may take more or less bounds what any
-    number of rounds may. Entropy: of the loops of first return to one box, with times τ_i,
-    Abramov's formula gives the h with Σ exp(-h τ_i) = 1.
+    The result is the fewest wraps between each two links (L, L), and a lower bound of the topological entropy in nats
+    per second.
+
+    The wraps of a passage follow from its duration. In the boxes, an orbit's distance from the periodic orbit is more
+    than halved in each round from either end. Five times the uncertainty of one round therefore bounds that of any
+    number of rounds. For loops of first return to one box with times τ_i, Abramov's formula gives the entropy h by
+    Σ exp(-h τ_i) = 1.
 
     Raises:
-        NotClosed: a duration does not fix its wraps, or two links are not shown to be apart.
+        NotClosed: a duration does not determine its wraps, or two links are not proved to be distinct.
     """
     legs, count = [one.time for one in boxes.segments], len(boxes.segments)
     spans = [box for one in boxes.segments for _, _, box in one.spans]
@@ -292,10 +297,10 @@ def horseshoe(surface: Surface, boxes: Boxes, links: Sequence[CoveringRelation])
                 sheets = (((a - b) / (2 * flint.arb.pi())).mid() + flint.arb(1) / 2).floor() if turns else 0
                 gaps.append(a - b - 2 * flint.arb.pi() * sheets)
             if all(gap.contains(0) for gap in gaps):
-                raise NotClosed(f"{one.connection.name} and {other.connection.name} are not shown to be apart")
+                raise NotClosed(f"{one.connection.name} and {other.connection.name} are not proved to be distinct")
 
     def way(here: int, there: int) -> Any:
-        """Return the seconds from one box of the orbit to the next passage of another."""
+        """Return the time (s) between two boxes of the orbit."""
         return sum((legs[k % count] for k in range(here, here + (there - here) % count)), flint.arb(0))
 
     round_time, least = way(0, count - 1) + legs[-1], []
@@ -308,7 +313,7 @@ def horseshoe(surface: Surface, boxes: Boxes, links: Sequence[CoveringRelation])
             spare = (passage - ball(a.time_in) - ball(b.time_out)) / round_time - ball((b.phase_out - a.phase_in) % 1.0)
             wraps = (spare + flint.arb(1) / 2).floor().unique_fmpz()
             if wraps is None:
-                raise NotClosed(f"the duration of the passage from {a.name} to {b.name} does not fix its wraps")
+                raise NotClosed(f"the duration of the passage from {a.name} to {b.name} does not determine its wraps")
             row.append(int(wraps))
         least.append(row)
     loops = [way(0, one.first - 1) + one.before + one.after + way(one.last + 1, 0) for one in links] + [round_time]

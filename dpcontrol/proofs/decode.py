@@ -1,10 +1,10 @@
-"""What a proved closed walk does along its whole flight: crossings of sections, whole turns, wraps, from enclosures.
+"""Decoding of proved closed walks: section crossings, turns and wraps.
 
-Between the middles of its two stops each symbol crosses its section as often as its connection does, which is
-hits_u + hits_s - 1 times. Heights above the section are enclosed during every step; where one may vanish, the speed
-across the section must have a sign, and the sheets before and after tell how often the section was crossed. In the
-middle of each stop every angle is within half a turn of the saddle that the walk is lifted to, so each symbol turns as
-its winding says. At the marked crossing the orbit is nearer to its connection than to any other of the same kind.
+Between the middles of its two stops, each symbol has as many section crossings as its connection, which are
+hits_u + hits_s - 1. Heights above the section are enclosed during every step. If a height may vanish, the speed across
+the section must have a definite sign, and the sheets before and after determine the number of crossings. In the middle
+of each stop, every angle is within half a turn of the walk's lifted saddle, which proves the winding of each symbol. At
+the marked crossing, the orbit is nearer to its connection than to any other one of the same kind.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from dpcontrol.walks.shadowing import ShadowingOrbit, phase_gap
 
 
 def crossings(surface: Surface, section: Section, spans: Sequence[Vector]) -> int:
-    """Return how often a flight through enclosures, one of each step, crosses a section where a crossing counts.
+    """Return the number of valid section crossings of enclosed steps.
 
     Raises:
         NotClosed: the enclosures are too wide to count.
@@ -56,16 +56,16 @@ def crossings(surface: Surface, section: Section, spans: Sequence[Vector]) -> in
                 count += _passed(surface, normal, before, run[0][0], admitted)
             before = (run[0][0], [])
         elif before is None:
-            raise NotClosed(f"the flight begins on the section {section.name}")
+            raise NotClosed(f"the trajectory begins on the section {section.name}")
         else:
             before = (before[0], [box for _, box in run])
     if before is not None and before[1]:
-        raise NotClosed(f"the flight ends on the section {section.name}")
+        raise NotClosed(f"the trajectory ends on the section {section.name}")
     return count
 
 
 def _passed(surface: Surface, normal: Vector, before: Any, after: Any, admitted: Any) -> int:
-    """Return how often the section is crossed, where it counts, in a run of boxes between two sheets."""
+    """Return the number of valid crossings in boxes between two sheets."""
     sheet, boxes = before
     inside = [admitted(box) for box in boxes]
     if boxes and not any(one is not False for one in inside):
@@ -73,17 +73,17 @@ def _passed(surface: Surface, normal: Vector, before: Any, after: Any, admitted:
     speeds = [dot(normal, surface.field.rate(box)[0]) for box in boxes]
     signed = all(v > 0 for v in speeds) or all(v < 0 for v in speeds)
     if not signed or not all(inside):
-        raise NotClosed("the enclosures cannot tell how often a section is crossed")
+        raise NotClosed("the enclosures do not determine the number of section crossings")
     return abs(after - sheet)
 
 
 def decoded(
     surface: Surface, walk: ShadowingOrbit, segments: Sequence[ChartSegment], rivals: Sequence[Connection]
 ) -> list[dict[str, Any]]:
-    """Return what the symbols of a closed walk do, from the enclosures of the orbit's segments.
+    """Return the decoded symbols of a closed walk from enclosed segments.
 
     Raises:
-        NotClosed: the enclosures do not show that the orbit follows its symbols.
+        NotClosed: the enclosures do not prove that the orbit follows its symbols.
     """
     count, lasts, nodes = len(walk.connections), walk.shot.guess.joints, sorted(walk.shot.guess.markers)
     total = sum((one.time for one in segments), flint.arb(0))
@@ -108,24 +108,24 @@ def decoded(
         spare = (stays[k] - ball(connection.time_in) - ball(after.time_out)) / ball(connection.target.period)
         wraps = (spare - ball(phase_gap(connection, after)) + flint.arb(1) / 2).floor().unique_fmpz()
         if wraps is None or int(wraps) != walk.wraps[k]:
-            raise NotClosed(f"{where}: the enclosure of its stop's duration does not fix {walk.wraps[k]} wraps")
+            raise NotClosed(f"{where}: the enclosure of its stop's duration does not determine {walk.wraps[k]} wraps")
         found = {"symbol": connection.name, "section": connection.section.name, "crossings": times}
         out.append({**found, "wraps": int(wraps)})
     return out
 
 
 def _check_turns(surface: Surface, walk: ShadowingOrbit, k: int, spans: Sequence[Any], where: str) -> None:
-    """Check that in the middle of the stop after symbol k every angle is within half a turn of its lifted saddle."""
+    """Check the whole turns at the stop after symbol k."""
     connection = walk.connections[k]
     lift = surface.lift([int(v) for v in walk.offsets[k + 1]])
     box = spans[len(spans) // 2][2]
     for value, centre, turn, turning in zip(box, connection.target.centre, lift, surface.turns, strict=True):
         if turning and not abs(value - ball(float(centre)) - turn) < flint.arb.pi():
-            raise NotClosed(f"{where}: the whole turns up to the stop after it are not those of the walk")
+            raise NotClosed(f"{where}: the whole turns up to the next stop differ from those of the walk")
 
 
 def _check_nearest(walk: ShadowingOrbit, k: int, box: Vector, rivals: Sequence[Connection], where: str) -> None:
-    """Check that the orbit crosses symbol k's section nearer to its connection than to any other of the same kind."""
+    """Check that symbol k's connection is the nearest on its section."""
     own, system = walk.connections[k], walk.shot.guess.system
     state = [x - ball(float(t)) for x, t in zip(box, walk.offsets[k] * system.turn_lengths, strict=True)]
 

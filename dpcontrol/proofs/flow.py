@@ -1,22 +1,22 @@
-"""A rigorous integrator: enclosures of an orbit through a thin point, and of the flow's derivative over a box.
+"""A rigorous integrator for thin points and derivatives over boxes.
 
-One step from time zero encloses x(t) for every start in a box B. Let p be the Taylor polynomial of degree m, whose
-coefficients are balls over B. On the complex disc |t| ≤ ρ consider the functions e, analytic inside and continuous,
-with |e_i(t)| ≤ ε_i (|t|/ρ)^(m+1). If
+One step from time zero encloses x(t) for all initial states in a box B. Let p be the Taylor polynomial of degree m,
+whose coefficients are balls over B. On the complex disc |t| ≤ ρ, consider continuous functions e, analytic inside, with
+|e_i(t)| ≤ ε_i (|t|/ρ)^(m+1). If
 
     ρ/(m + 1) · sup |f_i(p(t) + e) - p_i'(t)| ≤ ε_i        over the disc and |e_i| ≤ ε_i,
 
-then e ↦ ∫ f(p + e) - p' maps this set into itself: the integrand vanishes to order m at zero, so by Schwarz's lemma it
-is at most the supremum times (|t|/ρ)^m. By Schauder's theorem it has a fixed point, and p + e is the solution. So the
-solution is analytic on the disc, within ε of p. Cauchy's estimate bounds the Taylor coefficients of e by ε_i/ρ^k; those
-of the derivative V of the flow, V' = Df V, by exp(ρ sup|Df|)_ij/ρ^k. These bounds hold for polynomials of any degree:
-one disc serves the polynomial of high degree through the thin point, the one through the box, and that of V.
+then e ↦ ∫ f(p + e) - p' maps this set into itself. The integrand vanishes to order m at zero, so by Schwarz's lemma it
+is at most the supremum times (|t|/ρ)^m. By Schauder's theorem there is a fixed point, and p + e is the solution. The
+solution is therefore analytic on the disc, within ε of p. Cauchy's estimate bounds the Taylor coefficients of e by
+ε_i/ρ^k, and those of the derivative V of the flow, V' = Df V, by exp(ρ sup|Df|)_ij/ρ^k. These bounds hold for
+polynomials of any degree. One disc suffices for the thin point's polynomial of high degree, for the box and for V.
 
-The disc is covered by one disc of half its radius and by sectors of the ring around it, in the upper half plane, since
-x takes conjugate values at conjugate times. A supremum is finite only where f is analytic.
+The disc is covered by a disc of half its radius and sectors of the outer ring. The upper half plane suffices, because x
+has conjugate values at conjugate times. A supremum is finite only if f is analytic.
 
-Along many steps the box stays of the form c + M (X - x): c encloses the thin point's orbit, and M the derivative of the
-flow over all of X, so nothing wraps but the radii of M.
+After any number of steps, the box has the form c + M (X - x). Here c encloses the thin point's orbit, and M the
+derivative of the flow over all of X, so only the radii of M are subject to wrapping.
 
 Sources: Tucker, Validated Numerics (2011), chapter 6; Zgliczyński, C¹-Lohner algorithm (2002), for c + M (X - x).
 """
@@ -37,7 +37,13 @@ Vector = list[Any]
 
 @dataclass(frozen=True)
 class FlowSettings:
-    """order: of the thin point's polynomial; box_order: of the box's; left: what a step's remainder leaves of ε."""
+    """Settings of the integrator.
+
+    Attributes:
+        order: of the thin point's polynomial.
+        box_order: of the box's polynomial.
+        left: remainder of a step relative to ε.
+    """
 
     order: int = 32
     box_order: int = 18
@@ -45,13 +51,13 @@ class FlowSettings:
 
 
 _ROUGH, _SECTORS, _SHARE, _GROWTH, _MOST_STEPS = 12, 5, 0.75, 1.04, 20_000
-"""Degree of the disc's polynomial, sectors of its cover, first share of the estimated radius of convergence, the most
-by which a disc may be larger than the one before, and steps of a flight."""
+"""Degree of the disc's polynomial, sectors of its cover, and initial radius relative to the estimated convergence
+radius. Then the largest growth of a disc between steps, and the largest number of steps."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """A system's equations as programs: rate (f), slopes (f, Df), energy (H, ∇H); parameters exact."""
+    """Programs of f, (f, Df) and (H, ∇H) with exact parameters."""
 
     rate: Instructions
     slopes: Instructions
@@ -59,7 +65,7 @@ class Field:
 
     @classmethod
     def of(cls, system: System, parameters: Sequence[Fraction]) -> "Field":
-        """Return the programs of a system with these parameters (p,); make it at the working precision."""
+        """Return a system's programs at the working precision."""
         e = system.equations
         rate = ca.substitute(e.rate, e.inputs, ca.SX.zeros(e.input_count))
         jacobian, gradient = ca.jacobian(rate, e.state), ca.gradient(e.hamiltonian, e.state)
@@ -67,7 +73,7 @@ class Field:
         return cls(make(rate), make(rate, jacobian), make(e.hamiltonian, gradient))
 
     def matrix(self, entries: Vector) -> list[Vector]:
-        """Return Df by rows from the entries that `slopes` gives column by column."""
+        """Return the rows of Df from its entries in column-major order."""
         return [[entries[i + 4 * j] for j in range(4)] for i in range(4)]
 
     def height(self, state: Vector) -> Any:
@@ -81,7 +87,7 @@ class Field:
 
 @cache
 def _cover() -> list[Any]:
-    """Return boxes that cover the upper half of the unit disc: its inner half, and sectors of the outer ring."""
+    """Return boxes that cover the upper half of the unit disc."""
     boxes, half = [flint.acb(flint.arb(0, 0.5), flint.arb(0, 0.5))], flint.arb(0.75, 0.25)
     for k in range(_SECTORS):
         angle = (2 * k + 1 + flint.arb(0, 1)) / (2 * _SECTORS)
@@ -95,16 +101,16 @@ def _horner(coefficients: Vector, time: Any) -> Any:
 
 
 def _coefficients(series: Any, length: int) -> Vector:
-    """Return so many coefficients of a series, or of a constant."""
+    """Return the first coefficients of a series or a constant."""
     if not isinstance(series, flint.arb_series):
         return [series] + [flint.arb(0)] * (length - 1)
     return [series[k] for k in range(length)]
 
 
 def taylor(field: Field, start: Vector, order: int) -> list[Vector]:
-    """Return Taylor coefficients 0 … order of every state's component, over a box.
+    """Return Taylor coefficients 0 … order of the states over a box.
 
-    With the first m known, f(x) - x' is known to order 2m, and what is missing solves the linearised equations: each
+    From the first m coefficients, f(x) - x' follows to order 2m. The others solve the linearised equations, so each
     round doubles the number of coefficients.
     """
     known = 1
@@ -130,7 +136,7 @@ def taylor(field: Field, start: Vector, order: int) -> list[Vector]:
 
 
 def tangent(field: Field, x: list[Vector], order: int) -> list[Any]:
-    """Return Taylor coefficients 0 … order of the flow's derivative V, matrices (N, N), V(0) the identity."""
+    """Return Taylor coefficients (N, N) of the flow's derivative."""
     flint.ctx.cap = order
     slope = field.matrix(field.slopes([flint.arb_series(c[:order]) for c in x])[1])
     linear = [_coefficients(s, order) for row in slope for s in row]
@@ -143,8 +149,10 @@ def tangent(field: Field, x: list[Vector], order: int) -> list[Any]:
 
 @dataclass(frozen=True)
 class Disc:
-    """Where a step's solutions are analytic: radius ρ, bounds ε (N,) on their distance from the polynomial of degree
-    `degree`, and on the derivative of the flow (N, N)."""
+    """The disc of radius ρ in which a step's solutions are analytic.
+
+    It has bounds ε (N,) on the distance from the polynomial of the given degree, and on the flow's derivative (N, N).
+    """
 
     radius: Any
     bounds: Vector
@@ -153,12 +161,12 @@ class Disc:
 
 
 def _sup(values: list[Vector]) -> Vector:
-    """Return upper bounds of the largest modulus in each column."""
+    """Return an upper bound of the largest modulus in each column."""
     return [reduce(lambda a, b: a.max(b.abs_upper()), column, flint.arb(0)) for column in zip(*values, strict=True)]
 
 
 def disc(field: Field, x: list[Vector], radius: Any, guess: Vector | None) -> Disc | None:
-    """Return the disc of a radius if the enclosure on it closes, or None. x: coefficients over the box."""
+    """Return the disc of a radius if its enclosure closes, or None."""
     degree, times = _ROUGH, [box * radius for box in _cover()]
     p = [c[: degree + 1] for c in x]
     slopes = [[c[k] * k for k in range(1, degree + 1)] for c in p]
@@ -184,9 +192,9 @@ def disc(field: Field, x: list[Vector], radius: Any, guess: Vector | None) -> Di
 
 @dataclass(frozen=True)
 class FlownBall:
-    """An orbit's enclosure after a flight: the thin point's end (N,), the derivative (N, N) over the box, the box (N,).
+    """The enclosure of a flow after a duration.
 
-    spans: for each step, its start and length in s, and balls (N,) that enclose all solutions during it.
+    For each step, `spans` has the start and length in s, and balls (N,) that enclose all solutions.
     """
 
     thin: Vector
@@ -196,7 +204,7 @@ class FlownBall:
 
 
 def fly(field: Field, start: Vector, spread: Any, duration: Fraction, settings: FlowSettings) -> FlownBall:
-    """Enclose the flow from the thin point `start`, and its derivative over start + spread (N, 1), after a duration.
+    """Enclose the flow from a thin point, with derivatives over a box.
 
     Raises:
         NotClosed: a step's enclosure does not close.
@@ -249,7 +257,7 @@ def fly(field: Field, start: Vector, spread: Any, duration: Fraction, settings: 
 
 
 def _convergence(x: list[Vector]) -> float:
-    """Return a guess of the radius of the disc, a share of the radius of convergence."""
+    """Return a guess of the disc's radius from the radius of convergence."""
     order = len(x[0]) - 1
     sizes = [max(abs(float(c[k].mid())) for c in x) for k in (order - 1, order)]
     first = max(max(abs(float(c[1].mid())) for c in x), 1e-3)

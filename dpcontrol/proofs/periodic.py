@@ -1,15 +1,16 @@
-"""Periodic orbits and closed walks proved by Newton–Kantorovich on the nodes of multiple shooting.
+"""Proofs of periodic orbits and closed walks by Newton–Kantorovich.
 
-The unknowns are two coordinates y_k in the chart of each node on one energy, the equations g_k(y_k) - y_{k+1} = 0
-around the orbit. With A an approximate inverse of their derivative, computed in doubles and then taken as exact,
+The unknowns are two coordinates y_k in the chart of each multiple-shooting node, at constant energy. The equations are
+g_k(y_k) - y_{k+1} = 0 around the orbit. Let A be an approximate inverse of their derivative, computed in doubles and then
+treated as exact, and let
 
     Y = |A F(0)|,      Z = sup |1 - A DF(y)| over |y| ≤ r        (largest component, largest row sum)
 
 If Z < 1 and Y ≤ (1 - Z) r, there is exactly one solution with |y| ≤ r, and it has |y| ≤ Y/(1 - Z). A solution closes:
 each chart's state determines the next one's, so no energy is lost and no equation is redundant.
 
-The map once around keeps the symplectic area on the section, so its derivative at the orbit has determinant one; from
-its trace τ the two multipliers are τ/2 ± √(τ²/4 - 1), and |τ| > 2 means hyperbolic.
+The map over one period preserves the symplectic area on the section, so its derivative at the orbit has determinant
+one. With its trace τ, the two multipliers are τ/2 ± √(τ²/4 - 1), and the orbit is hyperbolic if |τ| > 2.
 
 Source: Deuflhard, Newton Methods for Nonlinear Problems (2011), theorem 2.1; Neumaier, Interval Methods for Systems of
 Equations (1990), section 5.1.
@@ -30,11 +31,11 @@ from dpcontrol.proofs.charts import ChartSegment, Leg, Surface, chart_of, direct
 from dpcontrol.proofs.flow import FlowSettings
 
 Chain = tuple[Leg, ...]
-"""A closed chain of legs: each leads to the next one's first chart, the last to the first one's, shifted."""
+"""A closed chain of legs, each of which ends at the next one's first chart."""
 
 
 def closed_chain(system: System, states: Array, durations: Array, turns: Sequence[int]) -> Chain:
-    """Return the chain of a closed orbit's nodes (K, N) and durations (K,); turns (N,): those after one round."""
+    """Return the chain of a closed orbit's nodes (K, N)."""
     _, stms = system.propagator.flows_with_stm(states, durations)
     ones = np.cos(np.arange(system.dimension) + 1.0) * system.scale
     bases = directions(system, states, stms, closed=True, first=ones, last=ones)
@@ -53,7 +54,7 @@ def enclose(
     """Enclose all maps of a chain over boxes of one radius.
 
     Raises:
-        NotClosed: an enclosure does not close; names the segment.
+        NotClosed: an enclosure does not close; the message names the segment.
     """
     out, radii = [], [ball(radius)] * 2
     for k, leg in enumerate(chain):
@@ -67,7 +68,7 @@ def enclose(
 
 @dataclass(frozen=True)
 class Newton:
-    """What Newton–Kantorovich gives: existence within `exists`, uniqueness within `unique`; and the Newton step."""
+    """Result of Newton–Kantorovich: radii of existence and uniqueness, and the step."""
 
     residual: Any
     contraction: Any
@@ -82,7 +83,7 @@ class Newton:
 
 
 def newton(segments: Sequence[ChartSegment], radius: Any) -> Newton:
-    """Apply the theorem to the enclosures of a closed chain over boxes of a radius."""
+    """Apply the theorem to a closed chain over boxes of one radius."""
     count = len(segments)
     slopes = [np.array([[float(v.mid()) for v in row] for row in s.slope.tolist()]) for s in segments]
     derivative = np.zeros((2 * count, 2 * count))
@@ -95,7 +96,7 @@ def newton(segments: Sequence[ChartSegment], radius: Any) -> Newton:
     step = (-(flint.arb_mat(inverse.tolist()) * values)).entries()
     sums = [flint.arb(0)] * (2 * count)
     for k in range(count):
-        # Columns of A DF that belong to node k: from its own segment, and from the one that leads to it.
+        # The columns of A DF for node k have terms from its own segment and from the previous one.
         own = flint.arb_mat(inverse[:, 2 * k : 2 * k + 2].tolist()) * segments[k].slope
         before = inverse[:, (2 * k - 2) % (2 * count) :][:, :2]
         entries = own.entries()
@@ -109,7 +110,7 @@ def newton(segments: Sequence[ChartSegment], radius: Any) -> Newton:
 
 
 def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], found: Newton) -> Chain:
-    """Return the chain about the point to which a Newton step leads, rounded to decimals."""
+    """Return the chain after a Newton step, rounded to decimals."""
     charts = []
     for leg, y in zip(chain, np.reshape(found.step, (-1, 2)).tolist(), strict=True):
         state, _ = leg.first.lift(surface.field, surface.height, [ball(v) for v in y])
@@ -121,9 +122,9 @@ def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], f
 
 
 def multipliers(segments: Sequence[ChartSegment]) -> tuple[Any, Any] | None:
-    """Return the multipliers, the one outside the unit circle first; None if hyperbolicity is not shown.
+    """Return the multipliers, the unstable first, or None if not hyperbolic.
 
-    The segments' derivatives are enclosed over boxes that hold the orbit.
+    The segments' derivatives are enclosed over boxes that contain the orbit.
     """
     product = reduce(lambda before, one: one.slope * before, segments, flint.arb_mat([[1, 0], [0, 1]]))
     trace = product.trace()
@@ -136,6 +137,6 @@ def multipliers(segments: Sequence[ChartSegment]) -> tuple[Any, Any] | None:
 
 
 def total_time(segments: Sequence[ChartSegment], radius: Any) -> Any:
-    """Return the duration of one round in s, from points within a radius of the nodes."""
+    """Return the duration (s) of one period from points near the nodes."""
     slopes = [(one.at_node, abs(one.delays[0]) + abs(one.delays[1])) for one in segments]
     return sum((time + slope * symmetric(radius) for time, slope in slopes), flint.arb(0))

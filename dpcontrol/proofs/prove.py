@@ -1,4 +1,4 @@
-"""Statements about one system at one energy, and whether they are proved.
+"""Statements about a system at one energy, and their proofs.
 
 `Proof` holds the verdict in words: "proved", or "not proved" with the step that does not close and what may help. An
 enclosure that does not close disproves nothing.
@@ -34,10 +34,10 @@ _HELP = "more precision, a smaller ball or shorter steps may help (--bits, --rad
 
 @dataclass(frozen=True)
 class ProofSettings:
-    """bits: working precision. radius: of the balls in which orbits are unique, in the charts' scaled coordinates.
+    """Settings of proofs.
 
-    box: half-width of the boxes around connections. segments: nodes of a periodic orbit. A radius that does not close
-    is tried again at a hundredth, `tries` times.
+    The working precision is `bits`. Orbits are unique in balls of the scaled `radius`. If a radius does not close, it
+    is divided by a hundred up to `tries` times. Boxes around connections have the half-width `box`.
     """
 
     bits: int = 128
@@ -50,7 +50,7 @@ class ProofSettings:
 
 @dataclass(frozen=True)
 class Proof:
-    """A statement and its verdict. figures: enclosures by name, as text; certificate: what a check needs, if any."""
+    """A statement with its verdict, enclosures and certificate, if any."""
 
     kind: str
     proved: bool
@@ -64,7 +64,7 @@ class Proof:
         return f"<proof of {self.kind}: {self.status}>"
 
     def document(self) -> dict[str, Any]:
-        """Return the verdict with the keys that `dpcontrol prove --json` prints."""
+        """Return the verdict in the format of `dpcontrol prove --json`."""
         return {
             "kind": self.kind,
             "proved": self.proved,
@@ -76,33 +76,31 @@ class Proof:
 
 
 def exact_energy(energy: Any) -> Fraction:
-    """Return an energy as the decimal that was typed; of a double, as the shortest decimal that reads as it."""
+    """Return an energy as the shortest decimal that represents it."""
     return Fraction(repr(float(energy)) if isinstance(energy, float) else str(energy))
 
 
 def exact_parameters(system: System) -> list[Fraction]:
-    """Return a system's parameters as the decimals of its model's file, or as the shortest decimals of its doubles."""
+    """Return a system's parameters as the decimals of its model's file."""
     values = system.model.exact_parameters if isinstance(system, ModelSystem) else map(repr, system.parameters.tolist())
     return [Fraction(value) for value in values]
 
 
 def surface_of(system: System, energy: Fraction) -> Surface:
-    """Return an energy of a system with exact parameters; make it at the working precision.
+    """Return the energy surface of a system at the working precision.
 
     Raises:
-        InputError: the system has more than two degrees of freedom, or operations that flint does not enclose.
+        InputError: the system has more than two degrees of freedom, or unsupported operations.
     """
     if system.dimension != 4:
-        raise InputError(
-            f"{system.name} has {system.dimension // 2} degrees of freedom: proofs are of systems with two"
-        )
+        raise InputError(f"{system.name} has {system.dimension // 2} degrees of freedom: proofs support only two")
     turning = tuple(bool(p == 2 * np.pi) for p in system.periods)
     values = exact_parameters(system)
     return Surface(Field.of(system, values), energy, turning, values)
 
 
 def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -> Proof:
-    """Return what work proves at a precision; an enclosure that does not close is a verdict, too."""
+    """Run a proof at a precision and convert failures to verdicts."""
     begun = time.perf_counter()
     try:
         with working(bits):
@@ -117,9 +115,9 @@ def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -
 def certificate(
     statement: str, surface: Surface, system: System, chain: Chain, proof: tuple[list[ChartSegment], Newton]
 ) -> dict[str, Any] | None:
-    """Return the certificate of a closed chain, in the terms of module check; None of other systems than two arms.
+    """Return the certificate of a closed chain, for two arms only.
 
-    Its radii leave room for the check's own enclosures, and its bounds are those that the check is to confirm.
+    Its radii include a margin for the enclosures of module check, which confirms its bounds.
     """
     segments, found = proof
     parameters, pair = system.model.parameters if isinstance(system, ModelSystem) else None, multipliers(segments)
@@ -152,16 +150,16 @@ def certificate(
 
 
 _LEAST_RADIUS, _UNIQUE = 1e-12, 1e-10
-"""Radii that a certificate asks for, scaled: the check's integrator leaves some 1e-15."""
+"""Scaled radii of a certificate; the check's integrator has an error of about 1e-15."""
 
 
 def proved_chain(
     surface: Surface, chain: Chain, settings: ProofSettings, progress: Progress = no_progress
 ) -> tuple[list[ChartSegment], Newton]:
-    """Prove that a chain holds exactly one orbit, in balls of the first radius that closes; return its enclosures.
+    """Prove that a chain contains exactly one orbit; return its enclosures.
 
     Raises:
-        NotClosed: no radius closes; gives the last one's reason.
+        NotClosed: no radius closes; the message gives the last reason.
     """
     reason = NotClosed("no radius was tried")
     for attempt in range(settings.tries):
@@ -173,7 +171,7 @@ def proved_chain(
                 return segments, found
             reason = NotClosed(
                 f"in balls of {radius:.0e} Newton–Kantorovich gives a contraction of {bound(found.contraction)} and "
-                f"a first step of {bound(found.residual)}, which do not show that a solution is there"
+                f"a first step of {bound(found.residual)}, which do not prove a solution"
             )
         except NotClosed as error:
             reason = error
@@ -187,18 +185,21 @@ def prove_orbit(
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
 ) -> Proof:
-    """Prove that a periodic orbit exists near a computed one, is unique in a ball, and is hyperbolic.
+    """Prove existence, uniqueness and hyperbolicity of a periodic orbit.
 
-    energy: exact. The orbit's nodes are refined by Newton steps in balls; then the theorem is applied once with a ball
-    of uniqueness, and the period and the multipliers are enclosed over a ball that holds the orbit.
+    Newton steps in balls refine the orbit's nodes. The theorem is then applied once with a ball of uniqueness. Period and
+    multipliers are enclosed over a ball that contains the orbit.
+
+    Args:
+        energy: exact, J.
 
     Raises:
-        InputError: a system of other than two degrees of freedom, or with operations that are not enclosed.
+        InputError: a system without two degrees of freedom, or with unsupported operations.
         GoalMissed: the computed orbit did not converge.
     """
     settings = settings or ProofSettings()
     if not orbit.converged:
-        raise GoalMissed(f"there is no orbit to prove: {orbit.status}")
+        raise GoalMissed(f"no orbit to prove: {orbit.status}")
     system, count = orbit.system, settings.segments
     statement = f"{system.name} has a hyperbolic periodic orbit about {orbit.saddle} at the energy {float(energy):g}"
 
@@ -209,18 +210,18 @@ def prove_orbit(
         rough, about = proved_chain(surface, chain, settings, part_of(progress, 0.0, 0.25))
         fine = replace(settings.flow, order=44, left=1e-28)
         chain = improved(surface, chain, rough, about)
-        # A second Newton step, then the theorem about nodes that are good to the precision.
+        # After a second Newton step, the theorem is applied to nodes accurate to the precision.
         segments = enclose(surface, chain, about.unique, fine, part_of(progress, 0.25, 0.5))
         chain = improved(surface, chain, segments, newton(segments, about.unique))
         segments = enclose(surface, chain, about.unique, fine, part_of(progress, 0.5, 0.75))
         found = newton(segments, about.unique)
         if not found.proved:
-            raise NotClosed("the theorem holds about the first nodes, but not about the refined ones")
+            raise NotClosed("the theorem holds at the initial nodes, but not at the refined ones")
         narrow = found.exists * 1000 + flint.arb(1) / 10**24
         sharp = enclose(surface, chain, narrow, replace(fine, box_order=40), part_of(progress, 0.75, 1.0))
-        # The boxes over which period and multipliers are enclosed must hold the proved orbit.
+        # The boxes for period and multipliers must contain the proved orbit.
         if not found.exists <= narrow:
-            raise NotClosed("the ball of the multipliers does not hold the orbit")
+            raise NotClosed("the ball of the multipliers does not contain the orbit")
         pair = multipliers(sharp)
         period = total_time(sharp, found.exists)
         figures = {
@@ -234,7 +235,7 @@ def prove_orbit(
         }
         if pair is None:
             return Proof(
-                "orbit", False, "not proved: the orbit exists and is unique, but its multipliers are not shown to lie "
+                "orbit", False, "not proved: the orbit exists and is unique, but its multipliers are not proved to lie "
                 "off the unit circle; more precision may help, unless the orbit is elliptic", statement, figures, 0.0,
             )  # fmt: skip
         within = f"within {bound(found.unique, lower=True)} of the nodes; it is within {bound(found.exists)}"
@@ -253,19 +254,21 @@ def prove_walk(
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
 ) -> Proof:
-    """Prove that a closed walk's orbit exists, is unique in balls about its nodes, and follows its symbols.
+    """Prove existence and uniqueness of a closed walk's orbit, and its symbols.
 
-    energy: exact; rivals: other connections of the energy, which the orbit must not follow instead.
+    Args:
+        energy: exact, J.
+        rivals: other connections at this energy.
 
     Raises:
-        InputError: an open walk, or a system whose equations are not enclosed.
+        InputError: an open walk, or unsupported equations.
         GoalMissed: the walk's orbit did not converge.
     """
     settings = settings or ProofSettings()
     if not walk.periodic:
-        raise InputError("only closed walks are proved: close it with --periodic (periodic=True in Python)")
+        raise InputError("only closed walks can be proved: close the walk with --periodic (periodic=True in Python)")
     if not walk.converged:
-        raise GoalMissed(f"there is no orbit to prove: {walk.status}")
+        raise GoalMissed(f"no orbit to prove: {walk.status}")
     system, orbit = walk.orbit.system, walk.orbit
     text_of = ", ".join(walk.walk)
     statement = (
@@ -280,7 +283,7 @@ def prove_walk(
         for k, length in enumerate(system.turn_lengths):
             turns[k] = round(float(orbit.turn[k] / length)) if length else 0
             if turns[k] and not surface.turns[k]:
-                raise InputError(f"coordinate {k + 1} of {system.name} turns with a period that is not 2π")
+                raise InputError(f"coordinate {k + 1} of {system.name} has a period other than 2π")
         chain = closed_chain(system, orbit.states[:-1], np.diff(orbit.times), turns.tolist())
         segments, found = proved_chain(surface, chain, settings, progress)
         pair = multipliers(segments)
@@ -297,7 +300,7 @@ def prove_walk(
             passages = decoded(surface, walk, segments, rivals)
         except NotClosed as error:
             return Proof(
-                "walk", False, "not proved: a closed orbit exists and is unique, but it is not shown to follow its "
+                "walk", False, "not proved: a closed orbit exists and is unique, but it is not proved to follow its "
                 f"symbols: {error}", statement, figures, 0.0,
             )  # fmt: skip
         figures["symbols"] = passages
@@ -312,7 +315,7 @@ def prove_walk(
 
 
 def cost(periods: float) -> Cost:
-    """Return what a proof will take: measured 0.8 to 1.2 s of one core for each period of orbits in it."""
+    """Estimate the cost of a proof, 0.8 to 1.2 s per period."""
     return Cost(f"{periods:.3g} periods of orbits", 1.2 * periods, 2e8, "prove")
 
 
@@ -324,16 +327,18 @@ def prove_connections(
     whole: bool = False,
     progress: Progress = no_progress,
 ) -> Proof:
-    """Prove that connections between two orbits exist and are transversal, and enclose their angles.
+    """Prove existence and transversality of connections between two orbits.
 
-    energy: exact. whole: prove also the horseshoe that all homoclinics of one orbit make together.
+    Args:
+        energy: exact, J.
+        whole: also prove the horseshoe of all homoclinics of one orbit.
 
     Raises:
-        InputError: no connections, or a system whose equations are not enclosed.
+        InputError: no connections, or unsupported equations.
     """
     settings = settings or ProofSettings()
     if not connections:
-        raise InputError("there are no connections to prove; find some with `dpcontrol connect`")
+        raise InputError("no connections to prove; find some with `dpcontrol connect`")
     system, first, last = connections[0].source.system, connections[0].source, connections[0].target
     kind = "horseshoe" if whole else "connection"
     statement = (
@@ -361,7 +366,7 @@ def prove_connections(
         ]
         figures: dict[str, Any] = {"box": settings.box, "connections": shown, "failed": failed}
         if failed:
-            status = f"not proved: {len(failed)} of {len(connections)}; {failed[0]}; {_HELP}"
+            status = f"not proved: {len(failed)} of {len(connections)}: {failed[0]}; {_HELP}"
             return Proof(kind, False, status, statement, figures, 0.0)
         status = f"proved: all {len(links)} exist and are transversal"
         if whole:
