@@ -1,8 +1,8 @@
 """Proofs of periodic orbits and closed walks by Newton–Kantorovich.
 
 The unknowns are two coordinates y_k in the chart of each multiple-shooting node, at constant energy. The equations are
-g_k(y_k) - y_{k+1} = 0 around the orbit. Let A be an approximate inverse of their derivative, computed in doubles and then
-treated as exact, and let
+g_k(y_k) - y_{k+1} = 0 around the orbit. Let A be an approximate inverse of their derivative, computed in doubles and
+then treated as exact, and let
 
     Y = |A F(0)|,      Z = sup |1 - A DF(y)| over |y| ≤ r        (largest component, largest row sum)
 
