@@ -187,8 +187,8 @@ def prove_orbit(
 ) -> Proof:
     """Prove existence, uniqueness and hyperbolicity of a periodic orbit.
 
-    Newton steps in balls refine the orbit's nodes. The theorem is then applied once with a ball of uniqueness. The period
-    and the multipliers are enclosed over a ball that contains the orbit.
+    Newton steps in balls refine the orbit's nodes. The theorem is then applied once with a ball of uniqueness.
+    The period and the multipliers are enclosed over a ball that contains the orbit.
 
     Args:
         energy: exact, J.
