@@ -366,7 +366,7 @@ def prove_connections(
         ]
         figures: dict[str, Any] = {"box": settings.box, "connections": shown, "failed": failed}
         if failed:
-            status = f"not proved: {len(failed)} of {len(connections)}: {failed[0]}; {_HELP}"
+            status = f"not proved: {len(failed)} of {len(connections)} ({failed[0]}); {_HELP}"
             return Proof(kind, False, status, statement, figures, 0.0)
         status = f"proved: all {len(links)} exist and are transversal"
         if whole:

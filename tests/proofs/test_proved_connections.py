@@ -55,7 +55,7 @@ def test_a_connection_that_is_not_there_is_not_proved(found: ConnectionSearch) -
     wrong = replace(one, orbit=replace(orbit, states=states))
     proof = prove_connections([wrong], energy=ENERGY)
     assert not proof.proved
-    assert proof.status.startswith("not proved: 1 of 1; ")
+    assert proof.status.startswith("not proved: 1 of 1 (")
     assert "false" not in proof.status
 
 
