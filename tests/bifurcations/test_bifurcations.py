@@ -1,4 +1,4 @@
-"""Changes of the connections with energy: saddle-nodes, pitchforks, and those that the section only feigns."""
+"""Bifurcations of connections: saddle-nodes, pitchforks and section artefacts."""
 
 import json
 from dataclasses import replace
@@ -19,9 +19,9 @@ from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, section_points
 from dpcontrol.tubes.intersections import ConnectionSettings, Crossings, intersect_cuts
 
-REPEATABLE = 1e-7  # J: the bar; 1e-11 is reached
+REPEATABLE = 1e-7  # J: required; 1e-11 is achieved
 RESIDUAL = 1e-8
-LAW = 0.02  # relative: how near a square-root law holds a few microjoules from its bifurcation
+LAW = 0.02  # relative error of the square-root law, a few microjoules from the bifurcation
 ON_MIRROR = 1e-7  # rad
 
 SADDLE_NODE, PITCHFORK, GRAZE = (-0.1425, -0.1415), (-0.1008, -0.0998), (0.0170, 0.0195)
@@ -83,7 +83,7 @@ def off_mirror(connection):
     return abs(np.sin(connection.state[0]))
 
 
-def test_each_change_has_its_own_kind_and_counts(events):
+def test_each_event_has_its_kind_and_counts(events):
     found = {name: (e.kind, e.count_below, e.count_above, e.symmetric) for name, e in events.items()}
     assert found == {
         SADDLE_NODE: ("saddle-node", 0, 4, True),
@@ -93,8 +93,8 @@ def test_each_change_has_its_own_kind_and_counts(events):
     assert max(e.residual for e in events.values()) < RESIDUAL
 
 
-def test_counts_by_the_search_alone_change_at_the_located_energies(system, events):
-    """Near side found, far side empty: 2e-6 J on either side of a tangency, where the cuts all but touch."""
+def test_counts_of_searches_change_at_the_located_energies(system, events):
+    """Connections exist on one side of a tangency only, at a distance of 2e-6 J."""
     for name in (SADDLE_NODE, PITCHFORK):
         event = events[name]
         sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
@@ -113,10 +113,8 @@ def test_counts_by_the_search_alone_change_at_the_located_energies(system, event
         (BETWEEN, 0, "saddle-node"),
     ],
 )
-def test_cuts_that_all_but_touch_give_every_crossing_from_a_tenth_of_a_microjoule_on(
-    system, first_events, name, which, kind
-):
-    """Pairs a few ten-thousandths of a phase apart, where the polylines cross nowhere or not at all transversally."""
+def test_nearly_tangent_cuts_give_every_crossing_above_a_tenth_of_a_microjoule(system, first_events, name, which, kind):
+    """Pairs are a few ten-thousandths of a phase apart, and polylines do not cross transversally."""
     event, saddles = first_events[name][which], SADDLES[name]
     assert event.kind == kind
     assert event.count_above == event.count_below + 4
@@ -125,20 +123,20 @@ def test_cuts_that_all_but_touch_give_every_crossing_from_a_tenth_of_a_microjoul
 
 
 @pytest.mark.slow
-def test_an_interval_that_ends_a_hair_beyond_a_pitchfork_holds_it(system, events):
+def test_an_interval_that_ends_just_beyond_a_pitchfork_includes_it(system, events):
     energy = events[PITCHFORK].energy
     found = located(system, (energy - 1e-5, energy + 1e-6))
     assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [("pitchfork", 4, 8)]
     assert found.complete
 
 
-def test_the_angle_at_a_saddle_node_falls_as_the_square_root(system, events):
+def test_the_angle_at_a_saddle_node_follows_a_square_root(system, events):
     energy = events[SADDLE_NODE].energy
     angles = [min(c.transversality_angle for c in connections_at(system, energy + d)) for d in (1e-5, 4e-5)]
     assert angles[1] / angles[0] == pytest.approx(2.0, rel=LAW)
 
 
-def test_a_pitchforks_pair_leaves_the_mirror_as_the_square_root(system, events):
+def test_a_pitchforks_pair_leaves_the_symmetry_line_as_a_square_root(system, events):
     energy = events[PITCHFORK].energy
     offsets = []
     for d in (1e-5, 4e-5):
@@ -150,7 +148,7 @@ def test_a_pitchforks_pair_leaves_the_mirror_as_the_square_root(system, events):
 
 @pytest.mark.benchmark
 @pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK, GRAZE], ids=["saddle-node", "pitchfork", "artefact"])
-def test_energies_repeat_under_doubled_sampling_and_halved_seed_distance(system, events, name):
+def test_energies_are_independent_of_sampling_and_seed_distance(system, events, name):
     again = located(system, name, distance=5e-5, chord=0.025)
     assert [e.kind for e in again.events] == [events[name].kind]
     assert abs(again.events[0].energy - events[name].energy) < REPEATABLE
@@ -159,7 +157,7 @@ def test_energies_repeat_under_doubled_sampling_and_halved_seed_distance(system,
 
 @pytest.mark.benchmark
 @pytest.mark.parametrize("name", [UP_DOWN, BETWEEN], ids=["up-down", "between"])
-def test_energies_of_other_saddles_repeat_as_well(system, first_events, name):
+def test_energies_of_other_saddles_are_reproducible(system, first_events, name):
     source, target = SADDLES[name]
     again = located(system, name, source=source, target=target, distance=5e-5, chord=0.025).events
     assert [e.kind for e in again] == [e.kind for e in first_events[name]]
@@ -168,7 +166,7 @@ def test_energies_of_other_saddles_repeat_as_well(system, first_events, name):
 
 @pytest.mark.benchmark
 @pytest.mark.parametrize(("energies", "kind"), [((-0.1637, -0.1633), "saddle-node"), ((-0.1536, -0.1532), "pitchfork")])
-def test_energies_of_other_parameters_repeat_as_well(energies, kind):
+def test_energies_of_other_parameters_are_reproducible(energies, kind):
     pendulum = load_model("printed").system
     (once,), (again,) = (
         located(pendulum, energies, distance=distance, chord=chord).events
@@ -179,7 +177,7 @@ def test_energies_of_other_parameters_repeat_as_well(energies, kind):
 
 
 @pytest.mark.slow
-def test_every_change_of_a_small_sweep_has_a_cause(system):
+def test_every_change_in_a_small_sweep_is_explained(system):
     found = located(system, (-0.15, -0.09), samples=4)
     assert found.complete
     assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [
@@ -191,7 +189,7 @@ def test_every_change_of_a_small_sweep_has_a_cause(system):
 
 
 @pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK], ids=["saddle-node", "pitchfork"])
-def test_the_state_at_a_bifurcation_flows_to_its_orbit_both_ways_by_scipy(system, events, name):
+def test_the_state_at_a_bifurcation_reaches_its_orbit_in_both_directions(system, events, name):
     event = events[name]
     orbit, _ = orbits_between(system, "down-up", "down-up", event.energy)
     curve = system.propagator.sample(orbit.state, np.linspace(0, orbit.period, 4000))
@@ -205,13 +203,13 @@ def test_the_state_at_a_bifurcation_flows_to_its_orbit_both_ways_by_scipy(system
             rtol=1e-12,
             atol=1e-12,
         ).y[:, -1]
-        # A chord of 4,000 leaves about 5e-4 of the orbit's own length between samples.
+        # With 4,000 samples, chords are about 5e-4 of the orbit's length.
         assert system.scaled_distance(np.broadcast_to(flown, curve.shape), curve).min() < 1e-3
 
 
 @pytest.mark.slow
-def test_a_connection_that_grazes_its_section_goes_on_beyond(system, events):
-    """Multiple shooting, which knows no hits, carries it below the energy at which the first-hit list loses it."""
+def test_a_connection_that_grazes_its_section_continues_beyond(system, events):
+    """Multiple shooting is independent of hits and continues it below the energy at which the list ends."""
     event = events[GRAZE]
     assert abs(event.state[3]) < 1e-8
     above, below = event.energy + 4e-4, event.energy - 4e-4
@@ -226,34 +224,34 @@ def test_a_connection_that_grazes_its_section_goes_on_beyond(system, events):
         grazing.solution,
         ends=(replace(old.start, manifold=manifold), replace(old.end, manifold=manifold)),
         energy=below,
-        # Held at the inner arm's angle, which moves fast where the outer one stands still on the section.
+        # The inner arm's angle is the condition, because it is fast when the outer arm is at rest on the section.
         markers={middle: (np.array([1.0, 0.0, 0.0, 0.0]), float(old.states[middle, 0]))},
     )
     carried = solve_shooting(guess).orbit
     assert carried.converged
     assert not any(np.abs(c.state - carried.states[middle]).max() < 1e-2 for c in connections_at(system, below))
-    # In its list no longer, because it now crosses three times where it crossed once.
+    # It is no longer in the list, because it crosses three times instead of once.
     for shot, crossings in ((old, 1), (carried, 3)):
         heights = shot.sample(np.linspace(-0.3, 0.3, 6001))[:, 1] - 2 * np.pi
         assert np.count_nonzero(np.diff(np.sign(heights[np.abs(heights) > 1e-12]))) == crossings
 
 
 @pytest.mark.slow
-def test_two_events_in_one_interval_are_told_apart(of_up_down):
+def test_two_events_in_one_interval_are_distinguished(of_up_down):
     assert [(e.kind, e.count_below, e.count_above) for e in of_up_down] == [
         ("saddle-node", 0, 4),
         ("pitchfork", 4, 8),
     ]
 
 
-def test_where_nothing_changes_nothing_is_reported(system):
+def test_an_interval_without_changes_has_no_events(system):
     found = located(system, (-0.13, -0.12))
     assert found.complete
     assert not found.events
     assert [c.count for c in found.counts] == [4, 4]
 
 
-def test_a_connection_that_a_search_misses_is_found_by_continuation(system, monkeypatch):
+def test_continuation_finds_a_connection_that_a_search_misses(system, monkeypatch):
     sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
     low, high = -0.13, -0.12
     whole = sweep.search(low)
@@ -268,8 +266,8 @@ def test_a_connection_that_a_search_misses_is_found_by_continuation(system, monk
     assert len(interval.runs) == len(whole.points)
 
 
-def test_a_tangency_between_samples_is_found_from_the_far_side_too(system):
-    """The pair shed at a pitchfork, followed down from above: its path turns on the mirror and comes back."""
+def test_a_tangency_between_samples_is_found_from_both_sides(system):
+    """A pitchfork's pair is followed from above. Its path turns at the symmetric connection and returns."""
     sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
     below, above = sweep.search(PITCHFORK[0]), sweep.search(PITCHFORK[1])
     problem = LinkProblem(system, "down-up", "down-up", distance=1e-4)
@@ -278,8 +276,8 @@ def test_a_tangency_between_samples_is_found_from_the_far_side_too(system):
     assert sorted(str(problem.symmetry(p.link)) for p in above.points) == ["1", "1", "None", "None"]
 
 
-def test_a_path_goes_round_a_fold_and_comes_back_as_the_partner(system, events):
-    """From one member of a pair down to the saddle-node and up as the other, which the search finds there too."""
+def test_a_path_passes_a_fold_and_returns_as_the_partner(system, events):
+    """The path leads from one member of a pair to the saddle-node and back as the other member."""
     fold = events[SADDLE_NODE].energy
     sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
     start, goal = SADDLE_NODE[1], SADDLE_NODE[0]
@@ -288,18 +286,18 @@ def test_a_path_goes_round_a_fold_and_comes_back_as_the_partner(system, events):
     assert path.outcome == "back"
     energies = np.array([p.energy for p in path.points])
     (turn,) = path.turns
-    # Down to the fold, never below it, and up again.
+    # The path reaches the fold, does not go below it, and returns.
     assert np.all(np.diff(energies[: turn + 1]) < 0)
     assert np.all(np.diff(energies[turn + 1 :]) > 0)
     assert 0 < energies.min() - fold < 0.1 * (start - fold)
     assert sweep.problem.distance_between(path.points[-1].link, second.link) < 1e-8
-    # The tangency changes its sign once, at the fold, and every point is a connection.
+    # The tangency changes its sign only at the fold, and every point is a connection.
     signs = np.sign([p.tangency for p in path.points])
     assert np.count_nonzero(np.diff(signs)) == 1
     assert max(np.abs(sweep.problem.match(p.link, p.energy).gap).max() for p in path.points) < 1e-8
 
 
-def test_carrying_a_connection_refuses_to_pass_a_fold(system):
+def test_continuation_without_turns_stops_at_a_fold(system):
     sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
     point = sweep.search(SADDLE_NODE[1]).points[0]
     assert carry(sweep.problem, point, SADDLE_NODE[0]) is None
@@ -309,8 +307,8 @@ def test_carrying_a_connection_refuses_to_pass_a_fold(system):
 
 
 @pytest.mark.benchmark
-def test_connections_of_a_strongly_unstable_orbit_are_followed_down_to_their_fold():
-    """The printed pendulum: its multiplier of 9e4 lets no gap fall below 1e-10, and still nothing is lost."""
+def test_connections_of_a_strongly_unstable_orbit_are_followed_to_their_fold():
+    """The printed pendulum's multiplier of 9e4 keeps gaps above 1e-10, but no connection is lost."""
     found = located(load_model("printed").system, (0.1783, 0.1790), target="up-down")
     assert found.complete
     assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [
@@ -320,12 +318,12 @@ def test_connections_of_a_strongly_unstable_orbit_are_followed_down_to_their_fol
 
 
 @pytest.mark.slow
-def test_where_cuts_scatter_counts_are_lower_bounds_and_changes_still_have_causes(system, monkeypatch):
-    """Trajectories part by the other orbit before they arrive: connections accumulate, and the answer says so.
+def test_scattering_cuts_give_lower_bounds_and_explained_changes(system, monkeypatch):
+    """Trajectories separate near the other orbit, so connections accumulate, which the status reports.
 
-    The fold between is sharp: from one point of its path to the next σ goes from -0.78 to +0.81.
+    The fold is sharp, with a change of σ from -0.78 to +0.81 between neighbouring points.
     """
-    # Cuts are not refined so long that they are given up sooner: the search misses nothing that continuation brings.
+    # Continuation finds no connections that the search misses.
     monkeypatch.setattr(Sweep, "_amend", lambda *_: pytest.fail("a search was amended"))
     found = located(system, (0.2358, 0.2370), target="up-down")
     assert not found.unexplained
@@ -339,8 +337,8 @@ def test_where_cuts_scatter_counts_are_lower_bounds_and_changes_still_have_cause
 
 
 @pytest.mark.slow
-def test_runs_follow_every_connection_round_its_fold(system):
-    """One of each two that the symmetry exchanges: the lower and the upper part of one parabola."""
+def test_runs_follow_every_connection_around_its_fold(system):
+    """Only one of each symmetric pair is followed, along both parts of a parabola."""
     top = -0.1380
     found = located(system, (SADDLE_NODE[0], top), samples=3)
     fold = min(found.runs, key=lambda run: run.energies.min())
@@ -360,7 +358,7 @@ def test_runs_follow_every_connection_round_its_fold(system):
         ("lab", ("down-up", "down-up"), (0.1, float("nan")), "must be a finite number"),
     ],
 )
-def test_impossible_searches_are_refused_with_what_is_possible(model, saddles, energies, fragment):
+def test_impossible_searches_are_refused_with_the_valid_range(model, saddles, energies, fragment):
     with pytest.raises(InputError, match=fragment):
         find_bifurcations(load_model(model).system, *saddles, energies=energies)
 

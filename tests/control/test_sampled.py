@@ -32,7 +32,7 @@ def model() -> SampledModel:
     return SampledModel(EQUATIONS, LAB.base(), period=1e-3)
 
 
-def test_a_step_is_that_of_an_independent_integrator(model: SampledModel) -> None:
+def test_a_step_agrees_with_an_independent_integrator(model: SampledModel) -> None:
     expected = exact_flow(STATE, 3.0, 1e-3)
     assert model.step(STATE, 3.0) == pytest.approx(expected, abs=STEP)
 

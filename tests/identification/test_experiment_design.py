@@ -1,4 +1,4 @@
-"""Experiments compared by what they would tell: against a fit to the same swing, and by common sense."""
+"""Comparison of experiments by information, checked by fits to the same swing."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def design() -> Design:
     return design_experiments(LAB, settings=QUICK)
 
 
-def test_information_is_that_of_a_fit_to_the_same_swing(design: Design) -> None:
+def test_information_agrees_with_a_fit_to_the_same_swing(design: Design) -> None:
     best = next(e for e in design.ranked() if e.kind == "swing")
     recording = simulated_recording(LAB, [np.array(best.angles)], seconds=QUICK.seconds, period=QUICK.period)
     fit = fit_swings(
@@ -42,16 +42,16 @@ def test_information_is_that_of_a_fit_to_the_same_swing(design: Design) -> None:
         free_zeros=True,
         settings=FitSettings(robust=0.0, window=0.4),
     )
-    # The zeros are eliminated as well, and slopes are taken over logarithms; one variance of rounding to both angles.
+    # Zeros are eliminated, slopes are over logarithms, and both angles have the same rounding variance.
     whole, m = fit.information, 6
     reduced = whole[:m, :m] - whole[:m, m:] @ np.linalg.solve(whole[m:, m:], whole[m:, :m])
     sigma = 2 * np.pi / QUICK.counts / np.sqrt(12)
     expected = reduced * np.outer(fit.parameters, fit.parameters) / sigma**2
-    # The fit's ratios are off by what rounding leaves, friction by some percent.
+    # The errors of the fit's ratios are due to rounding, with a few percent for friction.
     assert digits(best.matrix) == pytest.approx(digits(expected), abs=0.05)
 
 
-def test_higher_swings_and_stronger_drives_tell_more(design: Design) -> None:
+def test_higher_swings_and_stronger_drives_give_more_information(design: Design) -> None:
     swings = [e for e in design.experiments if e.kind == "swing" and e.angles[0] == 0.0 and e.angles[1] > 0]
     low, high = (pick(swings, key=lambda e: e.angles[1]) for pick in (min, max))
     assert high.information > low.information
@@ -65,20 +65,20 @@ def test_swings_that_magnify_errors_and_drives_beyond_the_track_are_not_usable(d
     assert not any(e.usable for e in short.experiments if e.kind == "cart" and e.frequency < 1)
 
 
-def test_a_pair_tells_more_than_its_better_half(design: Design) -> None:
+def test_a_pair_gives_more_information_than_either_experiment(design: Design) -> None:
     first, second = design.best_pair()
     assert digits(first.matrix + second.matrix) > max(first.information, second.information)
     assert all(e.information <= first.information for e in design.ranked())
 
 
-def test_ratios_that_are_zero_are_left_out_and_named(design: Design) -> None:
+def test_zero_ratios_are_omitted_by_name(design: Design) -> None:
     rubbing = design_experiments(replace(with_laws(LAB, (Friction.COULOMB,)), coulomb=(3e-4, 0.0)), settings=QUICK)
     assert len(rubbing.names) == len(design.names) + 1
     assert "coulomb_2/M12" in rubbing.status
     assert "coulomb_2" not in design.status
 
 
-def test_a_singular_matrix_tells_nothing() -> None:
+def test_a_singular_matrix_gives_no_information() -> None:
     assert digits(np.diag([1.0, 0.0])) == -np.inf
     assert digits(100.0 * np.eye(3)) == pytest.approx(1.0)
 

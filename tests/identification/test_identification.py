@@ -1,4 +1,4 @@
-"""Identification: known arms recovered from quantised swings, the rig's own recording, the choice of laws, refusals."""
+"""Identification from quantised swings and the rig's recording, with selection of friction laws."""
 
 from dataclasses import replace
 from typing import Any
@@ -14,9 +14,9 @@ from dpcontrol.recordings.importing import import_recording
 from dpcontrol.recordings.recording import Recording, simulated_recording
 from dpcontrol.scenes.model import load_model
 
-# The rig's bars, rad: what a prediction over 2.667 s may miss by on segments that the fit has not seen.
+# Allowed error of predictions over 2.667 s on held-out segments of the rig, rad.
 MEDIAN, WORST = 1.6e-3, 3.6e-3
-# Of all ratios, friction's too, with 40,000 counts. Independent rounding would allow 0.03 % of those of friction.
+# For all ratios with 40,000 counts. Independent rounding would give 0.03 % for friction.
 RATIO_ERROR = 2e-3
 COVERED = 0.9
 TWO_SIDED_95 = 1.96
@@ -30,7 +30,7 @@ INERTIAL = 4
 def recorded(
     arms: ArmChainParameters, seed: int, *, swings: int = 3, seconds: float = 2.0
 ) -> tuple[Recording, np.ndarray]:
-    """A recording of swings from random angles with zeros off, and the zeros."""
+    """A recording of swings from random angles with offset zeros, and the zeros."""
     random = np.random.default_rng(seed)
     zeros = random.uniform(-2e-3, 2e-3, 2)
     starts = list(random.uniform(-1.2, 1.2, (swings, 2)))
@@ -39,7 +39,7 @@ def recorded(
 
 @pytest.fixture(scope="module")
 def ten_runs() -> list[tuple[Identification, np.ndarray]]:
-    """Ten arms up to 5 % off the lab's, each identified from eight swings of 8 s, four left out; and the truth."""
+    """True and identified arms: ten with errors up to 5 %, from eight swings of 8 s with four held out."""
     out = []
     for seed in range(10):
         arms = RUBBING.mismatched(0.05, np.random.default_rng(100 + seed))
@@ -57,14 +57,14 @@ def test_true_ratios_and_zeros_lie_inside_the_95_percent_region(ten_runs) -> Non
 
 
 @pytest.mark.slow
-def test_standard_errors_are_no_larger_than_errors_call_for(ten_runs) -> None:
-    # A region that holds everything says nothing: over all components the errors' mean square is near one.
+def test_standard_errors_are_not_larger_than_the_errors(ten_runs) -> None:
+    # Regions must not be too wide either, so the mean square of normalised errors is near one.
     squares = [((found.values - truth) / found.errors) ** 2 for found, truth in ten_runs]
     assert 0.15 < np.median(squares) < 1.5
 
 
 @pytest.mark.slow
-def test_true_ratios_are_recovered_those_of_friction_too(ten_runs) -> None:
+def test_true_ratios_are_recovered_including_friction(ten_runs) -> None:
     for found, truth in ten_runs:
         ratios = len(base_ratios(found.arms))
         assert np.abs(found.values[:ratios] / truth[:ratios] - 1).max() < RATIO_ERROR
@@ -73,27 +73,27 @@ def test_true_ratios_are_recovered_those_of_friction_too(ten_runs) -> None:
 
 
 @pytest.mark.slow
-def test_a_third_of_the_motion_leaves_friction_less_well_known_and_says_so(ten_runs) -> None:
+def test_less_motion_gives_less_accurate_friction_with_a_remark(ten_runs) -> None:
     arms = RUBBING.mismatched(0.05, np.random.default_rng(100))
     recording, zeros = recorded(arms, 0)
     few = identify([recording], LAB, settings=IdentificationSettings(zeros="free", laws=ALL_LAWS))
     truth = np.concatenate([base_ratios(arms), zeros])
     friction = slice(INERTIAL, len(base_ratios(arms)))
-    # Two swings of 2 s: a bar that is met by 8 of 8 s is out of reach, and the standard errors tell.
+    # Two swings of 2 s do not reach the accuracy of eight swings of 8 s, as the standard errors show.
     assert np.abs(few.values / truth - 1)[friction].max() > RATIO_ERROR
     assert (few.errors / few.values)[friction].max() > RATIO_ERROR
     assert np.abs((few.values - truth) / few.errors).max() < 4
 
 
 @pytest.mark.slow
-def test_that_only_ratios_are_known_is_said_plainly(ten_runs) -> None:
+def test_the_status_explains_that_only_ratios_are_identified(ten_runs) -> None:
     found, _ = ten_runs[0]
     assert found.undetermined[0].startswith("M12 itself")
     assert "only ratios" in found.undetermined[0]
 
 
 @pytest.mark.slow
-def test_laws_that_were_at_work_are_chosen_and_others_not() -> None:
+def test_only_the_acting_friction_laws_are_selected() -> None:
     for arms, expected in (
         (replace(LAB, viscous=(1e-3, 1e-4)), ("viscous",)),
         (replace(LAB, viscous=(1e-4, 1e-5), coulomb=(5e-4, 3e-4)), ("viscous", "coulomb")),
@@ -103,7 +103,7 @@ def test_laws_that_were_at_work_are_chosen_and_others_not() -> None:
         assert found.friction_terms == expected
 
 
-def test_zeros_are_chosen_where_the_encoders_are_off_and_not_elsewhere() -> None:
+def test_zeros_are_selected_only_for_offset_encoders() -> None:
     arms = replace(LAB, viscous=(1e-3, 1e-4))
     starts = [np.array(s) for s in ((1.0, 0.2), (-0.5, 0.9), (0.3, -1.1))]
     for zeros, expected in ((np.array([3e-3, -2e-3]), True), (np.zeros(2), False)):
@@ -114,7 +114,7 @@ def test_zeros_are_chosen_where_the_encoders_are_off_and_not_elsewhere() -> None
             assert found.zeros[0] == pytest.approx(zeros, abs=1e-4)
 
 
-def test_each_log_has_zeros_of_its_own_and_indices_run_through() -> None:
+def test_each_log_has_separate_zeros_and_consecutive_indices() -> None:
     arms = replace(LAB, viscous=(1e-3, 1e-4))
     both = [recorded(arms, seed, seconds=1.5) for seed in (1, 2)]
     found = identify([r for r, _ in both], LAB, settings=IdentificationSettings(zeros="free", laws=((),)))
@@ -127,16 +127,16 @@ def test_each_log_has_zeros_of_its_own_and_indices_run_through() -> None:
 
 @pytest.fixture(scope="module")
 def rig() -> Identification:
-    """The rig's own recording, identified."""
+    """The identification of the rig's recording."""
     return identify([import_recording(rig_file())], LAB)
 
 
-def test_the_rigs_left_out_segments_are_predicted_within_the_bars(rig: Identification) -> None:
+def test_the_rigs_held_out_segments_are_predicted_within_tolerance(rig: Identification) -> None:
     left_out = np.array([s.rms for s in rig.segments if not s.used])
     assert [s.index for s in rig.segments if not s.used] == [2, 5, 8, 11, 14]
     assert np.median(left_out) <= MEDIAN
     assert left_out.max() <= WORST
-    # The published values' own errors, as measured independently of this code.
+    # Errors of the published values, computed independently of this code.
     assert rig.started_at * 1e3 == pytest.approx([3.8, 2.9, 2.7, 2.9, 4.0], abs=0.1)
 
 
@@ -146,7 +146,7 @@ def test_the_rigs_friction_needs_coulomb_and_the_airs_drag(rig: Identification) 
 
 
 @pytest.mark.slow
-def test_a_standard_error_that_took_samples_as_independent_would_be_far_too_small(rig: Identification) -> None:
+def test_standard_errors_for_independent_samples_would_be_far_too_small(rig: Identification) -> None:
     assert correlation_time(rig.residuals) > 30
 
 
@@ -157,12 +157,12 @@ def test_the_choice_prefers_few_terms_within_one_standard_error(rig: Identificat
     far = [replace(few, left_out=errors * 2), replace(many, left_out=errors)]
     assert choose(near) == 0
     assert choose(far) == 1
-    # One segment left out tells no standard error, and a law that came out as zero differs in the last digits.
+    # A single held-out segment gives no standard error, and a law at zero differs in the last digits.
     same = [replace(few, left_out=np.array([1.0])), replace(many, left_out=np.array([1.0 - 1e-13]))]
     assert choose(same) == 0
 
 
-def test_the_shipped_model_is_what_the_rigs_recording_gives(rig: Identification) -> None:
+def test_the_shipped_model_agrees_with_the_rigs_recording(rig: Identification) -> None:
     shipped = load_model("lab-identified")
     assert shipped.uncertainty is not None
     ratios = len(base_ratios(rig.arms))
@@ -173,7 +173,7 @@ def test_the_shipped_model_is_what_the_rigs_recording_gives(rig: Identification)
     assert shipped.encoder_zeros == pytest.approx(tuple(rig.zeros[0]), abs=1e-6)
 
 
-def test_correlation_time_is_that_of_a_process_where_it_is_known() -> None:
+def test_correlation_time_agrees_with_a_known_process() -> None:
     random = np.random.default_rng(5)
     memory, count = 0.9, 200_000
     noise = random.standard_normal(count)
@@ -181,7 +181,7 @@ def test_correlation_time_is_that_of_a_process_where_it_is_known() -> None:
     values[0] = noise[0]
     for k in range(1, count):
         values[k] = memory * values[k - 1] + noise[k]
-    # Of an autoregressive process of first order: (1 + a) / (1 - a); the sum stops at 0.05, a tenth short.
+    # For a first-order autoregressive process it is (1 + a) / (1 - a). The sum stops at 0.05, a tenth short.
     assert correlation_time([values[:, None]]) == pytest.approx(19.0, rel=0.15)
     assert correlation_time([noise[:, None]]) == pytest.approx(1.0, abs=0.2)
 
@@ -194,7 +194,7 @@ def test_too_few_segments_or_another_pendulum_are_refused() -> None:
         identify([recording], load_model("triple").arms)
 
 
-def test_arms_that_hang_still_are_refused() -> None:
+def test_arms_at_rest_are_refused() -> None:
     still = simulated_recording(LAB, [np.zeros(2)] * 3, seconds=0.5)
     with pytest.raises(InputError, match="nothing to identify"):
         identify([still], LAB)

@@ -1,4 +1,4 @@
-"""A model replayed on a recording: it follows its own motion, says where it cannot, and its filters are consistent."""
+"""Replay of a model on a recording, with consistent filters."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,14 +23,14 @@ from dpcontrol.recordings.importing import import_recording
 from dpcontrol.recordings.recording import Recording, load_recording
 from dpcontrol.scenes.model import load_model
 
-COUNT = 2 * np.pi / 40_000  # rad: of an encoder
-STEP = 1e-8  # rad: DOP853 at 1 ms against scipy's at 1e-10, over 2 s
-FITTED = 1e-6  # rad: what differences leave of a fit to exact angles
-NEAR_COUNT = 0.8  # of a count: rms of two summed roundings, 0.41, and what the fit cannot average
+COUNT = 2 * np.pi / 40_000  # encoder count, rad
+STEP = 1e-8  # rad: DOP853 at 1 ms compared with scipy's at 1e-10, over 2 s
+FITTED = 1e-6  # rad: error of a fit to exact angles, due to finite differences
+NEAR_COUNT = 0.8  # counts: rms of two roundings, 0.41, and errors that the fit does not average
 IN_BAND = 0.90  # of the settled samples; the consistent share is 0.95
-RATES = 0.15  # rad/s rms: the bar for the recorded, filtered rates
-PUBLISHED = (2.0e-3, 5.5e-3)  # rad rms over whole segments that the published parameters leave on the rig's recording
-IDENTIFIED = 1.6e-3  # rad rms over whole segments that the identified model may leave
+RATES = 0.15  # rad/s rms: required for the recorded, filtered rates
+PUBLISHED = (2.0e-3, 5.5e-3)  # rad rms over whole segments with the published parameters
+IDENTIFIED = 1.6e-3  # rad rms over whole segments allowed for the identified model
 
 ARMS = ArmChainParameters(
     mass=LAB["m"],
@@ -43,7 +43,7 @@ ARMS = ArmChainParameters(
 
 
 def recorded(segments: int = 3, samples: int = 1000, *, counts: int | None = 40_000) -> Recording:
-    """A free swing of the lab's pendulum by scipy, as summed relative encoders give it; exact without counts."""
+    """A free swing by scipy, as read by relative encoders; exact without counts."""
     times, states = free_swing(segments * samples)
     angles = states[:, :2].copy()
     if counts:
@@ -59,13 +59,13 @@ def errors(recording: Recording, found: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(np.square(found[:, :2] - recording.angles))))
 
 
-def test_a_step_is_that_of_an_independent_integrator() -> None:
+def test_a_step_agrees_with_an_independent_integrator() -> None:
     _, states = free_swing(2000)
     path = FreeMotion(ARMS, period=PERIOD).paths(states[0][:, None].copy(), 2000)[:, :, 0]
     assert np.abs(path[:, :2] - states[:, :2]).max() <= STEP
 
 
-def test_the_fitted_start_of_exact_angles_is_the_true_one() -> None:
+def test_the_fitted_initial_state_for_exact_angles_is_exact() -> None:
     _, states = free_swing(2000)
     (fit,) = fit_initial_states(FreeMotion(ARMS, period=PERIOD), [states[:, :2]])
     assert fit.converged
@@ -73,7 +73,7 @@ def test_the_fitted_start_of_exact_angles_is_the_true_one() -> None:
     assert fit.residual.max() <= FITTED
 
 
-def test_stretches_of_different_length_are_fitted_as_if_alone() -> None:
+def test_stretches_of_different_lengths_are_fitted_independently() -> None:
     recording = recorded()
     pieces = [recording.angles[:700], recording.angles[1000:2000], recording.angles[2000:2100]]
     motion = FreeMotion(ARMS, period=PERIOD)
@@ -93,16 +93,16 @@ def test_the_true_model_follows_to_a_count_and_its_filter_is_consistent(kind: st
     assert result.rates_rms is not None
     assert result.rates_rms.max() <= RATES / 3
     assert max(result.ahead[1]) <= COUNT
-    # A tenth of a second on, what means of 15 samples leave of the rates counts most.
+    # After a tenth of a second, errors of rates from means of 15 samples dominate.
     assert max(result.ahead[100]) <= 12 * COUNT
 
 
-def test_zeros_that_the_model_tells_are_taken_off_and_shown_again() -> None:
+def test_estimated_zeros_are_subtracted_and_restored() -> None:
     exact, zeros = recorded(), (4e-3, -6e-3)
     off = replace(exact, angles=exact.angles + np.array(zeros))
     ignored, told = (replay_recording(off, ARMS, filter_settings("ekf"), zeros=z) for z in ((), zeros))
     without = replay_recording(exact, ARMS, filter_settings("ekf"))
-    # What is off by one count or two is off by as much without zeros.
+    # Errors of one or two counts also occur without zeros.
     assert np.abs(told.predicted - without.predicted - np.array([*zeros, 0, 0])).max() <= COUNT / 100
     assert np.abs(told.estimated - without.estimated - np.array([*zeros, 0, 0])).max() <= COUNT / 100
     assert told.ahead[100] == pytest.approx(without.ahead[100], rel=1e-3)
@@ -128,14 +128,14 @@ def test_a_wrong_model_shows_in_every_number() -> None:
     assert wrong_result.nis_inside_95 <= right_result.nis_inside_95 - 0.1
 
 
-def test_coarse_encoders_taken_for_fine_ones_fail_the_consistency_check() -> None:
+def test_coarse_encoders_modelled_as_fine_ones_fail_the_consistency_check() -> None:
     result = replay_recording(recorded(counts=1000), ARMS, filter_settings("ekf"))
     assert result.nis_inside_95 < 0.7
     honest = replay_recording(recorded(counts=1000), ARMS, filter_settings("ekf"), ReplaySettings(counts=1000))
     assert honest.nis_inside_95 >= IN_BAND - 0.05
 
 
-def test_a_motion_that_the_model_cannot_follow_is_said_to_be_one() -> None:
+def test_a_motion_that_the_model_cannot_follow_is_reported() -> None:
     recording = recorded(segments=1, samples=3000)
     random = np.random.default_rng(1)
     walk = np.cumsum(random.normal(0, 0.05, recording.angles.shape), axis=0)
@@ -176,7 +176,7 @@ def test_the_log_shows_measured_predicted_and_estimated_together(tmp_path: Path)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
-def test_on_the_rigs_recording_the_filters_keep_to_their_band_and_find_the_rates(kind: str) -> None:
+def test_filters_are_consistent_and_estimate_rates_on_the_rigs_recording(kind: str) -> None:
     recording, model = import_recording(rig_file()), load_model("lab-identified")
     result = replay_recording(recording, model.arms, filter_settings(kind), zeros=model.encoder_zeros)
     assert result.nis_inside_95 >= IN_BAND
@@ -187,7 +187,7 @@ def test_on_the_rigs_recording_the_filters_keep_to_their_band_and_find_the_rates
     assert max(left) <= IDENTIFIED
 
 
-def test_the_filters_settings_hold_where_they_were_not_chosen() -> None:
+def test_the_filters_settings_are_valid_on_other_recordings() -> None:
     recording, model = import_recording(rig_file()), load_model("lab-identified")
     left_out = replace(recording, segments=recording.segments[2::3])
     parts = replace(
@@ -204,7 +204,7 @@ def test_the_filters_settings_hold_where_they_were_not_chosen() -> None:
     assert result.rates_rms.max() <= RATES
 
 
-def test_the_published_parameters_leave_what_they_were_measured_to_leave() -> None:
+def test_the_published_parameters_have_the_measured_residuals() -> None:
     result = replay_recording(import_recording(rig_file()), ARMS, filter_settings("ekf"))
     left = [float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits]
     assert PUBLISHED[0] <= min(left)

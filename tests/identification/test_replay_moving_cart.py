@@ -1,4 +1,4 @@
-"""Replays of a moving cart: its command or its recorded motion is the model's input, whichever the arms felt."""
+"""Replays with a moving cart, whose command or recorded motion is the model's input."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,10 +25,10 @@ from dpcontrol.recordings.recording import Recording, cart_motion, load_recordin
 
 Array = NDArray[np.float64]
 
-COUNT = 2 * np.pi / 40_000  # rad: of an encoder
-STEP = 5e-6  # rad over 2 s: an acceleration held for 1 ms, against one that varies and a motion that feels it
-NEAR_COUNT = 0.8  # of a count: rms of two summed roundings, 0.41, and what the fit cannot average
-SMOOTHED = 2.0  # of a count: besides, what a cubic through 20 ms of the position misses of its motion
+COUNT = 2 * np.pi / 40_000  # encoder count, rad
+STEP = 5e-6  # rad over 2 s: error of an acceleration that is constant for 1 ms
+NEAR_COUNT = 0.8  # counts: rms of two roundings, 0.41, and errors that the fit does not average
+SMOOTHED = 2.0  # counts: also the error of a cubic through 20 ms of the position
 CART_COUNT = 1e-6  # m
 IN_BAND = 0.90
 ARMS = ArmChainParameters(
@@ -46,7 +46,7 @@ def _acceleration(times: Array | float) -> Array:
 
 
 def _rate(t: float, x: Array) -> Array:
-    """The pendulum on a moving pivot as textbooks have it: forces, and the pivot's acceleration as one more of them."""
+    """The textbook pendulum on a moving pivot, with an inertial force."""
     (m1, m2), (a1, a2), (j1, j2), (k1, k2) = LAB["m"], LAB["a"], LAB["J"], LAB["k"]
     length, g = LAB["l"], LAB["g"]
     q1, q2, w1, w2, _, v = x
@@ -72,7 +72,7 @@ def driven() -> tuple[Array, Array]:
 
 
 def recorded(driven: tuple[Array, Array], *, command: Array | None) -> Recording:
-    """What encoders give of it: summed counts of the arms, micrometres of the cart."""
+    """Its encoder readings, in counts of the arms and micrometres of the cart."""
     times, states = driven
     relative = np.column_stack([states[:, 0], states[:, 1] - states[:, 0]])
     angles = np.cumsum(np.rint(relative / COUNT) * COUNT, axis=1)
@@ -84,11 +84,11 @@ def recorded(driven: tuple[Array, Array], *, command: Array | None) -> Recording
 
 
 def told(times: Array) -> Array:
-    """The command that was given: held for each period at its mean."""
+    """The command, constant at its mean in each period."""
     return _acceleration(times + PERIOD / 2)
 
 
-def test_a_path_on_a_moving_cart_is_that_of_an_independent_integrator(driven: tuple[Array, Array]) -> None:
+def test_a_path_on_a_moving_cart_agrees_with_an_independent_integrator(driven: tuple[Array, Array]) -> None:
     times, states = driven
     cart = CartDrive(states[:1, 5], told(times)[:, None])
     path = FreeMotion(ARMS, period=PERIOD, moving=True).paths(states[0, :4][:, None].copy(), 2000, cart)[:, :, 0]
@@ -96,7 +96,7 @@ def test_a_path_on_a_moving_cart_is_that_of_an_independent_integrator(driven: tu
 
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
-def test_a_command_that_the_cart_followed_is_the_input(driven: tuple[Array, Array], kind: str) -> None:
+def test_a_command_that_the_cart_follows_is_the_input(driven: tuple[Array, Array], kind: str) -> None:
     result = replay_recording(recorded(driven, command=told(driven[0])), ARMS, filter_settings(kind))
     assert [cart.commanded for cart in result.carts] == [True]
     assert len(result.fits) == 4
@@ -107,7 +107,7 @@ def test_a_command_that_the_cart_followed_is_the_input(driven: tuple[Array, Arra
 
 
 @pytest.mark.parametrize("share", [None, 0.5])
-def test_without_a_command_that_explains_it_the_carts_position_is_the_input(
+def test_without_a_matching_command_the_carts_position_is_the_input(
     driven: tuple[Array, Array], share: float | None
 ) -> None:
     command = None if share is None else told(driven[0]) / share
@@ -117,7 +117,7 @@ def test_without_a_command_that_explains_it_the_carts_position_is_the_input(
     assert max(float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits) <= SMOOTHED * COUNT
 
 
-def test_means_of_samples_take_the_carts_acceleration_into_account(driven: tuple[Array, Array]) -> None:
+def test_means_of_samples_include_the_carts_acceleration(driven: tuple[Array, Array]) -> None:
     recording = recorded(driven, command=told(driven[0]))
     result = replay_recording(recording, ARMS, filter_settings("ekf"), ReplaySettings(mean_over=0.015))
     assert result.nis_inside_95 >= IN_BAND - 0.05
@@ -132,11 +132,11 @@ def test_a_command_alone_moves_the_cart(driven: tuple[Array, Array]) -> None:
     assert np.abs(np.diff(motion.velocity) - np.diff(driven[1][:, 5])).max() <= 1e-6
 
 
-def test_a_cart_that_stood_still_counts_as_clamped(driven: tuple[Array, Array]) -> None:
+def test_a_cart_at_rest_counts_as_clamped(driven: tuple[Array, Array]) -> None:
     assert cart_motion(replace(recorded(driven, command=None), cart=np.full(2000, 0.1))) is None
 
 
-def test_readings_that_are_missing_are_left_out(driven: tuple[Array, Array]) -> None:
+def test_missing_readings_are_omitted(driven: tuple[Array, Array]) -> None:
     recording = recorded(driven, command=told(driven[0]))
     assert recording.cart is not None
     lost = np.random.default_rng(3).random(2000) < 0.05
@@ -163,7 +163,7 @@ def test_an_identification_bridges_single_missing_readings_and_refuses_more(driv
         cut_into_swings([replace(recording, angles=angles)], 2, 10.0)
 
 
-def test_a_stretch_without_any_reading_is_said_to_be_one(driven: tuple[Array, Array]) -> None:
+def test_a_stretch_without_readings_is_reported(driven: tuple[Array, Array]) -> None:
     recording = recorded(driven, command=told(driven[0]))
     angles = recording.angles.copy()
     angles[500:1000] = np.nan
@@ -172,7 +172,7 @@ def test_a_stretch_without_any_reading_is_said_to_be_one(driven: tuple[Array, Ar
     assert "it holds no reading" in result.status
 
 
-def test_segments_of_which_one_has_the_cart_clamped_are_refused(driven: tuple[Array, Array]) -> None:
+def test_segments_with_clamped_and_free_carts_are_refused(driven: tuple[Array, Array]) -> None:
     recording = recorded(driven, command=None)
     assert recording.cart is not None
     cart = np.where(np.arange(2000) < 1000, recording.cart, 0.0)
@@ -181,7 +181,7 @@ def test_segments_of_which_one_has_the_cart_clamped_are_refused(driven: tuple[Ar
         replay_recording(parts, ARMS, filter_settings("ekf"))
 
 
-def test_the_log_holds_the_carts_motion_in_prediction_and_estimate(driven: tuple[Array, Array], tmp_path: Path) -> None:
+def test_the_log_has_the_carts_predicted_and_estimated_motion(driven: tuple[Array, Array], tmp_path: Path) -> None:
     recording = recorded(driven, command=told(driven[0]))
     result = replay_recording(recording, ARMS, filter_settings("ekf"))
     log = read_log(write_replay(result, tmp_path / "replay.mcap", model="lab", model_text="title"))

@@ -1,4 +1,4 @@
-"""Fits of swings: slopes against differences of an independent integrator, recovery, outliers, chaos, and refusals."""
+"""Fits of swings: slopes, recovery of parameters, outliers, chaos and refusals."""
 
 from dataclasses import replace
 
@@ -20,11 +20,11 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
 from dpcontrol.scenes.model import load_model
 
-# Runge-Kutta at 1 ms against DOP853 at 1e-12, over half a second: what passing the Coulomb step leaves, rad/s.
+# Runge-Kutta at 1 ms and DOP853 at 1e-12 over half a second differ by the Coulomb step, rad/s.
 STEPPED = 5e-6
-# Central differences of DOP853's results; passing the Coulomb step in steps of 1 ms leaves 1e-4 of a slope.
+# Compared with central differences of DOP853; steps of 1 ms across the Coulomb step cause 1e-4 of a slope.
 DIFFERENCES = 5e-4
-# Without noise only the integrator's steps are left.
+# Without noise, only the integrator's errors remain.
 RECOVERED = 1e-5
 
 ARMS = replace(with_laws(load_model("lab").arms, tuple(Friction)), coulomb=(3e-4, 2e-4), quadratic=(2e-3, 1.7e-3))
@@ -55,7 +55,7 @@ def model() -> Swings:
 
 
 @pytest.mark.parametrize("u", [0.0, 3.0])
-def test_states_and_slopes_agree_with_scipys(model: Swings, u: float) -> None:
+def test_states_and_slopes_agree_with_scipy(model: Swings, u: float) -> None:
     start, times = np.array([0.9, -0.4, 1.0, -2.0]), np.linspace(0.0, 0.5, 501)
     accelerations = np.full((1, 501), u)
     states, slopes = model.flown(
@@ -67,7 +67,7 @@ def test_states_and_slopes_agree_with_scipys(model: Swings, u: float) -> None:
         velocities=u * times[None],
     )
     assert np.abs(states[0] - flown(start, times, u=u)).max() < STEPPED
-    # An angle, a rate, a ratio of inertia, of weight, and one of each law of friction.
+    # An angle, a rate, ratios of inertia and weight, and one of each friction law.
     for column in (1, 2, N, N + 3, N + 5, N + 6, N + 9) if u else (0, 3, N + 1, N + 2, N + 4):
         step = np.zeros(N + len(RATIOS))
         step[column] = 1e-4 * (RATIOS[column - N] if column >= N else 1.0) or 1e-5
@@ -104,7 +104,7 @@ def exact() -> list[Swing]:
     return swings_from([[1.0, 0.3, 0.0, 0.0], [-0.4, 1.1, 0.0, 0.0], [0.8, -0.9, 1.0, 0.0]])
 
 
-def test_ratios_are_recovered_from_a_first_guess_that_is_off_by_a_tenth(model: Swings, exact: list[Swing]) -> None:
+def test_ratios_are_recovered_from_a_guess_with_an_error_of_a_tenth(model: Swings, exact: list[Swing]) -> None:
     first = RATIOS * np.where(np.arange(len(RATIOS)) < 4, 1.0, 3.0)
     first[:4] *= [1.1, 0.95, 1.08, 0.93]
     fit = fitted(model, exact, first)
@@ -113,14 +113,14 @@ def test_ratios_are_recovered_from_a_first_guess_that_is_off_by_a_tenth(model: S
     assert fit.gap < 1e-6
 
 
-def test_zeros_are_recovered_beside_the_ratios(model: Swings, exact: list[Swing]) -> None:
+def test_zeros_are_recovered_with_the_ratios(model: Swings, exact: list[Swing]) -> None:
     zeros = np.array([2e-3, -1e-3])
     fit = fitted(model, [replace(s, angles=s.angles + zeros) for s in exact], RATIOS, zeros=True)
     assert fit.converged
     assert fit.zeros[0] == pytest.approx(zeros, abs=1e-6)
 
 
-def test_outliers_that_spoil_least_squares_leave_the_robust_fit_in_place(model: Swings, exact: list[Swing]) -> None:
+def test_outliers_have_little_effect_on_the_robust_fit(model: Swings, exact: list[Swing]) -> None:
     random = np.random.default_rng(3)
     spoiled = []
     for swing in exact:
@@ -133,7 +133,7 @@ def test_outliers_that_spoil_least_squares_leave_the_robust_fit_in_place(model: 
     assert off[1] > 3 * off[0]
 
 
-def test_a_chaotic_swing_is_fitted_by_short_windows_and_not_in_one_go(model: Swings) -> None:
+def test_a_chaotic_swing_requires_short_windows(model: Swings) -> None:
     high = swings_from([[3.0, 1.5, 0.0, 0.0], [2.6, -2.0, 0.0, 0.0]], seconds=3.0)
     first = RATIOS * np.where(np.arange(len(RATIOS)) < 4, 1.01, 1.0)
     windows = fitted(model, high, first)
@@ -143,14 +143,14 @@ def test_a_chaotic_swing_is_fitted_by_short_windows_and_not_in_one_go(model: Swi
     assert whole.rms.max() > 100 * windows.rms.max()
 
 
-def test_friction_stays_at_zero_where_the_data_ask_for_less(model: Swings) -> None:
+def test_fitted_friction_is_not_negative(model: Swings) -> None:
     without = replace(ARMS, viscous=(0.0, 0.0), coulomb=(0.0, 0.0), quadratic=(0.0, 1.7e-3))
     fit = fitted(model, swings_from([[1.0, 0.3, 0.0, 0.0], [-0.4, 1.1, 0.0, 0.0]], arms=without), RATIOS)
     assert (fit.parameters[4:] >= 0).all()
     assert fit.parameters[4:9] == pytest.approx(np.zeros(5), abs=0.02)
 
 
-def test_motion_that_no_arms_make_is_not_said_to_be_explained(model: Swings, exact: list[Swing]) -> None:
+def test_impossible_motion_is_not_reported_as_explained(model: Swings, exact: list[Swing]) -> None:
     doubled = [replace(s, angles=2 * s.angles) for s in exact]
     fit = fitted(model, doubled, RATIOS, FitSettings(iterations=15))
     assert not fit.converged or fit.rms.min() > 0.01
@@ -158,7 +158,7 @@ def test_motion_that_no_arms_make_is_not_said_to_be_explained(model: Swings, exa
         assert "starting model" in fit.status or "nearer model" in fit.status
 
 
-def test_few_steps_end_with_a_sentence(model: Swings, exact: list[Swing]) -> None:
+def test_too_few_steps_are_reported(model: Swings, exact: list[Swing]) -> None:
     fit = fitted(model, exact, 1.1 * RATIOS, FitSettings(iterations=1))
     assert not fit.converged
     assert "still improving after 1 steps" in fit.status

@@ -1,4 +1,4 @@
-"""The itinerary's text is changed by pointing and by typing, and every mistake in it has a line."""
+"""The itinerary's text can be edited by clicks and by typing, and errors have line numbers."""
 
 import tomllib
 
@@ -11,12 +11,12 @@ FIRST = first_text("lab", 0.2)
 WALK = ["down-up > up-down", "up-down > down-up"]
 
 
-def test_a_new_text_lacks_only_its_first_symbol() -> None:
+def test_a_new_text_needs_only_its_first_symbol() -> None:
     draft = read_draft(FIRST)
     assert (draft.mistake, draft.itinerary, draft.walk, draft.energy) == (None, None, [], 0.2)
 
 
-def test_a_walk_that_is_put_together_reads_as_an_itinerary() -> None:
+def test_a_walk_built_by_clicks_is_a_valid_itinerary() -> None:
     text = read_draft(FIRST).changed("", {"walk": WALK, "wraps": [3]})
     draft = read_draft(text)
     assert draft.itinerary is not None
@@ -24,7 +24,7 @@ def test_a_walk_that_is_put_together_reads_as_an_itinerary() -> None:
     assert (draft.wraps, draft.stops) == ([3], ["down-up", "up-down", "down-up"])
 
 
-def test_what_stands_beside_a_change_is_kept_with_its_comments() -> None:
+def test_edits_keep_other_keys_and_comments() -> None:
     text = FIRST.replace("[run]", "[limits]\nposition = 0.3  # m\n\n[run]  # of the bench")
     changed = read_draft(text).changed("", {"walk": WALK, "wraps": [2], "finish": "orbit"})
     assert "position = 0.3  # m" in changed
@@ -46,7 +46,7 @@ def test_what_stands_beside_a_change_is_kept_with_its_comments() -> None:
         ("[run]", "[runn]", 9),
     ],
 )
-def test_a_mistake_is_found_on_its_line(before: str, after: str, line: int) -> None:
+def test_an_error_is_reported_with_its_line(before: str, after: str, line: int) -> None:
     text = FIRST if "wraps" not in after else FIRST.replace("walk   = []", 'walk   = ["down-up +"]')
     draft = read_draft(text.replace(before, after))
     assert draft.mistake is not None
@@ -54,13 +54,13 @@ def test_a_mistake_is_found_on_its_line(before: str, after: str, line: int) -> N
     assert draft.itinerary is None
 
 
-def test_a_text_with_a_mistake_is_not_changed_by_pointing() -> None:
+def test_a_text_with_an_error_cannot_be_edited_by_clicks() -> None:
     draft = read_draft(FIRST.replace("energy = 0.2", "energy = "))
     with pytest.raises(InputError, match=r"line 3 .* correct it first"):
         draft.changed("", {"finish": "orbit"})
 
 
-def test_a_text_of_several_parts_is_changed_as_text_only() -> None:
+def test_a_text_with_several_parts_can_be_edited_only_as_text() -> None:
     parts = '\n[[parts]]\nhold = "up-up"\n[[parts]]\nenergy = 0.2\nwalk = ["down-up +"]\n'
     text = "\n".join(line for line in FIRST.splitlines() if line[:4] not in ("ener", "walk", "wrap"))
     draft = read_draft(text + parts)
@@ -69,7 +69,7 @@ def test_a_text_of_several_parts_is_changed_as_text_only() -> None:
         draft.changed("", {"walk": WALK})
 
 
-def test_a_failed_plan_points_at_its_symbol_and_at_wraps_that_work() -> None:
+def test_a_failed_plan_names_its_symbol_and_sufficient_wraps() -> None:
     sentence = "the shadowing orbit: symbol 2 of 3 (a>b): no; wraps [0, 1] are too few: must be at least [1, 1]"
     assert fault_of(sentence, ["x", "y", "z"]) == 1
     assert enough_wraps(sentence) == [1, 1]

@@ -1,4 +1,4 @@
-"""The planner's page in a browser without a screen: from energy to a saved itinerary that completes."""
+"""The planner's page in a headless browser, from energy to a saved itinerary that completes."""
 
 import shutil
 import time
@@ -27,11 +27,11 @@ OPTIONS = (
     "--window-size=1280,860",
 )  # fmt: skip
 PATIENCE = 600.0
-"""s for a plan on a machine that does much else."""
+"""Time limit of a plan on a busy machine, s."""
 
 
 class Page:
-    """The planner's page, driven as a user would."""
+    """The planner's page, operated like a user."""
 
     def __init__(self, driver: Any, address: str) -> None:
         self.driver, self.address = driver, address
@@ -121,7 +121,7 @@ def test_an_itinerary_is_built_planned_run_and_saved_and_the_command_line_comple
     assert not [entry for entry in page.driver.get_log("browser") if entry["level"] == "SEVERE"]
 
 
-def test_what_cannot_follow_is_grey_with_its_reason_and_undo_takes_it_back(page: Page) -> None:
+def test_impossible_symbols_are_grey_with_the_reason_and_undo_reverts(page: Page) -> None:
     page.connect("down-up>up-down")
     button = page.role("connection", '[data-name^="down-up>down-up"]')
     assert button.get_attribute("aria-disabled") == "true"
@@ -131,7 +131,7 @@ def test_what_cannot_follow_is_grey_with_its_reason_and_undo_takes_it_back(page:
     assert len(page.press("redo")["walk"]) == 1
 
 
-def test_text_and_page_stay_in_step_and_a_mistake_marks_its_line(page: Page) -> None:
+def test_text_and_page_are_synchronised_and_errors_mark_their_line(page: Page) -> None:
     text = page.idle()["toml"]
     edited = text.replace("walk   = []", 'walk   = ["down-up +", "down-up -"]').replace("wraps  = []", "wraps = [1]")
     state = page.type("toml", edited)
@@ -142,7 +142,7 @@ def test_text_and_page_stay_in_step_and_a_mistake_marks_its_line(page: Page) -> 
     assert not page.role("plan").is_enabled()
 
 
-def test_a_symbol_that_does_not_exist_is_named_and_framed(page: Page) -> None:
+def test_an_unknown_symbol_is_named_and_framed(page: Page) -> None:
     page.connect("up-down>up-down")
     page.type("energy", "-0.07")
     state = page.idle()

@@ -1,4 +1,4 @@
-"""The planner's address admits this computer's browser alone, and answers nonsense with a sentence."""
+"""The planner's server accepts only local browsers, and answers invalid commands with messages."""
 
 import http.client
 import json
@@ -34,7 +34,7 @@ def status(address: str, path: str, **headers: str) -> int:
 
 
 class Page:
-    """What a page does: commands out, messages in."""
+    """A page that sends commands and receives messages."""
 
     def __init__(self, address: str, name: str) -> None:
         place = urlsplit(address)
@@ -44,14 +44,14 @@ class Page:
         self.sent = 0
 
     def until(self, kind: str) -> Any:
-        """Return the next message of a kind."""
+        """Return the next message of one kind."""
         while True:
             message = json.loads(self.socket.recv(timeout=120))
             if kind in message:
                 return message[kind]
 
     def send(self, command: Any) -> dict[str, Any]:
-        """Return the state after a command was taken."""
+        """Return the state after a command."""
         self.sent += 1
         self.socket.send(json.dumps({**command, "n": self.sent} if isinstance(command, dict) else command))
         while True:
@@ -97,7 +97,7 @@ def test_a_socket_without_token_or_from_another_site_is_refused(address: str, wr
     assert refused.value.response.status_code == 403
 
 
-def test_the_page_asks_no_other_host() -> None:
+def test_the_page_contacts_no_other_host() -> None:
     from pathlib import Path
 
     for file in (Path(dp.__file__).parent / "planner" / "static").iterdir():
@@ -116,7 +116,7 @@ def test_the_page_asks_no_other_host() -> None:
         {"do": "set", "table": "sensors", "values": {}}, {"do": "model", "name": "nothing"}, {"do": "plan"},
     ],
 )  # fmt: skip
-def test_nonsense_is_answered_with_a_sentence(page: Page, command: Any) -> None:
+def test_invalid_commands_are_answered_with_a_message(page: Page, command: Any) -> None:
     before = page.until("state")["toml"]
     state = page.send(command)
     assert state["message"]["kind"] == "error" or state["mistake"]
@@ -131,7 +131,7 @@ def test_models_that_cannot_be_used_are_listed_with_their_message(page: Page) ->
     assert "1 arm" in problems["single"]
 
 
-def test_changes_are_undone_and_done_again_one_by_one(page: Page) -> None:
+def test_changes_are_undone_and_redone_one_by_one(page: Page) -> None:
     first = page.until("state")["toml"]
     page.send({"do": "set", "values": {"walk": ["down-up > up-down"], "wraps": []}})
     changed = page.send({"do": "set", "values": {"start": "orbit"}})
@@ -143,7 +143,7 @@ def test_changes_are_undone_and_done_again_one_by_one(page: Page) -> None:
     assert page.send({"do": "redo"})["toml"] == changed["toml"]
 
 
-def test_a_page_that_is_loaded_again_finds_its_choices_and_another_page_does_not(address: str) -> None:
+def test_a_reloaded_page_restores_its_state_and_another_page_does_not(address: str) -> None:
     one, other = Page(address, "first-of-two"), Page(address, "second-of-two")
     one.send({"do": "set", "values": {"walk": ["down-up +"], "wraps": []}})
     one.socket.close()
@@ -151,7 +151,7 @@ def test_a_page_that_is_loaded_again_finds_its_choices_and_another_page_does_not
     assert other.send({"do": "set", "values": {"finish": "orbit"}})["walk"] == []
 
 
-def test_an_itinerary_is_saved_once_under_a_name_and_not_over_another(page: Page, address: str) -> None:
+def test_an_itinerary_is_saved_without_replacing_another(page: Page, address: str) -> None:
     page.send({"do": "set", "values": {"walk": ["down-up +"], "wraps": []}})
     page.send({"do": "name", "name": "mine"})
     assert page.send({"do": "save"})["saved"]["toml"].endswith("mine.toml")
@@ -162,7 +162,7 @@ def test_an_itinerary_is_saved_once_under_a_name_and_not_over_another(page: Page
     assert "choose another name" in other.send({"do": "save"})["message"]["text"]
 
 
-def test_a_model_that_the_planner_cannot_use_and_a_port_that_is_taken_are_refused(address: str) -> None:
+def test_an_unsupported_model_and_a_used_port_are_refused(address: str) -> None:
     with pytest.raises(InputError, match="no arms"):
         dp.open_planner("three-body", browser=False)
     with pytest.raises(InputError, match="--port"):
@@ -170,7 +170,7 @@ def test_a_model_that_the_planner_cannot_use_and_a_port_that_is_taken_are_refuse
 
 
 @pytest.mark.slow
-def test_work_is_cancelled_and_a_process_that_dies_can_be_tried_again(page: Page) -> None:
+def test_work_can_be_cancelled_and_a_dead_process_restarted(page: Page) -> None:
     import os
     import signal
     import subprocess
@@ -184,7 +184,7 @@ def test_work_is_cancelled_and_a_process_that_dies_can_be_tried_again(page: Page
     page.send({"do": "plan"})
     page.until("state")
     while not (state := page.until("state"))["busy"] or state["busy"]["what"] == "plan":
-        # Its process has begun when it reports what it is doing.
+        # The process is running once it reports progress.
         pass
     children = subprocess.run(["pgrep", "-P", str(os.getpid())], capture_output=True, text=True, check=True)
     for number in children.stdout.split():

@@ -1,4 +1,4 @@
-"""Certificates are confirmed by code of its own, and each of twenty corruptions is rejected with exit code 1."""
+"""Independent code confirms certificates and rejects twenty corruptions with exit code 1."""
 
 import json
 from collections.abc import Callable
@@ -30,12 +30,12 @@ def lab() -> dict[str, Any]:
 
 
 def shifted(text: str, by: str) -> str:
-    """Return a decimal changed by another."""
+    """Return the sum of two decimals."""
     return str(float(Fraction(text) + Fraction(by)))
 
 
 def put(*path: Any, by: str = "", value: Any = None) -> Change:
-    """Return a change of one entry: by a number, or to a value; None removes it."""
+    """Return a function that changes one entry by a number or to a value; None removes it."""
 
     def change(content: dict[str, Any]) -> None:
         place: Any = content
@@ -82,7 +82,7 @@ UNTRUE = {
 
 
 @pytest.mark.slow
-def test_the_check_confirms_what_is_proved(lab: dict[str, Any], tmp_path: Path) -> None:
+def test_the_check_confirms_a_certificate(lab: dict[str, Any], tmp_path: Path) -> None:
     file = tmp_path / "proof.json"
     file.write_text(json.dumps(lab), encoding="utf-8")
     ended = dpcontrol("prove", "check", file)
@@ -91,7 +91,7 @@ def test_the_check_confirms_what_is_proved(lab: dict[str, Any], tmp_path: Path) 
 
 
 def corrupted(content: dict[str, Any], change: Change, *, sealed: bool) -> dict[str, Any]:
-    """Return a changed copy, with the digest of what it now holds if it is sealed."""
+    """Return a changed copy, with a valid digest if it is sealed."""
     copy = json.loads(json.dumps(content))
     change(copy)
     return {**copy, "digest": digest(copy)} if sealed else copy
@@ -109,19 +109,19 @@ def test_a_corrupted_file_is_rejected_by_its_digest_with_exit_code_1(
 
 
 @pytest.mark.parametrize("name", UNREADABLE)
-def test_what_does_not_fit_together_is_rejected_even_under_its_own_digest(lab: dict[str, Any], name: str) -> None:
+def test_inconsistent_content_is_rejected_despite_a_valid_digest(lab: dict[str, Any], name: str) -> None:
     with pytest.raises(Rejected):
         check(corrupted(lab, UNREADABLE[name], sealed=True))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", UNTRUE)
-def test_what_is_untrue_is_rejected_by_the_mathematics_alone(lab: dict[str, Any], name: str) -> None:
+def test_false_statements_are_rejected_despite_a_valid_digest(lab: dict[str, Any], name: str) -> None:
     with pytest.raises(Rejected):
         check(corrupted(lab, UNTRUE[name], sealed=True))
 
 
-def test_files_that_are_no_certificates_are_rejected_or_named(tmp_path: Path) -> None:
+def test_files_other_than_certificates_are_rejected(tmp_path: Path) -> None:
     for content in ("", "[]", "{}", "null", "[" * 100_000, '{"format": "dpcontrol proof 1"}'):
         file = tmp_path / "proof.json"
         file.write_text(content, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Connections are proved with their angles, the homoclinics of lab at -0.07 J as a horseshoe; wrong ones are not."""
+"""Proofs of connections with their angles, and of a horseshoe of lab at -0.07 J."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -25,14 +25,12 @@ def found() -> ConnectionSearch:
 
 @pytest.fixture(scope="module")
 def steepest(found: ConnectionSearch) -> Proof:
-    """The proof of the most transversal of them alone."""
+    """The proof of the most transversal one."""
     one = max(found.connections, key=lambda c: c.transversality_angle)
     return prove_connections([one], energy=ENERGY, whole=True)
 
 
-def test_a_homoclinic_is_proved_and_its_angle_and_state_are_those_computed(
-    found: ConnectionSearch, steepest: Proof
-) -> None:
+def test_a_homoclinic_is_proved_with_the_computed_angle_and_state(found: ConnectionSearch, steepest: Proof) -> None:
     assert steepest.proved, steepest.status
     one = max(found.connections, key=lambda c: c.transversality_angle)
     (shown,) = steepest.figures["connections"]
@@ -41,14 +39,14 @@ def test_a_homoclinic_is_proved_and_its_angle_and_state_are_those_computed(
         assert flint.arb(text).overlaps(flint.arb(float(value), 1e-9))
 
 
-def test_one_homoclinic_and_rounds_make_a_horseshoe_with_entropy(steepest: Proof) -> None:
-    """Loops of 0.752 s and of some 5 s: the entropy is that of these two return times."""
+def test_one_homoclinic_gives_a_horseshoe_with_entropy(steepest: Proof) -> None:
+    """The return times of 0.752 s and about 5 s determine the entropy."""
     entropy = float(flint.arb(steepest.figures["entropy_at_least"]))
     assert 0.1 < entropy < 1.0
     assert steepest.figures["least_wraps"] >= 1
 
 
-def test_a_connection_that_is_not_there_is_not_proved(found: ConnectionSearch) -> None:
+def test_a_nonexistent_connection_is_not_proved(found: ConnectionSearch) -> None:
     one = found.connections[0]
     orbit = one.orbit
     states = orbit.states + 1e-4 * np.sin(np.arange(4))

@@ -1,4 +1,4 @@
-"""Orbits are proved where independent figures put them; what is not there, or not hyperbolic, is not proved."""
+"""Proofs of orbits agree with independent values; nonexistent or elliptic orbits are not proved."""
 
 import importlib
 from dataclasses import replace
@@ -20,9 +20,9 @@ from dpcontrol.proofs.prove import Proof, ProofSettings, exact_energy, proved_ch
 pytest.importorskip("flint")
 
 DOUBLE = 1e-10
-"""Relative: the independent values are doubles of parameters that were read as doubles."""
+"""Relative accuracy of independent values in double precision, with parameters in double precision."""
 PERIOD_OF_DOUBLES = "0.75238002849288055803"
-"""The period of lab's orbit at -0.07 J with the parameters' doubles, from another program (5e-21)."""
+"""Period of lab's orbit at -0.07 J for parameters in double precision, by another program (5e-21)."""
 
 
 def number(text: str) -> Any:
@@ -31,13 +31,13 @@ def number(text: str) -> Any:
 
 
 def near(text: str, value: float, relative: float = DOUBLE) -> bool:
-    """True if a ball's text holds a number within a relative distance of a value, and is not wider than that."""
+    """True if a ball and its radius are within a relative distance of a value."""
     gap = abs(number(text) - flint.arb(value))
     return bool(gap < flint.arb(relative) * abs(flint.arb(value)))
 
 
 @pytest.mark.parametrize("case", [("lab", "down-up", -0.07), ("lab", "up-down", 0.2), ("printed", "down-up", -0.07)])
-def test_enclosures_hold_the_independent_period_multiplier_and_state(case: tuple[str, str, float]) -> None:
+def test_enclosures_contain_the_independent_period_multiplier_and_state(case: tuple[str, str, float]) -> None:
     state, period, multiplier, _ = LYAPUNOV_ORBITS[case]
     proof = dp.prove(dp.orbit(dp.load_model(case[0]), case[1], energy=case[2]))
     assert proof.proved, proof.status
@@ -56,7 +56,7 @@ def test_a_period_differs_from_that_of_the_parameters_doubles_in_the_sixteenth_d
         assert number(proof.figures["period"]).rad() < flint.arb(5e-21)
 
 
-def test_three_bodies_and_a_users_hamiltonian_are_proved() -> None:
+def test_orbits_of_three_bodies_and_a_users_hamiltonian_are_proved() -> None:
     def hamiltonian(q: Any, p: Any, c: Any) -> Any:
         (x, y), (px, py) = q, p
         return (px**2 + py**2 + x**2 + y**2) / 2 + c["lambda"] * (x**2 * y - y**3 / 3) + 0.01 * ca.exp(-(x**2))
@@ -73,11 +73,11 @@ def test_three_bodies_and_a_users_hamiltonian_are_proved() -> None:
 
 
 def refused(proof: Proof) -> bool:
-    """True if a verdict is "not proved", and not that anything is false."""
+    """True if a verdict is "not proved" and does not claim falsity."""
     return not proof.proved and proof.status.startswith("not proved: ") and "false" not in proof.status
 
 
-def test_a_wrong_node_a_huge_ball_and_an_elliptic_orbit_are_not_proved() -> None:
+def test_a_wrong_node_a_large_ball_and_an_elliptic_orbit_are_not_proved() -> None:
     lab = dp.load_model("lab")
     orbit = dp.orbit(lab, "down-up", energy=-0.07)
     once = ProofSettings(tries=1)
@@ -90,7 +90,7 @@ def test_a_wrong_node_a_huge_ball_and_an_elliptic_orbit_are_not_proved() -> None
         (x, y), (px, py) = q, p
         return (px**2 + 2 * py**2) / 2 + x**2 / 2 - x**4 / 40 + y**2 - 0.2 * x * y**2
 
-    # At rest in the well both motions oscillate: the orbit about it is elliptic.
+    # Both motions oscillate about the well, so the orbit is elliptic.
     system = dp.System.from_hamiltonian("wells", wells, coordinates=("x", "y"), equilibria={"out": (3.16, 0.0)})
     amplitude = 0.3
     state = np.array([0.0, 0.0, amplitude, 0.0])
@@ -101,7 +101,7 @@ def test_a_wrong_node_a_huge_ball_and_an_elliptic_orbit_are_not_proved() -> None
 
 
 def _period(system: dp.System, state: np.ndarray) -> float:
-    """Return the time after which an orbit of one coordinate crosses zero upward again."""
+    """Return the time between upward zero crossings of an orbit with one coordinate."""
     times = np.linspace(5.0, 8.0, 3001)
     x = system.propagator.sample(state, times)[:, 0]
     k = int(np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))[0])
@@ -112,8 +112,8 @@ def _period(system: dp.System, state: np.ndarray) -> float:
     return period
 
 
-def test_random_flights_stay_in_their_enclosures() -> None:
-    """Doubles from another integrator, from random corners of a box, lie in the box's enclosure."""
+def test_random_trajectories_stay_in_their_enclosures() -> None:
+    """Results of another integrator from random corners of a box lie in the enclosure."""
     random = np.random.default_rng(3)
     system = dp.load_model("lab").system
     radius = 1e-6
@@ -135,7 +135,7 @@ def test_random_flights_stay_in_their_enclosures() -> None:
             _, stm = system.propagator.flow_with_stm(start, 0.1)
             entries = zip(flown.derivative.entries(), stm.ravel(), strict=True)
             assert all(abs(b.mid() - v) <= b.rad() + 1e-9 for b, v in entries)
-            # The enclosure is no wider than the box makes it.
+            # The width of the enclosure is due to the box only.
             assert max(float(b.rad()) for b in flown.thin) < 1e-15
 
 
@@ -148,7 +148,7 @@ def test_flints_precision_is_restored_and_bounds_round_up() -> None:
     assert (bound(1e-8), bound(1e-8, lower=True)) == ("1.01e-8", "1.00e-8")
 
 
-def test_a_chain_of_nodes_off_the_energy_is_lifted_onto_it() -> None:
+def test_nodes_are_corrected_to_the_energy() -> None:
     system = dp.load_model("lab").system
     orbit = dp.orbit(system, "down-up", energy=-0.07)
     states = np.array([system.propagator.flow(orbit.state, orbit.period * k / 4) for k in range(4)])
@@ -160,7 +160,7 @@ def test_a_chain_of_nodes_off_the_energy_is_lifted_onto_it() -> None:
     assert found.exists > flint.arb(1e-13)
 
 
-def test_the_command_line_proves_in_words_and_json_and_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_line_reports_proofs_and_missing_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     done = dpcontrol("prove", "orbit", "lab", "--saddle", "down-up", "--energy", "-0.07", "--json")
     assert done.code == 0
     assert done.document["proved"]

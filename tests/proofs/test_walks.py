@@ -1,4 +1,4 @@
-"""Closed walks are proved with their symbols; what does not follow its symbols is not."""
+"""Closed walks are proved with their symbols."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def graph() -> Edges:
 
 @pytest.fixture(scope="module")
 def turn(graph: Edges) -> ShadowingOrbit:
-    """The closed walk of one turn of the outer arm, without a wrap."""
+    """The closed walk of one turn of the outer arm, without wraps."""
     return dp.shadow(graph, ["down-up +"], wraps=[0], periodic=True)
 
 
@@ -45,7 +45,7 @@ def test_a_closed_walk_is_proved_with_its_period_multiplier_symbol_and_wraps(
     assert estimate is not None
     assert estimate.multipliers is not None
     with working(128):
-        # The estimate of the walk, in doubles, is near the enclosures.
+        # The walk's estimate in doubles is near the enclosures.
         assert abs(flint.arb(proof.figures["period"]) - turn.duration) < 1e-10
         outside = flint.arb(proof.figures["multipliers"][0])
         assert abs(abs(outside).log() - estimate.multipliers.log_unstable) < 1e-3
@@ -73,7 +73,7 @@ def test_a_walk_with_other_symbols_wraps_or_turns_is_not_proved(graph: Edges, tu
         assert found.status.startswith("not proved: a closed orbit exists")
 
 
-def test_an_orbit_pushed_off_its_nodes_is_not_proved(turn: ShadowingOrbit) -> None:
+def test_a_perturbed_orbit_is_not_proved(turn: ShadowingOrbit) -> None:
     states = turn.orbit.states.copy()
     states[5] += 1e-5
     found = dp.prove(replace(turn, orbit=replace(turn.orbit, states=states)))

@@ -1,4 +1,4 @@
-"""The isomerisation of De Leon and Berne: two wells at y = ±1/√2, a saddle between them, a Morse oscillator across.
+"""De Leon and Berne's isomerisation: two wells at y = ±1/√2, a saddle, and a Morse oscillator across.
 
     H = (p_x² + p_y²)/2m + D (1 - e^(-λx))² + V (y⁴ - 2 w² y²)/w⁴ e^(-ζλx) + V
 

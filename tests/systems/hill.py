@@ -1,9 +1,9 @@
-"""Hill's problem: the restricted three-body problem about a small primary, of which nothing but its pull is left.
+"""Hill's problem, the restricted three-body problem near a small primary.
 
     L = ½ (ẋ² + ẏ²) + x ẏ - y ẋ + 3/2 x² + 1/r
 
-in the rotating frame, with no parameter at all; L1 and L2 lie at x = ∓3^(-1/3). The kinetic energy has terms linear in
-velocity: the motion is reversed by y -> -y with time, not by time alone.
+in the rotating frame, without parameters. L1 and L2 are at x = ∓3^(-1/3). The kinetic energy has terms linear in
+velocity, so the motion is reversed by y -> -y together with time.
 
 Source: Szebehely, Theory of Orbits (1967), section 10.4.
 """

@@ -1,7 +1,7 @@
-"""Orbits and connections by other means: Dormand and Prince's eighth order, with equations typed from the literature.
+"""Independent orbits and connections by Dormand-Prince's eighth order, with equations from the literature.
 
-A connection is found as a crossing of two curves of many seeds, counted by brute force, and refined by Newton's method
-with finite differences. Nothing of dpcontrol is used.
+Connections are found by brute force at crossings of two densely sampled curves, and refined by Newton's method
+with finite differences, without code of dpcontrol.
 """
 
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ import numpy as np
 from scipy.integrate import DOP853, solve_ivp
 
 SEED = 1e-5
-"""How far seeds lie from the orbit: what the linear manifold leaves out is its square."""
+"""Distance of seeds from the orbit; the error of the linear manifold is its square."""
 PARTED = 0.3
-"""Neighbouring seeds that arrive farther apart are no neighbours any more."""
+"""Largest distance of neighbouring seeds at arrival."""
 NEWTON = 5
 KNOTS = 400
 ESCAPED = 2.0
@@ -21,7 +21,7 @@ ESCAPED = 2.0
 
 @dataclass(frozen=True)
 class Problem:
-    """rate, energy: of states (N, ...); reverser (N,) of signs; pace: a step in s at states (N, K)."""
+    """Rate and energy of states (N, ...), reverser (N,) of signs, and step (s) at states (N, K)."""
 
     rate: object
     energy: object
@@ -51,14 +51,14 @@ class Problem:
         return x + h * np.tensordot(DOP853.B, k, 1)
 
     def carried(self, y):
-        """The rate of states and of vectors carried along with them, (2N, K)."""
+        """The rate of states and tangent vectors, (2N, K)."""
         x, v = np.split(y, 2)
         return np.vstack([self.rate(x), np.imag(self.rate(x + 1e-30j * v)) / 1e-30])
 
 
 @dataclass(frozen=True)
 class Orbit:
-    """A Lyapunov orbit that starts on the reverser's fixed set and meets it again after half its period."""
+    """A Lyapunov orbit from the reverser's fixed set, which it meets again after half its period."""
 
     problem: Problem
     state: np.ndarray
@@ -103,7 +103,7 @@ class Orbit:
 
 
 def orbit_near(problem, state, period, energy):
-    """Refine a guessed orbit by Newton's method on (start on the fixed set, half period)."""
+    """Refine an orbit by Newton's method on (initial state in the fixed set, half period)."""
     signs = np.array(problem.reverser)
     free, moved = np.flatnonzero(signs > 0), np.flatnonzero(signs < 0)
     unknowns = np.append(np.asarray(state)[free], period / 2)
@@ -124,7 +124,7 @@ def orbit_near(problem, state, period, energy):
 
 @dataclass(frozen=True)
 class Cut:
-    """Where seeds of one branch meet height(x) = 0 for the `hit`-th time where counts(x); NaN where they do not."""
+    """The `hit`-th crossing of height(x) = 0 with counts(x) by seeds of one branch, or NaN."""
 
     orbit: Orbit
     height: object
@@ -134,7 +134,7 @@ class Cut:
     longest: float
 
     def arrive(self, phases):
-        """Return states (N, K) of arrival."""
+        """Return the states (N, K) at arrival."""
         problem, x = self.orbit.problem, self.orbit.seeds(phases, self.branch)
         out = np.full_like(x, np.nan)
         seen, time = np.zeros(x.shape[1], int), np.zeros(x.shape[1])
@@ -165,9 +165,9 @@ class Cut:
 
 
 def crossings(unstable, stable, chart, count):
-    """Return connections' states (K, N) on the section, where the cuts of two tubes cross, by `count` seeds of each.
+    """Return the states (K, N) at intersections of two tubes' cuts, with `count` seeds each.
 
-    stable: the cut of the target's unstable tube, turned around here; chart: (N, K) -> (2, K) on the section.
+    The argument `stable` is the cut of the target's unstable tube, reversed here. The chart maps (N, K) to (2, K).
     """
     signs = np.array(unstable.orbit.problem.reverser)[:, None]
     phases = np.linspace(0, 1, count + 1)
@@ -181,7 +181,7 @@ def crossings(unstable, stable, chart, count):
         gap, cross = b[:, :-1] - p, r[0] * along[1] - r[1] * along[0]
         with np.errstate(all="ignore"):
             t, u = (gap[0] * along[1] - gap[1] * along[0]) / cross, (gap[0] * r[1] - gap[1] * r[0]) / cross
-        # Neighbours that part lie on no curve, and what is far apart meets in the chart alone.
+        # Separated neighbours are not on one curve, and distant states meet only in the chart.
         near = (np.linalg.norm(along, axis=0) < PARTED) & (np.linalg.norm(r) < PARTED)
         near &= np.abs(second[:, :-1] - first[:, i, None]).max(axis=0) < PARTED * (1 + np.abs(first[:, i]).max())
         guesses += [(i + t[j], j + u[j]) for j in np.flatnonzero(near & (t >= 0) & (t < 1) & (u >= 0) & (u < 1))]
@@ -195,7 +195,7 @@ def crossings(unstable, stable, chart, count):
 
 
 def _refined(unstable, stable, signs, chart, phases):
-    """Return the states (K, N) where both tubes meet, and not in the chart alone, near guessed phases (2, K)."""
+    """Return the states (K, N) at which both tubes meet, near given phases (2, K)."""
     tiny = 1e-6
     for _ in range(NEWTON):
         there = []

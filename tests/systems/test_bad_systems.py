@@ -1,4 +1,4 @@
-"""What cannot be a system, or has not what a step needs, is answered by one sentence."""
+"""Invalid systems, and systems without a required property, are refused."""
 
 import casadi as ca
 import numpy as np
@@ -73,7 +73,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_a_bad_system_is_refused_in_one_sentence(case):
+def test_a_bad_system_is_refused(case):
     given, message = BAD[case]
     with pytest.raises(dp.InputError, match=message) as caught:
         made(**given)
@@ -81,7 +81,7 @@ def test_a_bad_system_is_refused_in_one_sentence(case):
     assert len(str(caught.value)) < 320
 
 
-def test_orbits_need_a_reverser_and_say_so():
+def test_orbits_without_a_reverser_are_refused():
     friction = with_(lambda q, p, c: 0.1 * q[0] * p[1] + 0.2 * p[0] * q[0] ** 2 + 0.3 * q[1] ** 2 * p[1])
     ours = made(friction)
     assert ours.reversers == ()
@@ -106,7 +106,7 @@ def test_energies_below_the_saddles_have_no_orbit():
         lyapunov_orbit(ours, "botom", energy=0.2)
 
 
-def test_a_saddle_without_tubes_is_named():
+def test_a_saddle_without_tubes_is_refused_by_name():
     ours = System.from_hamiltonian(
         "henon-heiles", hamiltonian, coordinates=("x", "y"), equilibria={"top": (0, 1), "well": (0, 0)}
     )
@@ -122,21 +122,21 @@ def test_a_saddle_without_tubes_is_named():
         (Section.plane("slanted", (1, 1)), "not preserved by the reverser about L2"),
     ],
 )
-def test_a_section_that_does_not_serve_is_refused(section, message):
+def test_an_unsuitable_section_is_refused(section, message):
     orbit = lyapunov_orbit(hill(), "L2", energy=-2.1)
     with pytest.raises(dp.InputError, match=message):
         find_connections(orbit, orbit, section=section)
 
 
-def test_a_pair_without_a_section_is_named():
+def test_a_pair_without_a_section_is_refused_by_name():
     ours = made(sections={"s": Section.plane("x = 0", (1, 0))}, between={})
     orbit = lyapunov_orbit(ours, "top", energy=0.01)
     with pytest.raises(dp.InputError, match="no section between top and top"):
         dp.connections(orbit)
 
 
-def test_a_tube_that_never_comes_back_has_a_status():
-    """Both branches of an inverted parabola's tube run off to infinity."""
+def test_a_tube_that_never_returns_has_a_status():
+    """Both branches of the tube escape to infinity on an inverted parabola."""
     ours = made(lambda q, p, c: (p[0] ** 2 + p[1] ** 2 + q[0] ** 2 - q[1] ** 2) / 2)
     orbit = lyapunov_orbit(ours, "top", energy=0.1)
     search = dp.connections(orbit)
@@ -156,8 +156,8 @@ def test_symmetries_are_found():
     assert ours.unstable_multiplier == pytest.approx(theirs.unstable_multiplier, rel=1e-9)
 
 
-def test_a_lagrangian_and_its_hamiltonian_move_alike():
-    """In Hill's rotating frame momenta are not velocities: p = (vx - y, vy + x)."""
+def test_a_lagrangian_and_its_hamiltonian_give_the_same_motion():
+    """In Hill's rotating frame, momenta differ from velocities: p = (vx - y, vy + x)."""
 
     def by_momenta(q, p, _):
         (x, y), (px, py) = q, p

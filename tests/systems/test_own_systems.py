@@ -1,4 +1,4 @@
-"""Three systems of one's own, against an independent integration of equations typed from the literature."""
+"""Three user systems, compared with independent integration of equations from the literature."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -16,7 +16,7 @@ from tests.systems.hill import hill
 from tests.systems.independent import Cut, Problem, crossings, orbit_near
 
 STATE = 1e-9
-"""What is asked for; the linear manifolds of the independent seeds leave about 1e-10."""
+"""Required accuracy; the linear manifolds of the independent seeds have errors of about 1e-10."""
 
 
 def henon_heiles_rate(z):
@@ -56,7 +56,7 @@ def evenly(z):
 
 
 def nearer_the_primary(z):
-    # No connection here comes nearer than 0.02.
+    # All connections here stay farther away than 0.02.
     return 0.025 * np.clip(2 * np.hypot(z[0], z[1]), 0.04, 1.0) ** 1.5
 
 
@@ -70,7 +70,7 @@ BY_OTHERS = {
 
 @dataclass(frozen=True)
 class Case:
-    """A search, and the section it uses: height, where it counts, and two coordinates on it."""
+    """A search and its section, with height, condition and two coordinates."""
 
     system: str
     source: str
@@ -85,7 +85,7 @@ class Case:
 
 
 def across(z):
-    """The plane half-way between the top and the left saddle of Hénon and Heiles goes through the right one."""
+    """The plane halfway between the top and left saddles of Hénon-Heiles contains the right one."""
     return z[0] / 2 + z[1] * 3**0.5 / 2
 
 
@@ -158,7 +158,7 @@ ORBITS = sorted({(c.system, saddle, c.energy) for c in CASES + MORE for saddle i
 
 
 @pytest.mark.parametrize(("name", "saddle", "energy"), ORBITS)
-def test_lyapunov_orbits_are_the_independent_ones(name, saddle, energy):
+def test_lyapunov_orbits_agree_with_independent_ones(name, saddle, energy):
     ours, other = orbit(name, saddle, energy), by_others(name, saddle, energy)
     assert ours.converged
     assert np.abs(ours.state - other.state).max() < STATE
@@ -178,7 +178,7 @@ def test_lyapunov_orbits_are_the_independent_ones(name, saddle, energy):
     ],
     ids=lambda c: f"{c.system}-{c.source}-{c.target}-{c.energy}",
 )
-def test_all_first_connections_are_those_that_brute_force_finds(case):
+def test_all_first_connections_agree_with_brute_force(case):
     orbits = [orbit(case.system, saddle, case.energy) for saddle in (case.source, case.target)]
     search = find_connections(*orbits, hits=(case.hit, case.hit))
     cuts = {
@@ -200,8 +200,8 @@ def test_all_first_connections_are_those_that_brute_force_finds(case):
     assert len({connection.name for connection in search.connections}) == case.count
 
 
-def test_what_the_literature_says():
-    """Hénon and Heiles (1964): escape at 1/6; Szebehely (1967), section 10.4; the Morse oscillator's period."""
+def test_values_of_the_literature():
+    """Escape at 1/6 (Hénon and Heiles, 1964), Hill's problem (Szebehely, 1967) and the Morse oscillator's period."""
     ours = system("henon-heiles")
     assert ours.saddles == ("top", "left", "right")
     for saddle in ours.saddles:
@@ -223,7 +223,7 @@ def test_what_the_literature_says():
 @pytest.mark.parametrize(
     ("name", "energy", "kinds"), [("de-leon-berne", 1.1, 1), ("henon-heiles", 0.2, 15), ("hill", -2.0, 6)]
 )
-def test_an_atlas_and_the_graph_hold_what_the_searches_find(name, energy, kinds):
+def test_an_atlas_and_the_graph_contain_the_results_of_searches(name, energy, kinds):
     ours = system(name)
     found, graph = compute_atlas(ours, energy), dp.graph(ours, energy=energy)
     assert len(found.kinds) == kinds
@@ -242,7 +242,7 @@ def test_an_atlas_and_the_graph_hold_what_the_searches_find(name, energy, kinds)
         ("hill", -2.0, ["L1 +", "L1>L2[0,0]h2.2@0.4316,0.0000", "L2 -"]),
     ],
 )
-def test_walks_are_shadowed_by_orbits_of_the_independent_equations(name, energy, walk):
+def test_walks_are_shadowed_by_orbits_of_independent_equations(name, energy, walk):
     graph = dp.graph(system(name), energy=energy, symbols=walk)
     walked = dp.shadow(graph, walk)
     assert walked.converged
