@@ -1,6 +1,6 @@
-"""What hostile hands type, and files as bad disks and other programs leave them, as hypothesis's strategies.
+"""Hypothesis strategies for hostile arguments and damaged files.
 
-A trial is one call of the command line: its arguments, and files that take the place of the laboratory's.
+A trial is a call of the command line with arguments, and files that replace those of the laboratory.
 """
 
 import io
@@ -30,14 +30,14 @@ from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.logs.container import sealed
 
 VERBS = [verb for verb in main.VERBS if verb != "planner"]
-"""All but the one that serves until it is interrupted."""
+"""All verbs except the one that serves until it is interrupted."""
 
 NUMBERS = (
     "nan", "sNaN", "-nan", "inf", "-inf", "1e400", "-1e400", "1e300", "-1", "0", "-0", "1e-320", "1e-9", "2", "0.5",
     "7", "99999999999999999999", "-99999999999999999999", "9" * 400, "2147483648", "0x10", "1_0", "½", "١٢", "", " ",
     "1,2", "1e9999999999", "+", "-",
 )  # fmt: skip
-"""Numbers that are none, and some that programs stumble over."""
+"""Invalid and problematic numbers."""
 TEXTS = (
     "", " ", "-", "--", "~", ".", "..", "[/nope]", "[bold]x", "[link=x]y[/link]", "\x1b[31mred\x1b[0m",
     "\x1b]0;title\x07",
@@ -47,7 +47,7 @@ TEXTS = (
     "(down-up +)·1·(down-up -)", "(" * 200 + "down-up +" + ")" * 200, "(down-up +)·99999999999999999999·(down-up -)",
     "(down-up +)·" * 60, "down-up + 1 1,9", "aligned", "ekf", "ogy", "nan,gaps", "tvlqr",
 )  # fmt: skip
-"""Names and symbols, good ones too: with a bad option beside them they are what is looked at first."""
+"""Names and symbols, also valid ones, because they are parsed before bad options."""
 TOML = (
     *("nan", "inf", "-inf", "1e400", "-1", "0", "1e-300", "1e300", "7", "99999999999999999999", "1" * 5000, "true"),
     *('""', '"[/nope]"', r'"\u001b[31mred"', r'"a\u0000b"'),
@@ -66,7 +66,7 @@ JSON = (
 
 @dataclass(frozen=True)
 class Trial:
-    """Arguments of `dpcontrol`, and contents of files by name that take the place of the laboratory's."""
+    """Arguments of `dpcontrol`, and contents of replaced files by name."""
 
     arguments: tuple[str, ...]
     files: Mapping[str, bytes] = field(default_factory=dict)
@@ -126,7 +126,7 @@ BASES: dict[str, tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = {
     "figures": ((("nosuch",), ()), (("tubes", "nosuch"), ())),
     "bench": ((("nosuch",), ()), (("propagation", "nosuch"), ())),
 }
-"""Calls whose work takes milliseconds, or that are refused, by verb: what stands by itself, and options."""
+"""Fast or refused calls by verb, as positional arguments and options."""
 LEFT = {
     "bifurcations": {"energies"},
     "cache": {"clear"},
@@ -137,21 +137,21 @@ LEFT = {
     "bench": {"names"},
     "run": {"address"},
 }
-"""Options that start processes, wait for networks or draw for minutes, whatever the value: tests of their own have
-them. --debug asks for a traceback.
+"""Options that start processes, wait for networks or take minutes, with separate tests.
+The option --debug prints a traceback.
 """
 
 
 @cache
 def parameters(verb: str) -> tuple[click.Parameter, ...]:
-    """Return the parameters of a verb as click has them."""
+    """Return the click parameters of a verb."""
     command = cli.get_command(click.Context(cli), verb)
     assert command is not None
     return tuple(p for p in command.params if p.name not in {"debug", *LEFT.get(verb, ())})
 
 
 def paths(laboratory: Laboratory) -> st.SearchStrategy[str]:
-    """Return names of files: good ones, of the wrong kind, devices, links, folders, and no names at all."""
+    """Return file names: valid, of the wrong kind, devices, links, folders and empty ones."""
     odd = (*SPECIAL, "", ".", "..", "no/such/file", "new.mcap", "new.png", "new.npz", "run.mcap/within", "n" * 240)
     odd += ("n" * 240 + ".npz", "é" * 200 + ".png", "[/nope].png", "\x1b[31m.mcap", "a\nb.toml", "a\0b.npz")
     return st.sampled_from((*odd, *laboratory.names))
@@ -169,7 +169,7 @@ def _value(param_type: click.ParamType, laboratory: Laboratory) -> st.SearchStra
 
 @st.composite
 def option_trials(draw: st.DrawFn, verb: str, laboratory: Laboratory) -> Trial:
-    """Draw a call of a verb with one to three of its parameters given anew."""
+    """Draw a call of a verb with one to three changed parameters."""
     alone, options = draw(st.sampled_from(BASES[verb]))
     positional, given = list(alone), list(options)
     for _ in range(draw(st.integers(1, 3))):
@@ -197,7 +197,7 @@ Bytes = Callable[[st.DrawFn, bytes], bytes]
 
 
 def damaged(draw: st.DrawFn, content: bytes) -> bytes:
-    """Return bytes of which some were flipped, lost, repeated, zeroed or put in."""
+    """Return bytes with flipped, deleted, repeated, zeroed or inserted parts."""
     changed = bytearray(content)
     for _ in range(draw(st.integers(1, 3))):
         at = draw(st.integers(0, max(0, len(changed) - 1)))
@@ -273,7 +273,7 @@ def csv_changed(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 def json_changed(draw: st.DrawFn, value: Any) -> Any:
-    """Return JSON's terms with one value within changed, or gone."""
+    """Return a JSON value with one entry changed or removed."""
     if not draw(st.integers(0, 5)) or not isinstance(value, dict | list) or not value:
         return draw(st.sampled_from(JSON))
     if isinstance(value, dict):
@@ -288,7 +288,7 @@ def json_changed(draw: st.DrawFn, value: Any) -> Any:
 
 
 def array_changed(draw: st.DrawFn, array: np.ndarray) -> np.ndarray:
-    """Return an array of other values, another shape or another type."""
+    """Return an array with other values, shape or type."""
     match draw(st.integers(0, 7)):
         case 0 if array.dtype.kind in "if":
             return array.astype(draw(st.sampled_from(("int8", "float16", "complex128", "U5", "bool", "M8[s]", ">f8"))))
@@ -323,11 +323,11 @@ _LIES = (
     "{'descr': '<f8'",
     "[" * 9000,
 )
-"""Headers of arrays that lie about what follows."""
+"""Headers of arrays that do not match their data."""
 
 
 def npz_changed(draw: st.DrawFn, content: bytes) -> bytes:
-    """Return an archive whose header, arrays or bytes were changed."""
+    """Return an archive with changed header, arrays or bytes."""
     if draw(st.integers(0, 3)) == 0:
         return damaged(draw, content)
     with zipfile.ZipFile(io.BytesIO(content)) as file:
@@ -366,7 +366,7 @@ def npz_changed(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 def log_changed(draw: st.DrawFn, content: bytes) -> bytes:
-    """Return a log that is damaged, or written again, whole, with other contents."""
+    """Return a log that is damaged, or rewritten with other contents."""
     match draw(st.integers(0, 5)):
         case 0:
             return damaged(draw, content)
@@ -376,7 +376,7 @@ def log_changed(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 def _written_by_us(draw: st.DrawFn, content: bytes) -> bytes:
-    """Return a log of the program's own writer, with numbers, notes or attachments that no run would log."""
+    """Return a log by the program's writer, with values that no run would log."""
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "run.mcap"
         path.write_bytes(content)
@@ -422,13 +422,13 @@ def _written_by_us(draw: st.DrawFn, content: bytes) -> bytes:
                 for event in log.events:
                     writer.event(event.time, event.level, event.name, draw(st.sampled_from((event.text, *TEXTS[:20]))))
         except (ValueError, InputError, struct.error, ArithmeticError):
-            # Not even the writer takes it.
+            # The writer itself refuses it.
             return damaged(draw, content)
         return path.read_bytes()
 
 
 def _written_again(draw: st.DrawFn, content: bytes) -> bytes:
-    """Return a log whose checksums agree, written by the mcap package from the records of another, some changed."""
+    """Return a log with valid checksums, rewritten by the mcap package with changed records."""
     out = io.BytesIO()
     writer = Writer(out, enable_data_crcs=draw(st.booleans()))
     writer.start("ros2", library="a tool of theirs")
@@ -508,7 +508,7 @@ def _metadata_changed(draw: st.DrawFn, values: Mapping[str, str]) -> dict[str, s
 
 
 def _payload_changed(draw: st.DrawFn, data: bytes) -> bytes:
-    """Return a message with a number of it replaced, or damaged."""
+    """Return a message with a replaced number or damage."""
     if len(data) < 20 or draw(st.booleans()):
         return damaged(draw, data)
     at = 4 + 8 * draw(st.integers(1, (len(data) - 4) // 8 - 1 or 1))
@@ -518,7 +518,7 @@ def _payload_changed(draw: st.DrawFn, data: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of file: the laboratory's, how it is changed, and the calls that read it."""
+    """A kind of file with its changes and the calls that read it."""
 
     file: str
     change: Bytes
@@ -561,7 +561,7 @@ KINDS = {
 
 @st.composite
 def file_trials(draw: st.DrawFn, kind: str, laboratory: Laboratory) -> Trial:
-    """Draw a call that reads a file of this kind, changed."""
+    """Draw a call that reads a changed file of this kind."""
     chosen = KINDS[kind]
     call = draw(st.sampled_from(chosen.calls))
     content = chosen.change(draw, laboratory.files[chosen.file])
@@ -572,5 +572,5 @@ def all_trials(laboratory: Laboratory) -> st.SearchStrategy[Trial]:
     """Return trials of every verb and every kind of file."""
     options = [option_trials(verb, laboratory) for verb in VERBS]
     files = [file_trials(kind, laboratory) for kind in KINDS]
-    # Files have more places to go wrong in than options have.
+    # Files have more possible errors than options.
     return st.one_of(*options, *files, *files)

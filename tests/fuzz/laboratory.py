@@ -1,4 +1,4 @@
-"""A laboratory's folder: short logs, plans, recordings and tables that the program itself made, to be spoilt."""
+"""A folder of short logs, plans, recordings and tables made by the program, to be damaged."""
 
 import os
 import shutil
@@ -38,11 +38,11 @@ COMMANDS = (
     "campaign rest.toml --runs 2 --workers 1 --out campaign.parquet",
 )
 SPECIAL = ("folder", "loop", "dangling", "/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "empty")
-"""Names of what is no ordinary file: a folder, links to itself and to nothing, devices, and a file of no bytes."""
+"""Names of special files: a folder, circular and broken links, devices, and an empty file."""
 
 
 class Laboratory:
-    """Contents of the laboratory's files by name; no dataclass, whose files hypothesis would print whole."""
+    """Contents of files by name; not a dataclass, which hypothesis would print in full."""
 
     def __init__(self, files: Mapping[str, bytes]) -> None:
         self.files, self.names = files, tuple(files)
@@ -51,7 +51,7 @@ class Laboratory:
         return "laboratory"
 
     def fill(self, folder: Path, words: Iterable[str], changed: Mapping[str, bytes]) -> None:
-        """Write the files that the words name, some changed, and what is no ordinary file."""
+        """Write the named files, some of them changed, and the special files."""
         (folder / "folder").mkdir()
         (folder / "loop").symlink_to("loop")
         (folder / "dangling").symlink_to("nowhere")
@@ -63,7 +63,7 @@ class Laboratory:
 
 
 def make_laboratory(folder: Path) -> Laboratory:
-    """Make the files in `folder`, which is the working directory meanwhile."""
+    """Create the files in `folder`, which is the temporary working directory."""
     (folder / "rest.toml").write_text(REST)
     (folder / "with-model.toml").write_text(REST.replace('"lab"', '"lab.toml"'))
     for name, source in (("turn", "itineraries/outer-turn"), ("lab", "models/lab"), ("moon", "models/three-body")):

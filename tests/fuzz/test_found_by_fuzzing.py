@@ -1,4 +1,4 @@
-"""What the fuzz tests found, each as the call that showed it."""
+"""Errors found by the fuzz tests, each with its call."""
 
 import json
 from dataclasses import replace
@@ -50,8 +50,8 @@ def test_a_name_with_a_line_break_does_not_break_the_sentence() -> None:
 
 
 @pytest.mark.parametrize("verb", ["replay", "identify"])
-def test_samples_that_are_not_as_far_apart_as_the_log_says_are_refused(verb: str) -> None:
-    """Their stretches were once cut into as many pieces as there would be in years."""
+def test_samples_that_contradict_the_nominal_period_are_refused(verb: str) -> None:
+    """Such stretches were once split into the number of pieces of years."""
     _recorded(Path("slow.mcap"), period=1e-3, stamps=1e5)
     ended = dpcontrol(verb, "slow.mcap", "--out", "out.toml" if verb == "identify" else "out.mcap")
     assert ended.code == 2
@@ -66,7 +66,7 @@ def test_a_recording_too_slow_for_swings_is_not_identified() -> None:
 
 
 def _recorded(path: Path, *, period: float, stamps: float) -> None:
-    """Write a log of 40 samples `stamps` s apart, of which it says that they are `period` s apart."""
+    """Write a log of 40 samples with an interval of `stamps` s and a nominal period."""
     with LogWriter(path, arm_lengths=(0.17, 0.23), rate_hz=1 / period, has_cart=False) as log:
         log.ticks(stamps * np.arange(40), measured=np.sin(np.arange(80.0)).reshape(40, 2))
 
@@ -80,7 +80,7 @@ def _recorded(path: Path, *, period: float, stamps: float) -> None:
         ("orbit_0_samples", np.zeros((0, 4))),
     ],
 )
-def test_an_atlas_whose_arrays_do_not_belong_together_is_refused(name: str, value: np.ndarray) -> None:
+def test_an_atlas_with_inconsistent_arrays_is_refused(name: str, value: np.ndarray) -> None:
     assert dpcontrol("atlas", "lab", "--energy=-0.07", "--out", "atlas.npz").code == 0
     with np.load("atlas.npz") as file:
         arrays = dict(file)
@@ -94,7 +94,7 @@ def test_an_atlas_whose_arrays_do_not_belong_together_is_refused(name: str, valu
 @pytest.mark.parametrize(
     ("key", "value"), [("energy", "high"), ("connections", [1]), ("complete", 7), ("status", None)]
 )
-def test_an_atlas_whose_header_holds_values_of_other_types_is_refused(key: str, value: object) -> None:
+def test_an_atlas_with_header_values_of_wrong_types_is_refused(key: str, value: object) -> None:
     assert dpcontrol("atlas", "lab", "--energy=-0.07", "--out", "atlas.npz").code == 0
     with np.load("atlas.npz") as file:
         arrays = dict(file)
@@ -105,7 +105,7 @@ def test_an_atlas_whose_header_holds_values_of_other_types_is_refused(key: str, 
     assert dpcontrol("review", "other.npz", "--save", "out.rrd").code == 2
 
 
-def test_a_log_whose_layout_names_no_list_of_attachments_is_not_recovered(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_without_a_list_of_attachments_is_not_recovered(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("dpcontrol.logs.writer.json", SimpleNamespace(dumps=lambda names: "7"))
         _recorded(Path("odd.mcap"), period=1e-3, stamps=1e-3)
@@ -117,26 +117,26 @@ def test_a_log_whose_layout_names_no_list_of_attachments_is_not_recovered(monkey
 
 
 @pytest.mark.parametrize("name", ["", "."])
-def test_an_output_of_no_name_is_refused(name: str) -> None:
+def test_an_output_without_a_name_is_refused(name: str) -> None:
     ended = dpcontrol("import", "--simulated", "lab", f"--out={name}")
     assert ended.code == 2
     assert "--out" in ended.message
 
 
-def test_a_title_that_steers_terminals_is_drawn_as_text(recwarn: pytest.WarningsRecorder) -> None:
+def test_control_characters_in_a_title_are_drawn_as_text(recwarn: pytest.WarningsRecorder) -> None:
     figure = new_figure(3, 2, title="\x1b[31mred")
     save_figure(figure, Path("out.png"))
     assert not [str(one.message) for one in recwarn if "\x1b" in str(one.message) or "Glyph" in str(one.message)]
 
 
-def test_a_whole_number_beyond_any_use_is_refused_before_it_is_computed_with() -> None:
+def test_a_huge_integer_is_refused_before_use() -> None:
     line = "bifurcations lab --from down-up --to down-up --energies -0.3 -0.2"
     ended = dpcontrol(*line.split(), f"--samples={400 * '9'}")
     assert ended.code == 2
     assert "--samples" in ended.message
 
 
-def test_a_report_on_a_file_of_no_name_is_refused() -> None:
+def test_a_report_on_a_file_without_a_name_is_refused() -> None:
     assert dpcontrol("report", "").code == 2
 
 
@@ -148,7 +148,7 @@ def test_a_log_of_arms_without_length_is_refused() -> None:
     assert "long" in ended.message
 
 
-def test_angles_beyond_any_swing_are_not_identified() -> None:
+def test_angles_beyond_the_range_of_swings_are_not_identified() -> None:
     with LogWriter("far.mcap", arm_lengths=(0.17, 0.23), rate_hz=1e3, has_cart=False) as log:
         log.ticks(1e-3 * np.arange(400), measured=1e300 * np.sin(np.arange(800.0)).reshape(400, 2))
     ended = dpcontrol("identify", "far.mcap")
@@ -156,14 +156,14 @@ def test_angles_beyond_any_swing_are_not_identified() -> None:
     assert "beyond any swing" in ended.message
 
 
-def test_swings_of_a_negative_seed_are_refused() -> None:
+def test_swings_with_a_negative_seed_are_refused() -> None:
     ended = dpcontrol("import", "--simulated", "lab", "--seed=-1")
     assert ended.code == 2
     assert "seed = -1" in ended.message
 
 
 @pytest.mark.parametrize(("key", "value"), [("seed", "\x1b[31m"), ("real_time_factor", "fast")])
-def test_a_log_whose_notes_are_no_numbers_is_not_scored(key: str, value: str) -> None:
+def test_a_log_with_invalid_notes_is_not_scored(key: str, value: str) -> None:
     assert dpcontrol("run", "rest.toml", "--out", "run.mcap").code == 0
     log = read_log("run.mcap")
     score(log)
@@ -172,7 +172,7 @@ def test_a_log_whose_notes_are_no_numbers_is_not_scored(key: str, value: str) ->
         score(log)
 
 
-def test_a_run_that_fails_before_its_first_tick_leaves_no_folder_that_it_made() -> None:
+def test_a_run_that_fails_before_its_first_tick_removes_its_new_folder() -> None:
     def failing(folder: str) -> None:
         with LogWriter(f"{folder}/run.mcap", arm_lengths=(0.2, 0.2), rate_hz=1e3, has_cart=False):
             raise InputError("no reading came")
@@ -185,7 +185,7 @@ def test_a_run_that_fails_before_its_first_tick_leaves_no_folder_that_it_made() 
     assert not list(Path("there").iterdir())
 
 
-def test_an_estimator_that_assumes_beyond_all_measure_is_refused() -> None:
+def test_an_estimator_with_huge_assumptions_is_refused() -> None:
     assert dpcontrol("run", "rest.toml", "--out", "run.mcap").code == 0
     ended = dpcontrol("replay", "run.mcap", "--model-error=1e300")
     assert ended.code == 2
@@ -195,14 +195,14 @@ def test_an_estimator_that_assumes_beyond_all_measure_is_refused() -> None:
 
 
 @pytest.mark.parametrize("picture", [f"{255 * 'e'}.png", "rest.toml/a.png"])
-def test_a_picture_that_cannot_be_written_is_refused_before_the_model_is(picture: str) -> None:
+def test_a_picture_that_cannot_be_written_is_refused_before_the_model(picture: str) -> None:
     ended = dpcontrol("identify", "run.mcap", "--picture", picture)
     assert ended.code == 2
     assert f"cannot use {picture}" in ended.message
 
 
 @pytest.mark.parametrize(("part", "value"), [("mesh", np.inf), ("inputs", 1e300), ("states", np.nan)])
-def test_a_reference_beyond_all_measure_is_refused_without_a_warning(part: str, value: float) -> None:
+def test_a_reference_with_huge_values_is_refused_without_a_warning(part: str, value: float) -> None:
     assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
     reference = load_reference(Path("reference.npz"))
     changed = getattr(reference, part).copy()
@@ -215,7 +215,7 @@ def test_a_reference_beyond_all_measure_is_refused_without_a_warning(part: str, 
 
 
 @pytest.mark.parametrize("value", ["small", [1e-9], 10**400])
-def test_a_reference_whose_figures_are_no_numbers_is_refused(value: object) -> None:
+def test_a_reference_with_invalid_figures_is_refused(value: object) -> None:
     assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
     reference = load_reference(Path("reference.npz"))
     save_reference(Path("odd.npz"), replace(reference, max_error_between_nodes=value))
@@ -225,7 +225,7 @@ def test_a_reference_whose_figures_are_no_numbers_is_refused(value: object) -> N
         assert "its max_error_between_nodes is no number" in ended.message
 
 
-def test_a_reference_whose_limits_are_no_numbers_is_refused() -> None:
+def test_a_reference_with_invalid_limits_is_refused() -> None:
     assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
     with np.load("reference.npz") as archive:
         parts = dict(archive)
@@ -238,7 +238,7 @@ def test_a_reference_whose_limits_are_no_numbers_is_refused() -> None:
         assert "its limits are no numbers" in ended.message
 
 
-def test_a_log_whose_samples_last_for_ages_is_refused() -> None:
+def test_a_log_with_extremely_slow_samples_is_refused() -> None:
     with LogWriter("slow.mcap", arm_lengths=(0.2, 0.2), rate_hz=1e-9, has_cart=False) as log:
         log.ticks(np.zeros(1), measured=np.zeros((1, 2)))
     for verb in ("info", "replay", "recover"):

@@ -1,10 +1,10 @@
-"""Whatever is typed and whatever files hold, a call ends with 0, 1 or 2 and a sentence, and leaves nothing half done.
+"""For any arguments and files, a call ends with 0, 1 or 2 and a message, without partial files.
 
-The quick tests and the benchmarks try the same inputs each time. An hour of new ones, each in a child that is watched:
+The quick tests and the benchmarks use fixed inputs. An hour of new ones, each in a supervised child process, is run by
 
     pytest -m benchmark tests/fuzz -s
 
-prints its seeds; DPCONTROL_FUZZ_MINUTES shortens it, and DPCONTROL_FUZZ_SEED tries one round again.
+It prints its seeds. DPCONTROL_FUZZ_MINUTES shortens it, and DPCONTROL_FUZZ_SEED repeats one round.
 """
 
 import os
@@ -23,11 +23,11 @@ from laboratory import Laboratory, make_laboratory
 from trials import Watched, attempt, complaints, explained, without_programs
 
 OPTIONS, FILES = 6, 6
-"""Inputs of each verb and of each kind of file in the quick tests."""
+"""Number of inputs per verb and kind of file in the quick tests."""
 MORE = 2
-"""How many times as many the benchmarks try, but for `demo`, which plans and runs whatever else is asked of it."""
+"""Factor for the benchmarks, except for `demo`, which always plans and runs."""
 ROUND = 200
-"""Inputs of one seed in the long test."""
+"""Number of inputs per seed in the long test."""
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Laboratory:
 
 @pytest.fixture(autouse=True)
 def no_programs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let trials in this process start no other programs, and put back what is changed for it."""
+    """Prevent trials in this process from starting programs, and restore the changes."""
     monkeypatch.setattr("dpcontrol.review.picture.viewer_program", None)
     monkeypatch.setattr("dpcontrol.rig.bench.UdpBench.serve", None)
     monkeypatch.setenv("VK_DRIVER_FILES", "")
@@ -45,7 +45,7 @@ def no_programs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def tried(trials: st.SearchStrategy[Trial], laboratory: Laboratory, *, count: int) -> None:
-    """Try `count` inputs, the same ones each time, in this process."""
+    """Run `count` fixed inputs in this process."""
 
     @settings(
         derandomize=True, max_examples=count, deadline=None, database=None, suppress_health_check=list(HealthCheck)
@@ -59,30 +59,30 @@ def tried(trials: st.SearchStrategy[Trial], laboratory: Laboratory, *, count: in
 
 
 LONG = {"demo", "atlas", "export", "identify", "prove"}
-"""Verbs whose work takes seconds: left to the slow tests."""
+"""Verbs that take seconds, reserved for the slow tests."""
 
 
 @pytest.mark.parametrize("verb", [verb for verb in VERBS if verb not in LONG])
-def test_every_option_is_taken_or_refused_in_a_sentence(verb: str, laboratory: Laboratory) -> None:
+def test_every_option_is_accepted_or_refused_with_a_message(verb: str, laboratory: Laboratory) -> None:
     tried(option_trials(verb, laboratory), laboratory, count=OPTIONS)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_spoilt_file_is_read_or_refused_in_a_sentence(kind: str, laboratory: Laboratory) -> None:
+def test_a_damaged_file_is_read_or_refused_with_a_message(kind: str, laboratory: Laboratory) -> None:
     tried(file_trials(kind, laboratory), laboratory, count=FILES)
 
 
-# Of the others as many again with the benchmarks.
+# The other verbs have as many again in the benchmarks.
 @pytest.mark.parametrize(
     "verb", [pytest.param(verb, marks=pytest.mark.slow if verb in LONG else pytest.mark.benchmark) for verb in VERBS]
 )
-def test_many_options_are_taken_or_refused_in_a_sentence(verb: str, laboratory: Laboratory) -> None:
+def test_many_options_are_accepted_or_refused_with_a_message(verb: str, laboratory: Laboratory) -> None:
     tried(option_trials(verb, laboratory), laboratory, count=OPTIONS if verb == "demo" else MORE * OPTIONS)
 
 
 @pytest.mark.benchmark
 @pytest.mark.parametrize("kind", KINDS)
-def test_many_spoilt_files_are_read_or_refused_in_a_sentence(kind: str, laboratory: Laboratory) -> None:
+def test_many_damaged_files_are_read_or_refused_with_a_message(kind: str, laboratory: Laboratory) -> None:
     tried(file_trials(kind, laboratory), laboratory, count=MORE * FILES)
 
 
@@ -94,7 +94,7 @@ def watched(laboratory: Laboratory, tmp_path: Path) -> Iterator[Watched]:
 
 
 @pytest.mark.benchmark
-def test_an_hour_of_hostile_inputs_meets_no_traceback_no_hang_and_no_leftover(
+def test_an_hour_of_hostile_inputs_causes_no_traceback_hang_or_leftover(
     watched: Watched, laboratory: Laboratory, tmp_path: Path
 ) -> None:
     minutes = float(os.environ.get("DPCONTROL_FUZZ_MINUTES", "60"))

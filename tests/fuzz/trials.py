@@ -1,4 +1,4 @@
-"""Run a trial in this process or in a child that is watched, and say what is wrong with how it ended."""
+"""Run a trial in this process or in a supervised child, and report errors of its outcome."""
 
 import json
 import multiprocessing
@@ -21,20 +21,20 @@ from hostile import Trial
 from laboratory import Laboratory
 
 PROGRESS = re.compile(r"^[\w ./()-]+: done$")
-"""What the progress bar leaves where stderr is no terminal."""
+"""Output of the progress bar if stderr is not a terminal."""
 ENOUGH, MOST = 6.0, 10.0
-"""Seconds of a processor after which work is interrupted as by Ctrl-C, and within which it must have ended."""
+"""Processor time before an interrupt as by Ctrl-C, and limit for the end after it, s."""
 IDLE = 30.0
-"""Seconds of the clock that a trial may wait without work: on a busy machine work itself waits for a processor."""
+"""Time that a trial may be idle, s; on a busy machine, work itself waits for a processor."""
 MEMORY = 3 << 30
-"""Bytes that a child may hold: what asks for all memory there is shall not take the machine with it."""
+"""Memory limit of a child in bytes, to protect the machine."""
 RENEWED = 400
-"""Trials after which a child is replaced."""
+"""Number of trials before a child is replaced."""
 
 
 @dataclass(frozen=True)
 class Ended:
-    """How a trial ended. left: what stands in its folder that did not before, or differs; escaped: a traceback."""
+    """Outcome of a trial, with new or changed files (`left`) and a traceback (`escaped`)."""
 
     code: int | None
     stdout: str
@@ -46,7 +46,7 @@ class Ended:
 
 
 def complaints(trial: Trial, ended: Ended) -> list[str]:
-    """Return what is wrong with how a trial ended, nothing where all is well."""
+    """Return the errors of a trial's outcome, empty if there are none."""
     said = [line for line in ended.stderr.splitlines() if line.strip() and not PROGRESS.match(line)]
     found = []
     if ended.escaped or "Traceback (most recent call last)" in ended.stderr:
@@ -89,7 +89,7 @@ def _not_json(text: str) -> list[str]:
 
 @contextmanager
 def _within(folder: Path) -> Iterator[None]:
-    """Work in a folder, with temporary files in it too."""
+    """Work in a folder, which also has the temporary files."""
     before, temporary = Path.cwd(), tempfile.tempdir
     os.chdir(folder)
     tempfile.tempdir = str(folder / "tmp")
@@ -107,7 +107,7 @@ def _listing(folder: Path) -> dict[str, tuple[int, int]]:
 
 
 def attempt(trial: Trial, laboratory: Laboratory) -> Ended:
-    """Run a trial here, in a folder of its own."""
+    """Run a trial in this process, in a separate folder."""
     from dpcontrol.cli.main import main
 
     began = time.process_time()
@@ -122,7 +122,7 @@ def attempt(trial: Trial, laboratory: Laboratory) -> Ended:
                 main(list(trial.arguments))
             except SystemExit as ended:
                 code = ended.code if isinstance(ended.code, int) else None
-            except BaseException:  # noqa: BLE001 - whatever escapes is what is looked for
+            except BaseException:  # noqa: BLE001 - the test looks for any escaping exception
                 escaped = traceback.format_exc()
         for trace in (folder / "tmp").glob("dpcontrol-error-*"):
             escaped = trace.read_text()
@@ -135,7 +135,7 @@ def attempt(trial: Trial, laboratory: Laboratory) -> Ended:
 
 
 def without_programs() -> None:
-    """Let no trial open a viewer, take a renderer's picture or serve runs over the network."""
+    """Prevent trials from opening viewers, rendering pictures or serving runs."""
     from dpcontrol.review import picture
     from dpcontrol.rig import bench
 
@@ -145,7 +145,7 @@ def without_programs() -> None:
 
 
 def _serve(pipe: "multiprocessing.connection.Connection", laboratory: Laboratory, cache: str) -> None:
-    """Run the trials that come through a pipe, one after the other."""
+    """Run the trials from a pipe in order."""
     os.environ["DPCONTROL_CACHE"] = cache
     quiet = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
@@ -160,7 +160,7 @@ def _serve(pipe: "multiprocessing.connection.Connection", laboratory: Laboratory
 
 
 class Watched:
-    """A child that runs trials, is interrupted where it works on and on, and killed where it hangs."""
+    """A child that runs trials, interrupted if it does not finish and killed if it hangs."""
 
     def __init__(self, laboratory: Laboratory, cache: Path) -> None:
         self._laboratory, self._cache = laboratory, cache
@@ -175,7 +175,7 @@ class Watched:
         self._seen, self._done = psutil.Process(self._child.pid), 0
 
     def _worked(self) -> float:
-        """Return the seconds of a processor that the child and its own children have taken."""
+        """Return the processor time of the child and its children, s."""
         total = 0.0
         with suppress(psutil.NoSuchProcess):
             for one in (self._seen, *self._seen.children(recursive=True)):
@@ -184,19 +184,19 @@ class Watched:
         return total
 
     def _sleeps(self) -> bool:
-        """Tell whether neither the child nor a child of its own is at work or waits for a processor."""
+        """Return True if the child and its children are idle and do not wait for a processor."""
         with suppress(psutil.NoSuchProcess):
             return all(one.status() == psutil.STATUS_SLEEPING for one in (self._seen, *self._seen.children(True)))
         return False
 
     def _held(self) -> int:
-        """Return the bytes of memory that the child holds."""
+        """Return the memory of the child in bytes."""
         with suppress(psutil.NoSuchProcess):
             return self._seen.memory_info().rss
         return 0
 
     def attempt(self, trial: Trial) -> Ended | None:
-        """Return how a trial ended, None where it hung."""
+        """Return the outcome of a trial, None if it hung."""
         if self._done >= RENEWED:
             self.close()
             self._start()
@@ -204,7 +204,7 @@ class Watched:
         before, began, idle = self._worked(), time.monotonic(), 0.0
         self._pipe.send(trial)
         interrupted = False
-        # The first trial pays for imports and what is compiled once.
+        # The first trial includes imports and compilation.
         extra = 20.0 if self._done < 4 else 0.0
         while not self._pipe.poll(step := 0.2 if time.monotonic() - began > 0.5 else 0.02):
             worked = self._worked() - before - extra
@@ -240,7 +240,7 @@ class Watched:
         self._child.join()
 
     def close(self) -> None:
-        """End the child."""
+        """Stop the child."""
         with suppress(OSError):
             self._pipe.send(None)
         self._child.join(5)
@@ -248,7 +248,7 @@ class Watched:
 
 
 def explained(trial: Trial, wrong: list[str]) -> str:
-    """Return a trial and what is wrong with it, the last lines of tracebacks."""
+    """Return a trial's errors, with the last lines of tracebacks."""
     texts = [text if len(text) < 3000 else f"{text[:300]}\n…\n{text[-2600:]}" for text in wrong]
     return "\n".join([repr(trial), *texts])
 
