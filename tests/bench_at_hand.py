@@ -1,4 +1,4 @@
-"""A bench at hand for tests: a rig that remembers what it was told, served over UDP, and loops that say anything."""
+"""A test bench: a rig that records its commands, served over UDP, and loops that send any packet."""
 
 import socket
 import threading
@@ -16,13 +16,13 @@ from dpcontrol.rig.client import LinkSettings
 from dpcontrol.rig.packets import Role, Talk
 
 KEY = bytes(range(32))
-PATIENT = BenchServerSettings(watchdog=60.0)  # So that a stalled test is not taken for a silent loop.
+PATIENT = BenchServerSettings(watchdog=60.0)  # A stalled test must not count as a silent loop.
 LONG = LinkSettings(answer=60.0, patience=60.0, silence=60.0)
 
 
 @dataclass
 class Toy:
-    """A rig whose positions are its tick, and which remembers what it was told."""
+    """A rig whose positions are its tick, and which records its commands."""
 
     period: float = 0.002
     fault: str = ""
@@ -62,7 +62,7 @@ def served(
 
 
 class Raw:
-    """A loop on a plain socket, which says whatever it is told to."""
+    """A loop on a plain socket, which sends any packet."""
 
     def __init__(self, address: tuple[str, int], *, key: bytes = b"") -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -88,7 +88,7 @@ class Raw:
 
 @contextmanager
 def raw(bench: UdpBench, *, key: bytes = b"") -> Iterator[Raw]:
-    """Yield a plain loop that has begun a run, and ends it."""
+    """Yield a plain loop during a run, and end the run."""
     client = Raw(bench.address, key=key)
     with closing(client.socket):
         client.greet()
@@ -99,7 +99,7 @@ def raw(bench: UdpBench, *, key: bytes = b"") -> Iterator[Raw]:
 
 @contextmanager
 def relayed(address: tuple[str, int], passes: Callable[[bytes], bool]) -> Iterator[tuple[str, int]]:
-    """Yield the address of a relay that lets only some packets through."""
+    """Yield the address of a relay that forwards only some packets."""
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as relay:
         relay.bind(("127.0.0.1", 0))
         relay.settimeout(0.05)
@@ -123,7 +123,7 @@ def relayed(address: tuple[str, int], passes: Callable[[bytes], bool]) -> Iterat
 
 
 def welcomed(bench: socket.socket, welcome: packets.Welcome) -> tuple[Any, Talk]:
-    """Welcome the loop that asks at a bench of ours; return where it is, and the bench's side of the run."""
+    """Accept a loop at a bench; return the loop's address and the bench's side of the run."""
     data, client = bench.recvfrom(4096)
     session = packets.unpacked(data, Role.LOOP).session
     bench.sendto(packets.packed(packets.welcome(welcome), Role.BENCH, session=session, sequence=1), client)
@@ -137,6 +137,6 @@ def next_reading(client: Raw) -> packets.ReadingPacket:
 
 
 def until_tick(toy: Toy, tick: int) -> None:
-    """Wait until the bench has come to a tick of its run."""
+    """Wait until the bench reaches a tick of its run."""
     while toy.tick < tick:
         threading.Event().wait(0.002)

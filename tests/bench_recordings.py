@@ -1,4 +1,4 @@
-"""Recordings as a bench would make them: free swings of the lab's pendulum by scipy, written in each kind of file."""
+"""Simulated bench recordings: free swings of the lab's pendulum by scipy, in every file format."""
 
 import os
 from functools import cache
@@ -20,7 +20,7 @@ LAB = {"m": (0.0938439747983407, 0.137595970499412), "a": (0.108565214610396, 0.
 
 
 def rig_file() -> Path:
-    """The rig's recorded free swings; the test is skipped where they are not."""
+    """The rig's recorded free swings; the test is skipped without them."""
     folder = os.environ.get("DPCONTROL_LAB_DATA") or Path(__file__).parents[2] / "shared" / "data"
     file = Path(folder) / "lab_free_swing.mat"
     if not file.is_file():
@@ -29,7 +29,7 @@ def rig_file() -> Path:
 
 
 def _rate(_: float, x: Array) -> Array:
-    """The double pendulum's equations as textbooks have them: forces, not the code's Lagrangian."""
+    """The double pendulum's textbook equations from forces, independent of the code's Lagrangian."""
     (m1, m2), (a1, a2), (j1, j2), (k1, k2) = LAB["m"], LAB["a"], LAB["J"], LAB["k"]
     length, g = LAB["l"], LAB["g"]
     q1, q2, w1, w2 = x

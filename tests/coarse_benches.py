@@ -1,4 +1,4 @@
-"""Runs on benches with coarse encoders: which complete, and how soon a scale that sticks is found."""
+"""Runs on benches with coarse encoders: completion and delay of detecting stuck scales."""
 
 import math
 import re
@@ -14,7 +14,7 @@ BENCH = RunOptions(
     mismatch=0.05, initial_error=0.05, lag=0.005, command_noise=0.3, zero_error=0.02, travel=0.8, counts=40_000
 )
 MOVED = 1e-3
-"""m: from here on it counts how long a stuck scale stays unnoticed."""
+"""Distance of the cart from which the delay of detection counts, m."""
 
 
 def flown(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> list[Flight]:
@@ -22,7 +22,7 @@ def flown(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> list[Flight]
 
 
 def completed(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> tuple[float, list[str]]:
-    """Return the share of the runs that complete, and why the others do not."""
+    """Return the share of completed runs, and the reasons of failures."""
     problems = [flight.verdict.problem for flight in flown(plan, options, seeds) if flight.verdict.problem]
     return 1 - len(problems) / len(seeds), problems
 
@@ -30,7 +30,7 @@ def completed(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> tuple[fl
 def delays_of_stuck_scales(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> list[float]:
     """Return the delays from the cart's first millimetre to the detection of its stuck scale, s; infinite for none.
 
-    It sticks at a random time of each run. One that is found sooner counts as found at once.
+    The scale sticks at a random time of each run. An earlier detection has zero delay.
     """
     delays = []
     for seed in seeds:

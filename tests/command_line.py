@@ -1,4 +1,4 @@
-"""The command line as tests call it: in this process where quick, as a program where streams matter."""
+"""Calls of the command line: in this process for speed, as a program if streams matter."""
 
 import json
 import os
@@ -28,18 +28,18 @@ class Ended:
 
     @property
     def document(self) -> Any:
-        """What --json printed: exactly one document, or json complains."""
+        """The output of --json, which must be exactly one document."""
         return json.loads(self.stdout)
 
     @property
     def message(self) -> str:
-        """The last line on stderr: what the program said when it ended."""
+        """The last line on stderr, which is the program's final message."""
         lines = self.stderr.strip().splitlines()
         return lines[-1] if lines else ""
 
 
 def dpcontrol(*arguments: str | Path) -> Ended:
-    """Call the console script's own function in this process."""
+    """Call the console script's function in this process."""
     out, err = StringIO(), StringIO()
     with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as ended:
         main([str(a) for a in arguments])
@@ -48,7 +48,7 @@ def dpcontrol(*arguments: str | Path) -> Ended:
 
 
 def dpcontrol_program(*arguments: str | Path, folder: Path) -> Ended:
-    """Call the installed program in `folder`; also what compiled libraries print is seen."""
+    """Call the installed program in `folder`, including the output of compiled libraries."""
     done = subprocess.run(
         [PROGRAM, *map(str, arguments)], cwd=folder, capture_output=True, text=True, env=os.environ, check=False
     )

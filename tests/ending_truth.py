@@ -1,22 +1,21 @@
-"""What is true of a run's ending, found from what nobody at a bench knows: true states, and what was really broken.
+"""Verification of a run's ending with data unavailable at a bench: true states and actual faults.
 
-An ending is true where its class and every figure of its sentence agree with the true states. The sentences are read
-here as a user reads them; nothing of how they were decided is used. What each class must mean:
+An ending is true if its class and every figure of its sentence agree with the true states. The sentences are parsed
+as text, independently of the code that decided them. The classes have these meanings:
 
-    is stuck          the sensor that is named had really stuck by then
-    no measurement    readings really failed to come
+    is stuck          the named sensor had actually stuck by then
+    no measurement    readings were actually missing
     estimate lost     an estimated angle was wrong by 0.05 rad, or the cart by 0.02 m, within the last 0.3 s, or a
-                      sensor really failed
-    tracking lost     the true angle was, or has stayed, as far from the reference as is said
-    cart at its stop  the true cart was where it is said to be, and as quick, if that is said; had it gone on for
-                      another tick, the real drive, braked with half of what it can give, would have left no more than
-                      3 cm of the travel and what the cart goes in a tick; the true angle was as far from the reference
-                      as is said, and not yet lost
-    limit switch      the true cart was at that end of its track
+                      sensor actually failed
+    tracking lost     the true angle was, or remained, at the stated distance from the reference
+    cart at its stop  the true cart had the stated position and speed, the true angle had the stated distance and was
+                      not yet lost. One tick later, braking at half of the drive's limit would have left at most 3 cm
+                      of the travel and the distance of one tick.
+    limit switch      the true cart was at this end of its track
     hard stop         the true cart ran into the end of its track
 
-"As far" is to 0.2 rad and a tenth: less than it takes to tell a run that could be saved from one that could not. A run
-that came to the reference's end is judged by its score: see `untrue_score`.
+Distances have a tolerance of 0.2 rad and a tenth, which is too small to confuse runs that could be saved with others.
+A run that reached the reference's end is judged by its score, see `untrue_score`.
 """
 
 import re
@@ -41,8 +40,9 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """A run with all that is known of it: estimates (K, N); verdict by its plan; settings, with what was broken; due s:
-    when each symbol crosses its section in the plan.
+    """A run with its estimates (K, N), verdict, settings and faults.
+
+    The times `due` (s) are those of the symbols' section crossings in the plan.
     """
 
     scene: str
@@ -60,17 +60,17 @@ class Flight:
 
     @property
     def away(self) -> Array:
-        """How far the true angle that is farthest from the reference is from it, at each tick (K,), rad."""
+        """Largest true distance of an angle from the reference at each tick (K,), rad."""
         return np.abs(self.run.truth[:, : self.arms] - self.run.references).max(axis=1)
 
     @property
     def wrong(self) -> Array:
-        """By how much the worst of the estimated angles is wrong at each tick (K,), rad."""
+        """Largest error of the estimated angles at each tick (K,), rad."""
         return np.abs(self.run.truth[:, : self.arms] - self.estimates[:, : self.arms]).max(axis=1)
 
 
 class _WithEstimates(JudgedTicks):
-    """Keeps the estimates as well."""
+    """Also store the estimates."""
 
     made: "_WithEstimates"
 
@@ -85,7 +85,7 @@ class _WithEstimates(JudgedTicks):
 
 
 def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) -> list[Flight]:
-    """Run these seeds in lockstep where that goes, else one by one."""
+    """Run these seeds in lockstep if possible, otherwise one by one."""
     loop, arms = itinerary.loop, itinerary.model.arms
     assembly, limits = Assembly(reference, arms, loop), loop.limits(reference)
     if assembly.lockstep:
@@ -110,19 +110,19 @@ _NUMBER = r"(-?[0-9.]+(?:e[+-]?[0-9]+)?|nan|inf)"
 
 
 def _read(pattern: str, text: str) -> tuple[float, ...]:
-    """Return the numbers that a sentence gives where the pattern has #."""
+    """Return the numbers of a sentence at each # of a pattern."""
     found = re.search(re.escape(pattern).replace(r"\#", _NUMBER).replace(r"\ ", " "), text)
     return tuple(map(float, found.groups())) if found else ()
 
 
 LOST = 1.5
-"""rad: farther than that from its reference no run comes back: what it does then is no attempt to follow."""
+"""Distance from the reference beyond which no run recovers, rad."""
 WRONG = 0.05
-"""rad: an estimate that is wrong by more leaves a law that is to hold 0.1 rad no room."""
+"""Largest error of an estimate for a law with a tolerance of 0.1 rad, rad."""
 
 
 def untrue(flight: Flight) -> str:
-    """Return what is not true of how a run ended, or an empty string."""
+    """Return the first false claim about a run's ending, or an empty string."""
     run, text = flight.run, flight.run.reason
     if run.ending is Ending.FINISHED:
         return ""
@@ -153,7 +153,7 @@ def untrue(flight: Flight) -> str:
         x, _ = _read("x = # m at # m/s", text)
         return "" if abs(abs(x) - drive_end(flight)) < 1e-3 else "the cart was not at its hard stop"
     if run.ending is Ending.TRACKING_LOST and (said := _read("an angle has stayed # rad", text)):
-        # As it is said to have stayed there, a mean over a second.
+        # The sentence refers to a mean over a second.
         mean, share = 0.0, 1 / flight.settings.rate
         for value in flight.away[: k + 1]:
             mean += (value - mean) * share
@@ -175,13 +175,13 @@ def untrue(flight: Flight) -> str:
 
 
 def drive_end(flight: Flight) -> float:
-    """Return where the limit switches are touched, m from the centre."""
+    """Return the positions of the limit switches, m from the centre."""
     drive = flight.settings.drive
     return (drive.track if np.isfinite(drive.track) else flight.limits[0]) - drive.switch_margin
 
 
 SLACK = 0.2
-"""rad: what an estimate that is still of use, and a second figure, may miss."""
+"""Allowed error of a useful estimate and of a second figure, rad."""
 
 
 def _near(said: float, true: float) -> bool:
@@ -189,14 +189,14 @@ def _near(said: float, true: float) -> bool:
 
 
 ROOM = 0.03
-"""m: what may be left of the travel where the cart had to brake."""
+"""Allowed remaining travel of a cart that had to brake, m."""
 
 
 def _stop(flight: Flight, k: int) -> float:
-    """Return where the cart comes to rest if it is told to brake one tick after tick k, m from the centre.
+    """Return the stopping position of the cart for braking one tick after tick k, m.
 
-    Told so late the drive does first what it was sent before, and what it lags behind; it gives its own share of a
-    command, and half of its limit is counted on.
+    The drive first completes its queued commands and its lag. It applies its own gain to a
+    command, and half of its limit is assumed.
     """
     drive, rate = flight.settings.drive, flight.settings.rate
     (x, v), (_, before) = flight.run.truth[k, -2:], flight.run.truth[max(k - 1, 0), -2:]
@@ -213,13 +213,13 @@ MOVING = (
     "outer-turn", "cross", "up-up", "turn-from-rest", "double-turn", "triple-turn", "turn-cross-turn-return",
     "two-energies", "dance", "round-trip", "round-trip-from-rest",
 )  # fmt: skip
-"""The shipped itineraries that move and can go in lockstep."""
+"""The shipped itineraries with motion that support lockstep."""
 
 
 def troubled(random: np.random.Generator, *, controller: str, troubles: int, faulty: bool = False) -> RunOptions:
-    """Return a bench with so many troubles, each up to where hardly a run is completed; faulty: a sensor's too.
+    """Return a bench with severe disturbances, and sensor faults if `faulty`.
 
-    travel m: TVLQR has the lab's 0.4 m, others 0.8 m, where the track is not the trouble.
+    TVLQR has the lab's travel of 0.4 m. Others have 0.8 m, so that the track is not the limit.
     """
 
     def within(low: float, high: float) -> float:
@@ -256,7 +256,7 @@ def troubled(random: np.random.Generator, *, controller: str, troubles: int, fau
 
 
 def class_of(flight: Flight) -> str:
-    """Return the class of an ending, stuck sensors, silence and hard stops apart."""
+    """Return the class of an ending, with separate classes for faults and hard stops."""
     for name in ("is stuck", "no measurement", "hard stop", "limit switch"):
         if name in flight.run.reason:
             return name
@@ -264,7 +264,7 @@ def class_of(flight: Flight) -> str:
 
 
 def untrue_score(flight: Flight) -> str:
-    """Return what is not true of how a run was scored, or an empty string: each symbol counts while it was followed."""
+    """Return the first false claim of a run's score, or an empty string."""
     symbols, problem = flight.verdict.symbols, flight.verdict.problem
     far = np.flatnonzero(flight.away > LOST)
     if not problem:
@@ -273,6 +273,6 @@ def untrue_score(flight: Flight) -> str:
         return "it did start there"
     if not far.size or not symbols:
         return ""
-    # By then the last of them was due.
+    # The last symbol was due by then.
     due = flight.due[symbols - 1] if symbols <= len(flight.due) else 0.0
     return "" if flight.run.times[far[0]] > due - 0.5 else f"symbol {symbols} was due at {due:.2f} s, when it was lost"

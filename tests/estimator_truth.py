@@ -1,7 +1,7 @@
-"""What the filter believed in closed-loop runs, and what was true: many seeds in lockstep, sampled at chosen times.
+"""Estimates and true values in closed-loop runs of many seeds, sampled at given times.
 
-Truths of the extras follow from the drawn plants: shares are those of the base parameters over M12, friction included;
-the zero of an angle is the sum of its encoder's and those before it.
+True values of the extras follow from the drawn plants. Shares are those of the base parameters over M12 with friction.
+The zero of an angle is the sum of its encoder's zero and those before it.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 def true_extras(names: Sequence[str], plant: ArmChainParameters, model: ArmChainParameters, zeros: Array) -> Array:
-    """Return the constants (E,) that a perfect filter would find; not a number for what fades."""
+    """Return the true constants (E,) of the extras, NaN for decaying ones."""
     n = model.count
     joints = range(1, n + 1)
     order = [f"M{i}{j}" for i in joints for j in range(i, n + 1)]
@@ -56,11 +56,11 @@ class Beliefs:
     runs: list[BatchRun]
 
     def of(self, *kinds: str) -> list[int]:
-        """Return the places of the quantities whose names begin so."""
+        """Return the indices of quantities by prefix of their names."""
         return [i for i, name in enumerate(self.names) if name.startswith(kinds)]
 
     def error(self, which: Sequence[int]) -> Array:
-        """Return estimate minus truth (T, len(which), S), not a number where a run has ended."""
+        """Return estimate minus truth (T, len(which), S), NaN after the end of a run."""
         out = (self.estimate - self.truth)[:, which]
         return np.where(self.alive[:, None], out, np.nan)
 
@@ -71,7 +71,7 @@ class Beliefs:
 
 
 class _Recorder:
-    """A ticker that also keeps what it reported at some ticks."""
+    """A ticker that also stores its reports at some ticks."""
 
     def __init__(self, ticker, bench: BatchBench, ticks: Sequence[int]) -> None:
         self._ticker, self._bench, self._ticks = ticker, bench, set(ticks)
@@ -100,7 +100,7 @@ def beliefs(
     seeds: Sequence[int],
     times: Sequence[float],
 ) -> Beliefs:
-    """Run the seeds in lockstep and return what was estimated and true at `times` s (negative: before the end)."""
+    """Run the seeds in lockstep and sample them at `times` s (negative: before the end)."""
     period, count = 1 / settings.rate, controller.ticks + 1
     ticks = sorted({min(max(round((t if t >= 0 else count * period + t) / period), 0), count - 1) for t in times})
     limits = settings.limits(reference)

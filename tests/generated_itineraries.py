@@ -13,7 +13,7 @@ HOLDS = ("up-up", "down-up", "up-down")
 
 
 def drawn_walk(random: np.random.Generator, *, high: bool, start: str = "down-up") -> tuple[list[str], str]:
-    """Return one to four symbols from a saddle, and the saddle where they end; high: with enough energy to cross."""
+    """Return one to four symbols from a saddle, and their final saddle."""
     walk, here = [], start
     for _ in range(int(random.integers(1, 5))):
         if high and random.random() < 0.4:
@@ -59,7 +59,7 @@ def drawn_itinerary(seed: int) -> str:
         else:
             lines, here = _walk_lines(random, high=here == "up-down" or bool(random.random() < 0.5), start=here)
             parts += lines
-    # No orbit leads to a hold at the start, or away from one at the end.
+    # A hold at the start or the end has no orbit beside it.
     holds = [part.startswith("hold") for part in parts if not part.startswith(("[", "seconds", "wraps", "lead"))]
     ends = [
         f'{end} = "rest"' for end, held in (("start", holds[0]), ("finish", holds[-1])) if held or random.random() < 0.6

@@ -1,4 +1,4 @@
-"""The guide's list of functions, from their docstrings: `python tests/guide_functions.py` writes it anew."""
+"""The guide's list of functions, from their docstrings: `python tests/guide_functions.py` updates it."""
 
 import doctest
 import inspect
@@ -24,7 +24,7 @@ def _entry(name: str) -> str:
 
 
 def with_functions(page: str) -> str:
-    """Return the page with its section of functions written anew."""
+    """Return the page with its section of functions updated."""
     before, heading, rest = page.partition("## Functions\n\n")
     return before + heading + listed() + rest[rest.index("\n## ") :]
 

@@ -1,14 +1,13 @@
-"""A second decoder of runs, to check verdicts against: own code, another method, written from the definition alone.
+"""An independent decoder of runs to check verdicts, written from the definition with another method.
 
-Completed: every symbol in order with its winding, wraps as asked, the cart inside its limits throughout, and over the
-last full period both angles within 0.1 rad of the last orbit.
+A run is completed if every symbol has its winding and wraps and the cart stays inside its limits. Over the last full
+period, both angles must also be within 0.1 rad of the last orbit.
 
-Method: a tick has a label if the pendulum's whole state, angles and rates, is near an orbit of the plan about some
-saddle on some whole turns. The labels in order must be the plan's stops. Labels that the reference passes as well may
-come between them. Wraps are counted by phase: the turns of (angle, rate) about the stop's place, of the arm that swings
-most there, and the periods from half-way of one flight to the stay and from it to half-way of the next, against those
-of the reference. Peaks are not counted: of a run that swings less than its reference some are too small to see, and
-some belong to the flights.
+A tick has a label if the pendulum's angles and rates are near an orbit of the plan, about a saddle on any whole
+turns. The labels in order must be the plan's stops, with other labels in between only if the reference also contains
+them. Wraps are counted by phase, as turns of (angle, rate) about the stop for the arm with the largest swing. The
+periods between the halfway points of the neighbouring flights are compared with those of the reference. Peaks are not
+counted, because small swings hide some of them and others belong to the flights.
 """
 
 from dataclasses import dataclass
@@ -21,21 +20,22 @@ Array = np.ndarray
 Label = tuple[str, tuple[int, ...]]
 
 RATE_UNIT = 8.0
-"""rad/s that count as much as one rad: a swing's frequency, so that distances do not depend on the phase."""
+"""Rate equivalent to one rad, rad/s: a swing's frequency makes distances independent of the phase."""
 NEAR = 0.5
 """rad, scaled."""
 LOOKS = 200.0
 """Hz."""
 BRIEF = 0.02
-"""s: shorter labels are passages."""
+"""Duration below which labels are passages, s."""
 LAST = 0.1
-"""rad: what is allowed over the last period."""
+"""Allowed deviation over the last period, rad."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is asked: stops and orbits of a plan's notes, each orbit's samples (M, 2n), the reference's states (K, 2n+2)
-    at `rate` Hz, and the cart's limits: m, m/s, m/s².
+    """The plan's stops and orbits with samples (M, 2n), and the reference's states (K, 2n+2) at `rate` Hz.
+
+    The cart's limits are in m, m/s and m/s².
     """
 
     notes: dict
@@ -70,7 +70,7 @@ def plan_of(reference, rate: float, limits: tuple[float, float, float]) -> Plan:
 
 
 def labels(plan: Plan, states: Array, near: float = NEAR) -> list[tuple[Label, int, int]]:
-    """Return which orbits the states (K, 2n+2) are near, one after the other, each with its first and last tick."""
+    """Return the sequence of orbits near the states (K, 2n+2), with first and last ticks."""
     n, stride = plan.arms, max(1, round(plan.rate / LOOKS))
     states = states[::stride]
     angles, rates = states[:, :n], states[:, n : 2 * n] / RATE_UNIT
@@ -79,11 +79,11 @@ def labels(plan: Plan, states: Array, near: float = NEAR) -> list[tuple[Label, i
     found: list[Label] = []
     for orbit, curve in zip(plan.notes["orbits"], plan.curves, strict=True):
         scaled = np.hstack([curve[:, :n], curve[:, n : 2 * n] / RATE_UNIT])
-        # Chords between samples, where an orbit is quick.
+        # Chords connect the samples of fast orbits.
         scaled = np.concatenate([scaled + s * (np.roll(scaled, -1, axis=0) - scaled) for s in (0.0, 0.25, 0.5, 0.75)])
         home = np.array(plan.notes["saddles"][orbit["saddle"]]["angles"])
         tree = cKDTree(scaled)
-        # Orbits reach less than a turn from their saddle: two candidates for each arm.
+        # Orbits extend less than a turn from their saddle, so each arm has two candidates.
         lower = np.floor((angles - home) / (2 * np.pi))
         for up in np.ndindex(*(2,) * n):
             turns = lower + np.array(up)
@@ -110,7 +110,7 @@ def labels(plan: Plan, states: Array, near: float = NEAR) -> list[tuple[Label, i
 
 
 def _matched(seen: list[tuple[Label, int, int]], stops: list[Label]) -> list[tuple[int, int]] | None:
-    """Return first and last tick of each stop in what was seen, None if one is missing."""
+    """Return the first and last ticks of each stop, None if one is missing."""
     spans, at = [], 0
     for k, stop in enumerate(stops):
         while at < len(seen) and seen[at][0] != stop:
@@ -118,7 +118,7 @@ def _matched(seen: list[tuple[Label, int, int]], stops: list[Label]) -> list[tup
         if at == len(seen):
             return None
         first, last = seen[at][1:]
-        # The stop lasts until the next one is seen.
+        # The stop lasts until the next one begins.
         while at + 1 < len(seen) and (k + 1 == len(stops) or stops[k + 1] not in [s[0] for s in seen[at + 1 : at + 2]]):
             if stop == seen[at + 1][0]:
                 last = seen[at + 1][2]
@@ -131,22 +131,22 @@ def _matched(seen: list[tuple[Label, int, int]], stops: list[Label]) -> list[tup
 
 
 def _half_way(plan: Plan, states: Array, spans: list[tuple[int, int]], flight: int) -> int:
-    """Return the tick at which a flight has made half of the way from its stop to the next."""
+    """Return the tick halfway between two stops."""
     here, there = (np.array(stop["angles"]) for stop in plan.notes["stops"][flight : flight + 2])
     first, last = spans[flight][1], spans[flight + 1][0]
     way = there - here
     if last <= first or not np.abs(way).max() > 1.0:
         return (first + last) // 2
     done = (states[first : last + 1, : plan.arms] - here) @ way / (way @ way)
-    # The ticks spent on the near half: unlike the place of a crossing, the count does not jump where arms swing across.
+    # The number of ticks on the near half is continuous, unlike the time of a crossing.
     return first + int(np.count_nonzero(done < 0.5))
 
 
 def phase_turns(plan: Plan, states: Array, spans: list[tuple[int, int]], stop: int) -> float:
-    """Return the turns of the phase about a stop from half-way of the flight before it to half-way of the next.
+    """Return the turns of the phase about a stop between the neighbouring halfway points.
 
-    Of the arm that swings most there, about the middle of its swing, so that a tilted track changes nothing. In flight,
-    where arms may stand for a moment and have no phase, a period of the orbit counts as a turn.
+    The phase is that of the arm with the largest swing about its middle, so a tilted track has no effect. In flight,
+    arms may be at rest without a phase, so a period of the orbit counts as a turn.
     """
     n, (first, last) = plan.arms, spans[stop]
     index = plan.notes["stops"][stop]["orbit"]
@@ -160,7 +160,7 @@ def phase_turns(plan: Plan, states: Array, spans: list[tuple[int, int]], stop: i
 
 
 def faults(plan: Plan, states: Array, accelerations: Array | None) -> list[str]:
-    """Return why a run with these true states (K, 2n+2) at the plan's rate is not completed."""
+    """Return the reasons why a run with true states (K, 2n+2) is not completed."""
     out: list[str] = []
     n, stops = plan.arms, plan.stops
     if not np.isfinite(states).all():
@@ -193,7 +193,7 @@ def faults(plan: Plan, states: Array, accelerations: Array | None) -> list[str]:
 
 
 def last_gap(plan: Plan, states: Array) -> float:
-    """Return how far the angles are from the last orbit over the last period, rad; of a hold as long as it lasts."""
+    """Return the distance of the angles from the last orbit over its last period or hold, rad."""
     n, stop = plan.arms, plan.notes["stops"][-1]
     orbit = plan.notes["orbits"][stop["orbit"]]
     home = np.array(plan.notes["saddles"][stop["saddle"]]["angles"])

@@ -1,4 +1,4 @@
-"""The equations' rate for other integrators, which call it tens of thousands of times."""
+"""A fast function of the equations' rate for other integrators."""
 
 from collections.abc import Callable
 
@@ -12,9 +12,9 @@ Rate = Callable[[ArrayLike, ArrayLike, ArrayLike], NDArray[np.float64]]
 
 
 def quick_rate(equations: Equations) -> Rate:
-    """Return (state, inputs, parameters) -> rate (N,), called on memory of its own.
+    """Return the function (state, inputs, parameters) -> rate (N,) with preallocated memory.
 
-    casadi's conversions of arguments take forty times as long as the function itself.
+    The conversion of casadi's arguments takes forty times as long as the function.
     """
     function = ca.Function(
         "rate", [equations.state, equations.inputs, equations.parameters], [ca.densify(equations.rate)]
@@ -30,7 +30,7 @@ def quick_rate(equations: Equations) -> Rate:
     def rate(
         state: ArrayLike, inputs: ArrayLike, parameters: ArrayLike, kept: object = (function, buffer)
     ) -> NDArray[np.float64]:
-        # The run points into the buffer, which owns nothing: what it reads must live as long as this.
+        # The buffer does not own the arrays, so they must have the same lifetime.
         for array, value in zip(arguments, (state, inputs, parameters), strict=True):
             array[:] = value
         run()

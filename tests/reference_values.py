@@ -1,6 +1,6 @@
 """Independently computed values for the tests: Taylor integration and Newton refinement in 113-bit arithmetic.
 
-Angles in rad, absolute, from hanging; rates in rad/s; energies in J, zero at the pivot's height. State order:
+Angles are absolute, in rad from hanging. Rates are in rad/s, and energies in J from the pivot's height. State order:
 angle_1, angle_2, rate_1, rate_2.
 """
 
@@ -79,5 +79,5 @@ CONNECTIONS = {
         ),
     ),
 }
-"""(from, to, energy) of the lab pendulum: how many first-hit connections there are on the torus; states of those of
-sense +1, of each mirror pair one (the other has the section's angle negated)."""
+"""Number of first-hit connections on the torus by (from, to, energy) of the lab pendulum, and states with sense +1. One
+state of each mirror pair is given; the other one has the opposite angle on the section."""

@@ -54,7 +54,7 @@ def _orbit_samples(orbit: Orbit, flow: Propagator, step: float) -> tuple[Array, 
 
 
 def _approach(path: Array, samples: Array) -> tuple[int, int, Array]:
-    """Return where `path` comes nearest to the orbit before it leaves it again: (path index, phase, shift)."""
+    """Return the first approach of `path` to the orbit, as (path index, phase, shift)."""
     shifts = np.round((path[:, :2] - samples[:, :2].mean(0)) / (2 * np.pi)) * 2 * np.pi
     best = (np.inf, 0, 0, np.zeros(4))
     for i in range(0, len(path)):
@@ -62,7 +62,7 @@ def _approach(path: Array, samples: Array) -> tuple[int, int, Array]:
         distance = np.abs((samples + shift - path[i]) / SCALE).max(1)
         if distance.min() < best[0]:
             best = (distance.min(), i, int(distance.argmin()), shift)
-        # The first approach: after it, rounding grows until the path leaves.
+        # After the first approach, rounding grows until the path departs.
         if best[0] < 1e-3 and distance.min() > 0.02:
             break
     assert best[0] < 2e-3
@@ -78,7 +78,7 @@ def stitched(section_state: tuple[float, ...], first: Orbit, last: Orbit, *, wra
     longest = 3.5 * max(first.period, last.period)
     times = np.arange(0.0, longest, step)
     forward = flow.sample(section_state, times)
-    # Backward is forward of the reversed state.
+    # Backward propagation equals forward propagation of the reversed state.
     reverse = np.array([1.0, 1.0, -1.0, -1.0])
     backward = flow.sample(np.asarray(section_state) * reverse, times) * reverse
     pieces: list[tuple[Array, Array]] = []

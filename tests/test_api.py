@@ -1,4 +1,4 @@
-"""The front door: its example as it stands, an example of every function, and what each promises."""
+"""The Python interface: the README's example, and the example and types of every function."""
 
 import doctest
 import inspect
@@ -22,7 +22,7 @@ EXAMPLE = README.partition("```python\n")[2].partition("```")[0]
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the example leaves, with the log of its run besides."""
+    """The variables of the example, with the log of its run."""
     values: dict[str, Any] = {}
     exec(EXAMPLE, values)
     values["log"] = tmp_path_factory.mktemp("api") / "turn.mcap"
@@ -70,7 +70,7 @@ def test_the_guide_lists_the_functions_as_their_docstrings_describe_them() -> No
 
 
 def test_a_run_in_memory_is_the_one_that_is_logged(example: dict[str, Any]) -> None:
-    """The same figures to rounding: a log keeps its times in whole nanoseconds."""
+    """Figures agree to rounding, because a log has times in whole nanoseconds."""
     memory, logged = example["run"].document(), example["logged"].document()
     apart = {key for key, value in memory.items() if logged[key] != value}
     assert apart <= {"log", "real_time_factor", "thinking"}
@@ -82,7 +82,7 @@ def test_a_plan_of_a_walk_is_that_of_the_file_it_writes(example: dict[str, Any])
     assert itinerary_from(plan.itinerary.text, "walk", plan.itinerary.model) == plan.itinerary
     again = dp.open_plan(plan.file)
     assert again.itinerary.parts == plan.itinerary.parts
-    # Another process may have solved the same plan meanwhile, and kept it in the same place.
+    # Another process may have stored the same plan in the meantime.
     timeless = [{**p.document()["reference"], "solve_seconds": None} for p in (again, plan)]
     assert timeless[0] == timeless[1]
     figures = [run.document() for run in (dp.run(again, mismatch=0.02, seed=3), example["run"])]

@@ -1,4 +1,4 @@
-"""Every example runs as it stands, and ends in its picture."""
+"""Every example runs without changes and ends with its picture."""
 
 import runpy
 from pathlib import Path
@@ -21,9 +21,9 @@ SLOW = {
     "eddy_brake",
     "mujoco_rig",
 }
-"""Those that plan, search or draw for more than some seconds."""
+"""Examples that take more than a few seconds."""
 NEEDS = {"mujoco_rig": "mujoco", "gym_env": "gymnasium"}
-"""Packages that examples need besides those of this one."""
+"""Additional packages that examples need."""
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What is installed is whole: the wheel carries models and itineraries, a checkout uses its own."""
+"""Installations are complete: the wheel includes models and itineraries, and a checkout uses its own."""
 
 import configparser
 import json
@@ -37,7 +37,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def found_from(folder: Path, *, path: Path | None) -> list[str]:
-    """Return, from a fresh Python in `folder`, where the package is and where its models and itineraries are found."""
+    """Return the paths of the package, its models and itineraries, by a new Python process in `folder`."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     if path is not None:
         environment["PYTHONPATH"] = str(path)

@@ -1,11 +1,11 @@
-"""Every block of commands, Python and TOML in the README and in the guide runs, and prints what stands below it.
+"""Every block of commands, Python and TOML in the README and the guide runs and prints the shown output.
 
-A page's sections are tests of their own, each in a fresh folder that holds the files its page shows. Of a section the
-blocks run from above, Python in one namespace. A block whose fence says `slow` runs with the slow tests, together with
-the blocks of its section; a block of ```text only shows.
+Each section of a page is a separate test in a new folder with the page's files. Its blocks run in order, Python in one
+namespace. A block marked `slow` runs with the slow tests, together with the other blocks of its section. Blocks of
+```text are not run.
 
-The two lines that set up an environment are not run here, where one is already set up: `.ci/run` takes the line that
-runs the tests from the README itself and executes it; here both are checked against the project's own files.
+The two lines that set up an environment are not run here, but compared with the project's files. `.ci/run` extracts the
+line that runs the tests from the README and executes it.
 """
 
 import os
@@ -35,7 +35,7 @@ class Block(NamedTuple):
     text: str
 
     def conversations(self) -> list[tuple[str, list[str]]]:
-        """Return each `$ command` with the lines that it is said to print."""
+        """Return each `$ command` with its expected output."""
         found: list[tuple[str, list[str]]] = []
         for line in self.text.splitlines() if self.kind == "console" else ():
             if line.startswith("$ "):
@@ -80,7 +80,7 @@ SECTIONS = [
 
 
 def cases() -> list[Any]:
-    """Return each section with its quick blocks, and where there are slow ones, with all of its blocks."""
+    """Return each section with its quick blocks, and again with all blocks if some are slow."""
     found = []
     for section in SECTIONS:
         name = f"{section.page.parent.name}-{section.page.stem}-{section.title}"
@@ -129,7 +129,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work there, without a renderer, and with a viewer that only looks on."""
+    """Change to the folder, without a renderer and with a passive viewer."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     monkeypatch.setenv("DISPLAY", ":0")
@@ -137,7 +137,7 @@ def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def said(line: str) -> re.Pattern[str]:
-    """Return what matches a line of a page in a program's output: … is anything, spaces may differ in number."""
+    """Return a pattern for a line of a page, in which … matches anything and spaces may vary."""
     words = [".*?".join(map(re.escape, word.split("…"))) for word in line.split()]
     return re.compile(r"\s+".join(words), re.MULTILINE)
 

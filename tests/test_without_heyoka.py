@@ -1,6 +1,6 @@
-"""Where heyoka cannot be had, as pip has it for Linux alone: all that needs no new orbit works, the rest says so.
+"""Without heyoka, which pip has only for Linux, everything works except the search for new orbits.
 
-Likewise without the extras, and without what only POSIX systems have. Each verb runs in a program that starts without
+The same applies without the extras and without POSIX features. Each verb runs in a program that starts without
 these modules, and so do those that it starts itself. No test here replaces one on Windows or macOS.
 """
 
@@ -38,7 +38,7 @@ print(json.dumps(ended))
 
 
 def without(modules: tuple[str, ...], folder: Path, *lines: str) -> list[Ended]:
-    """Call the program in `folder`, line by line, where neither Python nor its children can import these modules."""
+    """Call the program in `folder` for each line, without access to these modules."""
     site = folder / "site"
     site.mkdir(exist_ok=True)
     (site / "sitecustomize.py").write_text(f"import sys\nsys.modules |= dict.fromkeys({modules!r})\n")
@@ -52,7 +52,7 @@ def without(modules: tuple[str, ...], folder: Path, *lines: str) -> list[Ended]:
 
 
 def without_heyoka(folder: Path, *lines: str) -> list[Ended]:
-    """Call the program in `folder`, line by line, where there is no heyoka."""
+    """Call the program in `folder` for each line, without heyoka."""
     return without(("heyoka",), folder, *lines)
 
 

@@ -1,4 +1,4 @@
-"""Kill runs of the program: as a script, `dpcontrol` with the arguments given, its rig telling each tick on stdout."""
+"""Kill runs of the program. As a script, run `dpcontrol` with a rig that reports each tick on stdout."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ from dpcontrol.loop.result import Reading
 
 
 class TellingRig(assembly.SimulatedRig):
-    """A rig that writes the number of each tick that is read, four bytes at a time."""
+    """A rig that writes the number of each tick as four bytes."""
 
     told = 0
 
@@ -24,14 +24,14 @@ class TellingRig(assembly.SimulatedRig):
 
 
 def killed(path: Path, *, after: float) -> tuple[int, int]:
-    """Kill `dpcontrol run` so many seconds after its first tick; return ticks that it began and that were recovered."""
+    """Kill `dpcontrol run` after its first tick; return the started and recovered ticks."""
     command = [sys.executable, __file__, "run", "hold-down-down", "--out", path]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as child:
         assert child.stdout is not None
         pipe = child.stdout.fileno()
         told = os.read(pipe, 4)
         end = time.perf_counter() + after
-        # The first chunk stands for a log at all; a slow machine may need longer for it.
+        # A log needs its first chunk, which may take longer on a slow machine.
         while time.perf_counter() < end or len(told) < 400:
             more = os.read(pipe, 1 << 16)
             assert more, "the run ended before it could be killed"

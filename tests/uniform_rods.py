@@ -1,11 +1,11 @@
-"""Double pendulums of two uniform rods: arms unlike the lab's, on which searches are tried."""
+"""Double pendulums of two uniform rods, for tests of searches with other arms."""
 
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.dynamics.system import System
 
 
 def uniform_rods(lengths: tuple[float, float], masses: tuple[float, float]) -> System:
-    """Return two frictionless rods, lengths in m and masses in kg, each with its centre in its middle."""
+    """Return two frictionless uniform rods with lengths in m and masses in kg."""
     arms = ArmChainParameters(
         mass=masses,
         centre_of_mass=(lengths[0] / 2, lengths[1] / 2),

@@ -1,4 +1,4 @@
-"""Runs whose verdicts two decoders give, and wrong runs made of right ones."""
+"""Runs with verdicts of two decoders, and failed runs derived from completed ones."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -18,12 +18,12 @@ from dpcontrol.scenes.run_options import RunOptions
 Array = np.ndarray
 
 UNSURE = 0.004
-"""rad: the last period's gap is found on curves of two kinds of samples."""
+"""Tolerance of the last period's gap between two samplings, rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A run to be judged; text: what it is; accelerations m/s²: those of the true cart."""
+    """A run with its description and the true cart's accelerations, m/s²."""
 
     text: str
     flown: Flown
@@ -31,7 +31,7 @@ class Case:
 
 
 def drawn_options(random: np.random.Generator, *, recovers: bool = False) -> RunOptions:
-    """Return a bench that is easy, ordinary or hard; recovers: runs go on after a fall."""
+    """Return an easy, ordinary or hard bench, with recovery after falls if `recovers`."""
 
     def within(low: float, high: float) -> float:
         return float(random.uniform(low, high))
@@ -69,7 +69,7 @@ def runs(itinerary: Itinerary, reference: Reference, options: RunOptions, seeds:
 
 
 def counted_states(flown: Flown, plan: Plan) -> Array:
-    """Return the true states that count of a run with falls: each flight up to where a later one begins again."""
+    """Return the relevant true states of a run with falls, each flight up to the next restart."""
     if not flown.flights:
         return flown.states
     n, out = plan.arms, []
@@ -87,7 +87,7 @@ def counted_states(flown: Flown, plan: Plan) -> Array:
 
 
 def disagreement(case: Case, reference: Reference, plan: Plan) -> str:
-    """Return what two decoders say differently about a run, or an empty string."""
+    """Return the difference between two decoders' verdicts, or an empty string."""
     verdict = verdict_on(case.flown, reference)
     states = counted_states(case.flown, plan)
     found = faults(plan, states, case.accelerations)
@@ -106,7 +106,7 @@ def disagreement(case: Case, reference: Reference, plan: Plan) -> str:
 
 @cache
 def judged_plan(reference: Reference, rate: float, limits: tuple[float, float, float]) -> Plan:
-    """Return the plan as the other decoder reads it, with the limits of a run."""
+    """Return the plan in the other decoder's form, with the limits of a run."""
     return plan_of(reference, rate, limits)
 
 
@@ -114,7 +114,7 @@ def judged_plan(reference: Reference, rate: float, limits: tuple[float, float, f
 
 
 def mutants(case: Case, plan: Plan, random: np.random.Generator) -> Iterator[Case]:
-    """Make runs that are not completed from one that is: each changes both the states and what was to be followed."""
+    """Derive failed runs from a completed one by changes of both states and reference."""
     n, flown, notes = plan.arms, case.flown, plan.notes
     stops, symbols = notes["stops"], notes["symbols"]
 
@@ -149,7 +149,7 @@ def mutants(case: Case, plan: Plan, random: np.random.Generator) -> Iterator[Cas
             less = np.concatenate([whole[: middle - period // 2], whole[middle - period // 2 + period :]])
             yield with_rows(f"a wobble less at stop {k + 1}", less, none[less])
         if stops[k]["saddle"] == stops[k + 1]["saddle"] == stops[k + 2]["saddle"]:
-            # The second symbol left out, with its wobbles.
+            # The second symbol and its wraps are omitted.
             first, second = (round(s["time"] * flown.rate_hz) for s in symbols[k : k + 2])
             skipped = np.concatenate([whole[:first], whole[second:]])
             turns = none[skipped].copy()
@@ -160,7 +160,7 @@ def mutants(case: Case, plan: Plan, random: np.random.Generator) -> Iterator[Cas
 
 @dataclass
 class Comparison:
-    """Runs judged by both decoders: how many, how many completed, wrong ones made of them, and false verdicts."""
+    """Counts of runs judged by both decoders, completed ones, derived failures and false verdicts."""
 
     runs: int = 0
     completed: int = 0
@@ -168,7 +168,7 @@ class Comparison:
     false: list[str] = field(default_factory=list)
 
     def add(self, plan: Any, options: RunOptions, seeds: list[int], random: np.random.Generator) -> None:
-        """Fly these seeds of a plan, and wrong runs made of the first that is completed."""
+        """Simulate these seeds of a plan, and failed runs derived from the first completed one."""
         reference, made = plan.reference, False
         for case in runs(plan.itinerary, reference, options, seeds):
             assert case.flown.limits is not None
@@ -191,7 +191,7 @@ class Comparison:
 
 
 def for_plan(options: RunOptions, plan: Any) -> RunOptions:
-    """Return options that fit a plan: one whose stops are kept has a law of its own."""
+    """Return suitable options for a plan; kept stops require a special law."""
     values = options.given()
     if "program" in plan.reference.notes:
         values.pop("controller", None)

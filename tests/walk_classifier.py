@@ -1,8 +1,8 @@
-"""Reads a walk off a trajectory, knowing nothing of how the trajectory was made.
+"""Decoding of walks from trajectories only.
 
-From states at any times, the orbits, the sections and the published list of connections it tells which stops are made
-on which lattice points, which connection is followed between them, and how often the orbit wraps at each stop:
-N = round((Δt - time_in - time_out)/T - f). Orbits are drawn, and gaps flown, by scipy's DOP853.
+The input is the states, orbits, sections and published connections. The classifier determines the stops with their
+lattice points, the connections between them, and the number of wraps at each stop,
+N = round((Δt - time_in - time_out)/T - f). Orbits and gaps are integrated by scipy's DOP853.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,16 +23,16 @@ Array = NDArray[np.float64]
 Sampler = Callable[[Array], Array]
 
 ENTERED = 6e-3
-"""Scaled distance from its orbit that a stop must come to; connections publish their approach to 1e-3."""
+"""Required scaled distance of a stop from its orbit; published approaches are to 1e-3."""
 NOT_WHOLE = 0.01
-"""Published phases are those of the nearest point at a scaled distance of 1e-3: off by about as much."""
+"""Error of published phases, which refer to the nearest point at a scaled distance of 1e-3."""
 LEFT = 6e-2
-"""Scaled distance that ends a stop: an order above what the fewest wraps keep to."""
+"""Scaled distance that ends a stop, ten times that of the fewest wraps."""
 
 
 @dataclass(frozen=True)
 class Passage:
-    """One symbol as the trajectory shows it: between which stops, and where it crossed its section.
+    """One symbol of a trajectory, with its stops and its section crossing.
 
     distance: scaled, from the nearest of all connections between these saddles (rival: from the second nearest);
     crossing, crossings: which of how many crossings of the section between the two stops it is.
@@ -52,14 +52,14 @@ class Passage:
 
     @property
     def consistent(self) -> bool:
-        """Whether winding and hits, seen from outside, are those that the nearest connection publishes."""
+        """True if winding and hits agree with the nearest published connection."""
         first, last = self.connection.hits
         return self.winding == self.connection.winding and (self.crossing, self.crossings) == (first, first + last - 1)
 
 
 @dataclass(frozen=True)
 class Reading:
-    """wraps: one for each stop between passages; odd: how far each is from a whole number before it is rounded."""
+    """Wraps at each stop between passages, and their distance from whole numbers before rounding."""
 
     passages: tuple[Passage, ...]
     wraps: tuple[int, ...]
@@ -98,7 +98,7 @@ class WalkClassifier:
         return solution.y.T / self.system.scale
 
     def complaints(self, orbit: ShadowingOrbit, *, gap: float = 1e-11) -> list[str]:
-        """Return what of a converged orbit is not as asked, read off its trajectory and its nodes; best none."""
+        """Return the differences of a converged orbit from the requested walk, ideally none."""
         if orbit.periodic:
             seen = self.closed_walk(orbit.sample, orbit.duration)
         else:
@@ -121,7 +121,7 @@ class WalkClassifier:
         return self._reading(self._passages(sample, 0.0, duration))
 
     def closed_walk(self, sample: Sampler, period: float) -> Reading:
-        """Read one round of a periodic trajectory: the symbols that cross their sections from time 0 on."""
+        """Read one period of a periodic trajectory, starting at time 0."""
         seen = self._passages(sample, -period, 2 * period)
         inside = [p for p in seen if -1e-9 <= p.time < period - 1e-9]
         after = next(p for p in seen if p.time >= period - 1e-9)
@@ -167,7 +167,7 @@ class WalkClassifier:
         return found
 
     def _passage(self, sample: Sampler, times: Array, states: Array, a: _Stop, b: _Stop) -> Passage:
-        """Return which connection is followed between two stops."""
+        """Return the connection between two stops."""
         candidates = [c for c in self.connections if (c.source.saddle, c.target.saddle) == (a.saddle, b.saddle)]
         winding = tuple(int(y - x) for x, y in zip(a.lattice, b.lattice, strict=True))
         assert candidates, f"no connection is known from {a.saddle} to {b.saddle}"
@@ -213,7 +213,7 @@ class WalkClassifier:
 
 
 def flown_gaps(system: System, states: Array, durations: Array, *, most: int = 40) -> Array:
-    """Return the gaps from each of K + 1 nodes to the next, (K,) flown one by one, then (≤ most,) by DOP853."""
+    """Return the gaps between K + 1 nodes (K,), and some of them (≤ most,) by DOP853."""
     alone = np.array([system.propagator.flow(x, h) for x, h in zip(states[:-1], durations, strict=True)])
     chosen = np.unique(np.linspace(0, len(durations) - 1, most).astype(int))
     seconds, shape = durations[chosen, None], (len(chosen), system.dimension)

@@ -1,4 +1,4 @@
-"""What a chart's picture must be: labels that can be read, and no shares below zero."""
+"""Pictures of charts have legible labels and no negative shares."""
 
 from itertools import combinations
 

@@ -1,4 +1,4 @@
-"""What the charts of estimation, control and logging measure: trials by their properties, failures named."""
+"""Trials of the charts of estimation, control and logging, with reported failures."""
 
 import math
 import shutil

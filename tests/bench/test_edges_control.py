@@ -1,4 +1,4 @@
-"""Borders of control, held and moving: both sides of each; predicted ones where arms are held; what the loop says."""
+"""Borders of control from both sides, with predictions for holds and the loop's messages."""
 
 from dataclasses import replace
 

@@ -52,5 +52,5 @@ def test_a_stuck_encoder_is_reported_after_what_must_pass_and_not_long_after():
     least = earliest_report(orbit, 0.3 * orbit.period, sensor=1)
     assert least >= STILL
     assert least <= found.far < least + 0.1
-    # Far from being reported: an arm that has moved by less than what is asked for.
+    # An arm that has moved less than required is not reported.
     assert 100 * 2 * np.pi / 40_000 < MOVED

@@ -1,4 +1,4 @@
-"""Borders by bisection, and what maps complain of: disagreement, silence, borders that theory has and nobody finds."""
+"""Borders by bisection, and complaints about disagreement, unreported failures and missing borders."""
 
 import json
 import math
@@ -71,7 +71,7 @@ def test_half_of_the_answers_decide_and_one_that_says_something_speaks_for_the_r
     silent, works, says = Attempt(False), Attempt(True), Attempt(False, "tracking lost")
     assert half_of([works, silent], "runs lost").works
     assert half_of([works, silent, says], "runs lost") == Attempt(False, "2 of 3 runs lost; tracking lost")
-    # What nobody reports stays a complaint.
+    # An unreported failure remains a complaint.
     assert half_of([silent, silent, works], "runs lost") == Attempt(False, "")
 
 

@@ -1,4 +1,4 @@
-"""Seeds of tubes: both borders from both sides, and what a search says of what it misses."""
+"""Borders of seed distances from both sides, and statuses of incomplete searches."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""What rounding leaves of gaps in a shadowing orbit: it falls with the nodes' spacing, and is named."""
+"""Rounding limits of gaps in shadowing orbits, which decrease with the nodes' spacing."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""Levels of the model: errors by an independent integrator, the rule of what is enough, and what is said of it."""
+"""Levels of the model: errors by an independent integrator, sufficient levels and remarks."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -68,7 +68,7 @@ def test_errors_of_levels_are_distances_between_falls_by_another_integrator():
 
 def test_a_level_that_adds_nothing_makes_no_error():
     found = {p.method: p.error for p in motions(released((1.0, 2.0)), ARMS.frictionless()).points}
-    # Without friction, and with a cart that is not asked to move, the three lower levels are one.
+    # Without friction and with a cart at rest, the three lower levels are equal.
     assert found["conservative"] == found["dissipative"] == found["cart"]
     assert found["drive"] == pytest.approx(found["cart"], rel=SAME)
     # Only a cart that the arms push about differs.

@@ -1,4 +1,4 @@
-"""What tubes buy: motions checked by scipy from equations by hand, searches, what is said of them; the chart itself."""
+"""Benefit of tubes: motions checked by scipy, searches, verdicts and the chart."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A chart drawn again: ties may change places on a front, nothing else may."""
+"""A redrawn chart may differ only by ties on a front."""
 
 import pytest
 from command_line import dpcontrol
