@@ -113,13 +113,13 @@ def walk_command(
     draws some. With none of these the graph itself is shown. --solve finds each walk's orbit: homoclinic, heteroclinic,
     or periodic with --periodic, with an estimate of its error.
 
-    A symbol stands for the connection at the largest angle, and so may stand for another one at another energy:
-    --compare says from which energy on.
+    A symbol selects the connection at the largest angle, which may be another one at other energies. --compare
+    reports the energies of such changes.
 
-    A symbol is "down-up +", "down-up > up-down", any connection's name that `dpcontrol connect` lists, an edge grown
-    from a walk ("(down-up +)·1·(down-up -)": symbols, and the wraps between them), or leads to or from a rotating
-    orbit: "down-up > outer-rotating" (also inner-rotating, outer-rotating-back, outer-rotating-2: faster ones first),
-    where a wrap is a turn.
+    A symbol is "down-up +", "down-up > up-down", any connection's name that `dpcontrol connect` lists, or a
+    composite edge ("(down-up +)·1·(down-up -)": symbols, and the wraps between them). It may also lead to or from a
+    rotating orbit: "down-up > outer-rotating" (also inner-rotating, outer-rotating-back, outer-rotating-2: faster ones
+    first). There a wrap is a turn.
     """
     choices = {"-s": symbols, "--through": through, "--length": length, "--random": count}
     chosen = [name for name, given in choices.items() if given]

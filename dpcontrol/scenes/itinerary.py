@@ -135,7 +135,7 @@ def _energy(table: Table, saddles: Sequence[str], model: Model) -> float:
 
 
 def _walk(table: Table, saddles: Sequence[str]) -> tuple[tuple[str, ...], tuple[int, ...], int]:
-    """Return the walk and its wraps, grown edges written out, repeated as often as asked, and how often that is.
+    """Return the expanded and repeated walk, its wraps, and the number of repetitions.
 
     Raises:
         InputError: a walk or wraps that are impossible at any energy; before anything is computed.
