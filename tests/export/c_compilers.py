@@ -1,4 +1,4 @@
-"""What is exported, compiled; and the library of it beside the loop's own tick."""
+"""Compilation of exported code, and comparison of its library with the loop's tick."""
 
 import shutil
 import subprocess
@@ -20,19 +20,19 @@ SOURCES = ["dpc_controller.c", "dpc_tables.c"]
 
 
 def needed(program: str) -> str:
-    """Return a program's name, or skip the test where it is not installed."""
+    """Return a program's name, or skip the test if it is not installed."""
     if shutil.which(program) is None:
         pytest.skip(f"{program} is not installed")
     return program
 
 
 def ran(*command: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a program in `folder` to its end, whatever that is."""
+    """Run a program in `folder` to its end, with any exit code."""
     return subprocess.run([*map(str, command)], cwd=folder, capture_output=True, text=True, check=False)
 
 
 def compiled(compiler: str, *options: str, folder: Path, out: str, sources: Iterable[str] = SOURCES) -> Path:
-    """Compile sources of `folder` without a warning; return what was made."""
+    """Compile sources of `folder` without warnings; return the output file."""
     done = ran(needed(compiler), *WARNINGS, *options, "-o", out, *sources, "-lm", folder=folder)
     assert done.returncode == 0, done.stderr
     assert not done.stderr
@@ -48,9 +48,9 @@ def library(folder: Path, *options: str) -> Path:
 
 
 class SideBySide:
-    """The loop's tick and a library's, given the same readings.
+    """The ticks of the loop and of a library with the same readings.
 
-    told: what the loop's tick commanded is told to the library, whose own commands would drift away from it.
+    If `told`, the library receives the commands of the loop's tick, because its own commands would drift.
     """
 
     def __init__(self, plan: Plan, made: Path, *, settings: LoopSettings | None = None, told: bool = True) -> None:
@@ -70,7 +70,7 @@ class SideBySide:
     def __call__(
         self, positions: np.ndarray, *, present: np.ndarray | None = None, switch: int = 0
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Do a tick by both; return their reports by names."""
+        """Run a tick by both; return their reports by name."""
         reading = Reading(0.0, positions, present=present, switch=switch)
         k, self._k = min(self._k, self.count - 1), self._k + 1
         own, other = (_named(ticker, ticker(k, reading)[:, 0].copy()) for ticker in (self.own, self.other))

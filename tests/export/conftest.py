@@ -31,8 +31,8 @@ def single(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return folder, export_plan(plan, folder, single=True)
 
 
-# In single precision with the benchmarks: the same tests, after seconds of gcc. What leaves as C in single precision at
-# all is asked of a whole itinerary and of a Cortex-M4.
+# The benchmarks run the same tests in single precision, after seconds of gcc. Otherwise only a whole itinerary
+# and a Cortex-M4 are tested in single precision.
 @pytest.fixture(scope="session", params=["double", pytest.param("single", marks=pytest.mark.benchmark)])
 def exported(request: pytest.FixtureRequest) -> tuple[Path, ControllerSource]:
     return request.getfixturevalue(request.param)

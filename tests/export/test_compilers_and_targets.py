@@ -1,5 +1,5 @@
-"""What is exported by every compiler and level at hand, under sanitizers and valgrind, on a Cortex-M4 under qemu, and
-for every itinerary that is shipped. Minutes of compiling, hence slow.
+"""Exported code with every available compiler and level, sanitizers and valgrind, on a Cortex-M4 under qemu, and
+for every shipped itinerary. These tests are slow because of minutes of compilation.
 """
 
 from itertools import product
@@ -42,7 +42,7 @@ def test_every_compiler_and_level_gives_the_loops_commands(exported: Exported, c
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_sanitizers_find_nothing(exported: Exported, compiler: str) -> None:
-    # More of what debuggers ask for than lines is too much for gcc to follow, and it says so.
+    # gcc reports that more debugging information than lines is too much for it.
     options = ["-g1", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     program = compiled(compiler, *options, folder=exported[0], out="sanitized", sources=REPLAY)
     done = ran(program, "readings.csv", folder=exported[0])
@@ -97,7 +97,7 @@ def test_a_cortex_m4_gives_the_loops_commands(single: Exported) -> None:
 
 
 WHOLE = {("outer-turn", "single"), ("turn-from-rest", "double"), ("hold-up-up", "double")}
-"""One of each kind of start; the others, as long as they are, are replayed with the benchmarks."""
+"""One itinerary for each kind of start; the benchmarks replay the others."""
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_every_shipped_itinerary_leaves_as_c_or_says_why_not(
     name: str, precise: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))
-    # Whole runs are replayed, not their first seconds.
+    # Complete runs are replayed, not only their first seconds.
     monkeypatch.setattr(run, "_CHECKED_TICKS", 1_000_000)
     scene, folder = load_itinerary(name), tmp_path / "controller"
     if keeps_a_clock(name):

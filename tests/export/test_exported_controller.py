@@ -1,4 +1,4 @@
-"""The exported C against the loop's own tick, by gcc and clang: the same commands and decisions, nothing but C99."""
+"""Exported C99 compared with the loop's tick, by gcc and clang: equal commands and decisions."""
 
 import ctypes
 import re
@@ -21,7 +21,7 @@ from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.run import export_plan, run_plan
 from dpcontrol.scenes.run_options import RunOptions
 
-SAME = {"double": 1e-9, "float": 1e-2}  # m/s²: the two differ by the rounding of sines, times the law's gains.
+SAME = {"double": 1e-9, "float": 1e-2}  # m/s²: rounding of sines times the law's gains.
 COUNT = 2 * np.pi / 40_000
 RUNNING, FINISHED, BRAKING, AT_REST = range(4)
 
@@ -37,7 +37,7 @@ def readings(exported: Exported) -> np.ndarray:
 
 
 def set_clock(program: LibraryProgram, tick: int) -> None:
-    """Set the count of steps done, which stands last in dpc_controller."""
+    """Set the count of completed steps, the last field of dpc_controller."""
     place = program.described.controller_bytes - ctypes.sizeof(ctypes.c_long)
     ctypes.c_long.from_address(program.controller_address + place).value = tick
 
@@ -53,7 +53,7 @@ def test_the_folder_holds_all_that_a_target_needs_and_says_what_it_takes(exporte
     assert len(page.splitlines()) < 80
     assert all(f"`{name}" in page for name in ("dpc_init", "dpc_step", "dpc_status", "dpc_queued", "dpc_reference"))
     figures, width = source.figures, 4 if precision(exported) == "float" else 8
-    # Feedforward, six gains on the state, nine on what is found of drive and arms, and the reference's state.
+    # Feedforward, six gains on the state, nine on estimates of drive and arms, and the reference's state.
     assert figures.tables_per_second == pytest.approx((1 + 6 + 9 + 10 + 6) * width * 1000, rel=0.01)
     assert figures.code is None or figures.code < 128 * 1024
 
@@ -61,7 +61,7 @@ def test_the_folder_holds_all_that_a_target_needs_and_says_what_it_takes(exporte
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_compilers_find_nothing_to_warn_of(exported: Exported, compiler: str) -> None:
     for source in (*SOURCES, "main_replay.c"):
-        # Doubles where floats were meant would cost a small target dear.
+        # Doubles instead of floats would be slow on a small target.
         more = ["-Wdouble-promotion"] if source in SOURCES else []
         done = ran(needed(compiler), *WARNINGS, *more, "-fsyntax-only", source, folder=exported[0])
         assert (done.returncode, done.stderr) == (0, "")
@@ -69,7 +69,7 @@ def test_compilers_find_nothing_to_warn_of(exported: Exported, compiler: str) ->
 
 def test_nothing_is_allocated_and_no_other_name_is_taken(exported: Exported) -> None:
     folder, source = exported
-    # What is relocated when it is loaded would look like a variable.
+    # Data that are relocated on loading would look like a variable.
     options = ["-O0", "-fno-pic", "-fno-pie", "-c"]
     made = compiled("gcc", *options, folder=folder, out="controller.o", sources=SOURCES[:1])
     symbols = [line.split()[-2:] for line in ran(needed("nm"), made, folder=folder).stdout.splitlines()]
@@ -95,11 +95,11 @@ def test_a_replayed_run_gets_the_loops_commands(exported: Exported) -> None:
     assert len(rows) == len(given) > 3000
     assert np.abs(rows[:, 2] - given[:, -1]).max() <= SAME[precision(exported)]
     assert not rows[:, 3:].any()
-    # The same readings as numbers of this machine, which know no text.
+    # The same readings as binary numbers of this machine.
     binary = np.insert(given, 3, 0.0, axis=1)
     binary.astype("<f8").tofile(folder / "readings.bin")
     assert ran(program, "readings.bin", folder=folder).stdout == done.stdout
-    # A wrong command is found, and a file of another layout refused.
+    # A wrong command is detected, and a file with another layout is refused.
     text = (folder / "readings.csv").read_text().splitlines()
     (folder / "wrong.csv").write_text("\n".join([*text[:50], text[50].rsplit(",", 1)[0] + ",1", *text[51:60]]))
     assert ran(program, "wrong.csv", folder=folder).returncode == 1
@@ -109,7 +109,7 @@ def test_a_replayed_run_gets_the_loops_commands(exported: Exported) -> None:
     assert "measured.arm_1" in other.stderr
 
 
-# Slow: seconds of making and compiling C.
+# Slow: seconds for generation and compilation of C.
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tvlqr", "adaptive"])
 def test_a_law_that_knows_its_drives_lag_leaves_with_it(
@@ -131,7 +131,7 @@ def test_every_number_of_the_report_is_the_loops(plan: Plan, exported: Exported)
     for k, positions in enumerate(rows):
         present = None
         if 100 <= k < 120:
-            # What is not measured may be anything.
+            # Missing measurements may have any value.
             present, positions = np.array([True, False, k % 2 == 0]), np.array([positions[0], np.nan, positions[2]])
         own, other = both(positions, present=present)
         for name in own:
@@ -175,7 +175,7 @@ def test_what_the_supervisor_decides_brings_the_cart_to_rest(
         own, other = both(positions, present=present, switch=int(on and trouble == "switch"))
         if other["outcome"][0] >= Outcome.ESTIMATE_LOST:
             assert other["outcome"][0] == own["outcome"][0]
-            # A cart that is elsewhere from one tick to the next takes the estimate of the arms along.
+            # A jump of the cart's position changes the estimate of the arms.
             assert other["outcome"][0] in ((outcome, Outcome.FALLEN) if trouble == "far" else (outcome,))
             assert both.c.status == BRAKING
         told.append(other)
@@ -185,7 +185,7 @@ def test_what_the_supervisor_decides_brings_the_cart_to_rest(
     stopped = next(k for k, report in enumerate(told) if report["stop"][0])
     most = plan.reference.limits.acceleration
     assert all(abs(report["command"][0]) <= most for report in told)
-    # Once the cart stands nothing more is commanded.
+    # After the cart has stopped, there are no commands.
     still = round(SETTLING * 1000) - 1
     assert all(report["command"][0] == 0.0 for report in told[-still:])
     assert stopped < len(told) - still
@@ -194,7 +194,7 @@ def test_what_the_supervisor_decides_brings_the_cart_to_rest(
 def test_after_the_last_tick_the_last_row_goes_on_holding(plan: Plan, double: Exported) -> None:
     both = SideBySide(plan, library(double[0]), told=False)
     rows = Assembly(plan.reference, plan.itinerary.model.arms, plan.itinerary.loop).controller.schedule(1).rows
-    # Its clock is set to just before the end: what comes is decided by the rows alone.
+    # Its clock is set to just before the end, so only the rows decide.
     set_clock(both.c, both.count - 3)
     told, states = [], []
     for _ in range(8):
@@ -224,12 +224,12 @@ def test_the_library_takes_the_ticks_place_in_a_run(plan: Plan, exported: Export
     assert ended.code == 0, ended.message
     shown = ended.document
     assert (shown["completed"], shown["symbols_completed"]) == (True, own.symbols_completed)
-    # Rounding turns into other counts of the encoders, and these into some per cent of the error.
+    # Rounding causes other encoder counts, which change the error by some percent.
     assert shown["rms_tracking_error"] == pytest.approx(own.rms_tracking_error, rel=0.2)
     again = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap")
     assert again.code == 2
     assert "a controller's library did its ticks" in again.message
-    # Another run is not taken for this one.
+    # Another run is not accepted as this one.
     assert dpcontrol("run", "outer-turn", "--seed", "1", "--out", log).code == 2
 
 
@@ -320,7 +320,7 @@ def test_a_folder_that_holds_something_else_is_kept(tmp_path: Path) -> None:
     write_folder(folder, files)
     before = (folder / "a.c").stat().st_mtime_ns
     (folder / "main.c").write_text("int main(void) { return 0; }\n")
-    # The same again changes nothing, and needs no leave.
+    # A repeated export changes nothing and needs no permission.
     write_folder(folder, files)
     assert (folder / "a.c").stat().st_mtime_ns == before
     with pytest.raises(InputError, match="--force"):
@@ -357,9 +357,9 @@ def test_columns_that_never_change_stand_in_the_code(tmp_path: Path, monkeypatch
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))
     ended = dpcontrol("export", "hold-up-up", "--float", "--clock", "168", "--out", tmp_path / "hold", "--json")
     assert ended.code == 0, ended.message
-    # By the instructions that gcc makes of it, 24,000 cycles.
+    # By gcc's instructions, 24,000 cycles.
     assert ended.document["seconds_a_tick"] == pytest.approx(1.4e-4, rel=0.3)
-    # An equilibrium and its gain: a row of the reference, whatever it is held for.
+    # An equilibrium with its gain is one row of the reference, for any duration.
     assert ended.document["tables"] <= 7 * 4
     assert ended.document["precision"] == "single"
     assert ended.document["stack"] is None

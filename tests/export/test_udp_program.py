@@ -1,7 +1,7 @@
-"""main_udp.c: a bench that is spoken to by it cannot tell it from the loop in Python, and its runs are logged as any.
+"""The program main_udp.c: for a bench it equals the loop in Python, and its runs are logged like others.
 
-Most tests put a controller of a few lines in the exported one's place, whose command tells which reading it answers. No
-time is asserted but the bench's own: a busy computer may be late.
+Most tests replace the exported controller by a short one, whose command identifies the reading that it answers. No
+time is asserted except the bench's, because a busy computer may be late.
 """
 
 import json
@@ -107,11 +107,11 @@ def test_every_reading_is_answered_and_deadlines_are_counted(program: Path, key:
     assert "the run is over: it came to the end of stub" in said
     assert f"{counted['missed']} of 120 deadlines missed" in said
     assert record is not None
-    # The STOP at the end may come a tick later.
+    # The final STOP may come one tick later.
     assert record.last >= 119
     answers = record.commands[np.isfinite(record.commands)]
     ticks = np.flatnonzero(np.isfinite(record.commands))
-    # A reading that is overdue, as on a busy computer, counts as none.
+    # A late reading, for example on a busy computer, counts as missing.
     assert (np.isclose(answers, ticks + 0.5) | (answers == -1)).all()
     assert len(ticks) > 60
     assert toy.queued == (7.0, 8.0)
@@ -149,7 +149,7 @@ def test_a_bench_that_falls_silent_ends_the_run_with_a_sentence(tmp_path: Path) 
 def test_a_dead_program_has_its_cart_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dpcontrol.rig.bench._LEAVING", 0.2)
     long = made(tmp_path, TICKS="100000")
-    # The watchdog counts ticks of which the bench itself was in time; a busy computer has others in between.
+    # The watchdog counts only ticks in which the bench was on time; a busy computer has others in between.
     for _ in range(KEEPING_TIME):
         toy = Toy()
         settings = BenchServerSettings(watchdog=0.03)
@@ -206,7 +206,7 @@ def test_bad_arguments_and_keys_are_refused_with_a_sentence(program: Path, tmp_p
 
 
 def controlled(turn: tuple[StandIn, Reference], ticks: int) -> tuple[ControlLoop, SimulatedRig]:
-    """Return a loop on the beginning of the turn, and a bench for it."""
+    """Return a loop at the beginning of the turn, with a bench."""
     settings, limits = LoopSettings(seed=3, mismatch=0.02, initial_error=0.02), turn[1].limits
     whole = tracking_controller(turn[1], sampled_model(LAB, settings.rate), settings.controller)
     short = replace(
@@ -267,7 +267,7 @@ def test_what_a_program_commands_otherwise_does_not_drive_its_log_away(turn: tup
     shown = RecordedRig(recorded.record, again.ticker.program)
     result = again.run(shown)
     assert result.ending is Ending.FINISHED
-    # A loop that believed in its own commands would be off by 0.1 m/s² by now.
+    # A loop that used its own commands would have an error of 0.1 m/s² by now.
     assert shown.difference < 2e-6
 
 
@@ -297,13 +297,13 @@ def test_a_program_that_cannot_control_a_run_is_one_sentence(tmp_path: Path) -> 
     assert "there is no such program that may be run; compile it first" in asked.message
 
 
-@pytest.mark.slow  # Two runs in real time, and a bench in a process of its own for each.
+@pytest.mark.slow  # Two runs in real time, each with a bench in a separate process.
 def test_a_run_by_the_exported_program_is_logged_and_scored_as_any(tmp_path: Path) -> None:
     folder, log = tmp_path / "controller", tmp_path / "run.mcap"
     assert dpcontrol("export", "outer-turn", "--out", folder).code == 0
     subprocess.run(["make", "-s", "-C", folder, "main_udp"], check=True)
     run = ("run", "outer-turn", "--rig", "udp", "--real-time", "--force", "--json", "--out")
-    # A computer that stalls for a tenth of a second loses the arms, and must say so.
+    # If the computer stalls for a tenth of a second, the arms fall, which must be reported.
     for _ in range(KEEPING_TIME):
         ended = dpcontrol(*run, log, "--controller-program", folder / "main_udp")
         shown = ended.document
@@ -313,7 +313,7 @@ def test_a_run_by_the_exported_program_is_logged_and_scored_as_any(tmp_path: Pat
     else:
         pytest.fail(shown["reason"])
     assert shown["ending"] == "finished"
-    # A reading that is lost is a tick, too.
+    # A lost reading also counts as a tick.
     assert shown["deadlines"]["ticks"] == 4877
     assert shown["command_difference"] < 1e-6
     found = dpcontrol("info", log, "--json").document

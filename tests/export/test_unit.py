@@ -1,4 +1,4 @@
-"""The co-simulation unit: as the standard has it, and the exported C to the last bit."""
+"""The co-simulation unit, which conforms to the standard and equals the exported C to the last bit."""
 
 import shutil
 import subprocess
@@ -27,7 +27,7 @@ validation = pytest.importorskip("fmpy.validation", reason=NEEDED)
 if shutil.which("gcc") is None:
     pytest.skip("needs gcc", allow_module_level=True)
 
-# A unit holds a binary: gcc takes seconds for it.
+# A unit includes a binary, for which gcc takes seconds.
 pytestmark = pytest.mark.slow
 
 TICKS = 600
@@ -43,7 +43,7 @@ PERIOD = 1 / SETTINGS.rate
 
 
 class Exported(NamedTuple):
-    """A controller, its C, a library and a unit made of it."""
+    """A controller with its C code, library and unit."""
 
     controller: TrackingController
     reference: Reference
@@ -80,7 +80,7 @@ def exported(turn: tuple[StandIn, Reference], tmp_path_factory: pytest.TempPathF
 
 
 class Slave:
-    """An instance of the unit, whose variables go by their names."""
+    """An instance of the unit with variables by name."""
 
     def __init__(self, exported: Exported, folder: Path, *, start: float = 0.0) -> None:
         self.described = fmpy.read_model_description(str(exported.unit), validate=True)
@@ -161,7 +161,7 @@ def test_on_the_plant_it_is_the_exported_c_to_the_last_bit(exported: Exported, t
         assert slave.get("command") == queued[-1]
         for k in range(TICKS + 1):
             reading = rig.read()
-            # The cart's scale is not read at some ticks.
+            # Some ticks have no reading of the cart's scale.
             present = np.array([True, True, k % 7 != 3])
             for joint, position, there in zip(JOINTS, reading.positions.tolist(), present.tolist(), strict=True):
                 slave.set(f"measured_{joint}", position)

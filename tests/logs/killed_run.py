@@ -1,4 +1,4 @@
-"""A run to be killed: a script that logs at 1 kHz and tells on stdout, tick by tick, what it has handed over.
+"""A run to be killed, which logs at 1 kHz and reports each logged tick on stdout.
 
 Arguments: the log; how many ticks; how many seconds a tick takes (0: as fast as it goes).
 """

@@ -1,4 +1,4 @@
-"""Read and recover damaged logs, and hold what comes out against what was written."""
+"""Read and recover damaged logs, and compare the results with the written data."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -39,7 +39,7 @@ def is_part_of(found: RunLog, log: RunLog) -> None:
 
 
 def is_honest(done: Recovery, found: RunLog, log: RunLog) -> None:
-    """Assert that a recovery says what is missing, neither more nor less."""
+    """Assert that a recovery reports exactly the missing data."""
     assert done.ticks == len(found.time)
     assert (found.recovered or "") == done.lost
     if done.end_known:
@@ -81,7 +81,7 @@ def endure(whole: RunLog, folder: Path, *, count: int, seed: int) -> dict[str, l
 
 
 def tried(function: Callable[[Path], Result], path: Path) -> Result | None:
-    """Return what a function makes of a file, or None if it refuses it with a sentence that names it."""
+    """Return a function's result for a file, or None if it refuses the file by name."""
     try:
         return function(path)
     except InputError as error:

@@ -64,7 +64,7 @@ def open_writer(path: Path, run: Sample) -> LogWriter:
 
 
 def tick_all(log: LogWriter, run: Sample, *, upto: int | None = None) -> None:
-    """Log each tick of `run` by itself."""
+    """Log each tick of `run` separately."""
     for k in range(len(run.time) if upto is None else upto):
         log.tick(
             run.time[k],

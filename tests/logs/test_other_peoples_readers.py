@@ -1,6 +1,6 @@
 """Logs as other people's readers see them, whole: rosbags, mcap-ros2-support, Foxglove's JavaScript, Rerun's loader.
 
-Each message of every type must be the one that was to be written, field by field. What that is comes from the run's own
+Each message of every type must equal the intended one, field by field. What that is comes from the run's own
 numbers and the ROS 2 definitions, not from our reader.
 """
 
@@ -131,7 +131,7 @@ def plain(message: Any) -> Any:
 
 
 def same(found: Any, due: Any) -> bool:
-    """Tell whether two messages are the same to the last bit; not-a-number is itself."""
+    """Return True if two messages are equal to the last bit, with NaN equal to NaN."""
     if isinstance(due, Mapping):
         return found.keys() == due.keys() and all(same(found[name], value) for name, value in due.items())
     if isinstance(due, list):

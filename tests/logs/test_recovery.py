@@ -1,4 +1,4 @@
-"""What was damaged is told or mended, whatever the damage; what is recovered is what was written, bit for bit."""
+"""Damage is reported or repaired, and recovered data equal the written data to the last bit."""
 
 from pathlib import Path
 

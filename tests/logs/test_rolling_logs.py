@@ -1,4 +1,4 @@
-"""Logs of many files: each whole by itself, times going on, older ones thinned, a full disk survived."""
+"""Logs of many complete files with continuous times, thinning of older files, and full disks."""
 
 import errno
 import json

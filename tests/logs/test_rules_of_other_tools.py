@@ -121,7 +121,7 @@ def test_plotjuggler_makes_a_series_of_every_joint(messages: Messages) -> None:
                     if len(values) == len(joints.name):
                         series.setdefault(f"{topic}/{name}/{kind}", []).append(values[i])
     names = messages["/joint_states"][0][1].name
-    # What is measured has no rates of its own here.
+    # Measurements have no rates here.
     due = {f"{topic}/{name}/position" for topic in TOPICS for name in names}
     due |= {f"{topic}/{name}/velocity" for topic in TOPICS[1:] for name in names}
     assert set(series) == due
@@ -131,7 +131,7 @@ def test_plotjuggler_makes_a_series_of_every_joint(messages: Messages) -> None:
 @pytest.mark.parametrize("ghost", [False, True])
 def test_joint_states_move_the_urdf_to_where_the_transforms_are(messages: Messages, ghost: bool) -> None:
     prefix = "reference/" if ghost else ""
-    # The links are those of the plant, where it is known.
+    # The links are those of the plant, if it is known.
     states = messages["/reference/joint_states" if ghost else "/truth/joint_states"]
     (_, text), *_ = messages[f"{'/reference' if ghost else ''}/robot_description"]
     robot = ElementTree.fromstring(text.data)
