@@ -15,7 +15,7 @@ import dpcontrol as dp
 
 @dataclass(frozen=True)
 class EddyBrake(dp.SymbolicPlant):
-    """A brake (N m s/rad) on the inner joint, from time `since` (s)."""
+    """A brake (N m s/rad) on the inner joint after `since` (s)."""
 
     strength: float
     since: float

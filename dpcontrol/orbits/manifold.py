@@ -219,7 +219,7 @@ class SegmentedManifold(UnstableManifold):
 
     @cached_property
     def _node_vectors(self) -> tuple[Array, float, int]:
-        """Node vectors (M, N), the exponent μ = ln |λ| and λ's sign."""
+        """Node vectors (M, N), the exponent ln |λ| and λ's sign."""
         orbit = self.orbit
         scale = orbit.system.scale
         _, stms = orbit.system.propagator.flows_with_stm(orbit.node_states[:-1], np.diff(orbit.node_times))

@@ -1,4 +1,4 @@
-"""Rotating orbits, on which one arm turns: x(T) = x(0) + 2π e_arm.
+"""Rotating orbits, on which one arm turns, x(T) = x(0) + 2πe_arm.
 
 The product R of time reversal and reflection maps (θ, ω)(t) to (-θ, ω)(-t). About a resting position θ* (multiples
 of π), its fixed set is {θ = θ*, ω free}. An orbit that starts there and meets the fixed set after half a turn,
@@ -236,7 +236,7 @@ def _check(system: System, arm: int, energy: float, sense: int) -> None:
 
 @dataclass(frozen=True)
 class _Arrival:
-    """Final angle of the other arm, if it arrives, and flight time (s)."""
+    """Final angle of the other arm, if any, and flight time (s)."""
 
     angle: float
     miss: float | None

@@ -32,7 +32,7 @@ _BEYOND, _BELOW = 0.1, 0.025
 
 
 def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -> list[list[int]]:
-    """Return positions (K, 2n + 1) of pivot and joints in 0.1 mm.
+    """Return positions (K, 2n+1) of pivot and joints in 0.1 mm.
 
     Each row has the pivot's x, then x and y (upward) of each arm's end.
 

@@ -439,9 +439,9 @@ def find_connections(
     beside another saddle and return have at least two crossings.
 
     Args:
-        hits: crossing numbers of the unstable and stable tubes.
+        hits: crossing numbers of both tubes.
         section: the saddles' default unless given.
-        cuts: unstable cuts of source and target, computed with the same settings.
+        cuts: unstable cuts of both orbits, with the same settings.
         budget: time limit, shared with other work.
 
     Raises:

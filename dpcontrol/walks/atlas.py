@@ -188,10 +188,11 @@ class Atlas:
 
     Attributes:
         periods (N,): 2π for angles, infinity otherwise.
-        reverser (N, N): maps unstable tubes to stable tubes.
-        rotating_orbits: forward ones of both arms.
+        reverser (N, N): maps unstable to stable tubes.
         absent: (saddle, reason) for missing orbits.
         seconds: computing time by stage, s.
+
+    The rotating orbits are those of both arms, forward.
     """
 
     model: str

@@ -491,9 +491,8 @@ def drawn_requests(
     """Draw `count` walks with random lengths and extra wraps.
 
     Args:
-        lengths: inclusive range of lengths.
-        extra: inclusive range of wraps added to the fewest possible.
-        seed: of the random generator.
+        lengths: inclusive range.
+        extra: wraps added to the fewest possible, inclusive range.
         periodic: draw closed walks.
         leads: periods on the first and last orbits.
 
