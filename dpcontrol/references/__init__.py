@@ -1,1 +1,1 @@
-"""References: what the bench shall do, from direct collocation with friction, cart and limits."""
+"""References: feasible motions of the bench from direct collocation with friction, cart and limits."""
