@@ -1,1 +1,1 @@
-"""Controllers and estimators: what the loop asks at every tick."""
+"""Controllers and estimators that the loop runs at every tick."""

@@ -1,24 +1,24 @@
-"""Calming: bring arms that swing or turn in any way to hang at rest, by the cart, inside its track.
+"""Calming: bring the arms to hang at rest from any motion, within the track.
 
-Far from hanging still the cart moves as one of apparent mass m on a spring and a damper would, with the arms pulling at
-it: their common energy only falls, whatever they do, and what they lose goes through the damper.
+Far from rest, the controlled cart behaves like an apparent mass m on a spring and a damper, pulled by the arms. Their
+total energy never increases; the damper dissipates it.
 
     d/dt (m v + P) = -U'(x) - c v          P(θ, ω): the arms' momentum along the track, against the cart
     E = H(θ, ω) + P v + m v²/2 + U(x),     Ė = -c v² - friction
     u = -(U'(x) + c v + Ṗ₀) / (m - σ),     Ṗ = Ṗ₀ - σ u
 
-P, Ṗ₀ and σ come from the one model: Ḣ = -P u. The spring keeps the cart near the middle. Near
-hanging still a linear-quadratic regulator takes over, which is quicker there.
+P, Ṗ₀ and σ come from the same model, with Ḣ = -P u. The spring keeps the cart near the middle of the track. Near
+rest, a linear-quadratic regulator takes over because it converges faster.
 
-Arms that a blow has made fast pull harder than any drive can follow, and the law above, cut to what it can, would feed
-them. There the cart is moved against their momentum itself, for which Ḣ = -P u is enough:
+After a hard blow the arms pull harder than the drive can follow. The law above, once saturated, would add energy. The
+cart then moves against the momentum of the arms directly, which reduces H because Ḣ = -P u:
 
     u = clip(γ P / σ) - U'(x)/σ - c v/σ
 
-The cart's speed is kept to a share of its limit, and its place to a share of the track.
+The speed and position of the cart stay within fractions of their limits.
 
 Sources: Ortega, van der Schaft, Mareels & Maschke, Putting energy back in control (2001), on interconnection; Den
-Hartog, Mechanical Vibrations, chapter 3, on the damper that a mass on a spring makes.
+Hartog, Mechanical Vibrations, chapter 3, on dynamic vibration absorbers.
 """
 
 from dataclasses import dataclass
@@ -37,24 +37,32 @@ from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.problem import Limits
 
 SWITCH_MARGIN = 0.05
-"""Share of the track that is left free at its ends: the supervisor ends what comes nearer."""
+"""Fraction of the track left free at each end; the supervisor stops runs that come closer."""
 
 SPEED_MARGIN = 0.2
-"""Share of the cart's greatest speed that is left free: arms that pull at a light cart add to what is commanded."""
+"""Fraction of the maximum cart speed left free, because the arms push a light cart beyond the commanded speed."""
 _SLOWING = 0.02
-"""s: time constant of approaching the speed that is left, so that the drive is not braked at full force there."""
+"""Time constant of approaching the speed limit, s; avoids braking at full force there."""
 _DRAINING = 0.8
-"""Share of the greatest acceleration for the arms' momentum; the rest keeps the cart near the middle."""
+"""Fraction of the maximum acceleration used against the arms' momentum; the rest centres the cart."""
 
 
 @dataclass(frozen=True)
 class CalmingSettings(Settings, table="calming"):
-    """The cart that is imitated, by the arms' greatest pull σ kg and slowest frequency w rad/s where they hang.
+    """Parameters of the virtual cart, spring and damper.
 
-    mass: m = (1 + mass) σ; spring: U' = spring σ w² x (1 + stiffening (x/travel)²); damper: c = damper σ w. near:
-    energy above hanging still, as a share of what turns the arms upright, below which the regulator takes over; it
-    keeps on to four times that. fast: likewise, above which the arms' momentum alone is heeded; drain: γ, 1/s. braking:
-    share of the greatest acceleration that is counted on to stop the cart.
+    σ is the largest pull of the arms in kg, w their lowest frequency in rad/s about the hanging equilibrium.
+
+    Args:
+        mass: apparent mass, m = (1 + mass) σ.
+        spring: stiffness, U' = spring σ w² x (1 + stiffening (x/travel)²).
+        stiffening: growth of the stiffness towards the ends of the track.
+        damper: damping, c = damper σ w.
+        near: energy above rest at which the regulator takes over, as a fraction of the energy of upright arms. The
+            regulator stays active up to four times this energy.
+        fast: energy above which only the arms' momentum is used, as the same fraction.
+        drain: gain γ on the momentum, 1/s.
+        braking: fraction of the maximum acceleration assumed for stopping the cart.
     """
 
     mass: float = setting(0.25, above=0, most=100)
@@ -69,7 +77,7 @@ class CalmingSettings(Settings, table="calming"):
 
 @dataclass(frozen=True, eq=False)
 class CalmingController:
-    """Calms arms from any state for so many ticks; see `calming_controller`."""
+    """Controller that calms the arms from any state; see `calming_controller`."""
 
     law: Compiled
     parameters: Array
@@ -85,7 +93,7 @@ class CalmingController:
 
     @property
     def first_state(self) -> Array:
-        """Return hanging still, the cart in the middle."""
+        """Return the hanging equilibrium, with the cart in the middle."""
         return self.regulator.state
 
     def begin(self) -> "CalmingSession":
@@ -93,12 +101,12 @@ class CalmingController:
         return CalmingSession(self, near=False)
 
     def begin_many(self, count: int) -> "CalmingSession":
-        """Return what answers `commands` for `count` runs."""
+        """Return a session that computes `commands` for `count` runs."""
         return CalmingSession(self, near=np.zeros(count, dtype=bool), lanes=MANY)
 
 
 class CalmingSession(ClockedSession):
-    """One run of calming, or many: whether the regulator has taken over."""
+    """One or many runs of calming, with a flag for the active regulator."""
 
     def __init__(self, law: CalmingController, *, near: Any, lanes: Lanes = ONE) -> None:
         self._law, self._near, self.lanes = law, near, lanes
@@ -111,7 +119,7 @@ class CalmingSession(ClockedSession):
         self._out = np.empty((law.law.size_out, count))
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return no feedforward, the feedback in m/s², and hanging still on these turns, for (N,) or (S, N) states."""
+        """Return zero feedforward, the feedback in m/s² and the nearest hanging state, for (N,) or (S, N) states."""
         law, n = self._law, self._arms
         columns = np.atleast_2d(states)
         self._inputs[: columns.shape[1]] = columns.T
@@ -131,24 +139,29 @@ class CalmingSession(ClockedSession):
         return np.zeros(len(columns)), feedback, wanted
 
     def _leaves(self, states: Array) -> NDArray[np.bool_]:
-        """Tell which carts (S,) must brake now to stay on the track."""
+        """True for each cart (S,) that must brake now to stay on the track."""
         law, position, velocity = self._law, states[:, -2], states[:, -1]
         stops = np.sign(velocity) * (position + velocity * law.reaction) + velocity**2 / (2 * law.brake)
         return stops > (1 - SWITCH_MARGIN) * law.limits.position
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Leave all as it is: there is no clock."""
+        """Do nothing: calming has no clock."""
         return ""
 
 
 def calming_controller(
     model: SampledModel, limits: Limits, settings: CalmingSettings, *, reaction: float, seconds: float
 ) -> CalmingController:
-    """Return what brings the arms of this model to hang at rest with the cart in the middle; reaction s: until a
-    command acts, seconds: for how long it goes on.
+    """Return the controller that brings this model to hang at rest.
+
+    The cart ends in the middle of the track.
+
+    Args:
+        reaction: time until a command acts, s.
+        seconds: duration of the controller, s.
 
     Raises:
-        GoalMissed: hanging still cannot be held.
+        GoalMissed: The hanging equilibrium cannot be stabilised.
     """
     equations, parameters, n = model.equations, model.parameters, model.arms
     hanging = np.zeros(model.dimension)
@@ -178,7 +191,7 @@ def calming_controller(
 
 
 def _momentum(equations: Equations) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return Ṗ₀, σ and P of a cart level's equations."""
+    """Return Ṗ₀, σ and P for the equations of a cart-level model."""
     n = equations.dimension // 2 - 1
     angles, rates = equations.state[:n], equations.state[n : 2 * n]
     acceleration = equations.rate[n : 2 * n]

@@ -1,17 +1,19 @@
-"""The extended Kalman filter as machine code: one tick at a time, or one tick of many runs at once.
+"""The extended Kalman filter as machine code, for one run or many.
 
-`EkfProgram` is the filter's step as one function, with its inputs and outputs in arrays (M,) or (M, S); `CompiledEkf`
-calls it for one run. Both therefore give the same estimates. State and extras, covariance, innovation, NIS:
+`EkfProgram` is the filter's step as one function, with its inputs and outputs in arrays (M,) or (M, S). `CompiledEkf`
+calls it for one run, so both give the same estimates. The step computes state and extras, covariance, innovation and
+NIS:
 
     predict:  z⁻ = F(z, u),  P⁻ = A P Aᵀ + Q(z)         update:  y = wrap(m - H z⁻),  S = W (H P⁻ Hᵀ + R) W + I - W,
     K = P⁻ Hᵀ W S⁻¹,  z = z⁻ + K y,  P = (I - K H) P⁻ (I - K H)ᵀ + K R Kᵀ,  NIS = yᵀ S⁻¹ y
 
-z: the state and what it is augmented by; m: angles and cart position. W is diagonal: 1 where a position was measured, 0
-where not, which leaves it out exactly. Joseph's form keeps P positive where P⁻ exceeds R by more than the arithmetic
-resolves. P is carried as its lower triangle, row by row, so it cannot lose its symmetry.
+Here z is the augmented state and m holds the measured angles and cart position. W is diagonal, with 1 for each
+measured position and 0 otherwise, which excludes missing positions exactly. Joseph's form keeps P positive where P⁻
+exceeds R by more than the floating-point resolution. P is stored as its lower triangle, row by row, so it stays
+symmetric.
 
-Q covers wrong parameters, whose effect is a share of the acceleration: an arm at rest has little. Where the filter
-estimates the parameters, the share follows from their variance, and vanishes as they become known.
+Q covers parameter errors, whose effect is proportional to the acceleration: small for an arm at rest. If the filter
+estimates the parameters, this factor follows from their variance and vanishes as they converge.
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.2.6, 10.3.
 """
 
@@ -67,7 +69,7 @@ def unpack(triangle: ca.SX, n: int) -> ca.SX:
 
 def propagated(jacobian: ca.SX, covariance: ca.SX, noise: ca.SX) -> ca.SX:
     """Return the lower triangle of A P Aᵀ + Q, row by row."""
-    # The upper one, transposed: the rows of A below the state's are diagonal, so that half of A P serves it as it is.
+    # The upper triangle, transposed: the rows of A below the state's are diagonal, so half of A P can be used directly.
     return pack((jacobian @ covariance @ jacobian.T + noise).T)
 
 
@@ -91,7 +93,7 @@ def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 class Timing(NamedTuple):
-    """When a reading was taken: age s before its tick, as far as is known, and the variance of what is not, s²."""
+    """Timing of a reading: age in s before its tick, and variance of the unknown part, s²."""
 
     age: ca.SX
     variance: ca.SX
@@ -99,10 +101,12 @@ class Timing(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FilterEquations:
-    """A model of the cart level, sampled at `period` s, with what it is augmented by.
+    """An augmented cart-level model sampled at `period` s.
 
-    as_measured: whether P is that of the angles as they are measured, encoders' zeros in them, in place of the true
-    ones: an angle and its zero are each known to 0.02 rad, their sum to a count, and single precision keeps the sum.
+    Args:
+        as_measured: if true, P refers to the angles as measured, encoder zeros included, instead of the true ones. An
+            angle and its zero are each uncertain by 0.02 rad but their sum only by a count, which single precision
+            then resolves.
     """
 
     equations: Equations
@@ -122,17 +126,17 @@ class FilterEquations:
 
     @property
     def shares(self) -> list[int]:
-        """Where the errors of the inertial parameters are in z."""
+        """Return the slice of z with the errors of the inertial parameters."""
         return [self.equations.dimension + i for i, name in enumerate(self.extra_names) if name[0] in "MS"]
 
     @property
     def dimension(self) -> int:
-        """Length of state and extra together, N+E."""
+        """Length N+E of the augmented state."""
         return self.equations.dimension + len(self.extra_names)
 
     @cached_property
     def observation(self) -> Array:
-        """Return H (n+1, N+E): the measured positions of state and extra."""
+        """Return H (n+1, N+E), which maps the augmented state to the measured positions."""
         n = self.arms
         out = np.zeros((n + 1, self.dimension))
         out[np.arange(n + 1), [*range(n), 2 * n]] = 1.0
@@ -143,7 +147,7 @@ class FilterEquations:
 
     @cached_property
     def carried(self) -> Array:
-        """Return T (N+E, N+E): P is carried for T z."""
+        """Return T (N+E, N+E); P is the covariance of T z."""
         out = np.eye(self.dimension)
         if self.as_measured:
             out[[*range(self.arms), 2 * self.arms]] = self.observation
@@ -151,7 +155,7 @@ class FilterEquations:
 
     @cached_property
     def restored(self) -> Array:
-        """Return the inverse of T: its entries are 0, 1 and -1."""
+        """Return the inverse of T; its entries are 0, 1 and -1."""
         return 2 * np.eye(self.dimension) - self.carried
 
     @cached_property
@@ -164,10 +168,10 @@ class FilterEquations:
         }  # fmt: skip
 
     def doubt(self, covariance: ca.SX, change: ca.SX | float = 0.0, nis: ca.SX | float = 1.0) -> ca.SX:
-        """Return what Q depends on besides the state (3,).
+        """Return the inputs (3,) of Q other than the state.
 
-        The mean variance of the parameters' logarithms, 0 if they are not estimated; the change, m/s², of the
-        acceleration from one period to the next, 0 if it is not known; and the mean NIS per position.
+        These are the mean variance of the parameters' logarithms (0 if not estimated), the change of acceleration
+        from one period to the next in m/s² (0 if unknown), and the mean NIS per position.
         """
         variance = sum((covariance[i, i] for i in self.shares), ca.SX(0)) / max(len(self.shares), 1)
         return ca.vertcat(variance, change, nis)
@@ -192,7 +196,7 @@ class FilterEquations:
         return found
 
     def _braked(self, e: ca.SX, parameters: ca.SX) -> ca.SX:
-        """Return the accelerations (n,) that dry friction makes at most, known or found; each arm moving alone."""
+        """Return the largest accelerations (n,) from dry friction, modelled or estimated, each arm moving alone."""
         n, found = self.arms, self._parameters(parameters, dict(zip(self.extra_names, ca.vertsplit(e), strict=True)))
         if self.equations.linear_parameters is None:
             return ca.SX(n, 1)
@@ -221,14 +225,16 @@ class FilterEquations:
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the next z, its Jacobian and Q, both for T z.
 
-        doubt: see there. origin (N+E,): what z is relative to, if anything.
+        Args:
+            doubt: inputs of Q, as returned by `doubt`.
+            origin: offset (N+E,) subtracted from z; None for zero.
         """
         size, n, step = self.equations.dimension, self.arms, self.period
         extras = len(self.extra_names)
-        # The state and the extras stand apart here, for the Jacobians of the stages by both.
+        # State and extras are separate symbols here, for the Jacobians of each stage with respect to both.
         x, e = z[:size], z[size:]
         start = ca.horzcat(ca.SX.eye(size), ca.SX(size, extras))
-        # The chain rule through the stages of Runge-Kutta takes two thirds of the instructions of one differentiation.
+        # The chain rule through the Runge-Kutta stages needs a third fewer instructions than one differentiation.
         moved, spread = x, start
         total, slopes, pushed = ca.SX.zeros(size), ca.SX(size, size + extras), ca.SX(size, 1)
         for weight, further in ((1, step / 2), (2, step / 2), (2, step), (1, None)):
@@ -245,14 +251,14 @@ class FilterEquations:
         block = np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
         noise, braked = ca.SX(self.dimension, self.dimension), self._braked(e, parameters)
         for i in range(n):
-            # The Jacobian leaves out the squares of the parameters' errors: P does not cover them.
+            # The Jacobian omits the squared parameter errors, which P does not cover.
             wrong = process[1] + process[7] * doubt[0] ** 2
             density = process[0] + wrong * (following[n + i] - x[n + i]) ** 2 + process[10] * braked[i] ** 2
             noise[i, i], noise[n + i, n + i] = density * block[0, 0], density * block[1, 1]
             noise[i, n + i] = noise[n + i, i] = density * block[0, 1]
         for i in range(extras):
             noise[size + i, size + i] = process[11 + extras + i]
-        # What the cart does besides its command moves the arms as well.
+        # Unmodelled motion of the cart moves the arms as well.
         reach = ca.SX(self.dimension, 3)
         for position, rate in [*((i, n + i) for i in range(n)), (2 * n, 2 * n + 1)]:
             reach[position, 0] = reach[rate, 1] = pushed[rate]
@@ -260,9 +266,9 @@ class FilterEquations:
             reach[size + self.extra_names.index("drive"), 2] = 1
         pp, pv, vv, pd, vd = (process[k] for k in range(2, 7))
         besides = ca.vertcat(ca.horzcat(pp, pv, pd), ca.horzcat(pv, vv, vd), ca.horzcat(pd, vd, 0))
-        # A drive that lags more than the model knows is wrong by each change of its command at first.
+        # With unmodelled lag, the drive's error starts at the size of each command step.
         late = process[9] * doubt[1] * ca.DM([step**2 / 2, step, 1])
-        # After a blow, or on a bench that the model does not describe, noise grows with what it does not explain.
+        # After a blow, or with a wrong model, process noise grows with the unexplained innovations.
         surprise = ca.fmax(1, doubt[2]) ** process[8]
         noise = surprise * (noise + reach @ besides @ reach.T) + reach @ late @ late.T @ reach.T
         if self.as_measured:
@@ -273,9 +279,10 @@ class FilterEquations:
     def updated(
         self, z: ca.SX, covariance: ca.SX, measured: ca.SX, present: ca.SX, noise: ca.SX, timing: Timing | None = None
     ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return z, P of T z, innovation and NIS after a measurement, and S⁻¹ times the innovation and the rates.
+        """Return z, P of T z, innovation, NIS, S⁻¹ times the innovation, and the rates.
 
-        measured: at the tick; where `timing` has an age, moved on by the rates of z.
+        Args:
+            measured: positions at the tick, extrapolated by the rates of z if `timing` has an age.
         """
         n, m = self.arms, self.arms + 1
         h, w = _sparse(self.observation), ca.diag(present)
@@ -290,10 +297,10 @@ class FilterEquations:
             r += timing.variance * moving @ moving.T
             h -= timing.age * _sparse(np.eye(self.dimension)[[*range(n, 2 * n), 2 * n + 1]])
         crossed = covariance @ h.T @ w
-        # 1 - W first: one plus S minus one would leave nothing of a cart's variance of 1e-13 m².
+        # Compute 1 - W first: 1 + S - 1 would cancel a cart variance of 1e-13 m².
         inverse, back, d = _inverse(w @ h @ crossed + w @ r @ w + (ca.SX.eye(m) - w))
         gain = crossed @ inverse
-        # (I - K H) P; then Joseph's form without its larger products: nothing large is subtracted the second time.
+        # (I - K H) P, then Joseph's form without its larger products, which avoids cancellation in the second step.
         half = covariance - gain @ (h @ covariance)
         after = half + (gain @ r - half @ h.T) @ gain.T
         white = back @ y
@@ -302,11 +309,11 @@ class FilterEquations:
         return z, after, y, ca.sum1(white**2 / d), inverse @ ca.horzcat(y, moving)
 
     def function(self, *, predicts: bool) -> ca.Function:
-        """Return the step as a casadi function; without `predicts` the measurement alone.
+        """Return the step as a casadi function; without `predicts`, only the measurement update.
 
-        Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters, process
-        (`FilterSettings.process`). Output: memory, standard deviations (N+E), innovation (n+1), NIS, number present,
-        and a number that is finite if the estimate is.
+        Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters,
+        process (`FilterSettings.process`). Outputs: memory, standard deviations (N+E), innovation (n+1), NIS, number
+        of positions present, and a number that is finite exactly if the estimate is finite.
         """
         z, command, parameters, process, _ = (ca.SX.sym(name, size) for name, size in self.inputs.items())
         m, size = self.arms + 1, self.dimension
@@ -317,11 +324,11 @@ class FilterEquations:
         before = z
         if predicts:
             before, jacobian, q = self.predicted(z, command, parameters, process, self.doubt(covariance))
-            # Both triangles from one: casadi need not work out the other.
+            # Mirror one triangle so that casadi does not compute the other.
             covariance = unpack(propagated(jacobian, covariance, q), size)
         after, covariance, y, nis, _ = self.updated(before, covariance, measured, present, noise)
         sigmas = ca.vertcat(*(ca.sqrt(covariance[i, i]) for i in range(size)))
-        # The last is not finite as soon as anything in the estimate is not: one comparison finds it.
+        # The last output is not finite if any part of the estimate is not, so one comparison detects it.
         sound = ca.sum1(after) + ca.sum1(sigmas)
         out = ca.vertcat(after, pack(covariance), sigmas, y, nis, ca.sum1(present), sound)
         memory = ca.SX.sym("memory", size + triangle.shape[0])
@@ -342,16 +349,16 @@ class FilterEquations:
 
 
 RESTART_RATE = 10.0
-"""rad/s: standard deviation of the rates after a restart, as fast as the arms of a laboratory swing."""
+"""Standard deviation of the rates after a restart, rad/s; typical of laboratory arms."""
 RESTART_VELOCITY = 1.0
-"""m/s: standard deviation of the cart's velocity after a restart."""
+"""Standard deviation of the cart velocity after a restart, m/s."""
 
 
 def checked_noise(noise: Array, arms: int) -> Array:
     """Return R (n+1, n+1), a covariance of the measured positions.
 
     Raises:
-        InputError: it has the wrong shape or is no covariance.
+        InputError: The shape is wrong or the matrix is not a covariance.
     """
     r, m = np.array(noise, dtype=float), arms + 1
     if r.shape != (m, m):
@@ -365,7 +372,7 @@ def checked_noise(noise: Array, arms: int) -> Array:
 def _compiled(
     equations: Equations, period: float, augments: tuple[Augment, ...]
 ) -> tuple[FilterEquations, Compiled, Compiled, Compiled]:
-    """Return the filter's equations and its step, update and prediction: made once for all runs of a process."""
+    """Return the filter's equations and its step, update and prediction; cached per process."""
     made = FilterEquations(equations, period, augments)
     step, update = Compiled(made.function(predicts=True)), Compiled(made.function(predicts=False))
     return made, step, update, Compiled(made.prediction(with_jacobian=False))
@@ -374,22 +381,22 @@ def _compiled(
 class EkfProgram:
     """The filter of one model, its inputs and outputs laid out for one run or for many.
 
-    `step` and `update` take `inputs` (M,) or (M, S); `slices` locates memory, command, measured, present, noise,
-    parameters and process. Their outputs begin with the memory for the next tick; `out` locates the rest. Values of
-    positions that are not present must be finite all the same.
+    `step` and `update` take `inputs` (M,) or (M, S); `slices` holds the slices of memory, command, measured, present,
+    noise, parameters and process. Outputs begin with the memory for the next tick; `out` holds the slices of the
+    rest. Missing positions also need finite values.
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings) -> None:
         self.model = model
         self.settings = settings
         self.equations, self.step, self.update, self.ahead = _compiled(model.equations, model.period, settings.augments)
-        """ahead: from the inputs of a prediction to the next z (N+E,), without a measurement."""
+        """Map the inputs of a prediction to the next z (N+E,), without a measurement."""
         size, m = self.equations.dimension, model.arms + 1
         lengths = {"z": size, "covariance": size * (size + 1) // 2, "sigmas": size, "innovation": m}
         lengths |= {"nis": 1, "used": 1, "sound": 1}
         ends = np.cumsum([*lengths.values()])
         self.out = {name: slice(int(end - n), int(end)) for (name, n), end in zip(lengths.items(), ends, strict=True)}
-        """Where each output stands, by its name."""
+        """Slices of the outputs by name."""
         self.out["memory"] = slice(0, self.out["covariance"].stop)
         self.out["state"] = slice(0, model.dimension)
         self.out["extra"] = slice(model.dimension, size)
@@ -397,13 +404,14 @@ class EkfProgram:
 
     @property
     def slices(self) -> dict[str, slice]:
-        """Where each input stands, by its name."""
+        """Slices of the inputs by name."""
         return self.step.slices
 
     def first(self, state: Array, sigmas: Array | None = None) -> Array:
-        """Return the memory before any measurement, of `state` (N,) or states (N, S); (memory,) or (memory, S).
+        """Return the memory for the initial `state` (N,) or states (N, S).
 
-        sigmas (N+E,): its standard deviations; the settings' by default.
+        Args:
+            sigmas: standard deviations (N+E,); defaults to those of the settings.
         """
         arms, shape = self.model.arms, np.shape(state)[1:]
         one = packed(np.diag(np.square(self.settings.first_sigmas(arms) if sigmas is None else sigmas)))
@@ -412,7 +420,7 @@ class EkfProgram:
         return np.concatenate([np.asarray(state, dtype=float), extra, covariance])
 
     def restarted(self, state: Array, measured: Array) -> tuple[Array, Array]:
-        """Return memory and standard deviations (N+E,) of an estimate that trusts `measured` (n+1,) and little else.
+        """Return memory and standard deviations (N+E,) of an estimate reset to `measured` (n+1,).
 
         Raises:
             InputError: a measured position is missing or not finite.
@@ -449,10 +457,10 @@ class EkfProgram:
 
 
 class KalmanFilter(ABC):
-    """What the filters share: model, settings, noise (n+1, n+1) of the measured positions, and the compiled equations.
+    """Common base of the filters: model, settings, measurement noise (n+1, n+1) and compiled equations.
 
     Raises:
-        InputError: the noise has the wrong shape or is no covariance.
+        InputError: The noise has the wrong shape or is not a covariance.
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
@@ -473,9 +481,9 @@ class KalmanFilter(ABC):
         return self._begun(self.program.first(x), self.settings.first_sigmas(self.model.arms))
 
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
-        """Return an estimate that trusts the positions `measured` (n+1,) and little else: for recovery when lost.
+        """Return an estimate reset to the positions `measured` (n+1,), for recovery.
 
-        The rates stay where they are finite, but count for little; the extras begin anew.
+        Finite rates are kept with a large variance; the extras are reset.
 
         Raises:
             InputError: a measured position is missing or not finite.
@@ -488,7 +496,7 @@ class KalmanFilter(ABC):
 
 
 class CompiledEkf(KalmanFilter):
-    """The extended Kalman filter for one sampled model; an `Estimator`. Not to be shared between threads."""
+    """The extended Kalman filter for one sampled model; an `Estimator`. Not thread-safe."""
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
         super().__init__(model, settings, noise=noise)
@@ -504,7 +512,8 @@ class CompiledEkf(KalmanFilter):
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after the positions `measured` (n+1,): angles in rad, cart in m.
 
-        present (n+1,): which of them count.
+        Args:
+            present: flags (n+1,) of the valid positions.
 
         Raises:
             InputError: the measurement or the estimate has the wrong shape.
@@ -513,9 +522,9 @@ class CompiledEkf(KalmanFilter):
         return self._called(self.program.update, estimate, measured, present)
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
+        """Return the estimate a period later, after the cart accelerated by `command` m/s².
 
-        present, what is raised: as in `update`.
+        `measured`, `present` and the errors raised are those of `update`.
         """
         self._inputs[self.program.slices["command"]] = command
         return self._called(self.program.step, estimate, measured, present)
@@ -530,7 +539,7 @@ class CompiledEkf(KalmanFilter):
             )
         memory[:] = estimate.memory
         counts = np.ones(len(positions), dtype=bool) if present is None else present
-        # NaN must not reach the products: zero times NaN is not zero.
+        # Replace NaN before the products: zero times NaN is NaN.
         positions[:] = np.where(counts, measured, 0.0)
         inputs[program.slices["present"]] = counts
         out = function.machine(inputs, np.empty(function.size_out))
@@ -546,9 +555,10 @@ class CompiledEkf(KalmanFilter):
         return Estimate(state, extra, sigmas, innovation, nis, int(used), memory)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
-        """Return the state (N,) after the commands on their way, one per period, with the extras' effect.
+        """Return the state (N,) after all pending commands, one per period.
 
-        This compensates the delay: a new command is computed for the state at which it will act.
+        The extras act during the prediction. This compensates the delay: a new command is computed for the state at
+        which it takes effect.
         """
         inputs, n = self._ahead_inputs, self.program.out["z"].stop
         z = estimate.memory[:n]

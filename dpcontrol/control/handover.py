@@ -1,8 +1,8 @@
-"""Programs of controllers that hand over to each other: OGY keeps a wobble, TVLQR flies the connections.
+"""Programs of controllers with handovers: OGY stabilises a Lyapunov orbit, TVLQR tracks the connections.
 
-A stay at an orbit ends where the next flight begins: at the phase of the orbit nearest to the reference's first state,
-after as many periods as were asked for. A flight ends with its reference, and the orbit that it came to is joined at
-the phase nearest to the state. Flights and orbits are each on turns of their own; a run's turns are added up.
+A stay at an orbit ends after the requested number of periods, at the orbit phase nearest to the first state of the
+next flight. A flight ends with its reference; the next orbit is entered at the phase nearest to the state. Flights
+and orbits each count turns separately, and the turns of a run are summed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,9 +19,9 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 NEAR = 0.2
-"""Scaled distance between a flight's end and the orbit that is to keep it, beyond which they do not belong together."""
+"""Largest scaled distance between the end of a flight and the orbit that follows."""
 SLOWER = 0.05
-"""Share by which a stay may take longer than planned: a plant that differs from the model has a period of its own."""
+"""Relative extension of a stay beyond its plan: the plant's period differs from the model's."""
 
 
 class Keeper(Controller, Protocol):
@@ -38,7 +38,7 @@ class Keeper(Controller, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Keep:
-    """A stay at an orbit for `wraps` periods, half a one more or less."""
+    """A stay at an orbit for `wraps` periods, to within half a period."""
 
     name: str
     controller: OgyController | OrbitController
@@ -58,10 +58,13 @@ Segment = Keep | Fly
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Segments one after the other, as one controller; period of the loop in s.
+    """Consecutive segments as one controller.
 
-    waits: for each stay, what its clock shows when it is to end (s), not-a-number where it has none; lasts: its ticks
-    at least. The last segment goes on to the end of all ticks, of which there are enough for stays that take longer.
+    Args:
+        period: period of the loop, s.
+        waits: clock time at which each stay ends, s; NaN for none.
+        lasts: minimum ticks of each segment. The last segment continues to the end of the run, which includes time
+            for longer stays.
     """
 
     segments: tuple[Segment, ...]
@@ -74,16 +77,16 @@ class Program:
 
     @property
     def first_state(self) -> Array:
-        """Return the state (N,) from which it starts."""
+        """Return the initial state (N,)."""
         return self.segments[0].controller.first_state
 
     def begin(self) -> "ProgramSession":
-        """Return a fresh session for one run."""
+        """Return a new session for one run."""
         return ProgramSession(self)
 
 
 class ProgramSession:
-    """The segment under way, its session, when it began, and the turns by which a flight is away from its reference."""
+    """The active segment, its session, its start, and the turns between flight and reference."""
 
     def __init__(self, program: Program) -> None:
         self._program = program
@@ -94,13 +97,13 @@ class ProgramSession:
         self._past = np.nan
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return what to do in the period from `tick` at `state` (N,)."""
+        """Return the commands for the period from `tick` at `state` (N,)."""
         event = self._hand_over(tick, state) if self._due(tick) else ""
         action = self._session.command(tick, state - self._lift, extra)
         return action._replace(reference=action.reference + self._lift, event=event or action.event)
 
     def _due(self, tick: int) -> bool:
-        """Tell whether the segment under way has ended."""
+        """True if the active segment has ended."""
         program, index = self._program, self._index
         if index + 1 == len(program.segments):
             return False
@@ -111,7 +114,7 @@ class ProgramSession:
             return True
         whole, before = session.orbit_period, self._past
         self._past = (session.time + program.period - program.waits[index]) % whole
-        # Passed when the time since begins anew; not-a-number: the next segment may begin at any phase.
+        # The section is passed when the elapsed time resets; NaN: the next segment may begin at any phase.
         return np.isnan(self._past) or before - self._past > whole / 2
 
     def _hand_over(self, tick: int, state: Array) -> str:
@@ -126,19 +129,23 @@ class ProgramSession:
         return f"hand over to {segment.controller.kind}: {segment.name}"
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock of the segment under way to the phase nearest to `state` (N,); say by how much."""
+        """Synchronise the active segment's clock with `state` (N,), and describe the change."""
         return self._session.resynchronise(tick, state - self._lift)
 
 
 def program(segments: Sequence[Segment], *, period: float, kind: str = "program") -> Program:
-    """Return the program of these segments at the loop's period in s; kind: what logs call it.
+    """Return the program of these segments.
+
+    Args:
+        period: period of the loop, s.
+        kind: name used in logs.
 
     Raises:
-        InputError: no segments, two flights in a row that do not meet, or a stay of less than no periods.
-        GoalMissed: a flight does not begin or end at the orbit before or after it.
+        InputError: There are no segments, two flights in a row do not meet, or a stay has a negative length.
+        GoalMissed: A flight does not begin or end at its adjacent orbit.
     """
     if not segments:
-        raise InputError("a program has one segment at least")
+        raise InputError("a program needs at least one segment")
     waits, lasts, total = [], [], 0
     for k, segment in enumerate(segments):
         after = segments[k + 1] if k + 1 < len(segments) else None
@@ -180,19 +187,19 @@ def _meet(before: Fly, after: Fly) -> None:
     apart = before.controller.reference_states[-1] - after.controller.first_state
     apart[:n] -= whole_turns(apart[:n])
     if np.abs(apart[: 2 * n]).max() > NEAR:
-        raise InputError(f"{before.name} ends where {after.name} does not begin: put a stay between them")
+        raise InputError(f"{before.name} ends where {after.name} does not begin: insert a stay between them")
 
 
 class NearestKeeper:
-    """What to hold when the reference was given up: of some orbits and equilibria the one nearest to the state."""
+    """Fallback that stabilises the orbit or equilibrium nearest to the state."""
 
     def __init__(self, keepers: Mapping[str, Keeper]) -> None:
         if not keepers:
-            raise InputError("nothing to fall back to: name one orbit or equilibrium at least")
+            raise InputError("no fallback: name at least one orbit or equilibrium")
         self._keepers = dict(keepers)
 
     def session(self, tick: int, state: Array) -> tuple[Session, str]:
-        """Return a session that holds what is nearest to `state` (N,) from `tick` on, and a sentence saying what."""
+        """Return a session that holds the fallback nearest to `state` (N,), and its description."""
         distances = {name: keeper.distance(state) for name, keeper in self._keepers.items()}
         name = min(distances, key=distances.__getitem__)
         text = f"holds {name}, {distances[name]:.2g} (scaled) away, by {self._keepers[name].kind}"

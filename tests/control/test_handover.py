@@ -135,5 +135,5 @@ def test_the_nearest_orbit_or_equilibrium_takes_over_and_holds() -> None:
     for name, controller in hold.items():
         _, text = keeper.session(0, controller.first_state + turns + 0.01)
         assert text.startswith(f"holds {name}, ")
-    with pytest.raises(InputError, match="nothing to fall back to"):
+    with pytest.raises(InputError, match="no fallback"):
         NearestKeeper({})
