@@ -113,7 +113,7 @@ def test_what_does_not_meet_is_refused_by_name(turn: tuple[StandIn, Reference]) 
         program([Fly("turn", away), Keep("high", other, wraps=1)], period=PERIOD)
     with pytest.raises(InputError, match="wraps = -1"):
         program([Keep("low", wobble(), wraps=-1)], period=PERIOD)
-    with pytest.raises(InputError, match="one segment at least"):
+    with pytest.raises(InputError, match="at least one segment"):
         program([], period=PERIOD)
 
 
