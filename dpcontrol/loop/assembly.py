@@ -122,7 +122,7 @@ class Assembly:
         """How runs recover from a fall, by the reference's ways from rest to its stops; None if they end.
 
         Raises:
-            InputError: the reference has none, or the controller keeps a clock of its own.
+            InputError: the reference has none, or the controller has no gains by time.
             GoalMissed: no controller can be made for a start.
         """
         return self.planned_recovery()
@@ -136,8 +136,8 @@ class Assembly:
         main = schedule_of(self.controller, whole_periods(settings.drive.delay)[1])
         if main is None or main.law is not None:
             raise InputError(
-                f'supervisor: on_fall = "{s.on_fall}": {self.controller.kind} has no gains by time, and cannot be '
-                'taken up anywhere; use kind = "adaptive", "tvlqr" or "lqr" without keep'
+                f'supervisor: on_fall = "{s.on_fall}": {self.controller.kind} as set here has no gains '
+                'by time, so it cannot resume at a start; use "adaptive", "lqr" or "tvlqr" by time, without keep'
             )
         notes = plan_notes(reference)
         starts: Sequence[StartNote] = notes.get("starts", ())

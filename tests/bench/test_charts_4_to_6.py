@@ -129,7 +129,7 @@ def test_pulses_at_few_sections_are_missing_with_their_reason_and_at_many_a_poin
     }
     found = measured(task, made, seeds=2)
     assert [(m.method, m.setting) for m in found.missing] == [("OGY", "2")]
-    assert "none of 2 runs came through" in found.missing[0].reason
+    assert "none of 2 runs completed" in found.missing[0].reason
     (point,) = found.points
     assert (point.method, point.setting) == ("OGY", "16")
     assert 0 < point.error < 0.1

@@ -191,7 +191,7 @@ def test_work_can_be_cancelled_and_a_dead_process_restarted(page: Page) -> None:
         os.kill(int(number), signal.SIGKILL)
     while not (state := page.until("state"))["retry"]:
         pass
-    assert "has ended" in state["message"]["text"]
+    assert "ended (signal" in state["message"]["text"]
     page.send({"do": "retry"})
     while not (state := page.until("state"))["plan"]:
         pass
