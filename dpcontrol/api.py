@@ -29,10 +29,10 @@ from dpcontrol.foundation.arguments import instance, number, whole
 from dpcontrol.foundation.arguments import path as path_of
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
+from dpcontrol.plans.model import Model, ModelSystem, model_of
+from dpcontrol.plans.model import load_model as load_model
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.problem import Limits, ReferenceSettings
-from dpcontrol.scenes.model import Model, ModelSystem, model_of
-from dpcontrol.scenes.model import load_model as load_model
-from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,13 +43,13 @@ if TYPE_CHECKING:
     from dpcontrol.identification.identify import Identification
     from dpcontrol.orbits.lyapunov import LyapunovOrbit
     from dpcontrol.planner.server import Planner
+    from dpcontrol.plans.plan import Plan
     from dpcontrol.proofs.prove import Proof, ProofSettings
     from dpcontrol.recordings.recording import Recording
+    from dpcontrol.runs.campaign import Campaign
     from dpcontrol.runs.closed_loop import ClosedLoop
-    from dpcontrol.scenes.campaign import Campaign
-    from dpcontrol.scenes.plan import Plan
-    from dpcontrol.scenes.polish import Polished
-    from dpcontrol.scenes.run import Run
+    from dpcontrol.runs.polish import Polished
+    from dpcontrol.runs.run import Run
     from dpcontrol.tubes.connections import ConnectionSearch
     from dpcontrol.tubes.symmetric import SymmetricSearch
     from dpcontrol.walks.atlas import Atlas
@@ -232,7 +232,7 @@ def atlas(
     Raises:
         InputError: no saddle has an orbit at this energy.
     """
-    from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
+    from dpcontrol.plans.atlas import AtlasSettings, make_atlas
     from dpcontrol.tubes.intersections import search_settings
 
     settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough, seconds=seconds))
@@ -346,8 +346,8 @@ def reference(
         InputError: a walk is of a system without arms, is periodic, or an end cannot be reached.
         GoalMissed: a walk's orbit did not converge, or there is no transfer between two of them.
     """
-    from dpcontrol.scenes.itinerary import WalkPart, itinerary_of
-    from dpcontrol.scenes.plan import make_plan
+    from dpcontrol.plans.itinerary import WalkPart, itinerary_of
+    from dpcontrol.plans.plan import make_plan
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
     orbits = [walks] if isinstance(walks, ShadowingOrbit) else list(instance("walks", walks, Sequence, _WALKS))
@@ -395,8 +395,8 @@ def plan(
         InputError: no such file, a mistake in it, or connections that do not exist at its energy.
         GoalMissed: an orbit did not converge, or there is no transfer.
     """
-    from dpcontrol.scenes.itinerary import load_itinerary
-    from dpcontrol.scenes.plan import make_plan
+    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.plans.plan import make_plan
 
     workers = whole("workers", workers, least=0, most=4096)
     instance("itinerary", itinerary, (str, Path), "the name or path of an itinerary")
@@ -482,8 +482,8 @@ def polish(
         InputError: the plan is not from rest to rest, or polished already, or it would take too long.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    from dpcontrol.scenes.plan import Plan
-    from dpcontrol.scenes.polish import polish as polish_plan
+    from dpcontrol.plans.plan import Plan
+    from dpcontrol.runs.polish import polish as polish_plan
 
     instance("planned", planned, (Plan, str), _PLAN)
     runs = whole("runs", runs, least=1, most=1_000_000)
@@ -590,7 +590,7 @@ def campaign(
         InputError: an unknown option or impossible value, or the file cannot be written.
         GoalMissed: there is no reference to follow, or workers died again and again.
     """
-    from dpcontrol.scenes.campaign import CampaignSettings
+    from dpcontrol.runs.campaign import CampaignSettings
 
     first_seed = whole("first_seed", first_seed, least=0, most=2**62)
     for name, values in instance("over", over or {}, Mapping, "values of options by name").items():
@@ -645,9 +645,9 @@ def identify(
     """
     from dpcontrol.identification.identify import IdentificationSettings
     from dpcontrol.identification.identify import identify as found_in
+    from dpcontrol.plans.model import write_model
     from dpcontrol.recordings.checks import contradiction
     from dpcontrol.recordings.recording import Recording
-    from dpcontrol.scenes.model import write_model
 
     what = "a recording, or a list of recordings"
     given = [recordings] if isinstance(recordings, Recording) else [*instance("recordings", recordings, Sequence, what)]
@@ -677,7 +677,7 @@ def open_log(file: Place) -> "Run":
         InputError: the file is missing, damaged or no log.
     """
     from dpcontrol.logs import read_log
-    from dpcontrol.scenes.run import Run
+    from dpcontrol.runs.run import Run
 
     return Run(read_log(path_of("file", file)))
 
@@ -691,7 +691,7 @@ def open_plan(file: Place) -> "Plan":
     Raises:
         InputError: the file is missing, damaged or no plan.
     """
-    from dpcontrol.scenes.plan import load_plan
+    from dpcontrol.plans.plan import load_plan
 
     return load_plan(Path(path_of("file", file)))
 
@@ -705,7 +705,7 @@ def open_atlas(file: Place) -> "Atlas":
     Raises:
         InputError: the file is missing, damaged or no atlas.
     """
-    from dpcontrol.scenes.atlas import load_atlas
+    from dpcontrol.plans.atlas import load_atlas
 
     return load_atlas(Path(path_of("file", file)))
 
@@ -774,13 +774,13 @@ def picture(
         InputError: a file cannot be written; a film is of an atlas, or of a system without arms; transitions are asked
             of what has none.
     """
+    from dpcontrol.pages.atlas import draw_atlas
+    from dpcontrol.pages.of_log import reference_view, run_view
+    from dpcontrol.pages.page import draw, save_figure
+    from dpcontrol.pages.walks import WalkStory, draw_walk
+    from dpcontrol.plans.plan import Plan
     from dpcontrol.references.reference import summarised
-    from dpcontrol.review.atlas import draw_atlas
-    from dpcontrol.review.of_log import reference_view, run_view
-    from dpcontrol.review.page import draw, save_figure
-    from dpcontrol.review.walks import WalkStory, draw_walk
-    from dpcontrol.scenes.plan import Plan
-    from dpcontrol.scenes.run import Run
+    from dpcontrol.runs.run import Run
     from dpcontrol.walks.atlas import Atlas
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
@@ -802,13 +802,13 @@ def picture(
     if transitions:
         if not isinstance(result, Plan):
             raise InputError("transitions = True draws the transfers of a plan: give one")
-        from dpcontrol.review.transitions import draw_transitions
+        from dpcontrol.pages.transitions import draw_transitions
 
         figure = draw_transitions(summarised(result.reference))
     if film is not None:
         if view is None:
             raise InputError(f"{film}: an atlas does not move: give a run, a plan or a walk's orbit")
-        from dpcontrol.review.film import write_film
+        from dpcontrol.pages.film import write_film
 
         write_film(view, film)
     if file is not None:
@@ -869,8 +869,8 @@ def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
 
 
 def _closed(planned: "Plan | str", options: RunOptions, *, yes: bool, progress: Reporting) -> "ClosedLoop":
+    from dpcontrol.plans.plan import Plan
     from dpcontrol.runs.closed_loop import ClosedLoop
-    from dpcontrol.scenes.plan import Plan
 
     instance("planned", planned, (Plan, str), _PLAN)
     return ClosedLoop(plan(planned, yes=yes, progress=progress) if isinstance(planned, str) else planned, options)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from ending_truth import Flight, flights
 
-from dpcontrol.scenes.plan import Plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.plan import Plan
+from dpcontrol.plans.run_options import RunOptions
 
 BENCH = RunOptions(
     mismatch=0.05, initial_error=0.05, lag=0.005, command_noise=0.3, zero_error=0.02, travel=0.8, counts=40_000

@@ -27,13 +27,13 @@ from unittest import mock
 import numpy as np
 
 import dpcontrol.loop.lockstep as lockstep
+from dpcontrol.judge.score import Flown, Verdict, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import BatchRun, Ending, JudgedTicks
+from dpcontrol.plans.itinerary import Itinerary
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
-from dpcontrol.review.score import Flown, Verdict, verdict_on
-from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.scenes.run_options import RunOptions
 
 Array = np.ndarray
 

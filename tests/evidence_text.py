@@ -1,6 +1,6 @@
 """The table of evidence on levels as the package keeps it."""
 
-from dpcontrol.scenes.evidence import CART_MASS, LAG, Evidence
+from dpcontrol.runs.evidence import CART_MASS, LAG, Evidence
 
 HEADING = f"""What each shipped scene needs of the model: `pytest -m benchmark tests/benchmarks/test_level_evidence.py`.
 reference: one run on a plant that is the model. plant: runs with the scene's own mismatch; drive: lag {LAG:g} s;

@@ -11,9 +11,9 @@ import pytest
 
 import dpcontrol as dp
 from dpcontrol import api
+from dpcontrol.plans.atlas import make_atlas
+from dpcontrol.plans.itinerary import itinerary_from
 from dpcontrol.references.reference import load_reference
-from dpcontrol.scenes.atlas import make_atlas
-from dpcontrol.scenes.itinerary import itinerary_from
 from tests.guide_functions import FUNCTIONS, PAGE, with_functions
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")

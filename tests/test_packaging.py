@@ -18,8 +18,8 @@ ROOT = Path(__file__).parents[1]
 WHERE = """
 import json
 import dpcontrol
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.model import load_model
 print(json.dumps([dpcontrol.__file__, *(str(load(name).path.resolve()) for load, name in (
     (load_model, "lab"), (load_model, "printed"), (load_itinerary, "outer-turn"), (load_itinerary, "cross")))]))
 """

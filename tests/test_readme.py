@@ -133,7 +133,7 @@ def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr("dpcontrol.review.picture.viewer_program", lambda: Path("/bin/true"))
+    monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: Path("/bin/true"))
 
 
 def said(line: str) -> re.Pattern[str]:
@@ -188,8 +188,8 @@ def test_the_blocks_of_a_section_run_and_print_what_it_shows(section: Section) -
 @pytest.mark.parametrize("text", [pytest.param(text, id=text.split("\n")[0]) for text in TOML])
 def test_the_toml_shown_is_that_of_a_model_an_itinerary_or_a_part_of_one(text: str, folder: Path) -> None:
     """`# models/NAME.toml` begins a whole file, `# added to itineraries/NAME.toml` what a shipped one gains by it."""
-    from dpcontrol.scenes.itinerary import load_itinerary
-    from dpcontrol.scenes.model import load_model
+    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.plans.model import load_model
 
     head = text.split("\n")[0]
     (added, name), *_ = re.findall(r"^# (added to )?([\w/-]+\.toml)$", head) or [("", "")]

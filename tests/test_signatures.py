@@ -11,13 +11,13 @@ MOST = 8
 OPEN = {
     ("control", "__init__"): "names of a layout's parts; what a library's program hands on to its base",
     ("control", "compute_process_sigmas"): "overrides a method of filterpy",
-    ("scenes", "_log_in_memory"): "metadata of a log, by any name",
-    ("scenes", "log_writer"): "metadata of a log, by any name",
+    ("runs", "_log_in_memory"): "metadata of a log, by any name",
+    ("runs", "log_writer"): "metadata of a log, by any name",
 }
 """Functions that take any names, and why."""
 
 
-@pytest.mark.parametrize("package", ["control", "loop", "scenes", "runs"])
+@pytest.mark.parametrize("package", ["control", "loop", "plans", "runs"])
 def test_no_function_has_more_than_eight_parameters_or_takes_any_name(package: str) -> None:
     files = sorted((Path(dpcontrol.__file__).parent / package).rglob("*.py"))
     assert files

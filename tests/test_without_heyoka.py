@@ -17,7 +17,7 @@ from command_line import Ended, dpcontrol
 
 from dpcontrol.dynamics import compiled
 from dpcontrol.dynamics.chain import Level, equations_of
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 WITHOUT = """
 import io, json, sys

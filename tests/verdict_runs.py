@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from independent_decoder import LAST, Plan, faults, last_gap, plan_of
 
+from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import BatchRun, Ending
+from dpcontrol.plans.itinerary import Itinerary
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
-from dpcontrol.review.score import Flown, verdict_on
-from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.scenes.run_options import RunOptions
 
 Array = np.ndarray
 

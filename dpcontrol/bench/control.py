@@ -45,20 +45,20 @@ from dpcontrol.control.tracking import (
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress
+from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, ESTIMATORS, make_estimator
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import BatchRun, Ending, Reading
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.plan import make_plan
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE, Limits
 from dpcontrol.references.reference import Reference, still
 from dpcontrol.references.sustained import sustained_orbit
-from dpcontrol.review.score import Flown, verdict_on
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.model import load_model
-from dpcontrol.scenes.plan import make_plan
 
 RATE = 1000.0
 SMALL, LARGE = 0.02, 0.10

@@ -26,13 +26,13 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.orbits.lyapunov import ContinuationSettings, LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import local_manifold
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
 from dpcontrol.references.trajectory import Solved, error_between_nodes, even_mesh, first_trajectory
 from dpcontrol.references.transcription import solve
-from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.extended import refine, refine_orbit
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, tube_cut

@@ -59,17 +59,17 @@ from dpcontrol.loop.bench import DriveSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
+from dpcontrol.plans.itinerary import Itinerary, load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.planning import shadowing_orbit
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference, still
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 from dpcontrol.references.trajectory import even_mesh, first_trajectory
-from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
-from dpcontrol.scenes.model import load_model
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.planning import shadowing_orbit
-from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.shooting.newton import NewtonSettings
 from dpcontrol.tubes.connections import Connection, find_connections
 from dpcontrol.tubes.intersections import ConnectionSettings

@@ -15,10 +15,10 @@ from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import equilibrium
-from dpcontrol.scenes.campaign import Case, Job, run_job
-from dpcontrol.scenes.itinerary import Itinerary, WalkPart
-from dpcontrol.scenes.plan import Plan
-from dpcontrol.scenes.planning import planned
+from dpcontrol.plans.itinerary import Itinerary, WalkPart
+from dpcontrol.plans.plan import Plan
+from dpcontrol.plans.planning import planned
+from dpcontrol.runs.campaign import Case, Job, run_job
 from dpcontrol.walks.following import SymbolBranches
 from dpcontrol.walks.symbols import parse_walk
 

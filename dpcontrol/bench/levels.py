@@ -21,10 +21,13 @@ from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, plant_step
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.plans.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart, load_itinerary, overridden
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 from dpcontrol.references.reference import Reference
-from dpcontrol.scenes.campaign import Case, Job, run_job
-from dpcontrol.scenes.evidence import (
+from dpcontrol.runs.campaign import Case, Job, run_job
+from dpcontrol.runs.evidence import (
     CART_MASS,
     CART_VISCOUS,
     LAG,
@@ -34,9 +37,6 @@ from dpcontrol.scenes.evidence import (
     LevelRuns,
     motion_key,
 )
-from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart, load_itinerary, overridden
-from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.run_options import RunOptions
 
 WINDOW, TICK = 0.1, 1e-3
 WINDOWS = 64

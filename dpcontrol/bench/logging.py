@@ -31,9 +31,9 @@ from dpcontrol.logs import LogWriter, recover
 from dpcontrol.logs.container import Messages, MessageWriter, messages_of, ticks_left
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import LogSink, Ticks
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
 
 pa, pq = Later("pyarrow"), Later("pyarrow.parquet")
 

@@ -49,6 +49,11 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DisturbanceSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import BatchRun
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.pieces import walk_goal
+from dpcontrol.plans.planning import on_turns, period_at
+from dpcontrol.plans.transfers import sensitivity
 from dpcontrol.references.find import find_reference, on_mesh, smooth_guess
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings, state_scale
@@ -56,11 +61,6 @@ from dpcontrol.references.reference import Reference, joined
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 from dpcontrol.references.trajectory import Trajectory, even_mesh, first_trajectory, times_on
 from dpcontrol.references.transcription import solve
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.model import load_model
-from dpcontrol.scenes.pieces import walk_goal
-from dpcontrol.scenes.planning import on_turns, period_at
-from dpcontrol.scenes.transfers import sensitivity
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import WalkSolver
 from dpcontrol.walks.symbols import parse_walk

@@ -34,9 +34,9 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.method import gauss
 from dpcontrol.references.problem import Limits, state_scale
-from dpcontrol.scenes.model import load_model
 
 SUBSTITUTIONS = 10
 

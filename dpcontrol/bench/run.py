@@ -47,7 +47,7 @@ from dpcontrol.foundation.files import whole_file, write_whole
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
-from dpcontrol.review.style import FAINT, INK, LIMIT, REFERENCE, STABLE
+from dpcontrol.pages.style import FAINT, INK, LIMIT, REFERENCE, STABLE
 
 
 @dataclass(frozen=True)

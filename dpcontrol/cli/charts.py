@@ -40,10 +40,10 @@ def figures_command(
     with progress_bar("figures") as progress:
         progress("loading", 0.0)
         from dpcontrol.foundation.files import picked
-        from dpcontrol.review.figures import CAPTIONS, draw_figures
-        from dpcontrol.review.gallery import Gallery
-        from dpcontrol.scenes.atlas import AtlasSettings, make_atlas, make_branches
-        from dpcontrol.scenes.model import load_model
+        from dpcontrol.pages.figures import CAPTIONS, draw_figures
+        from dpcontrol.pages.gallery import Gallery
+        from dpcontrol.plans.atlas import AtlasSettings, make_atlas, make_branches
+        from dpcontrol.plans.model import load_model
 
         model = cache(load_model)
         gallery = Gallery(

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from dpcontrol.orbits.family import LyapunovFamily
     from dpcontrol.orbits.lyapunov import LyapunovOrbit
     from dpcontrol.orbits.rotating import RotatingFamily
+    from dpcontrol.plans.model import Model
     from dpcontrol.references.sustained import SustainedOrbit
-    from dpcontrol.scenes.model import Model
     from dpcontrol.tubes.connections import Connection, ConnectionSearch
     from dpcontrol.tubes.symmetric import SymmetricSearch
     from dpcontrol.walks.atlas import Atlas
@@ -87,7 +87,7 @@ def orbit_command(
     from the Lyapunov orbit at --energy, held to that energy at phase 0. Its multipliers are those of a period with the
     input replayed, and those of its sections, where the input's clock is reset.
     """
-    from dpcontrol.scenes.model import load_model
+    from dpcontrol.plans.model import load_model
 
     if (saddle is None) == (rotating is None):
         raise click.UsageError("give either --saddle for Lyapunov orbits or --rotating inner|outer for rotating ones")
@@ -138,8 +138,8 @@ def _family(model: "Model", saddle: str, energies: Range, family: int, picture: 
     with progress_bar(f"family of {saddle}") as progress:
         found = lyapunov_family(model.system, saddle, energies=energies, family=family, progress=progress)
     if picture is not None:
-        from dpcontrol.review.orbits import draw_families
-        from dpcontrol.review.page import save_figure
+        from dpcontrol.pages.orbits import draw_families
+        from dpcontrol.pages.page import save_figure
 
         save_figure(draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}"), picture)
     document = {**found.document(), "energies": energies, "picture": picture}
@@ -187,8 +187,8 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     with progress_bar("families of rotating orbits") as progress:
         families = rotating_families(orbits, energies, progress=progress)
     if picture is not None:
-        from dpcontrol.review.orbits import draw_rotating_families
-        from dpcontrol.review.page import save_figure
+        from dpcontrol.pages.orbits import draw_rotating_families
+        from dpcontrol.pages.page import save_figure
 
         save_figure(draw_rotating_families(families), picture)
     document = {
@@ -229,8 +229,8 @@ def _sustained(model: "Model", saddle: str, energy: float, family: int, sections
     if not orbit.converged:
         picture = None
     if picture is not None:
-        from dpcontrol.review.of_log import sustained_view
-        from dpcontrol.review.page import draw, save_figure
+        from dpcontrol.pages.of_log import sustained_view
+        from dpcontrol.pages.page import draw, save_figure
 
         save_figure(draw(sustained_view(orbit, arms.length)), picture)
     document = {**orbit.document(sections), "picture": picture}
@@ -316,7 +316,7 @@ def connect_command(
     makes, from an orbit back to itself through a moment at which every arm hangs or stands.
     """
     from dpcontrol import api
-    from dpcontrol.scenes.model import load_model
+    from dpcontrol.plans.model import load_model
     from dpcontrol.tubes.connections import orbits_between, searched_at
 
     if (energy is None) == (energies is None):
@@ -452,7 +452,7 @@ def bifurcations_command(
     Where trajectories scatter before they arrive, connections accumulate without end: counts are lower bounds there.
     """
     from dpcontrol import api
-    from dpcontrol.scenes.model import load_model
+    from dpcontrol.plans.model import load_model
 
     loaded = load_model(model)
     found = api.find_bifurcations(
@@ -493,8 +493,8 @@ def atlas_command(
     The atlas is one file (orbits, cuts, connections with their flights), kept by content: it is computed once. Look at
     it with `dpcontrol review FILE`. Exits with 1 if the list of connections may be incomplete.
     """
-    from dpcontrol.scenes.atlas import AtlasSettings, make_atlas, save_atlas
-    from dpcontrol.scenes.model import load_model
+    from dpcontrol.plans.atlas import AtlasSettings, make_atlas, save_atlas
+    from dpcontrol.plans.model import load_model
     from dpcontrol.tubes.intersections import search_settings
 
     settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough, seconds=seconds))

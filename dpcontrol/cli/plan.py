@@ -12,8 +12,8 @@ from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.bench.chart import PrecisionChart
-    from dpcontrol.scenes.plan import Plan
-    from dpcontrol.scenes.polish import Polished
+    from dpcontrol.plans.plan import Plan
+    from dpcontrol.runs.polish import Polished
 
 
 @verb(
@@ -51,11 +51,11 @@ def plan_command(
     """
     from dpcontrol import api
     from dpcontrol.foundation.files import write_whole
-    from dpcontrol.scenes.evidence import off_tubes_remarks, plan_remarks
+    from dpcontrol.runs.evidence import off_tubes_remarks, plan_remarks
 
     if explore_energy is not None:
         from dpcontrol.bench.energies import only_walk
-        from dpcontrol.scenes.itinerary import load_itinerary
+        from dpcontrol.plans.itinerary import load_itinerary
 
         only_walk(load_itinerary(itinerary))
     plan = api.plan(itinerary, fresh=fresh, workers=workers, scheduler=scheduler, yes=yes, progress=True)
@@ -164,13 +164,13 @@ def reference_command(
         summary = summarised(reference)
         document = summary.document()
         if picture is not None:
-            from dpcontrol.review.of_log import reference_view
-            from dpcontrol.review.page import draw, save_figure
+            from dpcontrol.pages.of_log import reference_view
+            from dpcontrol.pages.page import draw, save_figure
 
             save_figure(draw(reference_view(summary, file)), picture)
         if transitions is not None:
-            from dpcontrol.review.page import save_figure
-            from dpcontrol.review.transitions import draw_transitions
+            from dpcontrol.pages.page import save_figure
+            from dpcontrol.pages.transitions import draw_transitions
 
             save_figure(draw_transitions(summary), transitions)
     except InputError as error:

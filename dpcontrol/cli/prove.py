@@ -104,8 +104,8 @@ def _orbit(
     model: str, saddle: str | None, family: int, energy: Decimal, settings: "ProofSettings", progress: "Progress"
 ) -> "Proof":
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
+    from dpcontrol.plans.model import load_model
     from dpcontrol.proofs.prove import exact_energy, prove_orbit
-    from dpcontrol.scenes.model import load_model
 
     if saddle is None:
         raise InputError("--saddle is missing: give the saddle that the orbit surrounds, such as down-up")
@@ -128,8 +128,8 @@ def _connections(
 ) -> "Proof":
     from dpcontrol.foundation.progress import announce, part_of
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
+    from dpcontrol.plans.model import load_model
     from dpcontrol.proofs.prove import cost, exact_energy, prove_connections
-    from dpcontrol.scenes.model import load_model
     from dpcontrol.tubes.connections import find_connections
 
     if asked.source is None:
@@ -165,8 +165,8 @@ def _walk(
     progress: "Progress",
 ) -> "Proof":
     from dpcontrol.foundation.progress import announce, part_of
+    from dpcontrol.plans.model import load_model
     from dpcontrol.proofs.prove import cost, exact_energy, prove_walk
-    from dpcontrol.scenes.model import load_model
     from dpcontrol.walks.edges import find_edges
     from dpcontrol.walks.shadowing import WalkSolver
     from dpcontrol.walks.symbols import parse_walk

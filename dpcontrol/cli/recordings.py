@@ -61,10 +61,10 @@ def import_command(
     from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.foundation.progress import announce
+    from dpcontrol.plans.model import load_model
     from dpcontrol.recordings.checks import constant_angles, contradiction
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import swings_cost, write_recording
-    from dpcontrol.scenes.model import load_model
 
     if (file is None) == (simulated is None):
         raise click.UsageError("give a FILE, or a model to swing with --simulated")
@@ -127,8 +127,8 @@ def identify_command(
     if not logs:
         raise click.UsageError("give at least one log that `dpcontrol import` wrote")
     from dpcontrol import api
+    from dpcontrol.plans.model import check_model_replaced, load_model, write_model
     from dpcontrol.recordings.recording import load_recording
-    from dpcontrol.scenes.model import check_model_replaced, load_model, write_model
 
     start = load_model(model)
     recordings = [load_recording(path) for path in logs]
@@ -141,8 +141,8 @@ def identify_command(
         write_model(found, target, title=title, logs=names, starting_model=start.name)
         if picture is not None:
             from dpcontrol.identification.identify import profiles
-            from dpcontrol.review.identification import draw_identification
-            from dpcontrol.review.page import save_figure
+            from dpcontrol.pages.identification import draw_identification
+            from dpcontrol.pages.page import save_figure
 
             save_figure(draw_identification(found, profiles(found, progress=progress), title=title), picture)
     document = {**found.document(), "file": target, "picture": picture}
@@ -176,14 +176,14 @@ def _identify_text(found: "Identification", target: Path, picture: Path | None) 
 def _design(model: str, picture: Path | None) -> Answer:
     """Compare experiments by what they tell."""
     from dpcontrol.identification.fit import design_experiments
-    from dpcontrol.scenes.model import load_model
+    from dpcontrol.plans.model import load_model
 
     start = load_model(model)
     with progress_bar("design") as progress:
         design = design_experiments(start.arms, progress=progress)
         if picture is not None:
-            from dpcontrol.review.identification import draw_design
-            from dpcontrol.review.page import save_figure
+            from dpcontrol.pages.identification import draw_design
+            from dpcontrol.pages.page import save_figure
 
             save_figure(draw_design(design, title=start.title), picture)
     document = {**design.document(), "picture": picture}
@@ -226,9 +226,9 @@ def replay_command(
     from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.identification.replay import ReplaySettings, filter_settings, replay_recording, write_replay
+    from dpcontrol.plans.model import load_model
     from dpcontrol.recordings.checks import contradiction
     from dpcontrol.recordings.recording import load_recording
-    from dpcontrol.scenes.model import load_model
 
     target = claim(out or Path("logs") / f"{log.stem}-replay.mcap")
     checked_other_file(target, log, what="the log to replay")

@@ -24,9 +24,9 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, progress_bar
 
 if TYPE_CHECKING:
+    from dpcontrol.judge.score import Score
     from dpcontrol.logs import LogSummary, Recovery
-    from dpcontrol.review.campaign import CampaignSummary
-    from dpcontrol.review.score import Score
+    from dpcontrol.pages.campaign import CampaignSummary
 
 
 @verb("score", example="dpcontrol score logs/outer-turn-0.mcap --why")
@@ -45,8 +45,8 @@ def score_command(
     failed run, and more often than harmless changes do. Only simulated runs can be tried again. With --json, one log
     gives one object, several give {"runs": [...]}. Exits with 1 if a run is not completed.
     """
+    from dpcontrol.judge.score import score
     from dpcontrol.logs import read_log
-    from dpcontrol.review.score import score
 
     if nights := [path for path in logs if path.is_dir()]:
         return _nights(nights, [path for path in logs if not path.is_dir()], why=why)
@@ -56,7 +56,7 @@ def score_command(
     lines = [[*score_text(verdict)] for verdict in verdicts]
     if why:
         # Loops and plants, which a score needs nothing of.
-        from dpcontrol.scenes.run import Run
+        from dpcontrol.runs.run import Run
 
         for run, document, text in zip(runs, documents, lines, strict=True):
             with progress_bar("why") as progress:
@@ -74,7 +74,7 @@ def score_command(
 
 
 def _nights(folders: list[Path], others: list[Path], *, why: bool) -> Answer:
-    from dpcontrol.review.night import read_night
+    from dpcontrol.pages.night import read_night
 
     if others or why:
         what = "--why tries single runs" if why else f"{others[0]} is a single log"
@@ -136,7 +136,7 @@ def review_command(
     no renderer is installed the picture is drawn by matplotlib, and the message says so. A film shows the arms on their
     cart, the reference's ghost, the tip's path and the itinerary.
     """
-    from dpcontrol.review.picture import view_in_window, write_picture, write_recording
+    from dpcontrol.pages.picture import view_in_window, write_picture, write_recording
 
     first = files[0]
     if stretch is not None and film is None:
@@ -167,8 +167,8 @@ def review_command(
 
 def _filmed(shown: Any, file: Path, stretch: tuple[float, float] | None, *, yes: bool, progress: Progress) -> Path:
     """Write a film of what is to be seen."""
-    from dpcontrol.review.film import write_film
-    from dpcontrol.review.motion import RunView
+    from dpcontrol.pages.film import write_film
+    from dpcontrol.pages.motion import RunView
 
     if not isinstance(shown, RunView):
         raise InputError(f"{file}: a film shows one motion: give one log, recording or reference")
@@ -179,12 +179,12 @@ def _opened(files: tuple[Path, ...], symbol: int) -> Any:
     """Return what is to be seen: the view of a run or a reference, an atlas, or a comparison of several runs."""
     from dpcontrol.foundation.files import archive_format, is_archive
     from dpcontrol.logs import read_log
+    from dpcontrol.pages.of_log import read_reference_view, run_view
     from dpcontrol.references.reference import FORMAT as REFERENCE
-    from dpcontrol.review.of_log import read_reference_view, run_view
 
     first, *others = files
     if others:
-        from dpcontrol.review.comparison import compare
+        from dpcontrol.pages.comparison import compare
 
         if other := next((file for file in files if file.suffix.lower() == ".npz"), None):
             raise InputError(
@@ -194,7 +194,7 @@ def _opened(files: tuple[Path, ...], symbol: int) -> Any:
     if archive_format(first) == REFERENCE:
         return read_reference_view(first)
     if is_archive(first):
-        from dpcontrol.scenes.atlas import load_atlas
+        from dpcontrol.plans.atlas import load_atlas
 
         return load_atlas(first)
     return run_view(read_log(first))
@@ -234,17 +234,17 @@ def report_command(
 
 
 def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
+    from dpcontrol.judge.score import REFERENCE_ATTACHMENT, score
     from dpcontrol.logs import read_log
-    from dpcontrol.review.of_log import run_view
-    from dpcontrol.review.page import draw, save_figure
-    from dpcontrol.review.score import REFERENCE_ATTACHMENT, score
-    from dpcontrol.review.series import margins_chart
+    from dpcontrol.pages.of_log import run_view
+    from dpcontrol.pages.page import draw, save_figure
+    from dpcontrol.pages.series import margins_chart
 
     log = read_log(file)
     view = run_view(log)
     borne = None
     if margins:
-        from dpcontrol.scenes.run import logged_margins
+        from dpcontrol.runs.run import logged_margins
 
         borne = logged_margins(log)
     save_figure(draw(view, [] if borne is None else [margins_chart(borne)]), picture)
@@ -258,8 +258,8 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
 
 
 def _night(folder: Path, picture: Path) -> Answer:
-    from dpcontrol.review.night import draw_night, read_night
-    from dpcontrol.review.page import save_figure
+    from dpcontrol.pages.night import draw_night, read_night
+    from dpcontrol.pages.page import save_figure
 
     night = read_night(folder)
     save_figure(draw_night(night), picture)
@@ -267,8 +267,8 @@ def _night(folder: Path, picture: Path) -> Answer:
 
 
 def _campaign(file: Path, picture: Path) -> Answer:
-    from dpcontrol.review.campaign import campaign_summary, draw_campaign
-    from dpcontrol.review.page import save_figure
+    from dpcontrol.pages.campaign import campaign_summary, draw_campaign
+    from dpcontrol.pages.page import save_figure
 
     summary = campaign_summary(file)
     save_figure(draw_campaign(summary), picture)

@@ -40,11 +40,11 @@ from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.settings import suggest
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.run_options import RunOptions
 
 if TYPE_CHECKING:
-    from dpcontrol.review.campaign import Preflight
-    from dpcontrol.scenes.campaign import Campaign, StandardScore
+    from dpcontrol.pages.campaign import Preflight
+    from dpcontrol.runs.campaign import Campaign, StandardScore
 
 KINDS: dict[str, type] = {
     f.name: {"str": str, "int": int, "float": float}[str(f.type).partition(" ")[0]] for f in fields(RunOptions)
@@ -149,11 +149,11 @@ def run_command(
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"--controller-program {program}: there is no such program that may be run; compile it first")
     from dpcontrol.loop.own import load_own
-    from dpcontrol.review.picture import LIVE_REMEDY, check_viewer
-    from dpcontrol.scenes.evidence import run_remarks
-    from dpcontrol.scenes.itinerary import load_itinerary
-    from dpcontrol.scenes.plan import make_plan
-    from dpcontrol.scenes.run import default_log, rig_link, run_on_rig, run_plan, run_with_program
+    from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
+    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.plans.plan import make_plan
+    from dpcontrol.runs.evidence import run_remarks
+    from dpcontrol.runs.run import default_log, rig_link, run_on_rig, run_plan, run_with_program
 
     # Before the plan, which can take minutes.
     if live:
@@ -166,7 +166,7 @@ def run_command(
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     out = claim(out or default_log(scene))
     if hours is not None:
-        from dpcontrol.scenes.night import (
+        from dpcontrol.runs.night import (
             NightSettings,
             check_folder,
             night_cost,
@@ -232,7 +232,7 @@ def _repeat(source: Path, out: Path | None, force: bool) -> Answer:
     if given:
         names = ", ".join(p.human_readable_name if isinstance(p, click.Argument) else p.opts[0] for p in given)
         raise InputError(f"--from repeats a run as it was: leave out {names}")
-    from dpcontrol.scenes.run import repeat_run, repeated_log
+    from dpcontrol.runs.run import repeat_run, repeated_log
 
     with progress_bar("run") as progress:
         done = repeat_run(source, claim(out or repeated_log(source)), force=force, progress=progress)
@@ -265,9 +265,9 @@ def export_command(
     change nothing but the simulated run that `make check` replays.
     """
     from dpcontrol.control.export import COARSER, kibibytes
-    from dpcontrol.scenes.itinerary import load_itinerary
-    from dpcontrol.scenes.plan import make_plan
-    from dpcontrol.scenes.run import check_exportable, export_plan, export_unit
+    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.plans.plan import make_plan
+    from dpcontrol.runs.run import check_exportable, export_plan, export_unit
 
     if unit and out.suffix != ".fmu":
         raise click.UsageError(f"--out {out}: a co-simulation unit is a file whose name ends in .fmu")
@@ -350,11 +350,11 @@ def rig_command(
     The arms start where the itinerary does. The packets are described in `dpcontrol guide rig`. Where --host can be
     reached from other computers, loops need the bench's key.
     """
+    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.plans.plan import make_plan
     from dpcontrol.rig.bench import BenchServerSettings, UdpBench, checked_faults
     from dpcontrol.rig.packets import checked_host, shared_key
-    from dpcontrol.scenes.itinerary import load_itinerary
-    from dpcontrol.scenes.plan import make_plan
-    from dpcontrol.scenes.run import bench_recipe, hanging_recipe
+    from dpcontrol.runs.run import bench_recipe, hanging_recipe
 
     key = shared_key(key_file)
     checked_host(host, port, key=key, insecure=insecure)
@@ -419,8 +419,8 @@ def commission_command(
     move. Ctrl-C brakes the cart. Exits with 1 where something is wrong. Settings and faults are the example bench's.
     More is in `dpcontrol guide commission`.
     """
-    from dpcontrol.scenes.itinerary import load_itinerary
-    from dpcontrol.scenes.run import OWN_BENCH, commission_rig, measured_text, rig_link
+    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text, rig_link
 
     own = address in (None, OWN_BENCH)
     if address is None and (real_time or key_file or insecure):
@@ -516,9 +516,9 @@ def campaign_command(
     `dpcontrol run --seed` with the same settings, replays it. `--standard` takes every controller of
     `--over controller=…`, or the scene's own.
     """
-    from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign, standard_cases, standard_scores
-    from dpcontrol.scenes.itinerary import load_itinerary
-    from dpcontrol.scenes.plan import make_plan
+    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.plans.plan import make_plan
+    from dpcontrol.runs.campaign import CampaignSettings, cases_of, run_campaign, standard_cases, standard_scores
 
     scene = load_itinerary(itinerary)
     settings = CampaignSettings(
@@ -612,10 +612,10 @@ def preflight_command(
     as [run] has it, where `dpcontrol commission --write` puts what it measures. The border of a trouble is the value at
     which the itinerary completes half as often. Interrupted or repeated, it goes on where it was.
     """
-    from dpcontrol.review.page import save_figure
-    from dpcontrol.scenes.itinerary import load_itinerary
-    from dpcontrol.scenes.plan import make_plan
-    from dpcontrol.scenes.preflight import PreflightSettings, preflight
+    from dpcontrol.pages.page import save_figure
+    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.plans.plan import make_plan
+    from dpcontrol.runs.preflight import PreflightSettings, preflight
 
     scene = load_itinerary(itinerary)
     settings = PreflightSettings(runs=runs, first_seed=seed_from, workers=workers)

@@ -28,7 +28,7 @@ from dpcontrol.foundation.settings import suggest
 
 if TYPE_CHECKING:
     from dpcontrol.orbits.lyapunov import Equilibrium
-    from dpcontrol.scenes.model import Model
+    from dpcontrol.plans.model import Model
 
 
 @verb("demo", example="dpcontrol demo --itinerary cross")
@@ -51,9 +51,9 @@ def demo_command(
         progress("loading", 0.0)
         from dpcontrol import api
         from dpcontrol.foundation.parts import installed
-        from dpcontrol.review.of_log import run_view
-        from dpcontrol.review.picture import write_picture
-        from dpcontrol.review.rerun_recording import write_recording
+        from dpcontrol.pages.of_log import run_view
+        from dpcontrol.pages.picture import write_picture
+        from dpcontrol.pages.rerun_recording import write_recording
 
         plan = api.plan(itinerary, yes=yes, progress=part_of(progress, 0.05, 0.5))
         scene = plan.itinerary
@@ -96,7 +96,7 @@ def model_command(
     """Show a model's parameters with units, and its equilibria (frictionless, pivot at rest)."""
     from dpcontrol.foundation.files import picked
     from dpcontrol.orbits.lyapunov import equilibria
-    from dpcontrol.scenes.model import load_model
+    from dpcontrol.plans.model import load_model
 
     loaded = load_model(model)
     if mjcf is not None:

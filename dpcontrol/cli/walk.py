@@ -30,7 +30,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, progress_bar
 
 if TYPE_CHECKING:
-    from dpcontrol.scenes.model import Model
+    from dpcontrol.plans.model import Model
     from dpcontrol.walks.edges import Edges
     from dpcontrol.walks.symbols import Symbol
     from dpcontrol.walks.walks import WalkAnswer, WalkRequest
@@ -146,7 +146,7 @@ def walk_command(
     with progress_bar("connections") as progress:
         progress("loading", 0.0)
         from dpcontrol.foundation.progress import announce
-        from dpcontrol.scenes.model import load_model
+        from dpcontrol.plans.model import load_model
         from dpcontrol.walks.edges import find_edges
         from dpcontrol.walks.symbols import parse_walk
         from dpcontrol.walks.walks import (

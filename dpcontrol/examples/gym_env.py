@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import dpcontrol as dp
+from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.simulated import SimulatedRig
-from dpcontrol.review.score import Flown, verdict_on
 
 LOST, COMPLETED, EFFORT = 1.5, 100.0, 0.01
 """Error that ends an episode (rad), reward of a completed itinerary, and cost of full acceleration."""

@@ -9,8 +9,8 @@ from typing import Any
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import parse_toml, with_values
 from dpcontrol.planner.shown import fitting_model
-from dpcontrol.scenes.itinerary import Itinerary, WalkPart, itinerary_from
-from dpcontrol.scenes.model import Model, quoted
+from dpcontrol.plans.itinerary import Itinerary, WalkPart, itinerary_from
+from dpcontrol.plans.model import Model, quoted
 from dpcontrol.walks.symbols import parse_walk
 
 LONGEST = 100_000

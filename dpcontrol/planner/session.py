@@ -19,7 +19,7 @@ from dpcontrol.foundation.files import plain, write_whole
 from dpcontrol.planner.draft import Draft, enough_wraps, fault_of, first_text, read_draft
 from dpcontrol.planner.shown import energies_of, fitting_model, shown_model
 from dpcontrol.planner.workers import WorkerJob, Workers
-from dpcontrol.scenes.plan import plan_key
+from dpcontrol.plans.plan import plan_key
 
 _UNDONE = 200
 """Largest number of changes that can be undone."""

@@ -15,10 +15,10 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.logs import RunLog
 from dpcontrol.orbits.lyapunov import equilibria
+from dpcontrol.pages.atlas import connections_of, section_curves, section_place
+from dpcontrol.plans.model import Model, load_model
+from dpcontrol.plans.plan import Plan
 from dpcontrol.references.reference import summarised
-from dpcontrol.review.atlas import connections_of, section_curves, section_place
-from dpcontrol.scenes.model import Model, load_model
-from dpcontrol.scenes.plan import Plan
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, section_axes
 from dpcontrol.walks.symbols import Symbol, choose
 

@@ -25,11 +25,11 @@ from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.foundation.settings import parse_toml
 from dpcontrol.logs import read_log
 from dpcontrol.planner.shown import energies_of, figures_of, fitting_model, shown_atlas, shown_plan, shown_run
-from dpcontrol.scenes.atlas import make_atlas, make_branches
-from dpcontrol.scenes.itinerary import itinerary_from
-from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.run import Run, run_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.atlas import make_atlas, make_branches
+from dpcontrol.plans.itinerary import itinerary_from
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.run import Run, run_plan
 
 SEEDS = 20
 """Number of runs in the success count."""
@@ -103,7 +103,7 @@ def _seeds(report: Reporter, *, text: str) -> dict[str, Any]:
 
 
 def _page(report: Reporter, *, log: str) -> None:
-    from dpcontrol.review.page import save_figure
+    from dpcontrol.pages.page import save_figure
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "page.png"
@@ -112,15 +112,15 @@ def _page(report: Reporter, *, log: str) -> None:
 
 
 def _film(report: Reporter, *, log: str, film: str) -> None:
-    from dpcontrol.review.film import write_film
-    from dpcontrol.review.of_log import run_view
+    from dpcontrol.pages.film import write_film
+    from dpcontrol.pages.of_log import run_view
 
     write_film(run_view(read_log(log)), film, progress=report.progress)
 
 
 def _rerun(_: Reporter, *, log: str) -> None:
-    from dpcontrol.review.of_log import run_view
-    from dpcontrol.review.picture import view_in_window
+    from dpcontrol.pages.of_log import run_view
+    from dpcontrol.pages.picture import view_in_window
 
     view_in_window(run_view(read_log(log)), Path(log).stem)
 

@@ -18,6 +18,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.progress import Cost, Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.plans.model import ModelSystem
 from dpcontrol.proofs.balls import NotClosed, bound, decimal, flint, text, working
 from dpcontrol.proofs.charts import ChartSegment, Surface
 from dpcontrol.proofs.check import FORMAT, digest
@@ -25,7 +26,6 @@ from dpcontrol.proofs.connect import horseshoe, link, orbit_boxes
 from dpcontrol.proofs.decode import decoded
 from dpcontrol.proofs.flow import Field, FlowSettings
 from dpcontrol.proofs.periodic import Chain, Newton, closed_chain, enclose, improved, multipliers, newton, total_time
-from dpcontrol.scenes.model import ModelSystem
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 

@@ -1,1 +1,1 @@
-"""The closed loop of a plan as one object: runs, campaigns, margins, the controller as C."""
+"""Runs, campaigns, nights and preflights of a plan, and the closed loop that they share."""

@@ -11,12 +11,12 @@ from dpcontrol.foundation.arguments import place
 from dpcontrol.foundation.progress import Reporting, reporting
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.own import OwnObject
-from dpcontrol.review.campaign import Preflight
-from dpcontrol.scenes.campaign import Campaign, CampaignSettings, cases_of, run_campaign
-from dpcontrol.scenes.plan import Plan, recoverable
-from dpcontrol.scenes.preflight import PreflightSettings, preflight
-from dpcontrol.scenes.run import Run, assembled, check_exportable, export_plan, run_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.pages.campaign import Preflight
+from dpcontrol.plans.plan import Plan, recoverable
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import Campaign, CampaignSettings, cases_of, run_campaign
+from dpcontrol.runs.preflight import PreflightSettings, preflight
+from dpcontrol.runs.run import Run, assembled, check_exportable, export_plan, run_plan
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ from dpcontrol.dynamics.propagator import ExtendedPropagator
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import no_progress
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 STORED = Path(__file__).parents[1] / "benchmarks" / "charts"
 START = np.array([[0.9, 1.4, 0.5, -1.0]])

@@ -31,8 +31,8 @@ from dpcontrol.loop.controllers import make_estimator
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.sustained import sustained_orbit
-from dpcontrol.scenes.model import load_model
 
 EXACT = 1e-9  # Of slopes of straight lines: rounding of differences of numbers near one.
 FIRST_ORDER = 0.03  # Of a sampled low pass against the continuous one, at a hundredth of the sampling rate.

@@ -15,8 +15,8 @@ from dpcontrol.bench.edges import (
     stuck_border,
 )
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.sustained import sustained_orbit
-from dpcontrol.scenes.model import load_model
 
 APART = 0.25  # the bar
 LAB = load_model("lab")

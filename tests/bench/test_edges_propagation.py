@@ -5,7 +5,7 @@ import pytest
 
 from dpcontrol.bench.edges import DOP, RK4, model_step, plant_step, predicted_step, stability, step_border
 from dpcontrol.dynamics.plant import PlantParameters, longest_step
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 REAL_AXIS, IMAGINARY_AXIS = 2.785, 2.828  # of Runge-Kutta 4: Hairer & Wanner II, fig. IV.2.1 and the text beside it
 LAB = load_model("lab").arms

@@ -7,7 +7,7 @@ import pytest
 
 from dpcontrol.bench.edges import SADDLE, default_states, found_all, near_border
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.intersections import ConnectionSettings
 
 

@@ -11,11 +11,14 @@ from scipy.integrate import solve_ivp
 
 from dpcontrol.bench.levels import WINDOW, can_be_conservative, motions, plant_at
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.plans.itinerary import Itinerary, load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE, Limits
 from dpcontrol.references.reference import Reference, still
-from dpcontrol.scenes import evidence as shipped
-from dpcontrol.scenes.evidence import (
+from dpcontrol.runs import evidence as shipped
+from dpcontrol.runs.evidence import (
     Evidence,
     LevelRuns,
     known_evidence,
@@ -23,9 +26,6 @@ from dpcontrol.scenes.evidence import (
     plan_remarks,
     run_remarks,
 )
-from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
-from dpcontrol.scenes.model import load_model
-from dpcontrol.scenes.run_options import RunOptions
 
 SCENES = sorted(path.stem for path in (Path(__file__).parents[2] / "itineraries").glob("*.toml"))
 SAME = 1e-6  # Relative, of errors of 1e-3 that both integrators know to 1e-10.
@@ -123,7 +123,7 @@ def test_evidence_reads_back_as_it_was_written(monkeypatch, tmp_path):
 @pytest.mark.parametrize("name", [name for name in SCENES if load_itinerary(name).model.arms.count == 2])
 def test_each_shipped_scene_of_two_arms_has_evidence_of_its_own_motion(name):
     found = known_evidence().get(motion_key(load_itinerary(name)))
-    assert found is not None, f"{name} changed: make its evidence anew, see dpcontrol/scenes/level_evidence.toml"
+    assert found is not None, f"{name} changed: make its evidence anew, see dpcontrol/runs/level_evidence.toml"
     assert found.scene == name
     assert ("conservative" in found.references) == can_be_conservative(load_itinerary(name))
 

@@ -33,13 +33,13 @@ from dpcontrol.bench.payoff import (
     with_waves,
 )
 from dpcontrol.dynamics.chain import Level, equations_of
+from dpcontrol.plans.itinerary import Itinerary, itinerary_from
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.find import smooth_guess
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.trajectory import Trajectory, times_on
-from dpcontrol.scenes.evidence import known_flights, off_tubes_remarks
-from dpcontrol.scenes.itinerary import Itinerary, itinerary_from
-from dpcontrol.scenes.model import load_model
+from dpcontrol.runs.evidence import known_flights, off_tubes_remarks
 
 ARMS = load_model("lab").arms
 EQUATIONS = equations_of(ARMS, Level.CART)

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from command_line import dpcontrol
 
-from dpcontrol.scenes.campaign import Case, Job
-from dpcontrol.scenes.plan import Plan
-from dpcontrol.scenes.preflight import outcomes
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.plan import Plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import Case, Job
+from dpcontrol.runs.preflight import outcomes
 
 BENCH = RunOptions(
     mismatch=0.1, initial_error=0.05, lag=0.005, command_noise=0.3, zero_error=0.02, counts=40_000, travel=0.8

@@ -25,10 +25,10 @@ from independent_tubes import missing_connections
 from verdict_runs import disagreement, runs
 
 from dpcontrol.foundation.statistics import wilson
+from dpcontrol.judge.score import verdict_on
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import load_reference
-from dpcontrol.review.score import verdict_on
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.run_options import RunOptions
 
 ATTEMPTS = 8
 """Initial guesses of the independent planner for each transfer of a refused scene."""

@@ -14,7 +14,7 @@ import sys
 import pytest
 
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 ENERGY = -1.5175
 AIMED, CLOSER = 60, 1e6

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from dpcontrol.scenes.campaign import CampaignSettings, Job, cases_of, run_job
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import CampaignSettings, Job, cases_of, run_job
 
 pytestmark = pytest.mark.benchmark
 

@@ -12,15 +12,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.logs import CATCH, RESUME, RETURN
 from dpcontrol.loop import recovery
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import BatchRun, Ending, NoSink
-from dpcontrol.review.score import Flown, verdict_on
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.night import night_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.night import night_itinerary
 
 pytestmark = pytest.mark.benchmark
 

@@ -11,9 +11,9 @@ from functools import cache
 import pytest
 from coarse_benches import completed, delays_of_stuck_scales
 
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.run_options import RunOptions
 
 pytestmark = pytest.mark.benchmark
 

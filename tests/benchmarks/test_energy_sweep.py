@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from dpcontrol.bifurcations.bifurcations import SweepSettings, find_bifurcations
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.cut import CutSettings
 from dpcontrol.tubes.intersections import ConnectionSettings
 

@@ -24,11 +24,11 @@ from dpcontrol.control.estimator_settings import MEANS_OF, mean_band
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
-from dpcontrol.scenes.campaign import cases_of
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.runs.campaign import cases_of
 
 pytestmark = pytest.mark.benchmark
 

@@ -15,9 +15,9 @@ from generated_itineraries import write_itinerary
 from verdict_runs import Comparison, drawn_options, for_plan
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.review.decoding import shortfall
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
+from dpcontrol.judge.decoding import shortfall
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
 
 pytestmark = pytest.mark.benchmark
 

@@ -19,9 +19,9 @@ from independent_tubes import missing_connections
 from scene_flights import Flown, failures, flown_scene, planned_scene, plans_folder, table_by_factor
 from scipy.stats import binom
 
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.model import load_model
-from dpcontrol.scenes.plan import make_plan
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.plan import make_plan
 
 PLANNED, COMPLETED = 0.8, 0.97
 """Shares of the scenes that are planned, and of their runs that are completed, at least."""

@@ -10,9 +10,9 @@ import pytest
 from evidence_text import evidence_text
 
 from dpcontrol.bench.levels import gather
-from dpcontrol.scenes import evidence as shipped
-from dpcontrol.scenes.evidence import Evidence, known_evidence
-from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.runs import evidence as shipped
+from dpcontrol.runs.evidence import Evidence, known_evidence
 
 pytestmark = pytest.mark.benchmark
 

@@ -13,11 +13,11 @@ import time
 import numpy as np
 import pytest
 
-from dpcontrol.review import live
-from dpcontrol.review.picture import viewer_program
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run import rig_link, run_on_rig
+from dpcontrol.pages import live
+from dpcontrol.pages.picture import viewer_program
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.runs.run import rig_link, run_on_rig
 
 TURNS = 3
 

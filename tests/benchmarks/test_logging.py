@@ -19,14 +19,14 @@ from kills import FIRST, kill_one
 from log_endurance import endure
 from log_samples import sample, write_sample
 
+from dpcontrol.judge.score import MODEL_METADATA
 from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import LogSink, NoSink
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
-from dpcontrol.review.score import MODEL_METADATA
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
 
 pytestmark = pytest.mark.benchmark
 

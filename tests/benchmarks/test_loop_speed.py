@@ -9,10 +9,10 @@ import pytest
 
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import LogSink, Reading
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run import log_writer
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.run import log_writer
 
 pytestmark = pytest.mark.benchmark
 

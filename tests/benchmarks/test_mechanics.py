@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from dpcontrol.scenes.campaign import Case, Job, run_job
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import Case, Job, run_job
 
 BENCH = {
     "initial_error": 0.05, "lag": 0.005, "command_noise": 0.3, "zero_error": 0.02, "counts": 40_000, "travel": 0.8,

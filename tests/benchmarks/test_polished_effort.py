@@ -17,9 +17,9 @@ import pytest
 
 from dpcontrol import api
 from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.plans.plan import Plan
 from dpcontrol.references.reference import Reference
-from dpcontrol.scenes.plan import Plan
-from dpcontrol.scenes.polish import SHARE, departure, stretches
+from dpcontrol.runs.polish import SHARE, departure, stretches
 
 BAR = 1.1
 STEP = 0.01

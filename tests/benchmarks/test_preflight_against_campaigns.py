@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from scipy.optimize import isotonic_regression
 
-from dpcontrol.review.campaign import HazardBorder, Preflight
-from dpcontrol.scenes.campaign import CampaignSettings, Case, cases_of, run_campaign
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.preflight import preflight
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.pages.campaign import HazardBorder, Preflight
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import CampaignSettings, Case, cases_of, run_campaign
+from dpcontrol.runs.preflight import preflight
 
 pytestmark = pytest.mark.benchmark
 

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.planning import shadowing_orbit
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.planning import shadowing_orbit
 
 FRICTION = (0.0, 0.5, 1.0, 2.0, 5.0, 8.0, 12.0, 16.0)
 SHARES = {

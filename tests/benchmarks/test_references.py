@@ -14,12 +14,12 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "references"))
 from walk_references import complaints, problem_of, random_references
 
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ReferenceSettings
 from dpcontrol.references.trajectory import error_between_nodes, first_trajectory
 from dpcontrol.references.transcription import solve
-from dpcontrol.scenes.model import load_model
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import WalkSolver
 from dpcontrol.walks.walks import random_walk

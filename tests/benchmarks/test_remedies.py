@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from failing_runs import CAUSES, Typed, failing_runs, typed_remedies
 
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
 
 HELPED, HELPS = 0.5, 0.95
 """Least share of the failing runs that get a remedy, and of the remedies that complete their run when typed."""

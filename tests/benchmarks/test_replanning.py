@@ -31,12 +31,12 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import local_manifold
-from dpcontrol.review import style
-from dpcontrol.scenes.campaign import Job, cases_of, run_job
-from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
-from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.planning import shadowing_orbit
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.pages import style
+from dpcontrol.plans.itinerary import Itinerary, load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.planning import shadowing_orbit
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import Job, cases_of, run_job
 from dpcontrol.shooting.newton import solve_shooting
 from dpcontrol.walks.shadowing import ShadowingOrbit, described
 

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import pytest
 
 from dpcontrol.foundation.statistics import Share
-from dpcontrol.scenes.campaign import CampaignSettings, Case, cases_of, run_campaign
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import CampaignSettings, Case, cases_of, run_campaign
 
 pytestmark = pytest.mark.benchmark
 

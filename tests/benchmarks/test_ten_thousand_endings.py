@@ -22,8 +22,8 @@ from ending_truth import MOVING, class_of, flights, troubled, untrue, untrue_sco
 
 from dpcontrol.foundation.cache import cache_root, code_hash, keep, kept
 from dpcontrol.foundation.files import content_hash
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
 
 pytestmark = pytest.mark.benchmark
 
@@ -49,7 +49,7 @@ def planned(name: str) -> Plan:
 @cache
 def _key() -> str:
     judge = [Path(file or "").read_text() for file in (__file__, ending_truth.__file__)]
-    return content_hash(code_hash("dpcontrol.scenes.campaign"), *judge)
+    return content_hash(code_hash("dpcontrol.runs.campaign"), *judge)
 
 
 def judged(number: int) -> dict[str, Any]:

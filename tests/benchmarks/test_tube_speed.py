@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from dpcontrol.dynamics.propagator import ExtendedPropagator, extended, pi_times
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 ENERGY = 0.2
 COUNT = 1000

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from walk_classifier import WalkClassifier
 
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import WalkSolver
 from dpcontrol.walks.walks import drawn_requests, random_walk, solved

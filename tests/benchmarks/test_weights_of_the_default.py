@@ -21,11 +21,11 @@ from matplotlib.figure import Figure
 
 from dpcontrol.control.estimator_settings import AdaptiveEkfSettings
 from dpcontrol.control.tracking import AdaptiveSettings
-from dpcontrol.review import style
-from dpcontrol.scenes.campaign import Case, Job, cases_of, run_job
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.pages import style
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import Case, Job, cases_of, run_job
 
 pytestmark = pytest.mark.benchmark
 

@@ -13,7 +13,7 @@ from dpcontrol.bifurcations.links import LinkProblem, carry, follow
 from dpcontrol.cli.main import main
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.newton import solve_shooting
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, section_points

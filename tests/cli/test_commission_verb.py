@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from command_line import PROGRAM, dpcontrol, dpcontrol_program
 
+from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.rig import commissioning
 from dpcontrol.rig.commissioning import CommissioningSettings
-from dpcontrol.scenes.itinerary import load_itinerary
 
 ROOT = Path(__file__).parents[2]
 QUICK = CommissioningSettings(look=0.2, hold=0.5, sweep=4.0, ring=2.0, wait=3.0)

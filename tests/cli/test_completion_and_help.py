@@ -65,7 +65,7 @@ def test_bash_zsh_and_fish_are_answered_in_their_own_form(
 
 @pytest.mark.slow
 def test_all_figures_are_offered() -> None:
-    from dpcontrol.review.figures import FIGURES
+    from dpcontrol.pages.figures import FIGURES
 
     assert offered("dpcontrol figures ") == list(FIGURES)
 

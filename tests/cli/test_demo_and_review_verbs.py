@@ -10,7 +10,7 @@ import pytest
 from command_line import Ended, dpcontrol
 
 from dpcontrol.logs import read_log
-from dpcontrol.review.of_log import run_view
+from dpcontrol.pages.of_log import run_view
 
 PNG, RECORDING = b"\x89PNG\r\n\x1a\n", b"RRF2"
 """First bytes of a picture (PNG specification) and of a Rerun recording."""
@@ -73,7 +73,7 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
     called = 'echo "$CI $2 $3" > "$0.called"'
     viewer.write_text(f'#!/bin/sh\n{called}\ncp "$1" "{opened}.part" && mv "{opened}.part" "{opened}"\n')
     viewer.chmod(0o755)
-    monkeypatch.setattr("dpcontrol.review.picture.viewer_program", lambda: viewer)
+    monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: viewer)
     monkeypatch.setenv("DISPLAY", ":0")
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
@@ -93,7 +93,7 @@ def test_review_without_a_display_is_refused_and_leaves_nothing(
     display: str, demo: tuple[Path, Ended], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Of a display that is named but not there the viewer itself says so, at once.
-    monkeypatch.setattr("dpcontrol.review.picture.viewer_program", lambda: Path("/bin/false"))
+    monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: Path("/bin/false"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("DISPLAY", display)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -105,7 +105,7 @@ def test_review_without_a_display_is_refused_and_leaves_nothing(
 
 
 def test_the_viewer_that_takes_a_picture_listens_to_this_computer_only(tmp_path: Path) -> None:
-    from dpcontrol.review.picture import _bound
+    from dpcontrol.pages.picture import _bound
 
     said = subprocess.run([_bound(Path("/bin/echo"), tmp_path), "--headless"], capture_output=True, text=True)
     assert said.stdout == "--bind 127.0.0.1 --headless\n"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from command_line import dpcontrol, dpcontrol_program
 
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.run_options import RunOptions
 
 VERBS = ("demo", "model", "orbit", "connect", "plan", "run", "score", "review")
 HEAVY = {"casadi", "heyoka", "rerun", "scipy", "matplotlib", "numpy"}

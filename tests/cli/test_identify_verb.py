@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 
+from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.recording import simulated_recording, write_recording
-from dpcontrol.scenes.model import load_model
 
 KEYS = {"parameters", "undetermined", "friction_terms", "candidates", "segments", "file"}
 PNG = b"\x89PNG\r\n"

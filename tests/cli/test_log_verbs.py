@@ -16,9 +16,9 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.identification.identify import IdentificationSettings, identify
 from dpcontrol.logs import read_log
 from dpcontrol.loop.bench import Unlike, draw_bench
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.recording import load_recording
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.model import load_model
 
 RATIO = 1e-5
 """Of ratios from five seconds of a run: what rounding to counts leaves."""

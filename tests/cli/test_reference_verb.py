@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 
+from dpcontrol.pages.of_log import reference_view
+from dpcontrol.pages.page import draw
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference, summarised
-from dpcontrol.review.of_log import reference_view
-from dpcontrol.review.page import draw
 
 AGREES = 1e-9
 """Relative; sums and interpolation in double precision."""

@@ -37,7 +37,7 @@ def defect(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(name: str) -> None:
         raise ZeroDivisionError(f"the \x1b[31mmodel {name} is odd")
 
-    monkeypatch.setattr("dpcontrol.scenes.model.load_model", broken)
+    monkeypatch.setattr("dpcontrol.plans.model.load_model", broken)
 
 
 @pytest.mark.usefixtures("defect")
@@ -79,7 +79,7 @@ def test_an_error_of_a_file_or_of_memory_needs_no_report(monkeypatch: pytest.Mon
         (PermissionError(13, "Permission denied", "far/off"), 2, "far/off: Permission denied"),
         (MemoryError("Unable to allocate 7 TiB"), 1, "not enough memory"),
     ):
-        monkeypatch.setattr("dpcontrol.scenes.model.load_model", lambda name, error=error: (_ for _ in ()).throw(error))
+        monkeypatch.setattr("dpcontrol.plans.model.load_model", lambda name, error=error: (_ for _ in ()).throw(error))
         ended = dpcontrol("model", "lab")
         assert ended.code == code
         assert naming in ended.message
@@ -114,7 +114,7 @@ def test_a_users_text_steers_no_progress_bar(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_half_a_formula_in_a_title_is_drawn_as_text(folder: Path) -> None:
-    from dpcontrol.review.page import new_figure, save_figure
+    from dpcontrol.pages.page import new_figure, save_figure
 
     figure = new_figure(4, 3, r"costs $5 \frac{$ and more")
     figure.add_subplot().semilogy([1e-3, 1.0])
@@ -201,7 +201,7 @@ def test_a_log_whose_time_runs_backward_is_no_recording(folder: Path) -> None:
 def test_a_picture_whose_curves_reach_too_far_is_refused_in_a_sentence(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    from dpcontrol.review.page import new_figure, save_figure
+    from dpcontrol.pages.page import new_figure, save_figure
 
     figure = new_figure(4, 3)
 

@@ -15,7 +15,7 @@ from command_line import PROGRAM, dpcontrol
 
 from dpcontrol.cli import main as program
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review import picture
+from dpcontrol.pages import picture
 from dpcontrol.rig.packets import shared_key
 from dpcontrol.walks.symbols import parse_symbol
 

@@ -11,9 +11,9 @@ from dpcontrol.bench.chart import CHARTS
 from dpcontrol.bench.run import charts_cost
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 from dpcontrol.foundation.progress import MOST_BYTES, MOST_SECONDS, Cost, announce
-from dpcontrol.scenes.itinerary import itinerary_from, load_itinerary
-from dpcontrol.scenes.model import load_model
-from dpcontrol.scenes.plan import plan_cost
+from dpcontrol.plans.itinerary import itinerary_from, load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.plan import plan_cost
 
 WALK = ("walk", "lab", "--energy", "0.2")
 TURN = ("-s", "down-up +")
@@ -75,7 +75,7 @@ def test_a_campaign_of_a_thousand_cases_says_what_it_takes_and_is_refused_beyond
     def begun(*_: object, **__: object) -> None:
         raise GoalMissed("begun")
 
-    monkeypatch.setattr("dpcontrol.scenes.campaign.run_locally", begun)
+    monkeypatch.setattr("dpcontrol.runs.campaign.run_locally", begun)
     over = {"mismatch": [k / 1e4 for k in range(1000)]}
     with pytest.raises(GoalMissed, match="begun"), pytest.warns(Remark, match=r"100,000 runs of 1,000 cases.*minutes"):
         dp.campaign("outer-turn", over=over, runs=100, workers=2)
@@ -133,7 +133,7 @@ def test_python_refuses_an_itinerary_without_end_unless_it_is_asked_for(
     def planned(*_: object, **__: object) -> None:
         raise GoalMissed("begun")
 
-    monkeypatch.setattr("dpcontrol.scenes.planning.planned", planned)
+    monkeypatch.setattr("dpcontrol.plans.planning.planned", planned)
     with pytest.raises(GoalMissed, match="begun"), pytest.warns(Remark, match="will take about"):
         begin(str(file), yes=True)
 

@@ -14,9 +14,9 @@ from dpcontrol.control.periodic import orbit_controller
 from dpcontrol.control.tracking import TrackingController, TvlqrSettings, tracking_controller
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.reference import Reference
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
-from dpcontrol.scenes.model import load_model
 
 ON_ORBIT = 0.1  # rad: what a completed period asks for.
 JOIN = 0.06  # Scaled: where a flight with a plant 3 % off may be from the orbit that it comes to.

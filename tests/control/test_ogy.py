@@ -29,8 +29,8 @@ from dpcontrol.control.periodic import (
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
-from dpcontrol.scenes.model import load_model
 
 RICCATI = 1e-5  # Relative; matrices with entries of thousands, squared.
 SLOPE = 1e-3  # Of Runge-Kutta flights with a held input against a tight integrator, relative to the largest.

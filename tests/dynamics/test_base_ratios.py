@@ -18,7 +18,7 @@ from dpcontrol.dynamics.chain import (
     with_laws,
 )
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 # A few rounding errors.
 EXACT = 1e-12

@@ -10,7 +10,7 @@ from shadowing_stand_in import LAB
 from dpcontrol.dynamics.chain import oddities
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shipped import find, known
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 
 @pytest.mark.parametrize("name", known("models"))

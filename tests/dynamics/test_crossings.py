@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq
 
 from dpcontrol.dynamics.propagator import Section
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 TIME = 1e-11  # s: brentq's own tolerance, and rounding grown over two seconds
 STATE = 1e-9  # the same rounding times accelerations of a hundred

@@ -8,7 +8,7 @@ import pytest
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 # Relative error of central differences with step 1e-5.
 DIFFERENCES = 1e-7

@@ -10,7 +10,7 @@ from command_line import dpcontrol
 from scipy.integrate import solve_ivp
 
 import dpcontrol as dp
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'dpcontrol[mujoco]'")
 

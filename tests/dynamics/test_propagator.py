@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.propagator import PolynomialInputPropagator, Section
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 DOP853 = 1e-9  # error of scipy's DOP853 at 1e-12 over a second of this motion
 SYMPLECTIC = 1e-11

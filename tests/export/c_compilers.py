@@ -13,7 +13,7 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Reading
 from dpcontrol.loop.ticker import Ticker
-from dpcontrol.scenes.plan import Plan
+from dpcontrol.plans.plan import Plan
 
 WARNINGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
 SOURCES = ["dpc_controller.c", "dpc_tables.c"]

@@ -6,9 +6,9 @@ import pytest
 
 from dpcontrol.control import export
 from dpcontrol.control.export import ControllerSource
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.run import export_plan
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.runs.run import export_plan
 
 
 @pytest.fixture(scope="session")

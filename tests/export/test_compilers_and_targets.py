@@ -11,9 +11,9 @@ from c_compilers import SOURCES, WARNINGS, compiled, needed, ran
 from dpcontrol.control import export
 from dpcontrol.control.export import ControllerSource
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.scenes import run
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.runs import run
 
 pytestmark = pytest.mark.slow
 

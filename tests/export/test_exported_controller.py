@@ -16,10 +16,10 @@ from dpcontrol.control.tick import SETTLING, Outcome
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_folder
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import Plan
-from dpcontrol.scenes.run import export_plan, run_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.run import export_plan, run_plan
 
 SAME = {"double": 1e-9, "float": 1e-2}  # m/s²: rounding of sines times the law's gains.
 COUNT = 2 * np.pi / 40_000

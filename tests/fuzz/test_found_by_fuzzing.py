@@ -11,10 +11,10 @@ from command_line import dpcontrol
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.replay import filter_settings
+from dpcontrol.judge.score import score
 from dpcontrol.logs import LogWriter, read_log
+from dpcontrol.pages.page import new_figure, save_figure
 from dpcontrol.references.reference import load_reference, save_reference
-from dpcontrol.review.page import new_figure, save_figure
-from dpcontrol.review.score import score
 
 REST = 'model = "lab"\nstart = "hold"\nhold = "down-down"\nseconds = 0.5\n[controller]\nkind = "lqr"\n'
 

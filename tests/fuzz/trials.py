@@ -136,7 +136,7 @@ def attempt(trial: Trial, laboratory: Laboratory) -> Ended:
 
 def without_programs() -> None:
     """Prevent trials from opening viewers, rendering pictures or serving runs."""
-    from dpcontrol.review import picture
+    from dpcontrol.pages import picture
     from dpcontrol.rig import bench
 
     picture.viewer_program = lambda: Path("/bin/true")

@@ -17,8 +17,8 @@ from dpcontrol.identification.fit import (
     fit_swings,
 )
 from dpcontrol.identification.identify import cut_into_swings
+from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.recording import simulated_recording
-from dpcontrol.scenes.model import load_model
 
 LAB = load_model("lab").arms
 QUICK = DesignSettings(seconds=1.5, steps=3, amplitudes=(1.0, 2.0), frequencies=(0.8, 2.0))

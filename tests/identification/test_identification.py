@@ -10,9 +10,9 @@ from bench_recordings import rig_file
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, base_ratios
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.identify import Identification, IdentificationSettings, choose, correlation_time, identify
+from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.importing import import_recording
 from dpcontrol.recordings.recording import Recording, simulated_recording
-from dpcontrol.scenes.model import load_model
 
 # Allowed error of predictions over 2.667 s on held-out segments of the rig, rad.
 MEDIAN, WORST = 1.6e-3, 3.6e-3

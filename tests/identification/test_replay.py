@@ -19,9 +19,9 @@ from dpcontrol.identification.replay import (
     write_replay,
 )
 from dpcontrol.logs import read_log
+from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.importing import import_recording
 from dpcontrol.recordings.recording import Recording, load_recording
-from dpcontrol.scenes.model import load_model
 
 COUNT = 2 * np.pi / 40_000  # encoder count, rad
 STEP = 1e-8  # rad: DOP853 at 1 ms compared with scipy's at 1e-10, over 2 s

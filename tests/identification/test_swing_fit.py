@@ -18,7 +18,7 @@ from dpcontrol.dynamics.chain import (
 )
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 # Runge-Kutta at 1 ms and DOP853 at 1e-12 over half a second differ by the Coulomb step, rad/s.
 STEPPED = 5e-6

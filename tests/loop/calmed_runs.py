@@ -14,10 +14,10 @@ from dpcontrol.loop.bench import DriveSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.recovery import calming_bounds
 from dpcontrol.loop.simulated import BatchBench
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import still
-from dpcontrol.scenes.model import load_model
 
 Array = NDArray[np.float64]
 

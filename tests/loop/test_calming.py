@@ -6,7 +6,7 @@ from calmed_runs import LIMITS, calmed
 
 from dpcontrol.control.calming import CalmingSettings, calming_controller
 from dpcontrol.loop.loop import sampled_model
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 
 @pytest.fixture(scope="module")

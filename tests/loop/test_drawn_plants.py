@@ -20,11 +20,11 @@ from dpcontrol.loop.bench import (
     draw_bench,
 )
 from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
-from dpcontrol.scenes.campaign import Case, Job
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.model import load_model
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.runs.campaign import Case, Job
 
 LAB = load_model("lab").arms
 RATIOS = base_ratios(LAB)

@@ -9,9 +9,9 @@ from shadowing_stand_in import LAB
 from dpcontrol.control.lqr import HoldController
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import sampled_model
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
 
 HELD = 0.1  # rad: as the score allows.
 SECONDS = 5.0

@@ -7,13 +7,13 @@ import pytest
 from command_line import Ended, dpcontrol
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.score import plan_of
 from dpcontrol.logs import RunLog, read_log
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import Ending, SupervisorSettings
-from dpcontrol.review.score import plan_of
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
 
 TRAVEL = 0.4
 NEAR_ORBIT = 0.2

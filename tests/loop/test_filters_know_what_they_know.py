@@ -20,10 +20,10 @@ from dpcontrol.control.tracking import AdaptiveSettings, adaptive_controller
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
 
 QUICK = (0.35, 1.6)
 """Of 16 runs."""

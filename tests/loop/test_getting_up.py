@@ -12,9 +12,9 @@ from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.recovery import Reach, meeting_tick
 from dpcontrol.loop.result import Ending, NoSink
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
 
 pytestmark = pytest.mark.slow
 """Ways from rest to the stops take most of a minute to plan."""

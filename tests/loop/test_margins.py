@@ -14,9 +14,9 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Reading
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.references.problem import Limits
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import Plan, make_plan
 
 NEAR = 0.07
 """Share of a margin: near it the nonlinear loop takes long to show what it does."""

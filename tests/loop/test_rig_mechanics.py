@@ -12,8 +12,8 @@ from dpcontrol.foundation.settings import parse_toml
 from dpcontrol.loop.bench import BenchSettings, MechanicsSettings, Unlike, draw_bench
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.plans.itinerary import read_run_settings
 from dpcontrol.references.problem import Limits
-from dpcontrol.scenes.itinerary import read_run_settings
 
 LIMITS = Limits(position=0.4, velocity=3.0, acceleration=30.0)
 

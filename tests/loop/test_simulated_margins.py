@@ -11,9 +11,9 @@ import pytest
 from dpcontrol.control.lqr import HoldController
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import BatchRun, Ending
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
 
 NEAR, NEAR_IN_FLIGHT = 0.25, 0.5
 """Share by which a margin may miss the border of the simulated runs. In flight the border is no line: runs with other

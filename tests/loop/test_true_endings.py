@@ -11,9 +11,9 @@ import pytest
 from ending_truth import Flight, class_of, flights, untrue, untrue_score
 
 from dpcontrol.loop.result import Ending
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.run_options import RunOptions
 
 BENCH = {"initial_error": 0.05, "command_noise": 0.3, "controller": "tvlqr"}
 

@@ -14,9 +14,9 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.family import FamilySettings, lyapunov_family
 from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit
-from dpcontrol.review.orbits import draw_families
-from dpcontrol.review.page import save_figure
-from dpcontrol.scenes.model import load_model
+from dpcontrol.pages.orbits import draw_families
+from dpcontrol.pages.page import save_figure
+from dpcontrol.plans.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS
 
 STATE = 1e-9  # required; about 1e-12 is achieved

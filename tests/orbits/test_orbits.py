@@ -6,7 +6,7 @@ import pytest
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import ContinuationSettings, SymmetricShooting, equilibria, lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS, SQUARED_EIGENVALUES
 
 EIGENVALUES = 1e-10

@@ -17,7 +17,7 @@ from dpcontrol.orbits.rotating import (
     rotating_family,
     rotating_orbits,
 )
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 STATE = 1e-9  # required; about 1e-13 is achieved
 PERIOD = 1e-11

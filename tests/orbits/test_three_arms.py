@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 SYSTEM = load_model("triple").system
 SAME = 1e-9

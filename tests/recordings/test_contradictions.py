@@ -9,9 +9,9 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.checks import constant_angles, contradiction
 from dpcontrol.recordings.recording import Recording, simulated_recording
-from dpcontrol.scenes.model import load_model
 
 LAB = load_model("lab").arms
 START = [np.array([0.5, 0.8])]

@@ -13,9 +13,9 @@ from scipy.io import savemat
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.identify import identify
 from dpcontrol.identification.replay import filter_settings, replay_recording
+from dpcontrol.plans.model import load_model
 from dpcontrol.recordings.importing import import_recording
 from dpcontrol.recordings.recording import load_recording, simulated_recording, write_recording
-from dpcontrol.scenes.model import load_model
 
 Array = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.sustained import SectionMap, SustainedOrbit, sustained_orbit
-from dpcontrol.scenes.model import load_model
 
 ERROR_BETWEEN_NODES = 1e-9  # Required, scaled.
 CLOSURE = 1e-9  # rad, rad/s, m: tolerance of the solver without scaling.

@@ -3,8 +3,8 @@
 import pytest
 from walk_references import complaints, random_references
 
+from dpcontrol.plans.model import load_model
 from dpcontrol.references.problem import ReferenceSettings
-from dpcontrol.scenes.model import load_model
 from dpcontrol.walks.edges import find_edges
 
 

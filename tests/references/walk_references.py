@@ -8,10 +8,10 @@ from independent_decoder import Plan, labels
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.orbits.manifold import OrbitCurve
+from dpcontrol.plans.model import Model
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
-from dpcontrol.scenes.model import Model
 from dpcontrol.walks.edges import Edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
 from dpcontrol.walks.walks import random_walk

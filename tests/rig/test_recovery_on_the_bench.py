@@ -13,13 +13,13 @@ from dpcontrol.logs import read_log
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.result import Ending, NoSink
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
 from dpcontrol.rig.client import LinkSettings, UdpRig
-from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.night import NightSettings, run_night
-from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.run import RigLink, bench_recipe, run_on_rig
-from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.runs.night import NightSettings, run_night
+from dpcontrol.runs.run import RigLink, bench_recipe, run_on_rig
 
 pytestmark = pytest.mark.slow  # most of a minute of real time
 

@@ -8,7 +8,7 @@ from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.loop import sampled_model
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 LAB = load_model("lab").arms
 NOISE = SensorSettings().covariance(2)

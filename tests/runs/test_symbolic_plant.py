@@ -15,7 +15,7 @@ import dpcontrol as dp
 from dpcontrol.dynamics.components import Belt, Cable, EncoderPlay, Stiction
 from dpcontrol.dynamics.plant import PlantParameters
 from dpcontrol.loop.simulated import SimulatedPlant
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 
 LAB = load_model("lab").arms
 EXACT = 1e-9

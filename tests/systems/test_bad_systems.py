@@ -9,7 +9,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.examples.henon_heiles import hamiltonian, henon_heiles
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.scenes.atlas import compute_atlas
+from dpcontrol.plans.atlas import compute_atlas
 from dpcontrol.tubes.connections import find_connections
 from tests.systems.hill import hill
 

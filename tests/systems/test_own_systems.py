@@ -9,7 +9,7 @@ import pytest
 import dpcontrol as dp
 from dpcontrol.examples.henon_heiles import henon_heiles
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.scenes.atlas import compute_atlas
+from dpcontrol.plans.atlas import compute_atlas
 from dpcontrol.tubes.connections import find_connections
 from tests.systems.de_leon_berne import de_leon_berne
 from tests.systems.hill import hill

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold, local_manifold
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.tubes import intersections
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, tube_cut

@@ -13,7 +13,7 @@ from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.propagator import ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.orbits.manifold import OrbitCurve
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS

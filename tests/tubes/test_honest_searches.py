@@ -6,7 +6,7 @@ from command_line import dpcontrol
 from uniform_rods import uniform_rods
 
 from dpcontrol.bifurcations.bifurcations import SweepSettings, find_bifurcations
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections, orbits_between
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.edges import find_edges

@@ -9,9 +9,9 @@ from dpcontrol.dynamics.system import momentum_scale
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.review.page import save_figure
-from dpcontrol.review.wheels import draw_interior
-from dpcontrol.scenes.model import load_model
+from dpcontrol.pages.page import save_figure
+from dpcontrol.pages.wheels import draw_interior
+from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.cut import CutSettings, section_points, tube_cut
 from dpcontrol.tubes.intersections import (
     InteriorSettings,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.cli.main import main
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings
 from dpcontrol.tubes.intersections import ConnectionSettings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts

@@ -10,7 +10,7 @@ from command_line import dpcontrol
 import dpcontrol as dp
 from dpcontrol.foundation import progress as progress_module
 from dpcontrol.foundation.budget import Budget
-from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
+from dpcontrol.plans.atlas import AtlasSettings, make_atlas
 from dpcontrol.tubes.intersections import search_settings
 
 LAB = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07")

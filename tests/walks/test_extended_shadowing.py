@@ -9,7 +9,7 @@ from dpcontrol.dynamics.propagator import ExtendedPropagator, digits, extended, 
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import rotating_vertex
 from dpcontrol.orbits.rotating import rotating_orbits
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, find_lap_connections, orbits_between
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow

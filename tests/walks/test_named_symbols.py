@@ -5,7 +5,7 @@ import pytest
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.edges import find_edges, rotating_connections, rotating_named, rotating_names
 from dpcontrol.walks.shadowing import shadow

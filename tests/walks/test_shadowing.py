@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.newton import NewtonSettings, solve_shooting
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.shadowing import ShadowingSettings, described, first_guess, phase_gap, shadow

@@ -4,7 +4,7 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.bench import energies
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.walks.following import SymbolBranches, bisected
 from dpcontrol.walks.symbols import parse_symbol
 
@@ -83,7 +83,7 @@ def test_invalid_comparisons_are_refused(options, words):
 @pytest.mark.slow
 def test_energies_are_compared_along_one_branch(monkeypatch):
     """The walk at each energy names the followed connection, even if its symbol selects another one."""
-    from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.plans.itinerary import load_itinerary
 
     itinerary = load_itinerary("outer-turn")
     asked = []

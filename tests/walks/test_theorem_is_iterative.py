@@ -5,7 +5,7 @@ import pytest
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.manifold import OrbitCurve
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.newton import NewtonSettings
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow

@@ -7,7 +7,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold, rotating_vertex
 from dpcontrol.orbits.rotating import rotating_orbits
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_lap_connections
 from dpcontrol.walks.shadowing import shadow
 from dpcontrol.walks.walks import as_connection

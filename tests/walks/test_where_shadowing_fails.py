@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from walk_classifier import WalkClassifier
 
-from dpcontrol.scenes.model import load_model
+from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.newton import NewtonSettings, solve_shooting
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingSettings, WalkSolver, described, first_guess, shadow

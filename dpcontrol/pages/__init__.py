@@ -1,0 +1,1 @@
+"""Pages, pictures and films of results, drawn by matplotlib and Rerun."""

@@ -1,0 +1,433 @@
+"""Data to draw of a log, a reference or a sustained orbit, from their files.
+
+A plan's tubes lead from a stop's orbit to the section of the next symbol, and on to the next stop. Its notes hold each
+connection's name, with the hits and the section, and the section's lifted height. The unstable tube of the stop's orbit
+is cut there (`tubes.cut`). The stable tube of the next stop is such a tube reversed in time. Of each tube only the
+branch that meets the section at the plan's height is kept. Source: Kaheman et al. (2023), section 3.
+"""
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import InputError, PartMissing, remark
+from dpcontrol.judge.decoding import Decoded, decode_run, orbit_index
+from dpcontrol.judge.score import (
+    DRAWN_METADATA,
+    MODEL_METADATA,
+    PLANT_METADATA,
+    REFERENCE_ATTACHMENT,
+    Flown,
+    counted,
+    flights_of,
+    plan_of,
+    recovered_note,
+    score,
+    spliced,
+)
+from dpcontrol.logs import RunLog
+from dpcontrol.logs.layout import SLOW_RATE
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.pages.motion import ACTUAL, PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
+from dpcontrol.recordings.recording import SUMMARY
+from dpcontrol.references.reference import (
+    OrbitNote,
+    PlanNotes,
+    Reference,
+    ReferenceSummary,
+    load_reference,
+    plan_notes,
+    summarised,
+)
+from dpcontrol.references.sustained import SustainedOrbit
+from dpcontrol.tubes.cut import CutSettings, tube_cut
+
+STRANDS = 24
+INSTANTS = 160
+_HEIGHT = 1e-6
+_CUT = CutSettings(smallest_phase_step=3e-4)
+"""Least visible distance; if doubling the phases brings neighbours no nearer, a cut is drawn open."""
+_NAME = re.compile(r"h(?P<unstable>\d+)\.(?P<stable>\d+)(?::(?P<section>[\w-]+))?@")
+
+
+def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
+    """Return the tubes in a plan's notes, each once.
+
+    Symbols whose tubes cannot be computed are skipped.
+    """
+    made: dict[tuple[Any, ...], TubeCurve] = {}
+    flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
+    for k, symbol in enumerate(notes["symbols"]):
+        name = _NAME.search(str(symbol["name"] or ""))
+        # Tubes of three arms have no sections.
+        if name is None or symbol["section"] is None or not system.sections:
+            continue
+        section = system.section_between(symbol["source"], symbol["target"], name["section"])
+        height = float(symbol["section"]["value"])
+        for stable, stop, hit in (
+            (False, notes["stops"][k], int(name["unstable"])),
+            (True, notes["stops"][k + 1], int(name["stable"])),
+        ):
+            index = stop.get("arrived_on", stop["orbit"]) if stable else stop["orbit"]
+            entry = notes["orbits"][index]
+            tube = (entry["saddle"], entry["energy"], section.name, hit, stable)
+            if tube not in flown:
+                flown[tube] = list(_flown(system, entry, section=section, hit=hit, stable=stable))
+            lift = np.asarray(stop["angles"]) - np.asarray(notes["saddles"][stop["saddle"]]["angles"])
+            key = (*tube, *np.rint(lift).tolist(), round(height, 6))
+            if key not in made:
+                made |= {(*key, b): c for b, c in enumerate(_at(flown[tube], section, lift=lift, height=height))}
+    return tuple(made.values())
+
+
+def _flown(system: System, orbit_note: OrbitNote, *, section: Section, hit: int, stable: bool) -> Iterator[TubeCurve]:
+    """Yield both branches of an orbit's tube at the untranslated orbit."""
+    try:
+        orbit = lyapunov_orbit(system, orbit_note["saddle"], energy=float(orbit_note["energy"]))
+    except InputError:
+        return
+    except PartMissing as missing:
+        remark(f"the tubes along the way are not shown: {missing}")
+        return
+    manifold = UnstableManifold(orbit)
+    cut = tube_cut(manifold, section, hit=hit, settings=_CUT)
+    gap = np.full((1, system.dimension), np.nan)
+    for branch in (1, -1):
+        pieces = [piece for piece in cut.pieces if piece.branch == branch]
+        if not pieces:
+            continue
+        phases = np.concatenate([piece.phases for piece in pieces]) % 1.0
+        times = np.concatenate([piece.times for piece in pieces])
+        chosen = list(dict.fromkeys(int(np.argmin(np.abs(phases - k / STRANDS))) for k in range(STRANDS)))
+        seeds, _ = manifold.seeds(phases[chosen], branch)
+        instants = np.linspace(0.0, times[chosen], INSTANTS, axis=1)
+        strands = np.array([system.propagator.sample(*flight) for flight in zip(seeds, instants, strict=True)])
+        ends = np.vstack([part for p in pieces for part in (p.states, p.states[: int(p.closed)], gap)])
+        if stable:
+            strands, ends = ((states - orbit.centre) @ orbit.reverser.T + orbit.centre for states in (strands, ends))
+        yield TubeCurve(stable, strands, ends)
+
+
+def _at(curves: list[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:
+    """Yield the parts of the tubes at a lifted section height.
+
+    They are moved by whole turns (n,).
+    """
+    move = np.concatenate([lift, np.zeros_like(lift)])
+    normal = np.asarray(section.normal)
+    for curve in curves:
+        strands, cut = curve.strands + move, curve.cut + move
+        kept = np.abs(strands[:, -1] @ normal - height) < _HEIGHT
+        if kept.any():
+            there = np.abs(cut @ normal - height) < _HEIGHT
+            yield TubeCurve(curve.stable, strands[kept], np.where(there[:, None], cut, np.nan))
+
+
+def run_view(log: RunLog) -> RunView:
+    """Return the data to draw of a log.
+
+    A log without a plan, as from a bench, has few.
+
+    Raises:
+        InputError: the plan in the log is damaged.
+    """
+    view, system = series_of(log), _system(log)
+    n = len(log.arm_lengths)
+    states = log.states.get("truth", log.states.get("estimate"))
+    view = replace(view, extra_truth=true_extras(log, view))
+    if states is not None and system is not None:
+        view = replace(view, energy=system.numeric.hamiltonian(states[:, : 2 * n]))
+    if states is None or REFERENCE_ATTACHMENT not in log.attachments or "reference" not in log.states:
+        return replace(view, verdict=_without_plan(log))
+    plan = plan_of(log)
+    notes = plan_notes(plan)
+    verdict = score(log)
+    planned = plan_view(plan, system=system)
+    if verdict.falls or verdict.catches:
+        planned, decoded = _with_falls(log, states, plan, planned)
+    else:
+        decoded = decode_run(log.time, states[:, :n], plan)
+    seed = "" if verdict.seed is None else f", seed {verdict.seed}"
+    return replace(
+        view,
+        title=f"{notes['title']} — {notes['itinerary']}{seed}",
+        limits=log.limits or limits_of(plan),
+        verdict=verdict.sentence,
+        good=verdict.completed,
+        plan=planned,
+        done=_done(decoded, notes, log.time),
+        crossings=decoded.crossings,
+    )
+
+
+def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) -> tuple[PlanView, Decoded]:
+    """Return plan and decoded ticks of a run with falls.
+
+    Both are on the clock of the run.
+    """
+    n, flights = len(log.arm_lengths), flights_of(log)
+    flown = Flown(
+        log.time, states, log.reference[:, :n], log.control["applied"], log.rate_hz, log.limits, flights=flights
+    )
+    run = spliced(flown, plan)
+    rows = np.concatenate([rows for rows, _ in counted(flights, rate_hz=log.rate_hz)])
+    decoded = decode_run(run.time, run.angles, plan)
+
+    def clock(time: float) -> float:
+        return float(np.interp(time, run.time, log.time[rows]))
+
+    visits = (replace(v, first=int(rows[v.first]), last=int(rows[v.last])) for v in decoded.visits)
+    crossings = tuple(None if at is None else clock(at) for at in decoded.crossings)
+    by_clock = replace(
+        planned,
+        symbols=tuple((clock(at), text) for at, text in planned.symbols),
+        planned=tuple(replace(stay, first=clock(stay.first), last=clock(stay.last)) for stay in planned.planned),
+        transfers=tuple((clock(a), clock(b)) for a, b in planned.transfers),
+        duration=float(log.time[-1]),
+    )
+    return by_clock, replace(decoded, visits=tuple(visits), crossings=crossings)
+
+
+def limits_of(plan: Reference) -> tuple[float, float, float]:
+    """Return the cart's limits in a plan.
+
+    They are position in m, velocity in m/s, and acceleration in m/s².
+    """
+    return plan.limits.position, plan.limits.velocity, plan.limits.acceleration
+
+
+def plan_view(plan: Reference, *, system: System | None) -> PlanView:
+    """Return the requirements of a plan.
+
+    Tubes are included if the pendulum is known.
+
+    Raises:
+        InputError: the notes are not those of a plan.
+    """
+    notes = plan_notes(plan)
+    try:
+        symbols = tuple((float(s["time"]), str(s["text"])) for s in notes.get("symbols") or [])
+        stops = [str(stop["saddle"]) for stop in notes.get("stops") or []]
+        edges = [float(plan.mesh[0]), *(at for at, _ in symbols), float(plan.mesh[-1])]
+        transfers = tuple((float(a), float(b)) for a, b in notes.get("transfers") or [])
+        return PlanView(
+            orbits=_placed_orbits(plan, notes),
+            saddle_energies={str(name): float(s["energy"]) for name, s in (notes.get("saddles") or {}).items()},
+            symbols=symbols,
+            tubes=tubes_of(notes, system) if system is not None and symbols else (),
+            planned=tuple(
+                Stay(a, b, name, name)
+                for (first, last), name in zip(pairwise(edges), stops, strict=False)
+                for a, b in _outside(transfers, first, last)
+            ),
+            transfers=transfers,
+            duration=plan.duration,
+        )
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"the reference's notes are not those of a plan ({error}); plan again") from error
+
+
+def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: float) -> Iterator[tuple[float, float]]:
+    """Yield the parts of a time range that no transfer covers."""
+    for begin, end in transfers:
+        if begin > first and begin < last:
+            yield first, begin
+        if end > first and begin < last:
+            first = end
+    if first < last:
+        yield first, last
+
+
+def _placed_orbits(plan: Reference, notes: PlanNotes) -> tuple[PlacedOrbit, ...]:
+    """Return the orbits of a plan at each of its stops."""
+    placed: dict[tuple[Any, ...], PlacedOrbit] = {}
+    for stop in notes.get("stops") or []:
+        for k in {orbit_index(notes, stop), stop.get("arrived_on", orbit_index(notes, stop))}:
+            note = notes["orbits"][k]
+            home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
+            lift = np.asarray(stop["angles"]) - home
+            orbit = np.asarray(plan.extra[f"orbit_{k}"])
+            if orbit.ndim != 2 or orbit.shape[1] != 2 * len(lift) or orbit.dtype.kind != "f":
+                raise ValueError(f"orbit_{k} is no list of states of {len(lift)} arms")
+            states = orbit + np.concatenate([lift, np.zeros_like(lift)])
+            name = f"{note['saddle']} at {note['energy']:.4g} J"
+            placed[(k, *np.rint(lift).tolist())] = PlacedOrbit(name, states, note["saddle"])
+    return tuple(placed.values())
+
+
+def _without_plan(log: RunLog) -> str:
+    """Return the text shown for a log in place of a verdict."""
+    seconds = float(log.time[-1] - log.time[0])
+    sentence = log.metadata.get(SUMMARY) or (
+        f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; the log has no plan, so the motion "
+        "is not judged"
+    )
+    return f"{sentence}; {recovered_note(log)}" if log.recovered else sentence
+
+
+def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
+    """Return the arm parameters in a log's metadata under a name, or None."""
+    try:
+        values: dict[str, Any] = json.loads(log.metadata[name])
+        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        return ArmChainParameters(**plain)
+    except (KeyError, TypeError, ValueError, AttributeError, InputError):
+        return None
+
+
+def _system(log: RunLog) -> System | None:
+    """Return the conservative pendulum of the log's model, or None if it names none."""
+    arms = _arms(log, MODEL_METADATA)
+    return None if arms is None else pendulum_system(log.metadata.get("model", "model"), arms)
+
+
+def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
+    """Return the known true values of the estimated parameters.
+
+    Only simulated logs have them; see `RunView`.
+
+    With the cart's acceleration as input only ratios to M12 count (one arm: M11), so the errors are those of ratios.
+    The drive's error is the cart's acceleration in excess of the loop's command.
+    """
+    found: dict[str, Array | float] = {}
+    if log.extras is None:
+        return found
+    try:
+        zeros = np.cumsum(np.asarray(json.loads(log.metadata[DRAWN_METADATA])["zeros"], dtype=float))
+    except (KeyError, TypeError, ValueError):
+        zeros = np.zeros(0)
+    found |= {f"zero_{i}": float(zero) for i, zero in enumerate(zeros, start=1)}
+    model, plant = _arms(log, MODEL_METADATA), _arms(log, PLANT_METADATA)
+    if model is not None and plant is not None and model.count == plant.count:
+        found |= _relative_errors(model, plant)
+    if view.control is not None and {ACTUAL, "applied"} <= view.control.keys():
+        # A mean over the ticks between two messages; in single ticks the command's noise dominates.
+        beyond = view.control[ACTUAL] - view.control["applied"]
+        width = max(1, round(view.rate_hz / SLOW_RATE))
+        smooth = np.convolve(np.nan_to_num(beyond), np.full(width, 1 / width), mode="same")
+        found["drive"] = np.interp(log.extras.time, log.time, smooth)
+    return {name: value for name, value in found.items() if name in log.extras.names}
+
+
+def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> dict[str, float]:
+    """Return the relative differences between the plant's and the model's ratios, by extra."""
+    n = model.count
+    names = [f"M{i}{j}" for i in range(1, n + 1) for j in range(i, n + 1)]
+    # Weights lie between inertias and couplings and share the couplings' errors.
+    names += ["" for _ in range(n)] + [f"S{i}" for i in range(1, n + 1)] + [f"friction_{i}" for i in range(1, n + 1)]
+    fixed = names.index("M12" if n > 1 else "M11")
+    ratios = [arms.base()[: len(names)] / arms.base()[fixed] for arms in (plant, model)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        errors = dict(zip(names, (ratios[0] / ratios[1] - 1).tolist(), strict=True))
+    # With additional friction laws a single number cannot describe the error.
+    laws = bool(model.friction or plant.friction)
+    return {
+        name: error
+        for name, error in errors.items()
+        if name and math.isfinite(error) and not (laws and name.startswith("friction"))
+    }
+
+
+def _done(decoded: Decoded, notes: PlanNotes, time: Array) -> tuple[Stay, ...]:
+    """Return the stops reached as stays."""
+    names = (stop["saddle"] for stop in notes["stops"])
+    return tuple(
+        Stay(float(time[visit.first]), float(time[visit.last]), name, name, True)
+        for visit, name in zip(decoded.visits, names, strict=False)
+    )
+
+
+_RATE = 500.0  # Hz
+_POINTS = 600  # of an orbit
+_ARM = 0.2  # m: arm length drawn for a reference without arms
+
+
+def read_reference_view(file: Path) -> RunView:
+    """Return the data to draw of a reference's file.
+
+    Its error between nodes is measured again.
+
+    Raises:
+        InputError: the file is not a reference, or its notes are not those of a plan.
+    """
+    reference = load_reference(file)
+    try:
+        return reference_view(summarised(reference), Path(file))
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
+
+
+def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
+    """Return the data to draw of a reference.
+
+    Its input is the command.
+
+    Raises:
+        InputError: its notes are not those of a plan.
+    """
+    reference = summary.reference
+    notes: Mapping[str, Any] = reference.notes
+    system = None if summary.arms is None else pendulum_system("model", summary.arms)
+    plan = plan_view(reference, system=system)
+    time = np.arange(reference.mesh[0], reference.mesh[-1], 1 / _RATE)
+    states = reference.state(time)
+    state = "" if reference.converged else "NOT CONVERGED: "
+    effort = f"{reference.duration:.4g} s, {reference.rms_cart_acceleration:.3g} m/s² rms"
+    made_from = notes.get("made_from") or {}
+    return RunView(
+        path=path,
+        title=str(notes.get("title") or notes.get("itinerary") or "A reference"),
+        time=time,
+        state=states,
+        what="reference",
+        arm_lengths=(_ARM,) * (states.shape[1] // 2 - 1) if summary.arms is None else summary.arms.length,
+        has_cart=True,
+        rate_hz=_RATE,
+        control={"feedforward": reference.input(time)[:, 0]},
+        energy=summary.energies(states),
+        limits=limits_of(reference),
+        metadata={"program": str(made_from.get("program", ""))},
+        verdict=f"{state}{reference.status}; {effort}",
+        good=None if reference.converged else False,
+        plan=plan,
+        summary=summary,
+    )
+
+
+def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> RunView:
+    """Return the data to draw of a sustained orbit's period.
+
+    Its Lyapunov orbit is beside it; arm_lengths are in m.
+    """
+    lyapunov = orbit.lyapunov
+    time = np.arange(0.0, orbit.period, 1 / _RATE)
+    states = orbit.state(time)
+    free = lyapunov.system.propagator.sample(lyapunov.state, np.linspace(0.0, lyapunov.period, _POINTS))
+    effort = f"{orbit.reference.rms_cart_acceleration:.3g} m/s² rms"
+    return RunView(
+        path=Path(),
+        title=f"Sustained orbit about {lyapunov.saddle} at {orbit.energy:g} J",
+        time=time,
+        state=states,
+        what="orbit",
+        arm_lengths=arm_lengths,
+        has_cart=True,
+        rate_hz=_RATE,
+        control={"feedforward": orbit.input(time)},
+        energy=lyapunov.system.numeric.hamiltonian(states[:, :-2]),
+        limits=limits_of(orbit.reference),
+        verdict=f"period {orbit.period:.5g} s, {effort}, within {orbit.departure:.2g} of the Lyapunov orbit (scaled)",
+        plan=PlanView(orbits=(PlacedOrbit("Lyapunov orbit", free, lyapunov.saddle),)),
+    )

@@ -1,0 +1,214 @@
+"""Colour wheels: the images of each point inside a tube's cut at every return to the section."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import hsv_to_rgb
+from matplotlib.figure import Figure
+
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.orbits.rotating import RotatingOrbit, rotating_orbits
+from dpcontrol.pages import style
+from dpcontrol.pages.gallery import IDENTIFIED, Gallery, Page
+from dpcontrol.pages.page import angle_axis, new_figure, quiet
+from dpcontrol.tubes.cut import section_points, tube_cut
+from dpcontrol.tubes.intersections import InteriorSettings, Outline, Returns, TubeInterior, inside, tube_interior
+
+
+def draw_interior(interior: TubeInterior, periodic: tuple[RotatingOrbit, ...] = ()) -> Figure:
+    """Return a figure of the start and its returns.
+
+    Start and forward returns are above, backward returns below.
+
+    Args:
+        interior: points inside the tube, with their returns.
+        periodic: orbits to mark at their crossings and to draw at the right in the arms' phase planes.
+    """
+    returns, orbit = interior.forward.arrived.shape[1], interior.orbit
+    figure = new_figure(
+        3.5 * (returns + 1) + (3.3 if periodic else 0), 7.9,
+        f"Inside {'both tubes' if periodic else 'the unstable tube'} of {orbit.saddle} at {orbit.energy:g} J "
+        f"(branch {interior.branch:+d}), cut on {interior.section.name}"
+    )  # fmt: skip
+    width = float(figure.get_figwidth())
+    panels = figure.subplots(
+        2, returns + 1, sharex=True, sharey=True,
+        gridspec_kw={"left": 0.7 / width, "right": (3.45 * (returns + 1) + 0.3) / width, "top": 0.83, "bottom": 0.08,
+                     "wspace": 0.06, "hspace": 0.24},
+    )  # fmt: skip
+    saturation = 0.12 + 0.88 * np.clip(interior.radius, 0, 1)
+    hue = interior.angle / (2 * np.pi)
+    colours = hsv_to_rgb(np.column_stack([hue, saturation, np.full(len(hue), 0.93)]))
+    direction = next(o.direction for o in interior.outlines if o.branch == interior.branch and not o.stable)
+    size = _marker(interior)
+    for row, (word, run) in enumerate((("forward", interior.forward), ("backward", interior.backward))):
+        for k, axes in enumerate(panels[row]):
+            quiet(axes, f"start: {len(hue)} points", x="q (rad)" if row else "", y="" if k else "p / p₀", size=9)
+            axes.grid(False)
+            _outlines(axes, interior.outlines, direction)
+            if k == 0:
+                q = (interior.points[:, 0] + np.pi) % (2 * np.pi) - np.pi
+                axes.scatter(q, interior.points[:, 1], s=size, c=colours, marker="s", linewidths=0)
+                continue
+            for way, opacity in ((-direction, 0.3), (direction, 1.0)):
+                here = run.arrived[:, k - 1] & (run.direction[:, k - 1] == way)
+                points = run.points[here, k - 1]
+                axes.scatter(*points.T, s=0.5 * size, c=colours[here], alpha=opacity, linewidths=0)
+            axes.set_title(_returned(run, k, word), loc="left", fontsize=9)
+    system = orbit.system
+    for one in periodic:
+        q, p = section_points(system, interior.section, one.state)
+        for axes in panels.flat:
+            axes.plot((q + np.pi) % (2 * np.pi) - np.pi, p, "*", color=style.INK, markersize=9, mec="white", zorder=6)
+    if periodic:
+        _periodic(figure, panels, periodic)
+    both = (interior.forward, interior.backward)
+    arrived = np.concatenate([r.points[r.arrived] for r in both] + [o.vertices for o in interior.outlines])
+    wide, high = 1.08 * np.abs(arrived).max(axis=0)
+    panels[0, 0].set(xlim=(-min(np.pi, wide), min(np.pi, wide)), ylim=(-high, high))
+    figure.text(
+        0.7 / width, 0.925,
+        "Hue: angle about the innermost point at the start; saturation: closeness to the cut. Pale dots cross the "
+        "section against the start's direction.\nRed: cut of the unstable tube. Green: of the stable tube. Pale: "
+        "cuts crossed against the start's direction." + (" Star: periodic orbit." if periodic else ""),
+        fontsize=9, color=style.CART, va="center",
+    )  # fmt: skip
+    return figure
+
+
+def _marker(interior: TubeInterior) -> float:
+    """Return the marker area, points², that makes neighbours of the start's grid overlap."""
+    spans = np.ptp(interior.points, axis=0)
+    across = max(len(np.unique(np.round(interior.points[:, k], 9))) for k in (0, 1))
+    # A cut spans about half of an axis that is 230 points long either way.
+    share = float(np.clip(max(spans / (2 * np.abs(interior.points).max(axis=0))), 0.3, 1.0))
+    return float(np.clip((1.05 * 230 * share / across) ** 2, 2.5, 60.0))
+
+
+def _outlines(axes: Axes, outlines: tuple[Outline, ...], direction: int) -> None:
+    for outline in outlines:
+        closed = np.vstack([outline.vertices, outline.vertices[:1]])
+        turns = np.rint((closed[:, 0].min() + closed[:, 0].max()) / 2 / (2 * np.pi))
+        colour = style.STABLE if outline.stable else style.UNSTABLE
+        opacity = 1.0 if outline.direction == direction else 0.25
+        axes.plot(closed[:, 0] - 2 * np.pi * turns, closed[:, 1], color=colour, lw=1.1, alpha=opacity, zorder=3)
+
+
+def _returned(run: Returns, k: int, word: str) -> str:
+    arrived = run.arrived[:, k - 1]
+    count = max(1, int(arrived.sum()))
+    stable = np.count_nonzero(run.in_stable[arrived, k - 1]) / count
+    unstable = np.count_nonzero(run.in_unstable[arrived, k - 1]) / count
+    missing = np.count_nonzero(~arrived)
+    text = f"return {k} {word}\n{unstable:.0%} in unstable, {stable:.0%} in stable cuts"
+    return text + (f", {missing} do not return" if missing else "")
+
+
+def _periodic(figure: Figure, panels: np.ndarray, periodic: tuple[RotatingOrbit, ...]) -> None:
+    """Draw orbits in the phase planes of both arms, to the right of the other panels."""
+    width = float(figure.get_figwidth())
+    left = (3.45 * panels.shape[1] + 0.3) / width + 0.75 / width
+    for arm in (0, 1):
+        axes = figure.add_axes((left, 0.08 if arm else 0.51, 1 - left - 0.15 / width, 0.32))
+        for one in periodic:
+            states = one.system.propagator.sample(one.state, np.linspace(0.0, one.period, 400))
+            axes.plot(states[:, arm], states[:, 2 + arm], color=style.arm_colour(arm), linewidth=1.5)
+        number = style.number(arm)
+        title = f"periodic orbit, {periodic[0].period:.3f} s" if len(periodic) == 1 else "periodic orbits"
+        quiet(axes, "" if arm else title, x=f"θ{number} (rad)", y=f"ω{number} (rad/s)", size=9)
+        angle_axis(axes, "x")
+
+
+WHEEL_ENERGIES = {"down-up": -0.06985, "up-down": 0.2}
+_RETURNS = 3
+_ACROSS = {"down-up": 110, "up-down": 200}
+"""Points across the cut; the part inside both of Up-Down's tubes is small."""
+
+
+def within_both(interior: TubeInterior) -> TubeInterior:
+    """Return the points also inside a stable cut, coloured again.
+
+    The cut has the same direction; colours are about the points' middle.
+    """
+    own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
+    stable = [o for o in interior.outlines if o.stable and o.direction == own.direction]
+    kept = np.zeros(len(interior.points), dtype=bool)
+    for outline in stable:
+        for turn in (-1, 0, 1):
+            kept |= inside(interior.points + np.array([2 * np.pi * turn, 0.0]), outline.vertices)
+    middle = interior.points[kept].mean(axis=0)
+    off = (interior.points[kept] - middle) / np.ptp(interior.points[kept], axis=0)
+    forward, backward = (
+        Returns(**{f.name: getattr(run, f.name)[kept] for f in fields(run)})
+        for run in (interior.forward, interior.backward)
+    )
+    back = [int(np.count_nonzero(run.arrived[:, -1])) for run in (forward, backward)]
+    return replace(
+        interior,
+        points=interior.points[kept],
+        states=interior.states[kept],
+        angle=np.arctan2(off[:, 1], off[:, 0]) % (2 * np.pi),
+        radius=np.linalg.norm(off, axis=1) / np.linalg.norm(off, axis=1).max(),
+        forward=forward,
+        backward=backward,
+        status=f"{int(kept.sum())} points; {back[0]} return {_RETURNS} times forward, {back[1]} backward",
+    )
+
+
+def kept_inside(interior: TubeInterior, arm: int) -> tuple[RotatingOrbit, ...]:
+    """Return the symmetric orbits that stay inside both tubes' cuts.
+
+    They turn `arm` and cross the cuts at every lap.
+    """
+    orbit, section = interior.orbit, interior.section
+    own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
+    stable = [o for o in interior.outlines if o.stable and o.direction == own.direction]
+    kept = []
+    for one in rotating_orbits(orbit.system, arm, orbit.energy, sense=own.direction):
+        states = orbit.system.propagator.sample(one.state, np.linspace(0.0, one.period, 400))
+        if np.any(np.diff(states[:, arm - 1]) * own.direction <= 0):
+            continue  # it turns back and crosses more than once
+        point = section_points(orbit.system, section, one.state)[None]
+        # The section's angle is drawn within half a turn of zero, like the outlines.
+        lifts = [point + np.array([[2 * np.pi * k, 0.0]]) for k in (-2, -1, 0, 1, 2)]
+        if all(any(inside(p, o.vertices)[0] for o in some for p in lifts) for some in ([own], stable)):
+            kept.append(one)
+    return tuple(kept)
+
+
+def wheels_page(gallery: Gallery, *, saddle: str) -> Page:
+    """Draw the returns of the inside of a saddle's unstable tube.
+
+    There are three each way. Periodic orbits inside are marked.
+    """
+    system, energy = gallery.system("lab"), WHEEL_ENERGIES[saddle]
+    orbit = lyapunov_orbit(system, saddle, energy=energy)
+    manifold = UnstableManifold(orbit)
+    cut = tube_cut(manifold, system.sections[saddle, saddle])
+    gallery.progress("returns", 0.2)
+    interior = within_both(
+        tube_interior(manifold, cut, settings=InteriorSettings(across=_ACROSS[saddle], returns=_RETURNS))
+    )
+    arm = 2 if saddle == "down-up" else 1
+    stays = kept_inside(interior, arm)
+    number, turning = style.number(arm - 1), "outer" if arm == 2 else "inner"
+    periods = ", ".join(f"{one.period:.4f} s ({one.kind})" for one in stays)
+    found = (
+        f"Stars mark the crossings of the symmetric periodic {'orbit' if len(stays) == 1 else 'orbits'} of period "
+        f"{periods}. The {turning} arm turns inside both tubes for ever. Right: the same in the phase "
+        "planes of both arms"
+        if stays
+        else "No symmetric periodic orbit was found inside both tubes"
+    )
+    return Page(
+        draw_interior(interior, stays),
+        f"The grid covers the inside of both the unstable and the stable tube of {saddle} at {energy:g} J. It is "
+        "coloured like a wheel at the unstable tube's first cut, and followed to each "
+        f"return forward (above: θ{number} = 4π, 6π, 8π) and backward (below) in time. Points that land inside a cut "
+        "will pass, or have passed, the saddle's neck again. "
+        f"{interior.status}. {found}.",
+        "Coordinates are canonical, so coloured areas keep their size from return to return, and returns are "
+        f"drawn in both directions of time. {IDENTIFIED}",
+    )

@@ -1,0 +1,1 @@
+"""Model and itinerary files, and the plans made from them."""

@@ -1,0 +1,552 @@
+"""The atlas of an energy: orbits of all saddles, each tube cut once, all kinds of connection; kept by content.
+
+On disk it is one .npz file, readable with numpy alone (`numpy.load(path)`), without pickles.
+
+Keys; arrays are float64 unless said otherwise. K-th orbit, cut, piece and connection, counted from 0:
+
+    header   JSON text (a 0-d string array), numbers with all their digits, null for what is not finite:
+             {"format": "dpcontrol-atlas", "version": 2, "model", "title", "energy" (J), "status", "seconds",
+              "points": [{name, state, energy, kind}], "absent": [[saddle, reason]],
+              "sections": [{name, normal, position, momentum, offset, period, side, middle, reach}],
+              "orbits": [{saddle, family, energy, period, state, floquet_multipliers: [[re, im]], residual, status}],
+              "rotating_orbits": [{arm, winding, energy, period, state, floquet_multipliers, trace, kind, residual,
+                                   status}],
+              "cuts": [{saddle, section (index), hit, trajectories, resolved, status, open_ends,
+                        pieces: [{branch, direction, closed}]}],
+              "kinds": [{source, target, section, hits, count, failed, complete, open_ends, by_reversal, status}],
+              "connections": [{name, source, target, section (index), state, point, winding, sense, symmetric,
+                               residual, transversality_angle (degrees), hits, time_out, time_in (s), phase_out,
+                               phase_in}]}
+    periods  (N,)      2π for angles, inf otherwise;   reverser (N, N): turns unstable tubes into stable ones
+    orbit_K_samples, rotating_orbit_K_samples     (M, N)  one period, equally spaced phases from 0
+    cut_K_strands                          (B, M, N)  trajectories of the unstable tube, seed to section
+    cut_K_strand_branches (int64), cut_K_strand_phases    (B,)
+    cut_K_piece_J_phases, _times           (P,)    of the seeds; s of flight
+    cut_K_piece_J_points, _stable_points   (P, 2)  (q, p/p₀) of the unstable tube, and of the stable one
+    cut_K_piece_J_states                   (P, N)
+    connection_K_times (F,), _states (F, N)             the flight; time 0 is at the section
+    connection_K_node_times (L,), _nodes (L, N)         the nodes of the multiple shooting
+
+States are angles, then rates (rad, rad/s), or positions and velocities.
+
+Connections against energy, kept by content: a sweep takes ten seconds or more, its diagram tens of kilobytes.
+"""
+
+import json
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any, TypeVar, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.bifurcations.bifurcations import (
+    BranchDiagram,
+    SweepSettings,
+    branch_diagram,
+    diagram_from,
+    find_bifurcations,
+)
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arguments import number, whole
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import archive, content_hash, fields_of, picked, plain, write_archive
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitRecord, equilibria
+from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.orbits.rotating import RotatingOrbit, RotatingRecord, can_rotate, rotating_orbits
+from dpcontrol.plans.model import Model
+from dpcontrol.tubes.connections import Connection, ConnectionRecord
+from dpcontrol.tubes.cut import Cut, Piece, section_points
+from dpcontrol.tubes.intersections import ConnectionSettings
+from dpcontrol.walks.atlas import (
+    Atlas,
+    AtlasConnection,
+    AtlasCut,
+    AtlasKind,
+    AtlasOrbit,
+    AtlasPiece,
+    AtlasPoint,
+    AtlasRotatingOrbit,
+)
+from dpcontrol.walks.edges import PairSearch, TubeCuts, orbits_at, search_pairs
+
+Arrays = dict[str, NDArray[Any]]
+Record = TypeVar("Record")
+
+FORMAT = "dpcontrol-atlas"
+VERSION = 2
+_ORBIT_SAMPLES = 256
+_FLIGHT_SAMPLES = 400
+_DENSE = 4
+"""Times as many instants are flown as are kept."""
+
+
+@dataclass(frozen=True)
+class AtlasSettings(Settings, table="atlas"):
+    """What an atlas holds.
+
+    hits: of the unstable and the stable tube at every section; None means the first of both for each kind, and where
+    these do not meet the next, up to last_hit. search: of each kind. strands: trajectories of each branch that are
+    kept for drawing, and their instants.
+    """
+
+    hits: tuple[int, int] | None = setting(None, least=1, most=9)
+    last_hit: int = 2
+    strands: int = 40
+    strand_instants: int = 160
+    search: ConnectionSettings = field(default_factory=ConnectionSettings)
+
+
+@dataclass(frozen=True)
+class FoundAtlas:
+    """An atlas, the file where it is kept, if the cache can be written, and whether it was found there."""
+
+    atlas: Atlas
+    file: Path
+    cached: bool
+
+
+def atlas_key(model: Model | System, energy: float, settings: AtlasSettings) -> str:
+    """Return the content that an atlas depends on, as 16 hexadecimal digits."""
+    content = {
+        "format": VERSION,
+        "code": code_hash(__name__),
+        "model": model.name,
+        "parameters": _system(model).parameters.tolist(),
+        "system": model.description if isinstance(model, System) else type(model.parameters).__name__,
+        "energy": energy,
+        "settings": asdict(settings),
+    }
+    return content_hash(json.dumps(content, sort_keys=True))
+
+
+def _system(model: Model | System) -> System:
+    return model if isinstance(model, System) else model.system
+
+
+def make_atlas(
+    model: Model | System,
+    energy: float,
+    *,
+    settings: AtlasSettings | None = None,
+    fresh: bool = False,
+    yes: bool = False,
+    progress: Progress = no_progress,
+) -> FoundAtlas:
+    """Return the atlas of `model` at `energy` (J), from the cache unless `fresh`, and keep it there if it is no part.
+
+    Raises:
+        InputError: no saddle has a Lyapunov orbit at this energy.
+    """
+    settings = settings or AtlasSettings()
+    energy = number("energy", energy)
+    for hit in settings.hits or ():
+        whole("hits", hit, least=1, most=9)
+    file = cache_file("atlases", f"{model.name}-{energy:g}", atlas_key(model, energy, settings))
+    if not fresh and (content := kept(file)) is not None:
+        return FoundAtlas(load_atlas(BytesIO(content)), file, cached=True)
+    atlas = compute_atlas(model, energy, settings=settings, yes=yes, progress=progress)
+    if not any(kind.partial for kind in atlas.kinds):
+        content = BytesIO()
+        save_atlas(content, atlas)
+        keep(file, content.getvalue())
+    return FoundAtlas(atlas, file, cached=False)
+
+
+def compute_atlas(
+    model: Model | System,
+    energy: float,
+    *,
+    settings: AtlasSettings | None = None,
+    yes: bool = False,
+    progress: Progress = no_progress,
+) -> Atlas:
+    """Compute the atlas of `model` at `energy` (J).
+
+    Raises:
+        InputError: no saddle has a Lyapunov orbit at this energy.
+    """
+    settings = settings or AtlasSettings()
+    system, seconds = _system(model), {"orbits": 0.0, "tubes": 0.0, "connections": 0.0, "jit": 0.0}
+    points = equilibria(system)
+    saddles = [point for point in points.values() if point.kind.startswith("index-1")]
+    progress("compiling", 0.0)
+    with _timed(seconds, "jit"):
+        _compile(system, [])
+    progress("orbits", 0.1)
+    with _timed(seconds, "orbits"):
+        families = {point.name: sum(v.imag > 1e-6 * abs(v) for v in point.eigenvalues) for point in saddles}
+        orbits, absent = orbits_at(system, families, energy)
+    if not orbits and not system.reversers:
+        raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
+    if not orbits:
+        births = ", ".join(f"{saddle.name} {saddle.energy:.6g} J" for saddle in saddles)
+        raise InputError(
+            system.worded(f"energy = {energy:g} J: no saddle of {model.name} has a Lyapunov orbit; ")
+            + system.worded(f"their families begin at {births}")
+        )
+    # Sections are cut for the first of each saddle's families, which is the one that has sections.
+    first = {orbit.saddle: orbit for orbit in orbits if orbit.family == 0}
+    pairs = [pair for pair in system.sections if pair[0] in first and pair[1] in first]
+    with _timed(seconds, "jit"):
+        _compile(system, [system.sections[pair] for pair in pairs])
+    tubes = TubeCuts(system, settings.search)
+    hits = [(hit, hit) for hit in range(1, settings.last_hit + 1)] if settings.hits is None else [settings.hits]
+    with _timed(seconds, "connections"):
+        within = part_of(progress, 0.2, 0.9)
+        searches = search_pairs(tubes, first, pairs, hits, until_found=True, yes=yes, progress=within)
+        connections = tuple(_sampled_connection(c) for one in searches for c in one.search.connections)
+    seconds["tubes"], seconds["connections"] = tubes.seconds, seconds["connections"] - tubes.seconds
+    progress("tubes", 0.9)
+    with _timed(seconds, "tubes"):
+        cuts = tuple(_sampled_cut(tubes.manifold(first[saddle]), cut, settings)
+                     for (saddle, _, _), cut in tubes.made.items())  # fmt: skip
+    with _timed(seconds, "orbits"):
+        samples = tuple(_sampled_orbit(orbit) for orbit in orbits)
+        progress("rotating orbits", 0.95)
+        rotating = tuple(
+            _sampled_rotating(orbit)
+            for arm in ((1, 2) if can_rotate(system) else ())
+            for orbit in rotating_orbits(system, arm, energy)
+        )
+    kinds = tuple(_kind(one) for one in searches)
+    progress("atlas", 1.0)
+    return Atlas(
+        model=model.name,
+        title=model.name if isinstance(model, System) else model.title,
+        energy=energy,
+        periods=system.periods,
+        reverser=system.reversers[0],
+        points=tuple(AtlasPoint(**fields_of(AtlasPoint, p)) for p in points.values()),
+        orbits=samples,
+        rotating_orbits=rotating,
+        absent=tuple(absent),
+        cuts=cuts,
+        kinds=kinds,
+        connections=connections,
+        seconds=seconds,
+        status=_status(orbits, absent, kinds, system),
+    )
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], key: str) -> Iterator[None]:
+    """Add the seconds that a block takes to one entry."""
+    began = time.perf_counter()
+    yield
+    seconds[key] += time.perf_counter() - began
+
+
+def _compile(system: System, sections: list[Section]) -> None:
+    """Call each integrator once, for an instant: compiling is done on the first call."""
+    # Off every section and every symmetry, where an event's derivatives do not vanish.
+    off = 0.01 * np.arange(1, system.dimension + 1)
+    state, instant = next(iter(system.equilibria.values())) + off * system.scale, 1e-6
+    for section in dict.fromkeys(sections):
+        system.propagator.crossing(state, section, longest=instant)
+    if not sections:
+        system.numeric.rate(state)
+        system.propagator.flow(state, instant)
+        system.propagator.flow_with_stm(state, instant)
+
+
+def _sampled_orbit(orbit: LyapunovOrbit) -> AtlasOrbit:
+    phases = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES
+    return AtlasOrbit(**fields_of(OrbitRecord, orbit), samples=UnstableManifold(orbit).frame(phases).states)
+
+
+def _sampled_rotating(orbit: RotatingOrbit) -> AtlasRotatingOrbit:
+    times = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES * orbit.period
+    return AtlasRotatingOrbit(
+        **fields_of(RotatingRecord, orbit), samples=orbit.system.propagator.sample(orbit.state, times)
+    )
+
+
+def _sampled_connection(connection: Connection) -> AtlasConnection:
+    orbit, system = connection.orbit, connection.orbit.system
+    begin, end = float(orbit.times[0]), float(orbit.times[-1])
+    # A flight that never comes within the distance that counts as joined is shown whole.
+    if np.isfinite(connection.time_out):
+        begin = max(begin, -connection.time_out - connection.source.period)
+    if np.isfinite(connection.time_in):
+        end = min(end, connection.time_in + connection.target.period)
+    dense = np.linspace(begin, end, _DENSE * _FLIGHT_SAMPLES)
+    flown = orbit.sample(dense)
+    kept = np.unique(_evenly(system, dense, flown, _FLIGHT_SAMPLES))
+    return AtlasConnection(
+        **fields_of(ConnectionRecord, connection),
+        source=connection.source.saddle,
+        target=connection.target.saddle,
+        point=section_points(system, connection.section, connection.state),
+        times=dense[kept],
+        states=flown[kept],
+        node_times=orbit.times,
+        nodes=orbit.states,
+    )
+
+
+def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) -> AtlasCut:
+    """Return the record of a cut with trajectories of each branch."""
+    orbit, instants = manifold.orbit, settings.strand_instants
+    system = orbit.system
+    flown = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, settings)]
+
+    def piece(one: Piece) -> AtlasPiece:
+        turned = (one.states - orbit.centre) @ orbit.reverser.T + orbit.centre
+        return AtlasPiece(**fields_of(Piece, one), stable_points=section_points(system, cut.section, turned))
+
+    return AtlasCut(
+        saddle=orbit.saddle,
+        pieces=tuple(piece(one) for one in cut.pieces),
+        open_ends=tuple((end.branch, end.phase_interval, end.reason) for end in cut.open_ends),
+        **picked(cut, "section", "hit", "trajectories", "resolved", "status"),
+        strands=np.array([states for _, _, states in flown]).reshape(-1, instants, system.dimension),
+        strand_branches=np.array([branch for branch, _, _ in flown], dtype=np.int64),
+        strand_phases=np.array([phase for _, phase, _ in flown], dtype=float),
+    )
+
+
+def _strands(
+    manifold: UnstableManifold, cut: Cut, branch: int, settings: AtlasSettings
+) -> Iterator[tuple[int, float, Array]]:
+    """Yield (branch, phase, states) of trajectories that reach the section, spread evenly over the phases."""
+    pieces = [piece for piece in cut.pieces if piece.branch == branch]
+    if not pieces:
+        return
+    phases = np.concatenate([piece.phases for piece in pieces])
+    times = np.concatenate([piece.times for piece in pieces])
+    count, system = settings.strands, manifold.orbit.system
+    nearest = [int(np.argmin(np.abs((phases - k / count + 0.5) % 1 - 0.5))) for k in range(count)]
+    chosen = list(dict.fromkeys(nearest))
+    for seed, k in zip(manifold.seeds(phases[chosen], branch)[0], chosen, strict=True):
+        dense = np.linspace(0.0, times[k], _DENSE * settings.strand_instants)
+        states = system.propagator.sample(seed, dense)
+        yield branch, float(phases[k] % 1), states[_evenly(system, dense, states, settings.strand_instants)]
+
+
+def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
+    """Return `count` of the indices of samples, spread evenly over half the time and half the scaled path."""
+    path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(states / system.scale, axis=0), axis=1))]
+    along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]
+    return np.rint(np.interp(np.linspace(0.0, along[-1], count), along, np.arange(len(times)))).astype(np.int64)
+
+
+def _kind(one: PairSearch) -> AtlasKind:
+    search = one.search
+    return AtlasKind(
+        source=one.pair[0],
+        target=one.pair[1],
+        section=search.cuts[0].section.name,
+        hits=(search.cuts[0].hit, search.cuts[1].hit),
+        count=len(search.connections),
+        open_ends=tuple((tube, end.branch, end.phase_interval, end.reason) for tube, end in search.open_ends),
+        by_reversal=one.by_reversal,
+        **picked(search, "failed", "complete", "status", "partial"),
+    )
+
+
+def _status(
+    orbits: list[LyapunovOrbit], absent: list[tuple[str, str]], kinds: tuple[AtlasKind, ...], system: System
+) -> str:
+    """Return one sentence on what there is, what is not, and what may be hidden."""
+    count = sum(kind.count for kind in kinds)
+    parts = [f"{len(orbits)} orbits, {count} connections of {len({(k.source, k.target) for k in kinds})} kinds"]
+    if not system.sections:
+        parts.append(f"{system.name} has no sections on which connections are sought")
+    later = {(k.source, k.target): k.hits for k in kinds if k.count and k.hits != (1, 1)}
+    empty = {(k.source, k.target) for k in kinds if not k.count and k.hits == (1, 1)}
+    for (source, target), hits in later.items():
+        if (source, target) in empty:
+            parts.append(f"{source} → {target} is empty at first hits and has its first connections at {list(hits)}")
+    parts += [f"{k.source} → {k.target} has none at {list(k.hits)}" for k in kinds
+              if not k.count and (k.source, k.target) not in later]  # fmt: skip
+    incomplete = [k for k in kinds if not k.complete]
+    if incomplete:
+        names = ", ".join(f"{k.source} → {k.target} at {list(k.hits)}" for k in incomplete)
+        late = ", as time ran out (partial)" if any(k.partial for k in incomplete) else ""
+        parts.append(f"the searches of {names} are not complete{late}: connections at these hits may be missing")
+    elif kinds:
+        parts.append("all cuts are resolved, so none of these hits is missing down to the cuts' chord")
+    parts += [reason for _, reason in absent]
+    return "; ".join(parts)
+
+
+def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
+    """Write `atlas` to `path` (whole, or not at all) in the layout above; path: or a file in memory.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    arrays: Arrays = {}
+    sections = list(dict.fromkeys(one.section for one in (*atlas.cuts, *atlas.connections)))
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "sections": [asdict(section) for section in sections],
+        **_packed(atlas, "", arrays, sections),
+    }
+    write_archive(path, plain(header), arrays)
+
+
+def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -> dict[str, Any]:
+    """Return a record's entry in the header; its arrays go into `arrays` under `prefix` and their names.
+
+    Entries of a list "orbits" have the prefix "orbit_0_" and so on. One state, or point, stands in the header.
+    """
+    entry: dict[str, Any] = {}
+    for name, value in fields_of(type(record), record).items():
+        if isinstance(value, Section):
+            entry[name] = sections.index(value)
+        elif isinstance(value, tuple) and value and is_dataclass(value[0]):
+            each = f"{prefix}{name.removesuffix('s')}"
+            entry[name] = [_packed(one, f"{each}_{k}_", arrays, sections) for k, one in enumerate(value)]
+        elif isinstance(value, np.ndarray) and name not in ("state", "point") and not np.iscomplexobj(value):
+            arrays[prefix + name] = value
+        else:
+            entry[name] = value
+    return entry
+
+
+def load_atlas(path: Path | IO[bytes]) -> Atlas:
+    """Read what `save_atlas` wrote, from a path or an open binary file.
+
+    Raises:
+        InputError: there is no such file, or it is damaged or not an atlas; says which.
+    """
+    making = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
+    with archive(path, what="an atlas", **making, format=FORMAT, versions=(VERSION,)) as (header, arrays):
+        # Any error in here means that the file is no atlas.
+        hints = get_type_hints(Section)
+        sections = [
+            Section(**{key: _typed(value, hints[key], key) for key, value in entry.items()})
+            for entry in header["sections"]
+        ]
+        for one in sections:
+            rows = (one.normal, one.position, one.side)
+            if any(row is not None and len(row) != len(arrays["periods"]) for row in rows):
+                raise ValueError(f"its section {one.name} is not of {len(arrays['periods'])} coordinates")
+        return _unpacked(Atlas, header, "", arrays, sections)
+
+
+def _unpacked(
+    kind: type[Record], entry: dict[str, Any], prefix: str, arrays: Arrays, sections: list[Section]
+) -> Record:
+    """Return the record of which `_packed` made an entry and arrays."""
+    values: dict[str, Any] = {}
+    # What has a default came later: files without it are read as before.
+    entry = {f.name: f.default for f in fields(kind) if f.default is not MISSING} | entry  # type: ignore[arg-type]
+    for name, hint in get_type_hints(kind).items():
+        member = next((one for one in get_args(hint) if is_dataclass(one)), None)
+        if name not in entry:
+            values[name] = _checked(arrays[prefix + name], prefix + name, len(arrays["periods"]))
+        elif hint is Section:
+            values[name] = sections[entry[name]]
+        elif member is not None:
+            each = f"{prefix}{name.removesuffix('s')}"
+            values[name] = tuple(
+                _unpacked(member, one, f"{each}_{k}_", arrays, sections)  # type: ignore[arg-type]
+                for k, one in enumerate(entry[name])
+            )
+        elif name in ("state", "point"):
+            values[name] = np.array(entry[name], dtype=float)
+            wanted = (len(arrays["periods"]),) if name == "state" else (2,)
+            if values[name].shape != wanted:
+                raise ValueError(f"its {prefix}{name} has shape {values[name].shape}, not {wanted}")
+        elif name == "floquet_multipliers":
+            values[name] = np.array([complex(*pair) for pair in entry[name]])
+        else:
+            values[name] = _typed(entry[name], hint, name)
+    apart = (*entry, "periods", "reverser")
+    stored = {name: array for name, array in values.items() if name not in apart}
+    for group in (True, False):
+        counts = {name: len(array) for name, array in stored.items() if name.startswith("node") == group}
+        if len(set(counts.values())) > 1:
+            raise ValueError(f"its arrays {prefix}{', '.join(counts)} differ in length: {list(counts.values())}")
+    return kind(**values)
+
+
+def _typed(value: Any, hint: Any, name: str) -> Any:
+    """Return a value of the header as its field's type wants it, lists as tuples, or raise ValueError."""
+    parts = get_args(hint)
+    if type(None) in parts:
+        if value is None:
+            return None
+        hint = next(part for part in parts if part is not type(None))
+        parts = get_args(hint)
+    if get_origin(hint) is tuple and isinstance(value, list):
+        if parts[-1:] == (...,):
+            return tuple(_typed(item, parts[0], name) for item in value)
+        return tuple(_typed(item, part, name) for item, part in zip(value, parts, strict=True))
+    if hint is float and value is None:
+        return float("nan")
+    kinds = {float: (int, float), int: int, str: str, bool: bool}.get(hint, dict if get_origin(hint) is Mapping else ())
+    if not isinstance(value, kinds) or (isinstance(value, bool) and hint is not bool):
+        raise ValueError(f"its {name} is {value!r:.80}")
+    return value
+
+
+def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
+    """Return a finite array whose axes are those that its name asks for, or raise ValueError."""
+    # Coordinates that are no angles have an infinite period.
+    if name != "periods" and not np.isfinite(array).all():
+        raise ValueError(f"its array {name} is not finite")
+    states = name.endswith(("reverser", "samples", "strands", "states", "nodes"))
+    wanted = size if states else 2 if name.endswith("points") else None
+    if wanted is not None and (array.ndim < 2 or array.shape[-1] != wanted):
+        raise ValueError(f"its array {name} has shape {array.shape}, the last length must be {wanted}")
+    if name == "reverser" and len(array) != size:
+        raise ValueError(f"its array reverser has shape {array.shape}, not {(size, size)}")
+    axes = 3 if name.endswith("strands") else 2 if wanted is not None else 1
+    if array.ndim != axes or not (array.size or "strand" in name):
+        raise ValueError(f"its array {name} has shape {array.shape}, where {axes} lengths are wanted, none of them 0")
+    return array
+
+
+BRANCHES_FORMAT = 1
+LOWEST, HIGHEST, HIGHEST_BETWEEN = -0.49, 0.26, 0.236
+"""Energies in J between which connections are drawn: sweeps begin at the later of both saddles. Those between different
+saddles end earlier: cuts of the lab pendulum's tubes scatter from about 0.237 J on, where counts are lower bounds."""
+
+
+def make_branches(
+    model: Model,
+    source: str,
+    target: str,
+    *,
+    energies: tuple[float, float] | None = None,
+    samples: int = 28,
+    progress: Progress = no_progress,
+) -> BranchDiagram:
+    """Return the diagram of the first-hit connections between two saddles, from the cache where it is kept.
+
+    Raises:
+        InputError: saddles or energies between which nothing can be swept.
+    """
+    settings = SweepSettings(energies=samples)
+    energies = energies or (LOWEST, HIGHEST if source == target else HIGHEST_BETWEEN)
+    content = {
+        "format": BRANCHES_FORMAT,
+        "code": code_hash(__name__),
+        "parameters": model.system.parameters.tolist(),
+        "system": type(model.parameters).__name__,
+        "saddles": [source, target],
+        "energies": energies,
+        "settings": asdict(settings),
+    }
+    key = content_hash(json.dumps(content, sort_keys=True))
+    file = cache_file("branches", f"{model.name}-{source}-{target}", key)
+    if (known := kept(file)) is not None:
+        return diagram_from(json.loads(known))
+    found = find_bifurcations(model.system, source, target, energies=energies, settings=settings, progress=progress)
+    diagram = branch_diagram(found)
+    keep(file, json.dumps(diagram.document()).encode() + b"\n")
+    return diagram

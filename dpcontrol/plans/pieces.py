@@ -1,0 +1,457 @@
+"""An itinerary's parts as pieces of one reference: walks, holds and rests, with transfers where they do not meet.
+
+Each piece is solved on its own, from a state that is known to a state that is known, and they are joined end to end:
+the cost grows with the sum of their lengths, and an infeasible piece is reported by name.
+
+The notes of a plan, from its pieces: what score, review and controllers need, by the types of `references.reference`.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise, product
+
+import numpy as np
+
+import dpcontrol
+from dpcontrol.dynamics.chain import Level, equations_of
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.files import content_hash, picked
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, resting_place
+from dpcontrol.orbits.manifold import OrbitCurve
+from dpcontrol.plans.itinerary import Itinerary
+from dpcontrol.plans.transfers import Transfer, find_transfers, turned
+from dpcontrol.references.find import find_reference, shadowed
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import EndConditions, Guess, ReferenceProblem
+from dpcontrol.references.reference import OrbitNote, PlanNotes, Reference, StopNote, SymbolNote, still
+from dpcontrol.tubes.connections import Connection
+from dpcontrol.walks.shadowing import ShadowingOrbit
+
+REST_BEFORE, REST_AFTER = 0.5, 1.0
+"""Seconds for which the pendulum hangs still before it starts and after it is back."""
+WOBBLES = 2
+"""Wobbles in which one orbit becomes another of the same saddle."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a piece is to be: a walk's shadowing orbit, or a stay at an equilibrium of `seconds`.
+
+    first, last (n,): angles of the saddles or equilibria at which it starts and ends, on its own lift; start, end
+    (2n,): its pendulum states there; symbols: a walk's, as the itinerary writes them. wraps: at the stop that it shares
+    with the goal before it; None for a walk in one piece.
+    """
+
+    text: str
+    where: tuple[str, str]
+    first: Array
+    last: Array
+    start: Array
+    end: Array
+    shadowing: ShadowingOrbit | None = None
+    symbols: tuple[str, ...] = ()
+    begin: float = 0.0
+    seconds: float = 0.0
+    wraps: int | None = None
+
+    @property
+    def orbits(self) -> tuple[LyapunovOrbit, LyapunovOrbit]:
+        """The orbits that a walk leaves and joins."""
+        assert self.shadowing is not None
+        return self.shadowing.connections[0].source, self.shadowing.connections[-1].target
+
+
+@dataclass(frozen=True)
+class SolvedPiece:
+    """A solved piece. goal: None for a transfer; lift (n,): radians added to its angles."""
+
+    text: str
+    goal: Goal | None
+    lift: Array
+    reference: Reference
+
+
+def walk_goal(
+    orbit: ShadowingOrbit, symbols: tuple[str, ...], *, round_off: tuple[bool, bool], wraps: int | None = None
+) -> Goal:
+    """Return the goal of following a shadowing orbit from its start to its end.
+
+    round_off: whether start and end move out to where their periodic orbits are at phase zero, the arms at the saddle's
+    angles: whence they are reached more easily from elsewhere than in mid-swing.
+    """
+    system, chain = orbit.connections[0].source.system, orbit.connections
+    n = system.dimension // 2
+    names = (chain[0].source.saddle, chain[-1].target.saddle)
+    begin, end = 0.0, orbit.duration
+    if round_off[0]:
+        begin -= (_phase_at_start(orbit, chain[0].source) % 1.0) * chain[0].source.period
+    if round_off[1]:
+        end += (-_phase_at_end(orbit, chain[-1].target) % 1.0) * chain[-1].target.period
+    ends = orbit.sample(np.array([begin, end]))
+    points = [
+        (system.equilibrium(name) + offset * system.turn_lengths)[:n]
+        for name, offset in zip(names, (orbit.offsets[0], orbit.offsets[-1]), strict=True)
+    ]
+    return Goal(
+        "walk", names, points[0], points[1], ends[0], ends[1], shadowing=orbit, symbols=symbols, begin=begin,
+        seconds=end - begin, wraps=wraps,
+    )  # fmt: skip
+
+
+def stay_goal(itinerary: Itinerary, name: str, seconds: float) -> Goal:
+    """Return the goal of staying at an equilibrium."""
+    system = itinerary.model.system
+    state = system.equilibrium(name)
+    angles = state[: len(state) // 2]
+    text = "at rest" if name == resting_place(system) else f"hold {name}"
+    return Goal(text, (name, name), angles, angles, state, state, seconds=seconds)
+
+
+def solve_pieces(
+    itinerary: Itinerary,
+    goals: Sequence[Goal],
+    *,
+    fresh: bool = False,
+    workers: int = 1,
+    scheduler: str = "",
+    progress: Progress = no_progress,
+) -> list[SolvedPiece]:
+    """Return the pieces that do all goals in order, with the transfers between them; fresh: none of them kept ones.
+
+    workers, scheduler: processes, or the Dask cluster, by which transfers are sought. A reference that did not converge
+    ends the list: what follows starts where it should have led.
+
+    Raises:
+        GoalMissed: no transfer between two goals.
+    """
+    ways = [_way(itinerary, *pair) for pair in pairwise(goals)]
+    wanted = [way.transfer for way in ways if way is not None]
+    ready = 0.5 if wanted else 0.0
+    first = part_of(progress, 0.0, ready)
+    transfers = find_transfers(wanted, workers=workers, scheduler=scheduler, fresh=fresh, progress=first)
+    pieces: list[SolvedPiece] = []
+    for k, goal in enumerate(goals):
+        begun, share = ready + (1 - ready) * k / len(goals), (1 - ready) / len(goals)
+        lift = np.zeros(len(goal.first))
+        if k > 0:
+            way, before = ways[k - 1], pieces[-1].lift
+            if way is None:
+                moved = _blended(itinerary, goals[k - 1], before, goal, part_of(progress, begun, begun + share / 2))
+            else:
+                moved = way.taken(transfers[way.transfer.key], before)
+            pieces.append(moved)
+            lift = moved.lift
+            if not moved.reference.converged:
+                break
+        here = part_of(progress, begun + share / 2, begun + share)
+        pieces.append(_own(itinerary, goal, lift, here, judged=k == len(goals) - 1))
+        if not pieces[-1].reference.converged:
+            break
+    return pieces
+
+
+def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndConditions) -> ReferenceProblem:
+    """Return the problem of following a guess for `duration` s with the itinerary's arms, within its limits."""
+    return ReferenceProblem(
+        equations=equations_of(itinerary.model.arms.planned(), Level.CART),
+        parameters=itinerary.model.arms.planned().base(),
+        guess=guess,
+        duration=duration,
+        limits=itinerary.limits,
+        ends=ends,
+    )
+
+
+def lifted(state: Array, lift: Array) -> Array:
+    """Return a state (2n + 2,): a pendulum's (2n,), `lift` (n,) added to its angles, on a cart at rest, centred."""
+    n = len(lift)
+    return np.concatenate([state[:n] + lift, state[n:], [0.0, 0.0]])
+
+
+def lifted_guess(goal: Goal, lift: Array) -> Guess:
+    """Return what follows a walk's shadowing orbit from its beginning, `lift` (n,) added to its angles."""
+    assert goal.shadowing is not None
+    sample, turned = goal.shadowing.sample, np.concatenate([lift, np.zeros(len(lift))])
+    return lambda times: sample(times + goal.begin) + turned
+
+
+_ROOM, _ELSEWHERE = 0.05, 0.3
+"""rad: half of what a run may be off its last orbit, so that a reference that is farther off leaves the feedback no
+room; and from where on it has not come to that orbit at all."""
+_CLOSER = (100.0, 10_000.0)
+"""Factors on the pendulum's weight with which such a reference is sought again: friction and one cart keep no orbit
+exactly, and the cheapest way to end is not the nearest."""
+
+
+def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, judged: bool) -> SolvedPiece:
+    """Return the piece of a goal itself; judged: by its last orbit, which the itinerary ends on."""
+    settings = itinerary.reference
+    if goal.shadowing is None:
+        method, interval = method_named(settings.method), max(settings.interval, 0.05)
+        state = lifted(goal.start, lift)
+        found = still(state, goal.seconds, method=method, limits=itinerary.limits, interval=interval)
+        return SolvedPiece(goal.text, goal, lift, found)
+    problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions())
+    if settings.level == "conservative":
+        free = itinerary.model.arms.frictionless()
+        conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
+        return SolvedPiece(goal.text, goal, lift, shadowed(conservative, settings))
+    found = find_reference(problem, settings, progress=progress)
+    least = _off_last_orbit(goal, found, lift) if judged and found.converged else 0.0
+    for factor in _CLOSER:
+        if not _ROOM < least < _ELSEWHERE:
+            break
+        weight = factor * settings.pendulum_weight
+        closer = find_reference(problem, replace(settings, pendulum_weight=weight), progress=progress)
+        gap = _off_last_orbit(goal, closer, lift)
+        if closer.converged and gap < least:
+            found, least = closer, gap
+    return SolvedPiece(goal.text, goal, lift, found)
+
+
+_PHASES = 1000
+"""Phases at which an orbit is sampled, and its last period."""
+
+
+def _off_last_orbit(goal: Goal, found: Reference, lift: Array) -> float:
+    """Return how far the angles of a walk are from its last orbit over the last period, rad."""
+    orbit, n = goal.orbits[1], len(lift)
+    shares = np.linspace(0.0, 1.0, _PHASES)
+    path = OrbitCurve(orbit).states(shares)[:, :n] - orbit.system.equilibrium(orbit.saddle)[:n] + goal.last + lift
+    late = found.state(found.duration - orbit.period * shares.clip(max=found.duration / orbit.period))[:, :n]
+    return float(np.abs(late[:, None] - path).max(axis=2).min(axis=1).max())
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A transfer between two goals; turns (n,): whole ones that its ends go on by, one for each."""
+
+    transfer: Transfer
+    turns: list[Array]
+
+    def taken(self, found: Reference, lift: Array) -> SolvedPiece:
+        """Return it as a piece, `lift` (n,) that of the goal before it, from what was found."""
+        landed = found.state(found.duration)
+        nearest = int(np.argmin([np.abs(landed - end).max() for end in self.transfer.ends]))
+        onward = self.turns[nearest] * 2 * np.pi + lift
+        return SolvedPiece(self.transfer.text, None, onward, turned(found, lift))
+
+
+def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
+    """Return the transfer from the end of one goal to the start of the next; None where their orbits' saddle is one."""
+    rest = resting_place(itinerary.model.system)
+    text = " to ".join("rest" if name == rest else name for name in (before.where[1], after.where[0]))
+    apart = (before.last - after.first) / (2 * np.pi)
+    if before.where[1] == after.where[0] and before.shadowing is not None and after.shadowing is not None:
+        return None
+    turns = ways_round(apart)
+    if before.shadowing is None and after.shadowing is None:
+        # Between equilibria one way is as good as its mirror image.
+        turns = [way for k, way in enumerate(turns) if not any(np.allclose(way - apart, apart - w) for w in turns[:k])]
+    ends = [lifted(after.start, way * 2 * np.pi) for way in turns]
+    return _Way(Transfer.of(itinerary, text, lifted(before.end, np.zeros(len(apart))), ends), turns)
+
+
+def _blended(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, progress: Progress) -> SolvedPiece:
+    """Return the piece from the last orbit of a walk to the first of the next, about the same saddle."""
+    onward = np.rint((before.last - after.first) / (2 * np.pi)) * 2 * np.pi + lift
+    found = _blend(itinerary, before, lift, after, onward, progress)
+    return SolvedPiece(f"change of energy at {after.where[0]}", None, onward, found)
+
+
+def ways_round(apart: Array) -> list[Array]:
+    """Return the whole turns (n,) by which arms that are `apart` (n,) turns may come together.
+
+    Half a turn apart, both ways round are tried.
+    """
+    choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
+    return [np.array(ways) for ways in product(*choices)]
+
+
+def _blend(
+    itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, onward: Array, progress: Progress
+) -> Reference:
+    """Return the reference from the last orbit of one walk to the first of the next, about one saddle."""
+    before, after = leaving.shadowing, joining.shadowing
+    assert before is not None
+    assert after is not None
+    first, last = leaving.orbits[1], joining.orbits[0]
+    departure, arrival = _phase_at_end(before, first), _phase_at_start(after, last)
+    turns = WOBBLES + (arrival - departure) % 1.0
+    pace = (1 / first.period, 1 / last.period)
+    duration = 2 * turns / (pace[0] + pace[1])
+    curves = OrbitCurve(first), OrbitCurve(last)
+    n = len(lift)
+    # Curves are at the saddle's named position; the walk's last lift is that of all its turns.
+    home = before.offsets[-1][:n] * 2 * np.pi + lift
+
+    def guess(times: Array) -> Array:
+        s = np.asarray(times, dtype=float) / duration
+        phases = departure + duration * (pace[0] * s + (pace[1] - pace[0]) * s**2 / 2)
+        share = (s**2 * (3 - 2 * s))[:, None]
+        states = (1 - share) * curves[0].states(phases) + share * curves[1].states(phases)
+        states[:, :n] += home
+        return states
+
+    start, end = before.sample(np.array([before.duration]))[0], after.sample(np.array([0.0]))[0]
+    ends = EndConditions(start=lifted(start, lift), end=lifted(end, onward))
+    found = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
+    if found.converged:
+        return found
+    text = f"from {first.energy:g} J to {last.energy:g} J at {first.saddle}"
+    return replace(found, status=f"no change of energy {text}: {found.status}")
+
+
+def _phase_at_end(orbit: ShadowingOrbit, last: LyapunovOrbit) -> float:
+    nodes = orbit.orbit
+    return nodes.end.orbit_phase + (orbit.duration - float(nodes.times[-1])) / last.period
+
+
+def _phase_at_start(orbit: ShadowingOrbit, first: LyapunovOrbit) -> float:
+    nodes = orbit.orbit
+    return nodes.start.orbit_phase - float(nodes.times[0]) / first.period
+
+
+STILL = 0.8
+"""Seconds that stand for the period of an equilibrium, about those of the orbits: how long its ends are looked at."""
+
+
+class _Story:
+    """Stops and symbols as they follow one another, and orbits and equilibria in the order in which they are met."""
+
+    def __init__(self, itinerary: Itinerary) -> None:
+        self.system = itinerary.model.system
+        self.stops: list[StopNote] = []
+        self.symbols: list[SymbolNote] = []
+        self.wraps: list[int | None] = []
+        self.transfers: list[list[float]] = []
+        self.orbits: list[OrbitNote] = []
+        self.samples: list[Array] = []
+
+    def enter(self, goal: Goal, angles: Array, text: str) -> None:
+        """Come to the first stop of a piece, by the transfer before it, named by its text, if there was one."""
+        name = goal.where[0]
+        here = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
+        if not text or (self.stops and np.allclose(self.stops[-1]["angles"], angles)):
+            self._arrive(name, angles, here, None, None)
+            return
+        before = self.stops[-1]
+        winding = np.rint((angles - np.asarray(before["angles"])) / (2 * np.pi))
+        symbol = {
+            "text": text, "time": sum(self.transfers[-1]) / 2, "name": None, "source": before["saddle"],
+            "target": name, "winding": [int(turns) for turns in winding], "sense": 0, "section": None,
+            "time_out": None, "time_in": None, "phase_out": None, "phase_in": None,
+        }  # fmt: skip
+        self._arrive(name, angles, here, symbol, None)  # type: ignore[arg-type]
+
+    def follow(self, piece: SolvedPiece, begin: float) -> None:
+        """Add the stops and symbols of a walk that begins at this time, s."""
+        assert piece.goal is not None
+        orbit = piece.goal.shadowing
+        assert orbit is not None
+        n = len(piece.lift)
+        lift = np.concatenate([piece.lift, np.zeros(n)])
+        rows = zip(piece.goal.symbols, orbit.connections, orbit.symbol_times, strict=True)
+        for k, (text, connection, time) in enumerate(rows):
+            target = connection.target.saddle
+            home = self.system.equilibrium(target) + orbit.offsets[k + 1] * self.system.turn_lengths
+            crossing = orbit.sample(np.array([time]))[0] + lift
+            symbol = _connection_note(text, connection, crossing, begin + float(time) - piece.goal.begin)
+            wraps = orbit.wraps[k - 1] if k > 0 else piece.goal.wraps
+            self._arrive(target, home[:n] + piece.lift, self._on(connection.target), symbol, wraps)
+
+    def _arrive(self, name: str, angles: Array, orbit: int, symbol: SymbolNote | None, wraps: int | None) -> None:
+        """Add a stop and the symbol that leads to it; none where it is the stop before, on another orbit."""
+        stop: StopNote = {"saddle": name, "angles": [float(angle) for angle in angles], "orbit": orbit}
+        if symbol is None and self.stops:
+            self.stops[-1] = {**stop, "arrived_on": self.stops[-1]["orbit"]}
+            return
+        if symbol is not None:
+            if self.symbols:
+                self.wraps.append(wraps)
+            self.symbols.append(symbol)
+        self.stops.append(stop)
+
+    def _on(self, orbit: LyapunovOrbit) -> int:
+        values = orbit.energy, orbit.period, orbit.unstable_multiplier
+        return self._index(orbit.saddle, *values, lambda: OrbitCurve(orbit).samples)
+
+    def _at_rest(self, name: str) -> int:
+        state = self.system.equilibrium(name)
+        energy = float(self.system.numeric.hamiltonian(state))
+        return self._index(name, energy, STILL, 1.0, lambda: np.vstack([state, state]))
+
+    def _index(self, saddle: str, energy: float, period: float, multiplier: float, samples: Callable[[], Array]) -> int:
+        known = [(one["saddle"], one["energy"]) for one in self.orbits]
+        if (saddle, energy) not in known:
+            self.orbits.append({"saddle": saddle, "energy": energy, "period": period, "multiplier": multiplier})
+            self.samples.append(samples())
+            return len(known)
+        return known.index((saddle, energy))
+
+
+def notes_of_pieces(
+    itinerary: Itinerary, pieces: Sequence[SolvedPiece], begins: Array
+) -> tuple[PlanNotes, dict[str, Array]]:
+    """Return the notes of solved pieces that begin at `begins` (P + 1,) s, and the arrays that go with them."""
+    story, way = _Story(itinerary), ""
+    for piece, begin, end in zip(pieces, begins[:-1], begins[1:], strict=True):
+        goal = piece.goal
+        if goal is None:
+            story.transfers.append([float(begin), float(end)])
+            way = piece.text
+            continue
+        if goal.wraps is None:
+            story.enter(goal, goal.first + piece.lift, way)
+        if goal.shadowing is not None:
+            story.follow(piece, float(begin))
+    walks = [piece.goal.shadowing for piece in pieces if piece.goal is not None and piece.goal.shadowing is not None]
+    model = itinerary.model
+    n = model.system.dimension // 2
+    notes: PlanNotes = {
+        "itinerary": itinerary.name,
+        "title": itinerary.title,
+        "model": model.name,
+        "energy": walks[0].connections[0].source.energy if walks else None,
+        "walk": [s["name"] or s["text"] for s in story.symbols],
+        "wraps": story.wraps,
+        "lead_in": walks[0].lead_in if walks else None,
+        "lead_out": walks[-1].lead_out if walks else None,
+        "shadowing": {
+            "residual": max((orbit.residual for orbit in walks), default=None),
+            "duration": sum(orbit.duration for orbit in walks),
+            "status": "; ".join(orbit.status for orbit in walks) or "no walk to shadow",
+            "wraps_realised": [count for orbit in walks for count in orbit.wraps_realised],
+        },
+        "stops": story.stops,
+        "symbols": story.symbols,
+        "transfers": story.transfers,
+        "orbits": story.orbits,
+        "saddles": {
+            name: {"angles": e.state[:n].tolist(), "energy": e.energy} for name, e in equilibria(model.system).items()
+        },
+        "made_from": {
+            "program": f"dpcontrol {dpcontrol.__version__}",
+            "scene": itinerary.text,
+            "scene_hash": content_hash(itinerary.text),
+            "model": model.text,
+            "model_hash": content_hash(model.text),
+            "parameters": json.loads(json.dumps(asdict(model.arms))),
+        },
+    }
+    return notes, {f"orbit_{k}": samples for k, samples in enumerate(story.samples)}
+
+
+def _connection_note(text: str, connection: Connection, crossing: Array, time: float) -> SymbolNote:
+    normal = connection.section.normal
+    return SymbolNote(
+        text=text, source=connection.source.saddle, target=connection.target.saddle, time=time,
+        winding=list(connection.winding),
+        section={
+            "normal": list(normal), "value": float(np.dot(normal, crossing)),
+            "angles": crossing[: len(crossing) // 2].tolist(),
+        },
+        **picked(connection, "name", "sense", "time_out", "time_in", "phase_out", "phase_in"),
+    )  # fmt: skip

@@ -1,0 +1,271 @@
+"""From an itinerary to its reference: connections, shadowing orbit, collocation; kept by content.
+
+What the plan says beyond the trajectory (symbols, stops, orbits) is stored with the reference as notes and arrays,
+so that a log that carries the reference can be scored and reviewed alone.
+"""
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dpcontrol.foundation.cache import cache_file, keep, kept
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.files import content_hash, picked
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.plans.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
+from dpcontrol.references.problem import PLANNING
+from dpcontrol.references.reference import (
+    ByReference,
+    PlanNotes,
+    Reference,
+    StartNote,
+    load_reference,
+    plan_notes,
+    save_reference,
+)
+
+if TYPE_CHECKING:
+    from dpcontrol.walks.shadowing import ShadowingOrbit
+
+FORMAT = 2
+"""Raised whenever the notes change their meaning."""
+
+
+@dataclass(frozen=True)
+class Plan(ByReference):
+    """An itinerary's reference with its notes; file: where it is kept; cached: whether it was found there.
+
+    Of a reference that did not converge there is no file, nor where the cache cannot be written.
+    """
+
+    itinerary: Itinerary
+    reference: Reference
+    file: Path
+    cached: bool
+
+    def __repr__(self) -> str:
+        return f"<plan {self.itinerary.name!r}: {self.status}>"
+
+    @property
+    def notes(self) -> PlanNotes:
+        """What the plan says beyond the trajectory."""
+        return plan_notes(self.reference)
+
+    @cached_property
+    def archive(self) -> bytes:
+        """The reference as the bytes of its .npz file."""
+        file = BytesIO()
+        save_reference(file, self.reference)
+        return file.getvalue()
+
+    def followed(self) -> "Plan":
+        """Return the plan, where its reference can be followed.
+
+        Raises:
+            GoalMissed: it did not converge.
+        """
+        if not self.converged:
+            raise GoalMissed(f"{self.itinerary.name} has no reference to follow: {self.status}")
+        return self
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol plan --json` prints."""
+        figures = (
+            "duration", "max_error_between_nodes", "constraint_violation", "max_cart_position", "max_cart_velocity",
+            "max_cart_acceleration", "rms_cart_acceleration", "iterations", "solve_seconds", "status",
+        )  # fmt: skip
+        return {
+            **{key: self.notes[key] for key in ("walk", "wraps", "shadowing")},
+            "transfers": self.notes.get("taken", []),
+            "reference": {"intervals": len(self.reference.mesh) - 1, **picked(self.reference, *figures)},
+            "file": self.file if self.converged and os.path.isfile(self.file) else None,
+            **picked(self, "cached", "status"),
+        }
+
+
+def plan_key(itinerary: Itinerary) -> str:
+    """Return the content that a plan depends on, as 16 hexadecimal digits."""
+    content = {
+        "format": FORMAT,
+        "code": PLANNING,
+        "parameters": asdict(itinerary.model.arms),
+        "name": itinerary.name,
+        "title": itinerary.title,
+        "model": itinerary.model.name,
+        "parts": [asdict(part) for part in itinerary.parts],
+        "ends": (itinerary.start, itinerary.finish),
+        "limits": asdict(itinerary.limits),
+        "reference": asdict(itinerary.reference),
+        "keeps": itinerary.keeps,
+    }
+    return content_hash(json.dumps(content, sort_keys=True))
+
+
+_SECONDS, _MEMORY = 0.25, 3.5e6
+"""What each period of a walk takes to plan, in s and bytes, measured over 200 of them."""
+_FLIGHT = 4
+"""Periods that a symbol takes."""
+_TRANSFER, _TRANSFER_OF_MORE = 3.0, 16.0
+"""Seconds that a transfer of one or two arms, and of more, takes to plan."""
+
+
+def _amounts(itinerary: Itinerary) -> dict[str, int]:
+    return {
+        "wraps": sum(itinerary.wraps),
+        "walk": len(itinerary.walk),
+        "lead_in": sum(part.lead_in for part in itinerary.walks),
+        "lead_out": sum(part.lead_out for part in itinerary.walks),
+    }
+
+
+def _extent(itinerary: Itinerary) -> tuple[int, int]:
+    """Return how many periods of walks and how many transfers there are in an itinerary."""
+    ends = (itinerary.start, itinerary.finish)
+    apart = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))
+    amounts = _amounts(itinerary)
+    return sum(amounts.values()) + (_FLIGHT - 1) * amounts["walk"], ends.count("rest") + sum(apart)
+
+
+def plan_cost(itinerary: Itinerary) -> Cost:
+    """Return what planning an itinerary will take; stays at an equilibrium or on an orbit hardly count."""
+    periods, transfers = _extent(itinerary)
+    amounts = _amounts(itinerary)
+    longest = max(amounts, key=lambda name: amounts[name])
+    of = "symbols" if longest == "walk" else "in all"
+    key = f"{itinerary.path}: {longest}, {amounts[longest]:,} {of}"
+    each = _TRANSFER if itinerary.model.arms.count < 3 else _TRANSFER_OF_MORE
+    if each * transfers > _SECONDS * periods:
+        key = f"{itinerary.path}: parts, {len(itinerary.parts):,} in all"
+    seconds, memory = _SECONDS * periods + each * transfers, _MEMORY * (periods + _FLIGHT * transfers)
+    work = f"a reference of {periods:,} periods" + (f" and {transfers:,} transfers" if transfers else "")
+    return Cost(work, seconds, memory, key)
+
+
+_PERIOD, _TRANSFER_LASTS = 0.7, 2.5
+"""s: of an orbit, and of a transfer between rest, equilibria and walks; of the lab's arms, roughly."""
+
+
+def expected_seconds(itinerary: Itinerary) -> float:
+    """Return about how long an itinerary lasts, s, before it is planned."""
+    periods, transfers = _extent(itinerary)
+    stays = sum(part.seconds for part in itinerary.parts if not isinstance(part, WalkPart))
+    return _PERIOD * periods + _TRANSFER_LASTS * transfers + stays
+
+
+def make_plan(
+    itinerary: Itinerary,
+    *,
+    orbits: "Sequence[ShadowingOrbit]" = (),
+    progress: Progress = no_progress,
+    fresh: bool = False,
+    workers: int = 1,
+    scheduler: str = "",
+    yes: bool = False,
+) -> Plan:
+    """Return the plan of an itinerary, as it is stored or from the cache unless `fresh`; yes: however long it takes.
+
+    orbits: that shadow the itinerary's walks, one for each, where they are known already. workers: processes that seek
+    its transfers (0: as many as are worth it), which are kept one by one; scheduler: address of a Dask cluster in their
+    place. A reference that did not converge is returned with its status and not kept.
+
+    Raises:
+        InputError: the walk asks for connections that do not exist at this energy, or the plan would take too long.
+        GoalMissed: an orbit or the shadowing orbit did not converge.
+    """
+    if itinerary.loop.supervisor.on_fall != "stop":
+        stops = replace(itinerary.loop, supervisor=replace(itinerary.loop.supervisor, on_fall="stop"))
+        whole, rest = part_of(progress, 0.0, 0.7), part_of(progress, 0.7, 1.0)
+        plan = make_plan(
+            replace(itinerary, loop=stops), orbits=orbits, progress=whole, fresh=fresh, workers=workers,
+            scheduler=scheduler, yes=yes,
+        )  # fmt: skip
+        return recoverable(replace(plan, itinerary=itinerary), fresh=fresh, progress=rest)
+    if itinerary.stored is not None and not fresh:
+        return replace(load_plan(itinerary.stored), itinerary=itinerary)
+    file = cache_file("plans", itinerary.name, plan_key(itinerary))
+    if not fresh and (content := kept(file)) is not None:
+        return Plan(itinerary, load_reference(BytesIO(content)), file, cached=True)
+    announce(plan_cost(itinerary), yes=yes)
+    # A plan that is kept needs nothing of what makes plans.
+    from dpcontrol.judge.decoding import shortfall
+    from dpcontrol.plans.planning import planned
+
+    reference, notes, arrays = planned(
+        itinerary, orbits, fresh=fresh, workers=workers, scheduler=scheduler, progress=progress
+    )
+    notes["plan"], notes["made_from"]["code"] = plan_key(itinerary), f"planning {PLANNING}"
+    reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
+    if reference.converged and (problem := shortfall(reference)):
+        status = f"the reference converged, but a run that follows it would not be completed: {problem}"
+        reference = replace(reference, converged=False, status=status)
+    plan = Plan(itinerary, reference, file, cached=False)
+    if plan.converged:
+        keep(file, plan.archive)
+    return plan
+
+
+def with_kept_starts(plan: Plan) -> Plan:
+    """Return a plan with ways from rest to its stops if its runs need them and the cache has all of them."""
+    scene = plan.itinerary
+    if scene.loop.supervisor.on_fall == "stop" or "starts" in plan.notes or not plan.converged:
+        return plan
+    file = _starts_file(plan)
+    content = kept(file)
+    return plan if content is None else Plan(scene, load_reference(BytesIO(content)), file, plan.cached)
+
+
+def _starts_file(plan: Plan) -> Path:
+    scene = plan.itinerary
+    content = [plan_key(scene), scene.loop.travel, PLANNING]
+    if "polished" in plan.notes:
+        content.append(content_hash(plan.archive))
+    return cache_file("plans", f"{scene.name}-starts", content_hash(json.dumps(content)))
+
+
+def recoverable(
+    plan: Plan,
+    *,
+    fresh: bool = False,
+    found: "Callable[[StartNote, Reference | None], None] | None" = None,
+    progress: Progress = no_progress,
+) -> Plan:
+    """Return a plan with ways from rest to its stops, where its runs go on after a fall; from the cache unless `fresh`.
+
+    found: see `planned_starts`; called with each start that is not in the cache.
+
+    Raises:
+        GoalMissed: the first stop cannot be reached from rest.
+    """
+    scene = plan.itinerary
+    if scene.loop.supervisor.on_fall == "stop" or "starts" in plan.notes or not plan.converged:
+        return plan
+    if not fresh and "starts" in (known := with_kept_starts(plan)).notes:
+        return known
+    # A plan without starts needs nothing of what makes them.
+    from dpcontrol.plans.starts import no_listener, planned_starts
+
+    starts, arrays = planned_starts(scene, plan.reference, found=found or no_listener, progress=progress)
+    reference = replace(
+        plan.reference,
+        notes={**plan.reference.notes, "starts": starts},
+        extra={**plan.reference.extra, **arrays},
+    )
+    plan = Plan(scene, reference, _starts_file(plan), cached=False)
+    keep(plan.file, plan.archive)
+    return plan
+
+
+def load_plan(file: Path) -> Plan:
+    """Return the plan in a file that was made by planning: its itinerary from the texts that it was made from.
+
+    Raises:
+        InputError: the file is missing, damaged, or a reference that no plan made.
+    """
+    reference = load_reference(file)
+    return Plan(stored_itinerary(file, reference), reference, file, cached=True)

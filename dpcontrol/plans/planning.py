@@ -1,0 +1,400 @@
+"""What makes a plan: the reference of an itinerary, with the notes and arrays that go with it.
+
+A walk whose stops are kept: flights along connections between sustained orbits, and whole periods of these.
+
+    orbit · orbit · …  flight  orbit · orbit · …  flight  … orbit
+
+Every flight is solved on its own, from phase 0 of one sustained orbit to phase 0 of the next, cart included, so that a
+stay of any length costs nothing more. A stop with too few wraps for a whole period between two flights is flown
+through: its symbols share one flight. The reference says where stays and flights are (notes, `program`), for the
+controllers that hand over to each other.
+
+Itineraries that go nowhere: one equilibrium held, or one periodic orbit kept, for so many seconds.
+
+The orbit is the one that friction and cart sustain (`references.sustained`), repeated for whole periods.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from dpcontrol.control.interface import whole_turns
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.orbits.lyapunov import equilibria, equilibrium, lyapunov_orbit, resting_place
+from dpcontrol.plans.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
+from dpcontrol.plans.pieces import (
+    REST_AFTER,
+    REST_BEFORE,
+    Goal,
+    SolvedPiece,
+    cart_problem,
+    lifted_guess,
+    notes_of_pieces,
+    solve_pieces,
+    stay_goal,
+    walk_goal,
+)
+from dpcontrol.plans.transfers import transfer_notes
+from dpcontrol.references.find import find_reference
+from dpcontrol.references.problem import EndConditions
+from dpcontrol.references.reference import PlanNotes, Reference, SegmentNote, joined
+from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.tubes.connections import Connection
+from dpcontrol.tubes.symmetric import SymmetricSettings, find_symmetric_connections
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, phase_gap
+from dpcontrol.walks.symbols import parse_walk
+from dpcontrol.walks.walks import resolve, symmetric_walk
+
+
+def planned(
+    itinerary: Itinerary,
+    orbits: Sequence[ShadowingOrbit] = (),
+    *,
+    fresh: bool = False,
+    workers: int = 1,
+    scheduler: str = "",
+    progress: Progress = no_progress,
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
+    """Return the reference of an itinerary, its notes and arrays; orbits: that shadow its walks, where they are known;
+    fresh: without transfers that were kept; workers, scheduler: by which transfers are sought.
+
+    Raises:
+        InputError: the walk asks for connections that do not exist at this energy.
+        GoalMissed: an orbit or the shadowing orbit did not converge.
+    """
+    if isinstance(itinerary.stay, OrbitPart):
+        return _kept_orbit(itinerary, itinerary.stay, progress)
+    if itinerary.keeps:
+        walk = itinerary.walks[0]
+        chain, solver = _connections(itinerary, walk, part_of(progress, 0.0, 0.5))
+        return _kept_walk(itinerary, walk, chain, solver, part_of(progress, 0.5, 1.0))
+    ready = 0.4 if itinerary.walks else 0.0
+    goals = _goals(itinerary, list(orbits), part_of(progress, 0.0, ready))
+    pieces = solve_pieces(
+        itinerary, goals, fresh=fresh, workers=workers, scheduler=scheduler, progress=part_of(progress, ready, 0.9)
+    )
+    reference, begins = joined([piece.reference for piece in pieces])
+    notes, arrays = notes_of_pieces(itinerary, pieces, begins)
+    ways = [(p.text, float(begin), p.reference) for p, begin in zip(pieces, begins, strict=False) if p.goal is None]
+    if ways and reference.converged:
+        notes["taken"] = transfer_notes(itinerary.model.system, ways, progress=part_of(progress, 0.9, 1.0))
+    if isinstance(itinerary.stay, HoldPart):
+        notes["stay"] = {"kind": "hold", "hold": itinerary.stay.hold}
+        notes["energy"] = notes["orbits"][0]["energy"]
+    return reference, notes, arrays
+
+
+def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progress) -> list[Goal]:
+    """Return what the itinerary is to do, one goal for each part, and rests at its ends where it asks for them."""
+    rest = resting_place(itinerary.model.system)
+    # A hold there is the rest itself, for as long as it says.
+    rests = [isinstance(part, HoldPart) and part.hold == rest for part in (itinerary.parts[0], itinerary.parts[-1])]
+    goals = [stay_goal(itinerary, rest, REST_BEFORE)] if itinerary.start == "rest" and not rests[0] else []
+    for k, part in enumerate(itinerary.parts):
+        if isinstance(part, WalkPart):
+            here = part_of(progress, k / len(itinerary.parts), (k + 1) / len(itinerary.parts))
+            orbit = orbits.pop(0) if orbits else shadowing_orbit(itinerary, part=part, progress=here)
+            beside = [itinerary.parts[j] if 0 <= j < len(itinerary.parts) else None for j in (k - 1, k + 1)]
+            ends = (itinerary.start, itinerary.finish)
+            # Towards another walk the orbits meet as they are; towards rest or a hold there is a transfer.
+            apart = (e == "rest" if b is None else isinstance(b, HoldPart) for e, b in zip(ends, beside, strict=True))
+            goals.append(walk_goal(orbit, part.walk, round_off=(next(apart), next(apart))))
+        elif isinstance(part, HoldPart):
+            goals.append(stay_goal(itinerary, part.hold, part.seconds))
+    if itinerary.finish == "rest" and not rests[1]:
+        goals.append(stay_goal(itinerary, rest, REST_AFTER))
+    return goals
+
+
+def shadowing_orbit(
+    itinerary: Itinerary, *, part: WalkPart | None = None, progress: Progress = no_progress
+) -> ShadowingOrbit:
+    """Find the connections of a part's walk (the first walk's by default) and the orbit that shadows them.
+
+    Raises:
+        InputError: the walk asks for connections that do not exist at this energy, or there is no walk.
+        GoalMissed: an orbit or the shadowing orbit did not converge.
+    """
+    if part is None:
+        if not itinerary.walks:
+            raise InputError(f"{itinerary.name} has no walk, only holds")
+        part = itinerary.walks[0]
+    if itinerary.model.system.dimension == 6:
+        return _symmetric_walk(itinerary.model.system, part, progress)
+    chain, solver = _connections(itinerary, part, part_of(progress, 0.0, 0.9))
+    progress("shadowing orbit", 0.9)
+    result = solver.solve(chain, part.wraps, lead_in=part.lead_in, lead_out=part.lead_out)
+    if not result.converged:
+        raise GoalMissed(f"the shadowing orbit: {result.status}; {solver.advice(result)}")
+    return result
+
+
+_BESIDE, _BETWEEN = 0.01, 5
+"""How far from a part's energy, over the energy scale, three arms' connections are sought, and on how many energies."""
+
+
+def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> ShadowingOrbit:
+    """Return the walk of three arms whose connection exists nearest to a part's energy."""
+    (symbol, *_) = parse_walk(part.walk, system.saddles)
+    reach = _BESIDE * system.energy_scale
+    lowest = equilibrium(system, symbol.source).energy
+    energies = (max(part.energy - reach, lowest + 1e-3 * reach), part.energy + reach)
+    search = find_symmetric_connections(
+        system, symbol.source, energies=energies, hit=(symbol.hits or (1, 1))[0],
+        settings=SymmetricSettings(energies=_BETWEEN), progress=progress,
+    )  # fmt: skip
+    leads = {"lead_in": part.lead_in, "lead_out": part.lead_out}
+    return symmetric_walk(part.walk, search, energy=part.energy, **leads)
+
+
+def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tuple[tuple[Connection, ...], WalkSolver]:
+    """Return the connections of a part's walk, and what finds the orbits that shadow them."""
+    system = itinerary.model.system
+    symbols = parse_walk(part.walk, system.saddles)
+    pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
+    try:
+        edges = find_edges(system, part.energy, pairs=pairs, symbols=symbols, progress=progress)
+        if edges.absent:
+            raise GoalMissed("; ".join(reason for _, reason in edges.absent))
+        return resolve(part.walk, edges), WalkSolver(edges.known)
+    except (InputError, GoalMissed) as error:
+        # The name of a connection is that of one energy.
+        if any(simple.name is not None for symbol in symbols for simple in symbol.simple):
+            raise
+        raise type(error)(f"{error}; {_other_energies(system, part)}") from error
+
+
+_SHARES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7)
+"""Of the way from the highest saddle of a walk to the highest equilibrium: where its connections are sought."""
+_LOST = 1e11
+"""Unstable multiplier from which on a period loses an orbit's tubes to rounding."""
+
+
+def _other_energies(system: System, part: WalkPart) -> str:
+    """Return a sentence on energies near the part's at which all connections of its walk exist."""
+    symbols = parse_walk(part.walk, system.saddles)
+    pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
+    heights = {name: one.energy for name, one in equilibria(system).items()}
+    stops = list(dict.fromkeys(name for pair in pairs for name in pair))
+    low, top = max(heights[name] for name in stops), max(heights.values())
+    energies = sorted((low + share * (top - low) for share in _SHARES), key=lambda e: abs(e - part.energy))
+    lost: list[tuple[float, str]] = []
+    for energy in energies:
+        orbits = [lyapunov_orbit(system, name, energy=energy) for name in stops]
+        worst = max((abs(orbit.unstable_multiplier), orbit.saddle) for orbit in orbits)
+        if worst[0] > _LOST:
+            lost.append(worst)
+            continue
+        try:
+            resolve(part.walk, find_edges(system, energy, pairs=pairs))
+        except (InputError, GoalMissed):
+            continue
+        return f"at {energy:.4g} J there are connections for each symbol"
+    text = f"nor were any found at {len(energies)} energies from {min(energies):.4g} to {max(energies):.4g} J"
+    if len(lost) < len(energies):
+        return f"{text}; take other symbols"
+    growth, saddle = min(lost)
+    why = f"there a period near the orbit about {saddle} multiplies errors by {growth:.0e} or more"
+    return f"{text}: {why}, beyond double precision; take a walk without {saddle}, or one that needs less energy"
+
+
+_SAMPLES = 401
+
+
+def _kept_walk(
+    itinerary: Itinerary, part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, progress: Progress
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
+    """Return the reference of a walk of these connections with its stops kept, its notes and the arrays with them.
+
+    Raises:
+        GoalMissed: a sustained orbit, or a flight's shadowing orbit or reference, was not found.
+    """
+    orbits = _sustained(itinerary, chain)
+    flights = _flights(part, chain, solver)
+    pieces: list[SolvedPiece] = []
+    for k, flight in enumerate(flights):
+        here = part_of(progress, k / len(flights), (k + 1) / len(flights))
+        lift = np.zeros(len(flight.first))
+        if pieces:
+            lift = pieces[-1].lift + flights[k - 1].last - flight.first
+        pieces.append(_flown(itinerary, flight, orbits, lift, here))
+    return _assembled(itinerary, part, flights, pieces, orbits)
+
+
+def _early(flight: Goal) -> float:
+    """Return the periods from a flight's start to where its first connection leaves the orbit."""
+    assert flight.shadowing is not None
+    first = flight.shadowing.connections[0]
+    return (float(flight.shadowing.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
+
+
+def _late(flight: Goal) -> float:
+    """Return the periods from where a flight's last connection joins the orbit to its end."""
+    assert flight.shadowing is not None
+    last, end = flight.shadowing.connections[-1], flight.begin + flight.seconds
+    return (end - float(flight.shadowing.symbol_times[-1]) - last.time_in) / last.target.period
+
+
+def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
+    """Return the sustained orbits of a walk by saddle, with the intervals of the itinerary's own method."""
+    # The cheapest orbit, not the nearest to the Lyapunov orbit.
+    sought = replace(itinerary.reference, pendulum_weight=0.0, cart_weight=1.0)
+    orbits: dict[str, SustainedOrbit] = {}
+    for lyapunov in (chain[0].source, *(connection.target for connection in chain)):
+        if lyapunov.saddle not in orbits:
+            found = sustained_orbit(lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, settings=sought)
+            if not found.converged:
+                where = f"about {lyapunov.saddle} at {lyapunov.energy:g} J"
+                raise GoalMissed(f"the sustained orbit {where}, which is to be kept: {found.status}")
+            orbits[lyapunov.saddle] = found
+    return orbits
+
+
+def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) -> list[Goal]:
+    """Return the walk's flights: one for each symbol, fewer where a stop has no room to stay."""
+    single = [_flight(part, chain, solver, k, k + 1) for k in range(len(chain))]
+    cuts = [k + 1 for k, (before, after) in enumerate(pairwise(single)) if _periods(before, after) >= 1]
+    spans = pairwise([0, *cuts, len(chain)])
+    return [single[i] if j == i + 1 else _flight(part, chain, solver, i, j) for i, j in spans]
+
+
+def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, first: int, last: int) -> Goal:
+    """Return the flight of the symbols from `first` to before `last`."""
+    orbit = solver.solve(chain[first:last], part.wraps[first : last - 1], lead_in=0, lead_out=0)
+    if not orbit.converged:
+        raise GoalMissed(f"the shadowing orbit: {orbit.status}; {solver.advice(orbit)}")
+    wraps = part.wraps[first - 1] if first else None
+    return walk_goal(orbit, part.walk[first:last], round_off=(True, True), wraps=wraps)
+
+
+def _periods(before: Goal, after: Goal) -> int:
+    """Return how many whole periods between two flights give the stop its wraps; negative where there is no room."""
+    assert before.shadowing is not None
+    assert after.shadowing is not None
+    assert after.wraps is not None
+    gap = phase_gap(before.shadowing.connections[-1], after.shadowing.connections[0])
+    return round(after.wraps + gap - _late(before) - _early(after))
+
+
+def _flown(
+    itinerary: Itinerary, goal: Goal, orbits: dict[str, SustainedOrbit], lift: Array, progress: Progress
+) -> SolvedPiece:
+    """Return the piece of a flight, `lift` (n,) added to its angles."""
+    rows = zip(goal.orbits, (goal.start, goal.end), strict=True)
+    start, end = (on_turns(orbits[which.saddle], state[: len(lift)] + lift) for which, state in rows)
+    problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions(start=start, end=end))
+    found = find_reference(problem, itinerary.reference, progress=progress)
+    text = ", ".join(goal.symbols)
+    if not found.converged:
+        raise GoalMissed(f"no flight {text!r} between the orbits that are to be kept: {found.status}")
+    return SolvedPiece(text, goal, lift, found)
+
+
+def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
+    """Return the orbit's state (2n + 2,) at phase 0, on the turns of these angles (n,)."""
+    start, n = np.array(orbit.state(0.0)), len(angles)
+    start[:n] += whole_turns(angles - start[:n])
+    return start
+
+
+def period_at(orbit: SustainedOrbit, state: Array) -> Reference:
+    """Return one period of the orbit, on the turns of a state (2n + 2,) of it at phase 0."""
+    return replace(orbit.reference, states=orbit.reference.states + whole_turns(state - orbit.state(0.0)))
+
+
+def _assembled(
+    itinerary: Itinerary,
+    part: WalkPart,
+    flights: list[Goal],
+    pieces: list[SolvedPiece],
+    orbits: dict[str, SustainedOrbit],
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
+    """Return stays and flights end to end, with the notes and arrays of the whole."""
+    # The first orbit is where a run is caught, the last one what it is judged by: one period of each at least.
+    leads = (max(round(part.lead_in - _early(flights[0])), 1), max(round(part.lead_out - _late(flights[-1])), 1))
+    counts = [leads[0], *(_periods(a, b) for a, b in pairwise(flights)), leads[1]]
+    places = [flights[0].orbits[0], *(flight.orbits[1] for flight in flights)]
+    states = [pieces[0].reference.state(0.0), *(p.reference.state(p.reference.duration) for p in pieces)]
+    parts: list[Reference] = []
+    segments: list[SegmentNote] = []
+    begins: list[float] = []
+    for k, (count, place, state) in enumerate(zip(counts, places, states, strict=True)):
+        orbit = orbits[place.saddle]
+        one = period_at(orbit, state)
+        segments.append({
+            "keep": place.saddle, "energy": place.energy, "family": place.family, "lyapunov_period": place.period,
+            "turns": whole_turns(state - orbit.state(0.0)).tolist(), "periods": count, "rows": _rows(parts, one),
+        })  # fmt: skip
+        parts += [one] * count
+        if k < len(pieces):
+            segments.append({"fly": pieces[k].text, "rows": _rows(parts, pieces[k].reference)})
+            begins.append(sum(one.duration for one in parts))
+            parts.append(pieces[k].reference)
+    reference = _counted_once(joined(parts)[0], [piece.reference for piece in pieces], orbits)
+    notes, arrays = notes_of_pieces(itinerary, pieces, np.array([*begins, reference.duration]))
+    notes["program"], notes["lead_in"], notes["lead_out"] = segments, part.lead_in, part.lead_out
+    for k, entry in enumerate(notes["orbits"]):
+        orbit = orbits[entry["saddle"]]
+        entry["period"] = orbit.period
+        arrays[f"orbit_{k}"] = _sampled(orbit)
+    return reference, notes, arrays
+
+
+def _sampled(orbit: SustainedOrbit) -> Array:
+    """Return states (M, 2n) of the pendulum over a period, for score and review."""
+    return np.asarray(orbit.state(np.linspace(0.0, orbit.period, _SAMPLES))[:, :-2])
+
+
+def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, SustainedOrbit]) -> Reference:
+    """Return the whole with the cost of finding each of its orbits once, however often it is in it."""
+    solved = [*flights, *(orbit.reference for orbit in orbits.values())]
+    iterations, seconds = sum(one.iterations for one in solved), sum(one.solve_seconds for one in solved)
+    status = (
+        f"converged in {iterations} iterations; error between nodes {whole.max_error_between_nodes:.1e} on "
+        f"{len(whole.mesh) - 1} intervals: {len(flights)} flights, {len(flights) + 1} stays"
+    )
+    return replace(whole, iterations=iterations, solve_seconds=seconds, status=status)
+
+
+def _rows(before: list[Reference], part: Reference) -> list[int]:
+    """Return the first interval of a part and that after it, in the whole."""
+    first = sum(len(one.mesh) - 1 for one in before)
+    return [first, first + len(part.mesh) - 1]
+
+
+def _kept_orbit(
+    itinerary: Itinerary, part: OrbitPart, progress: Progress
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
+    """Return the reference that stays on an orbit, its notes and the arrays that go with them.
+
+    Raises:
+        GoalMissed: the orbit was not found.
+    """
+    system, place = itinerary.model.system, f"about {part.orbit} at {part.energy:g} J"
+    lyapunov = lyapunov_orbit(system, part.orbit, energy=part.energy, family=part.family)
+    if not lyapunov.converged:
+        raise GoalMissed(f"the Lyapunov orbit {place}: {lyapunov.status}")
+    found = sustained_orbit(lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, progress=progress)
+    if not found.converged:
+        raise GoalMissed(f"the sustained orbit {place}: {found.status}")
+    one = found.reference
+    reference, _ = joined([one] * max(1, round(part.seconds / found.period)))
+    reference = replace(reference, status=one.status, iterations=one.iterations, solve_seconds=one.solve_seconds)
+    notes, _ = notes_of_pieces(itinerary, [], np.zeros(1))
+    angles = system.equilibrium(part.orbit)[: system.dimension // 2].tolist()
+    notes["energy"], notes["stops"] = part.energy, [{"saddle": part.orbit, "angles": angles, "orbit": 0}]
+    notes["orbits"] = [{
+        "saddle": part.orbit, "energy": part.energy, "period": found.period,
+        "multiplier": lyapunov.unstable_multiplier,
+    }]  # fmt: skip
+    notes["stay"] = {
+        "kind": "orbit", "orbit": part.orbit, "energy": part.energy, "family": part.family,
+        "intervals": len(one.mesh) - 1, "lyapunov_period": lyapunov.period,
+    }  # fmt: skip
+    return reference, notes, {"orbit_0": _sampled(found)}

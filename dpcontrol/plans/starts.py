@@ -1,0 +1,118 @@
+"""Ways from hanging at rest to the stops of an itinerary, by which a run goes on after a fall.
+
+For each stop a transfer from rest to the plan's own reference: to a state at which the arms pass the saddle's angles,
+early in the stay, so that the feedback has settled when it ends. A stop at rest needs none.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import GoalMissed, remark
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.judge.decoding import decode_run
+from dpcontrol.plans.itinerary import Itinerary
+from dpcontrol.plans.pieces import ways_round
+from dpcontrol.plans.transfers import kept_transfer
+from dpcontrol.references.reference import Reference, StartNote, plan_notes, start_arrays
+
+_RATE = 100.0
+"""Hz, at which a stop's places are looked at: what is joined there is a whole number of ticks away at usual rates."""
+_PLACES = 3
+"""That are tried for each stop."""
+_STILL = 1e-6
+"""rad, rad/s, m and m/s: from rest."""
+
+
+def no_listener(note: StartNote, lead_in: Reference | None) -> None:
+    """Ignore a start."""
+
+
+def planned_starts(
+    itinerary: Itinerary,
+    reference: Reference,
+    *,
+    found: Callable[[StartNote, Reference | None], None] = no_listener,
+    progress: Progress = no_progress,
+) -> tuple[list[StartNote], dict[str, Array]]:
+    """Return the notes of the starts to an itinerary's stops that there are, in their order, and their arrays.
+
+    A stop that cannot be reached from rest is left out, with a remark: the one before it is used. found: called with
+    each start as soon as it is planned, and its transfer; None for a stop at rest.
+
+    Raises:
+        GoalMissed: the first stop cannot be reached.
+    """
+    notes = plan_notes(reference)
+    n = itinerary.model.arms.count
+    times = np.arange(0.0, reference.duration, 1 / _RATE)
+    states = reference.state(times)
+    decoded = decode_run(times, states[:, :n], reference)
+    starts: list[StartNote] = []
+    arrays: dict[str, Array] = {}
+    stays = decoded.visits
+    for stop, stay in enumerate(stays):
+        here = part_of(progress, stop / len(stays), (stop + 1) / len(stays))
+        angles = np.array(notes["stops"][stop]["angles"])
+        places = _places(states[stay.first : stay.last + 1], angles) + stay.first
+        first = states[places[0]]
+        turns = np.rint(first[:n] / (2 * np.pi))
+        if np.abs(first - np.pad(2 * np.pi * turns, (0, n + 2))).max() <= _STILL:
+            at = float(times[places[0]])
+            starts.append(StartNote(stop=stop, at=at, turns=[int(turn) for turn in turns], status="at rest"))
+            found(starts[-1], None)
+            continue
+        try:
+            lead_in, place, short = _transfer(itinerary, states, places, here)
+        except GoalMissed as error:
+            text = f"from rest to stop {stop + 1} ({notes['stops'][stop]['saddle']}): {error}"
+            if not starts:
+                raise GoalMissed(f"{itinerary.path}: on_fall: {text}") from error
+            remark(f"{itinerary.path}: on_fall: {text}; after a fall the stop before it is gone to")
+            continue
+        arrays |= start_arrays(len(starts), lead_in)
+        starts.append(StartNote(stop=stop, at=float(times[place]), turns=short, status=lead_in.status))
+        found(starts[-1], lead_in)
+    return starts, arrays
+
+
+def _places(states: Array, angles: Array) -> NDArray[np.intp]:
+    """Return rows of a stay's states (K, N) at which a transfer may join it, the best first.
+
+    angles (n,): the saddle's. Where the arms pass it, as on their orbit twice a period; of one that stands, the middle.
+    """
+    n = len(angles)
+    if np.abs(states[:, n : 2 * n]).max() <= _STILL:
+        # At rest the arms may as well have hung from the beginning.
+        return np.array([0 if not angles.any() else len(states) // 2])
+    away = np.abs(states[:, :n] - angles).max(axis=1)
+    inner = np.flatnonzero((away[1:-1] <= away[:-2]) & (away[1:-1] < away[2:])) + 1
+    near = inner[away[inner] < 2 * away[inner].min() + 0.1] if len(inner) else inner
+    begins = [0] if away[0] <= away[1] else []
+    found = np.concatenate([np.array(begins, dtype=np.intp), near])
+    return (found if len(found) else np.array([int(np.argmin(away))]))[:_PLACES]
+
+
+def _transfer(
+    itinerary: Itinerary, states: Array, places: Sequence[int] | NDArray[np.intp], progress: Progress
+) -> tuple[Reference, int, list[int]]:
+    """Return a transfer from rest to one of the places of states (K, N), which, and the turns that it falls short."""
+    n = itinerary.model.arms.count
+    candidates: list[tuple[int, list[int], Array]] = []
+    for place in places:
+        for turns in ways_round(-states[place, :n] / (2 * np.pi)):
+            end = states[place].copy()
+            end[:n] += 2 * np.pi * turns
+            candidates.append((int(place), [-int(turn) for turn in turns], end))
+    limits = itinerary.limits
+    if itinerary.loop.travel:
+        limits = replace(limits, position=min(limits.position, itinerary.loop.travel))
+    found = kept_transfer(
+        replace(itinerary, limits=limits), np.zeros(2 * n + 2), [end for *_, end in candidates], progress=progress
+    )
+    landed = found.state(found.duration)
+    place, turns, _ = candidates[int(np.argmin([np.abs(landed - end).max() for *_, end in candidates]))]
+    return found, place, turns

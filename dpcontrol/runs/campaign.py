@@ -1,0 +1,771 @@
+"""Campaigns: one itinerary, many seeds, several cases; how often it is completed, and how sure that is.
+
+A case is a controller with values that override the scene's. All cases run the same seeds, so that they can be compared
+in pairs. Jobs of some seeds each go to processes of this machine or to a Dask cluster; the table does not depend on how
+many workers there are or which of them die. A job carries all it needs (reference, parameters, settings), so that a
+worker needs this package and no files; the same job gives the same rows wherever and however often it runs.
+
+The rows are one tidy Parquet file. Meanwhile every finished job is kept as NAME.parquet.parts/KEY.parquet, whole or
+absent, its key the hash of all it depends on: a campaign that is started again takes what is there and runs the rest.
+
+The robustness score: how much of each kind of trouble a controller stands, level by level. Each kind has 21 levels, on
+top of what the scene itself asks of its bench. The score of a kind is the share of its runs that complete the whole
+itinerary, symbol by symbol, by the true state; that of the controller the mean over the kinds.
+
+The first six kinds are those of the leaderboard of the dfki double pendulum, which swings up under a torque of at most
+6 N m; the last three are of encoders and of the cart's drive. What agrees with theirs, and what does not:
+
+    velocity noise   there Gaussian, 0 to 0.5 rad/s, on the rates that the controller is given; here to 3 rad/s
+    response         the same: 0.1 to 2 times what was commanded
+    delay            there 0 to 40 ms; here to 300 ms, for the loop knows it and predicts, as a rig's delay is known
+    model error      there one parameter at a time, ±25 %; here all at once, ±25 % at worst and friction five times that
+    command noise    there up to 1.1 of 6 N m; here up to 75 m/s² where 30 can be given
+    pushes           there three a joint, of 0.06 to 1.3 N m s over a tenth of a second on arms several times as heavy,
+                     at one level; here three in all, instantaneous, up to 0.012 N m s, 4 rad/s of the outer arm alone
+
+Where their ranges left nearly every run of `tvlqr` and `adaptive` unharmed, ours go on to where runs fail.
+
+There a level of noise counts if more than half of its runs succeed; here every run counts. So scores of the two may be
+read side by side, kind by kind, and not subtracted.
+
+Source: Wiebe et al., Open-source dual-purpose acrobot and pendubot platform (IEEE RAM, 2024), section on benchmarking;
+ranges as in the leaderboard's scripts, robustness version 2, of github.com/dfki-ric-underactuated-lab/double_pendulum.
+"""
+
+import io
+import itertools
+import json
+import math
+import shutil
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import dpcontrol
+from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file
+from dpcontrol.foundation.parts import part
+from dpcontrol.foundation.processes import in_processes, on_cluster, processors
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
+from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
+from dpcontrol.judge.score import Flown, verdict_on
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.result import BatchRun, Ending
+from dpcontrol.plans.itinerary import Itinerary
+from dpcontrol.plans.plan import Plan, recoverable
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.references.reference import PlanNotes, Reference, load_reference, transitions_in
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from pandas import DataFrame
+
+Row = dict[str, Any]
+
+COLUMNS: dict[str, str] = {
+    "itinerary": "string",
+    "case": "string",
+    "controller": "string",
+    "estimator": "string",
+    "seed": "int64",
+    "mismatch": "double",
+    "completed": "bool",
+    "symbols_completed": "int32",
+    "symbols_total": "int32",
+    "symbol": "string",
+    "ending": "string",
+    "reason": "string",
+    "simulated_seconds": "double",
+    "rms_tracking_error": "double",
+    "max_cart_position": "double",
+    "rms_cart_acceleration": "double",
+    "rms_feedback": "double",
+    "nis_inside_95": "double",
+    "path": "string",
+    "replays": "bool",
+}
+"""A row's columns and their Arrow types. symbol: the one that was not done, empty if all were; case: what the campaign
+varied, as name=value; replays: whether the loop itself, tick by tick, fails too, asked of the first failures of a job
+only; null where it was not asked. SI units."""
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Compiled code is not to be shared between threads, and a Dask worker may have several."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One combination of what a campaign varies: its label, the values by name, and the loop's settings."""
+
+    label: str
+    values: tuple[tuple[str, float | str], ...]
+    loop: LoopSettings
+
+
+@dataclass(frozen=True)
+class Job:
+    """Seeds of one case. reference: the plan's archive; path: "compiled" (many seeds in lockstep) or "ticks";
+    uncertainty: of the arms, for cases that draw their plants from it; replayed: how many failures in lockstep are run
+    again tick by tick. mismatches: one for each seed, in place of the case's own.
+    """
+
+    itinerary: str
+    reference: bytes = field(repr=False)
+    arms: ArmChainParameters
+    case: Case
+    seeds: tuple[int, ...]
+    path: str
+    uncertainty: Uncertainty | None = None
+    replayed: int = 4
+    mismatches: tuple[float, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """What the rows depend on, as 16 hexadecimal digits."""
+        return content_hash(self.reference, repr(self))
+
+
+@lru_cache(maxsize=8)
+def _prepared(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> Assembly:
+    assembly = Assembly(load_reference(io.BytesIO(archive)), arms, loop)
+    _ = assembly.controller, assembly.fallback
+    return assembly
+
+
+def run_job(job: Job) -> list[Row]:
+    """Run a job's seeds and return a row for each, in their order.
+
+    Raises:
+        InputError: the settings do not fit the plan.
+        GoalMissed: no controller can be made for it.
+    """
+    with _ONE_AT_A_TIME:
+        return _rows(job)
+
+
+def _rows(job: Job) -> list[Row]:
+    arms, loop = job.arms, job.case.loop
+    # By what a controller depends on: cases that differ in the bench share one.
+    decisive = LoopSettings(
+        seed=0, rate=loop.rate, drive_lag=loop.known_lag, keep=loop.keep, controller=loop.controller,
+        estimator=loop.estimator,
+        supervisor=loop.supervisor,
+    )  # fmt: skip
+    assembly = replace(_prepared(job.reference, arms, decisive).under(loop), uncertainty=job.uncertainty)
+    reference = assembly.reference
+    mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
+
+    def tick_by_tick(seed: int, mismatch: float) -> Row:
+        result = assembly.simulate(seed=seed, mismatch=mismatch)
+        return _row(job, reference, seed, BatchRun.of(result), path="ticks")
+
+    if job.path == "ticks" or not assembly.lockstep:
+        return [tick_by_tick(seed, mismatch) for seed, mismatch in zip(job.seeds, mismatches, strict=True)]
+    runs = assembly.batch(job.seeds, mismatches=mismatches)
+    rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
+    failed = [pair for pair in zip(rows, mismatches, strict=True) if not pair[0]["completed"]]
+    for row, mismatch in failed[: job.replayed]:
+        # What is listed as a failure should be one when its seed is run alone; where a law keeps a clock of its own,
+        # round-off decides a few.
+        row["replays"] = not tick_by_tick(row["seed"], mismatch)["completed"]
+    return rows
+
+
+def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str) -> Row:
+    ended = "" if run.ending is Ending.FINISHED else run.reason
+    n = reference.states.shape[-1] // 2 - 1
+    loop = job.case.loop
+    limits = loop.limits(reference)
+    flown = Flown(
+        time=run.times,
+        states=run.truth,
+        reference_angles=run.references,
+        applied=run.applied,
+        rate_hz=loop.rate,
+        limits=(limits.position, limits.velocity, limits.acceleration),
+        ended=ended,
+        flights=run.flights,
+        hardest=run.hardest,
+    )
+    verdict = verdict_on(flown, reference)
+    symbols = reference.notes["symbols"]
+    undone = symbols[verdict.symbols]["text"] if verdict.symbols < len(symbols) else ""
+    away = flown.angles - flown.reference_angles
+    return {
+        "itinerary": job.itinerary,
+        "case": job.case.label,
+        "controller": loop.controller.kind,
+        "estimator": loop.estimator.kind,
+        "seed": seed,
+        "mismatch": loop.mismatch,
+        "completed": not verdict.problem,
+        "symbols_completed": verdict.symbols,
+        "symbols_total": len(symbols),
+        "symbol": undone,
+        "ending": run.ending.value,
+        "reason": verdict.problem,
+        "simulated_seconds": float(run.times[-1]),
+        "rms_tracking_error": math.sqrt(float(np.mean(away**2))),
+        "max_cart_position": float(np.abs(run.truth[:, 2 * n]).max()),
+        "rms_cart_acceleration": math.sqrt(float(np.mean(run.applied**2))),
+        "rms_feedback": run.rms_feedback,
+        "nis_inside_95": run.nis_inside_95,
+        "path": path,
+        "replays": True if path == "ticks" else None,
+    }
+
+
+METADATA = b"dpcontrol.campaign"
+"""Key of the file's own metadata: JSON with the settings, version and commit."""
+
+
+def _schema(extra: Sequence[str], metadata: Mapping[str, Any] | None = None) -> "pa.Schema":
+    import pyarrow as pa
+
+    fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **dict.fromkeys(extra, "double")}.items()]
+    return pa.schema(fields, metadata={METADATA: json.dumps(metadata or {}).encode()})
+
+
+def _table(rows: Iterable[Row], extra: Sequence[str]) -> "pa.Table":
+    """Return rows as columns, in a tenth of the memory; extra: names of further columns of numbers."""
+    import pyarrow as pa
+
+    return pa.Table.from_pylist(list(rows), schema=_schema(extra))
+
+
+def _write(path: Path, table: "pa.Table") -> None:
+    """Write a table to a Parquet file, whole or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    import pyarrow.parquet as pq
+
+    sealed = table.replace_schema_metadata({**(table.schema.metadata or {}), **SEAL})
+    with whole_file(path, suffix=".parquet") as temporary:
+        pq.write_table(sealed, temporary, compression="zstd")
+        temporary.write_bytes(sealed_table(temporary.read_bytes()))
+
+
+def _read(path: Path) -> "pa.Table | None":
+    """Return a campaign's table; None where there is none, or the file is damaged or something else."""
+    pa = part("pyarrow")
+    try:
+        check_seal(path.read_bytes())
+        table = part("pyarrow.parquet").read_table(path)
+    except (pa.ArrowException, OSError, ValueError):
+        return None
+    return table if set(COLUMNS) <= set(table.column_names) else None
+
+
+def _kept(part: Path, extra: Sequence[str]) -> "pa.Table | None":
+    """Return a finished job's rows; None where there are none, or they are damaged or have other columns."""
+    table = _read(part)
+    return table if table is not None and table.schema.equals(_schema(extra)) else None
+
+
+def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Row]]]:
+    """Run jobs in `workers` processes; where the caller is interrupted or takes no more, those under way are ended.
+
+    Raises:
+        InputError, GoalMissed: as `run_job`; the latter also when a job's worker died again and again.
+    """
+    return in_processes(
+        run_job, jobs, workers,
+        remedy="Finished jobs are kept: run the same command again, with fewer --workers",
+    )  # fmt: skip
+
+
+MOST_RUNS = 1_000_000
+MOST_CASES = 10_000
+MOST_PAIRED = 6
+"""Cases up to which each two are compared."""
+MOST_TICKS = 5_000_000
+"""Of all runs of a job together: what is kept of them takes 72 bytes a tick."""
+MOST_TICKS_OF_LOOPS = 120_000
+"""Of a job whose runs go one after the other, in a quarter of a minute: so much is lost where a campaign is killed."""
+
+
+@dataclass(frozen=True)
+class CampaignSettings(Settings, table="campaign"):
+    """runs for each case, from seed `first_seed` on; path: "compiled" runs many seeds in lockstep, "ticks" the loop
+    itself; workers: processes, 0 for one on each processor; scheduler: address of a Dask cluster, or empty; batch:
+    seeds in a job, fewer where runs are long; replayed: how many of a job's failures in lockstep the loop itself runs
+    again, to confirm them.
+    """
+
+    runs: int = setting(least=1, most=MOST_RUNS)
+    first_seed: int = setting(0, least=0, most=2**31)
+    path: str = setting("compiled", choices=("compiled", "ticks"))
+    workers: int = setting(0, least=1, most=1024, zero="one on each processor")
+    scheduler: str = ""
+    batch: int = setting(256, least=1, most=4096)
+    replayed: int = setting(4, least=0, most=4096)
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """One case's runs: how many were completed, and the rows of those that were not."""
+
+    case: Case
+    completed: Share
+    failed: "pa.Table" = field(repr=False)
+
+    @property
+    def failures(self) -> tuple[Row, ...]:
+        """The rows of runs that were not completed."""
+        return tuple(self.failed.to_pylist())
+
+
+@dataclass(frozen=True)
+class Transition:
+    """Runs of one transition in one case: how many were completed, and why the others were not. duration s, without
+    the rests before and after it; max_cart_position m, rms_cart_acceleration m/s², its mean over the runs.
+    """
+
+    name: str
+    source: str
+    target: str
+    duration: float
+    case: str
+    completed: Share
+    max_cart_position: float
+    rms_cart_acceleration: float
+    reasons: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return the transition in JSON's terms."""
+        return {**asdict(self), **share_document(self.completed)}
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The outcome of a campaign.
+
+    completed: share of all runs.
+    pairs: first case, second case and their comparison, for every two cases of a few.
+    table: all runs, as Arrow columns.
+    file: Parquet file of the table, if it was written.
+    alone: the parts that were flown alone, by name: from, to and duration, s.
+    """
+
+    itinerary: str
+    completed: Share
+    results: tuple[CaseResult, ...]
+    pairs: tuple[tuple[str, str, Pairing], ...]
+    seconds: float
+    simulated_seconds: float
+    table: "pa.Table"
+    file: Path | None
+    alone: Mapping[str, tuple[str, str, float]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<campaign of {self.itinerary!r}: {self.status}>"
+
+    @property
+    def status(self) -> str:
+        """How often it was completed, in a sentence."""
+        share = self.completed
+        band = f"{share.low:.1%} to {share.high:.1%}"
+        return f"{share.successes} of {share.runs} runs completed, {share.rate:.1%} (95 %: {band})"
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """Each run by the names of `COLUMNS`, and the numbers that vary."""
+        return tuple(self.table.to_pylist())
+
+    @cached_property
+    def transitions(self) -> tuple["Transition", ...]:
+        """Each transition alone, where they were run so, in their order, and case by case."""
+        rows: dict[tuple[str, str], list[Row]] = {}
+        for row in self.rows:
+            rows.setdefault((row["itinerary"], row["case"]), []).append(row)
+        if not self.alone:
+            return ()
+        return tuple(
+            Transition(
+                name,
+                *self.alone[name],
+                case,
+                wilson(sum(row["completed"] for row in runs), len(runs)),
+                max(row["max_cart_position"] for row in runs),
+                float(np.mean([row["rms_cart_acceleration"] for row in runs])),
+                tuple(dict.fromkeys(row["reason"] for row in runs if not row["completed"])),
+            )
+            for (name, case), runs in rows.items()
+        )
+
+    def frame(self) -> "DataFrame":
+        """Return a pandas table, one row for each run.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame
+        except ImportError as error:
+            raise InputError("a table of runs needs pandas; install it with `pip install pandas`") from error
+        return DataFrame(self.table.to_pylist())
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol campaign --json` prints."""
+        kept = [*(["itinerary"] if self.transitions else []), "seed", "symbol", "reason", "ending", "replays"]
+        cases = [
+            {
+                "case": r.case.label,
+                **dict(r.case.values),
+                **share_document(r.completed),
+                "failures": r.failed.select(kept).to_pylist(),
+            }
+            for r in self.results
+        ]
+        # With one case its figures are the campaign's; with several those of all runs together.
+        return {
+            "itinerary": self.itinerary,
+            **share_document(self.completed),
+            "failures": [{**f, "case": c["case"]} for c in cases for f in c["failures"]],
+            "cases": cases,
+            "pairs": [{"first": a, "second": b, **asdict(pair)} for a, b, pair in self.pairs],
+            "transitions": [one.document() for one in self.transitions],
+            "standard": [],
+            "seconds": self.seconds,
+            "simulated_seconds": self.simulated_seconds,
+            "file": None if self.file is None else str(self.file),
+        }
+
+
+def share_document(share: Share) -> dict[str, Any]:
+    """Return a share in JSON's terms."""
+    return {
+        "runs": share.runs,
+        "completed": share.successes,
+        "success_rate": share.rate,
+        "wilson_95": [share.low, share.high],
+    }
+
+
+def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Sequence[Any]]) -> tuple[Case, ...]:
+    """Return the cases: every combination of the values in `over`, on top of `fixed`.
+
+    Names are those of `RunOptions`.
+
+    Raises:
+        InputError: an unknown name or an impossible value.
+    """
+    names = list(over)
+    count = math.prod(len(values) for values in over.values())
+    if count > MOST_CASES:
+        raise InputError(f"over: {count:,} cases, every combination of the values; at most {MOST_CASES:,} are compared")
+    cases = []
+    for values in itertools.product(*(zip(given, _shown(given), strict=True) for given in over.values())):
+        scene = itinerary.with_run(fixed.over({name: value for name, (value, _) in zip(names, values, strict=True)}))
+        chosen = {name: shown for name, (_, shown) in zip(names, values, strict=True)}
+        label = ", ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
+        cases.append(Case(label or "as the scene", tuple(chosen.items()), scene.loop))
+    return tuple(cases)
+
+
+def _shown(values: Sequence[Any]) -> list[Any]:
+    """Return the values, users' own objects by their names; of the same name numbered from the second on."""
+    out: list[Any] = []
+    for value in values:
+        plain = isinstance(value, int | float | str)
+        name = value if plain else getattr(value, "__name__", type(value).__name__)
+        same = 0 if plain else sum(str(one).partition(" ")[0] == name for one in out)
+        out.append(f"{name} {same + 1}" if same else name)
+    return out
+
+
+def transitions_of(plan: Plan) -> tuple[Plan, ...]:
+    """Return the parts of a plan that lead from one equilibrium to another, each with the rests before and after it.
+
+    Of several between the same two the first.
+
+    Raises:
+        InputError: there is none.
+    """
+    scene, reference, notes = plan.itinerary, plan.reference, plan.notes
+    ends = [0.0, *(time for way in notes["transfers"] for time in way), float(reference.mesh[-1])]
+    found: list[Plan] = []
+    for k, way in transitions_in(notes):
+        symbol = notes["symbols"][k]
+        name = f"{symbol['source']} to {symbol['target']}"
+        begin, end = ends[2 * way], ends[2 * way + 3]
+        first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
+        part: PlanNotes = {
+            **notes,
+            "itinerary": name,
+            "title": name,
+            "walk": [notes["walk"][k]],
+            "wraps": [],
+            "stops": notes["stops"][k : k + 2],
+            "symbols": [{**symbol, "time": symbol["time"] - begin}],
+            "transfers": [[time - begin for time in notes["transfers"][way]]],
+        }
+        alone = replace(
+            reference, mesh=reference.mesh[first : last + 1] - begin, states=reference.states[first:last],
+            inputs=reference.inputs[first:last], notes={**part},
+        )  # fmt: skip
+        found.append(Plan(replace(scene, name=name, title=name), alone, plan.file, cached=True))
+    if not found:
+        raise InputError(f"{scene.name} has no transitions: they lead from one equilibrium to another; see twelve")
+    return tuple(found)
+
+
+def run_campaign(
+    plan: Plan,
+    cases: Sequence[Case],
+    file: Path | None = None,
+    *,
+    settings: CampaignSettings,
+    transitions: bool = False,
+    force: bool = False,
+    progress: Progress = no_progress,
+    yes: bool = False,
+) -> Campaign:
+    """Run every case on every seed; write the rows to `file`, if one is wanted, whole or not at all.
+
+    transitions: of an itinerary of holds each transfer alone instead. force: replace what is there, whatever it is.
+    Interrupted, it leaves what is finished beside the file, and goes on from there when it is run again.
+
+    Raises:
+        InputError: the file cannot be written; no cluster answers; the settings do not fit the plan.
+        GoalMissed: the plan did not converge, or workers died again and again.
+    """
+    pa = part("pyarrow")
+    began = time.perf_counter()
+    itinerary = plan.itinerary
+    plans = transitions_of(plan) if transitions else (plan.followed(),)
+    announce(_cost(plans, cases, settings), yes=yes)
+    # One plan serves all cases, those that end with a fall and those that go on.
+    recovers = [case.loop for case in cases if case.loop.supervisor.on_fall != "stop"]
+    if recovers and transitions:
+        raise InputError("transitions alone end with a fall: leave on_fall at stop, or run the whole itinerary")
+    if recovers:
+        scene = replace(itinerary, loop=recovers[0])
+        plan = replace(recoverable(replace(plan, itinerary=scene)), itinerary=itinerary)
+    jobs = [job for one in (plans if transitions else (plan,)) for job in _jobs(one, cases, settings)]
+    if file is not None and not force:
+        _check_replaced(file, _metadata(itinerary, cases, settings, transitions))
+    extra = tuple(dict.fromkeys(name for case in cases for name in _numbers(case)))
+    parts = None if file is None else file.with_name(file.name + ".parts")
+    kept: dict[str, Any] = {}
+    if parts is not None:
+        kept = {job.key: rows for job in jobs if (rows := _kept(parts / f"{job.key}.parquet", extra)) is not None}
+    if left := [job for job in jobs if job.key not in kept]:
+        local = not settings.scheduler
+        # Objects of a script or a notebook cannot be sent to other processes.
+        workers = 1 if any(case.loop.own for case in cases) else settings.workers or processors()
+        for job, rows in run_locally(left, workers) if local else on_cluster(run_job, left, settings.scheduler):
+            kept[job.key] = _table(({**row, **_numbers(job.case)} for row in rows), extra)
+            if parts is not None:
+                _write(parts / f"{job.key}.parquet", kept[job.key])
+            progress(f"{len(kept)} of {len(jobs)} jobs", len(kept) / len(jobs))
+    metadata = _schema(extra, _metadata(itinerary, cases, settings, transitions)).metadata
+    table = pa.concat_tables(kept[job.key] for job in jobs).replace_schema_metadata(metadata)
+    if file is not None and parts is not None:
+        _write(file, table)
+        shutil.rmtree(parts, ignore_errors=True)
+    found = _summary(itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
+    return replace(found, alone={one.itinerary.name: _ends(one) for one in plans}) if transitions else found
+
+
+def _ends(plan: Plan) -> tuple[str, str, float]:
+    """Return from where a plan of one transition leads where, and how long it takes, s."""
+    (symbol,), ((begin, end),) = plan.notes["symbols"], plan.notes["transfers"]
+    return symbol["source"], symbol["target"], end - begin
+
+
+def _check_replaced(file: Path, metadata: Mapping[str, Any]) -> None:
+    """Reject a file in the table's place, unless it is of the same campaign, and no more of it.
+
+    Raises:
+        InputError: there is another file.
+    """
+    if not file.is_file():
+        return
+    if (table := _read(file)) is None:
+        raise in_the_way(file, "is no table of a campaign")
+    there, seeds = json.loads((table.schema.metadata or {}).get(METADATA, b"{}")), table["seed"].to_numpy()
+    decisive = ("itinerary", "model", "scene_hash", "model_hash", "cases", "transitions")
+    same = all(there.get(key) == metadata.get(key) for key in decisive)
+    first, runs, path = (metadata["settings"][key] for key in ("first_seed", "runs", "path"))
+    covered = bool(((seeds >= first) & (seeds < first + runs)).all())
+    if not same or not covered or there["settings"]["path"] != path:
+        raise in_the_way(file, "holds another campaign, or more runs of this one")
+
+
+_PACES = {"compiled": 100.0, "ticks": 5.0}
+"""How much faster than real time one process runs, by path, at 1 kHz."""
+_ROW_BYTES = 1000.0
+
+
+def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettings) -> Cost:
+    """Return what a campaign will take, of this machine's processes or, on a cluster, of as many; all of it anew."""
+    runs = settings.runs * len(cases) * len(plans)
+    ticks = settings.runs * sum(case.loop.rate for case in cases) * sum(plan.reference.duration for plan in plans)
+    lasting = ticks / 1000 / _PACES[settings.path] / (settings.workers or processors())
+    key = f"{runs:,} runs of {len(cases):,} case{'s' if len(cases) > 1 else ''}"
+    return Cost(f"{ticks:,.2g} ticks of the loop", lasting, _ROW_BYTES * runs, key)
+
+
+def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list[Job]:
+    archive = plan.archive
+    seeds = range(settings.first_seed, settings.first_seed + settings.runs)
+    # A batch never depends on how many runs were asked for, so that more runs of the same campaign reuse the first.
+    name, arms = plan.itinerary.name, plan.itinerary.model.arms
+    jobs = []
+    for case in cases:
+        ticks = max(round(plan.reference.duration * case.loop.rate), 1)
+        lockstep = settings.path == "compiled" and case.loop.lockstep
+        size = max(min(settings.batch, (MOST_TICKS if lockstep else MOST_TICKS_OF_LOOPS) // ticks), 1)
+        uncertainty = plan.itinerary.model.known_to if case.loop.model_uncertainty else None
+        jobs += [
+            Job(name, archive, arms, case, tuple(seeds[k : k + size]), settings.path, uncertainty, settings.replayed)
+            for k in range(0, settings.runs, size)
+        ]
+    return jobs
+
+
+def _numbers(case: Case) -> dict[str, float]:
+    return {name: float(value) for name, value in case.values if not isinstance(value, str) and name != "mismatch"}
+
+
+def _metadata(
+    itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSettings, transitions: bool
+) -> dict[str, Any]:
+    return {
+        **({"transitions": True} if transitions else {}),
+        "version": dpcontrol.__version__,
+        "itinerary": itinerary.name,
+        "model": itinerary.model.name,
+        "scene_hash": content_hash(itinerary.text),
+        "model_hash": content_hash(itinerary.model.text),
+        "settings": asdict(settings),
+        "cases": {case.label: json.loads(json.dumps(asdict(case.loop), default=str)) for case in cases},
+    }
+
+
+def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: float, file: Path | None) -> Campaign:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    done = table["completed"].to_numpy()
+
+    def of(case: Case) -> NDArray[np.bool_]:
+        return pc.equal(table["case"], case.label).to_numpy()
+
+    results = tuple(
+        CaseResult(case, _share(done[mine]), table.filter(pa.array(mine & ~done)))
+        for case, mine in ((case, of(case)) for case in cases)
+    )
+    pairs = tuple(
+        (a.label, b.label, paired(done[of(a)], done[of(b)]))
+        for a, b in itertools.combinations(cases if len(cases) <= MOST_PAIRED else (), 2)
+    )
+    simulated = sum(table["simulated_seconds"].to_pylist())
+    return Campaign(name, _share(done), results, pairs, seconds, simulated, table, file)
+
+
+def _share(done: NDArray[np.bool_]) -> Share:
+    return wilson(int(done.sum()), len(done))
+
+
+LEVELS = 21
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """One kind: the run setting it raises, its values level by level, and other settings that go with it.
+
+    in_periods: the values are in s, the setting in periods.
+    """
+
+    name: str
+    setting: str
+    values: tuple[float, ...]
+    besides: tuple[tuple[str, float], ...] = ()
+    in_periods: bool = False
+
+    def level(self, k: int, *, rate: float) -> dict[str, float]:
+        """Return the settings at level k of 0 … 20 of a loop at `rate` Hz."""
+        value = self.values[k] * rate if self.in_periods else self.values[k]
+        return {self.setting: value, **dict(self.besides)}
+
+
+def _evenly(first: float, last: float) -> tuple[float, ...]:
+    return tuple(np.linspace(first, last, LEVELS).tolist())
+
+
+def _by_ratio(first: float, last: float) -> tuple[float, ...]:
+    return tuple(np.geomspace(first, last, LEVELS).tolist())
+
+
+STANDARD = (
+    Trouble("model error", "mismatch", _evenly(0.0, 0.25)),
+    Trouble("velocity noise", "rate_noise", _evenly(0.0, 3.0)),
+    Trouble("command noise", "command_noise", _evenly(0.0, 75.0)),
+    Trouble("response", "response", _evenly(0.1, 2.0)),
+    Trouble("delay", "delay", _evenly(0.0, 0.3), in_periods=True),
+    Trouble("pushes", "push_impulse", _evenly(0.0, 0.012), (("pushes", 3),)),
+    Trouble("quantisation", "counts", tuple(round(v) for v in _by_ratio(40_000, 16))),
+    Trouble("acceleration limit", "acceleration", _by_ratio(30.0, 0.3)),
+    Trouble("encoder zeros", "zero_error", _evenly(0.0, 0.5)),
+)
+"""Nine kinds; SI units, encoders in counts per turn."""
+
+
+def standard_cases(itinerary: Itinerary, *, fixed: RunOptions, controllers: Sequence[str]) -> tuple[Case, ...]:
+    """Return the cases of every controller, kind and level, on top of `fixed`.
+
+    Raises:
+        InputError: an unknown controller.
+    """
+    cases = []
+    for controller in controllers:
+        for kind in STANDARD:
+            for k in range(LEVELS):
+                level = {"controller": controller, **kind.level(k, rate=itinerary.loop.rate)}
+                (case,) = cases_of(itinerary, fixed=fixed.over(level), over={})
+                label = f"{controller}, {kind.name} {k} of {LEVELS - 1}"
+                named = (("controller", controller), ("kind", kind.name), ("level", float(k)))
+                cases.append(Case(label, named, case.loop))
+    return tuple(cases)
+
+
+@dataclass(frozen=True)
+class StandardScore:
+    """One controller's shares of completed runs by kind, and their mean, 0 to 1."""
+
+    controller: str
+    kinds: Mapping[str, Share]
+    total: float
+
+    def document(self) -> dict[str, Any]:
+        """Return its part of what `dpcontrol campaign --standard --json` prints."""
+        kinds = {kind: share_document(share) for kind, share in self.kinds.items()}
+        return {"controller": self.controller, "score": self.total, "kinds": kinds}
+
+
+def standard_scores(results: Sequence[CaseResult]) -> tuple[StandardScore, ...]:
+    """Return each controller's score from the results of `standard_cases`."""
+    counts: dict[str, dict[str, list[int]]] = {}
+    for result in results:
+        values = dict(result.case.values)
+        sums = counts.setdefault(str(values["controller"]), {}).setdefault(str(values["kind"]), [0, 0])
+        sums[0] += result.completed.successes
+        sums[1] += result.completed.runs
+    scores = []
+    for controller, kinds in counts.items():
+        shares = {name: wilson(*pair) for name, pair in kinds.items()}
+        scores.append(StandardScore(controller, shares, sum(s.rate for s in shares.values()) / len(shares)))
+    return tuple(scores)

@@ -1,0 +1,452 @@
+"""Long runs: an itinerary repeated for hours, through falls, into a folder of logs; begun, interrupted, resumed.
+
+Where the end of the itinerary meets its start the next repetition follows at once, else from rest. After a fall the
+arms are calmed, and the symbol that failed is done again (`dpcontrol.loop.recovery`).
+
+What is simulated goes on as drawn where a night is resumed: the same plant, the same encoders with their drift, the
+blows and noise that the uninterrupted night would have had from there on. Arms and cart begin anew, as on a bench.
+
+On a bench in real time, over UDP, the log is written beside the loop, in a thread: a disk may take seconds.
+"""
+
+import math
+import multiprocessing
+import os
+import shutil
+import sys
+import threading
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, replace
+from io import BytesIO
+from math import ceil
+from multiprocessing.connection import Connection
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from dpcontrol.control.estimator_settings import extra_names
+from dpcontrol.control.interface import GainSchedule
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import GoalMissed, InputError, remark
+from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
+from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
+from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.logs import LogWriter, partials_of, recover
+from dpcontrol.logs.reader import check_same_run
+from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.bench import StreamReader
+from dpcontrol.loop.loop import ControlLoop, LoopSettings
+from dpcontrol.loop.recovery import LAST_SECONDS, RecoveryPlan, meeting_tick
+from dpcontrol.loop.result import LogSink, LoopSink, SinkBeside
+from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.pages.night import Night, read_night
+from dpcontrol.plans.itinerary import Itinerary, stored_itinerary
+from dpcontrol.plans.plan import Plan, expected_seconds, make_plan, recoverable, with_kept_starts
+from dpcontrol.references.reference import Reference, StartNote, load_reference, plan_notes, start_reference
+from dpcontrol.runs.run import (
+    RigLink,
+    assembled,
+    bench_recipe,
+    drawn_metadata,
+    log_writer,
+    outcome,
+    run_metadata,
+    watched,
+)
+
+_BYTES_A_TICK = 430
+"""Of a log of two arms on a cart, packed."""
+_SPEED = 12_000
+"""Ticks in a second of simulation, logging included, on one core."""
+_MEMORY, _MEMORY_A_TICK, _MEMORY_A_STOP = 3.5e8, 3900, 210
+"""Of a night however long, bytes: of itself, and for each tick of its itinerary the laws' gains and the latest rows,
+and as many again for each stop to which there is a way from rest.
+"""
+MOST_DISK = 2e10
+"""Bytes of logs that are begun without being asked for by name."""
+_SPARE_DISK = 1e9
+"""That must be left."""
+
+
+@dataclass(frozen=True)
+class NightSettings(Settings, table="night"):
+    """How long a run goes on, h; file_minutes of each log; of the older logs each `keep_every`-th is kept."""
+
+    hours: float = setting(above=0, most=10_000, unit="h")
+    file_minutes: float = setting(10.0, least=0.01, most=1440, unit="min")
+    keep_every: int = setting(1, least=1, most=1_000_000)
+
+    @property
+    def files(self) -> int:
+        """How many there will be, thinned ones included."""
+        return ceil(60 * self.hours / self.file_minutes - 1e-9)
+
+    def disk(self, rate: float) -> float:
+        """Return what the logs of a loop at `rate` Hz will take, bytes."""
+        a_file = min(self.file_minutes * 60, self.hours * 3600) * rate * _BYTES_A_TICK
+        # The one that is being written, and the last, are whole.
+        return a_file * min(self.files, ceil(self.files / self.keep_every) + 2)
+
+
+def night_folder(out: Path) -> Path:
+    """Return the folder of a long run whose single log would be `out`."""
+    return out.with_suffix("") if out.suffix == ".mcap" else out
+
+
+def night_itinerary(itinerary: Itinerary, *, asked: Mapping[str, object]) -> Itinerary:
+    """Return an itinerary as long runs have it, if not `asked` otherwise: after a fall they go on, without limit.
+
+    What keeps its stops by a clock of its own is left out then, and what flies keeps them too, by time.
+    """
+    supervisor, keep = itinerary.loop.supervisor, itinerary.loop.keep
+    if supervisor.on_fall == "stop" and "on_fall" not in asked:
+        supervisor = replace(supervisor, on_fall="resume")
+    if "attempts" not in asked:
+        supervisor = replace(supervisor, attempts=0)
+    if keep != "none" and supervisor.on_fall != "stop" and "keep" not in asked:
+        remark(
+            f'{itinerary.path}: [controller] keep = "{keep}" has a clock of its own, by which nothing is taken up '
+            "again after a fall; this long run keeps its stops by gains by time instead, as with --keep none"
+        )
+        keep = "none"
+    return replace(itinerary, loop=replace(itinerary.loop, supervisor=supervisor, keep=keep))
+
+
+def night_cost(
+    itinerary: Itinerary,
+    night: NightSettings,
+    folder: Path,
+    *,
+    pace: float = _SPEED,
+    waits: float = 0.0,
+    real_time: bool = False,
+    yes: bool = False,
+) -> str:
+    """Return the cost of a long run in a sentence, and refuse one beyond the limits unless `yes`.
+
+    pace: simulated ticks in a second; waits s: for ways from rest; real_time: on a rig.
+
+    Raises:
+        InputError: it is beyond the limits, or the disk is too full.
+    """
+    rate = itinerary.loop.rate
+    disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / pace) + waits
+    stops = len(itinerary.walk) + len(itinerary.parts)
+    memory = _MEMORY + expected_seconds(itinerary) * rate * (_MEMORY_A_TICK + _MEMORY_A_STOP * stops)
+    cost = Cost(f"{night.hours:g} h of {itinerary.name}", seconds, memory, f"--hours {night.hours:g}")
+    files = f"{night.files:,} file{'s' if night.files > 1 else ''} of {night.file_minutes:g} minutes"
+    thinned = f", of which one in {night.keep_every} is kept" if night.keep_every > 1 else ""
+    text = f"{cost.sentence}, and {_gigabytes(disk)} of disk in {folder}: {files}{thinned}"
+    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    free = shutil.disk_usage(there).free
+    if disk + _SPARE_DISK > free:
+        raise InputError(
+            f"{text}; {_gigabytes(free)} are free there: thin the logs with --keep-every, or give another --out"
+        )
+    if not yes and (disk > MOST_DISK or (seconds > MOST_SECONDS and not real_time)):
+        raise InputError(
+            f"{text}; an hour and {_gigabytes(MOST_DISK)} are begun unasked: thin the logs with --keep-every, ask for "
+            "less, or give --yes (yes=True in Python)"
+        )
+    return text
+
+
+def night_plan(itinerary: Itinerary, *, yes: bool = False, progress: Progress = no_progress) -> Plan:
+    """Return the plan of a long run's itinerary, with ways from rest to its stops only if they are in the cache.
+
+    Raises:
+        InputError, GoalMissed: as `make_plan`.
+    """
+    stops = replace(itinerary.loop, supervisor=replace(itinerary.loop.supervisor, on_fall="stop"))
+    plan = make_plan(replace(itinerary, loop=stops), yes=yes, progress=progress)
+    return with_kept_starts(replace(plan, itinerary=itinerary))
+
+
+@contextmanager
+def _starts_beside(plan: Plan, recovery: RecoveryPlan, *, waits: bool) -> Iterator[RecoveryPlan]:
+    """Plan ways from rest to the stops in a process beside the run, and append each to the recovery's as it is found.
+
+    Each transfer is kept in the cache, so nothing is lost if the run ends before. waits: a run that needs a way waits
+    for the first one, as simulated time can; otherwise its arms go on resting.
+    """
+    starts, first, problems = recovery.starts, threading.Event(), list[GoalMissed]()
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe(duplex=False)
+    scene = plan.itinerary
+    arguments = (there, scene.path, scene.loop, plan.archive, recovery.gains, 0 if waits else _GENTLE)
+    process = context.Process(target=_plan_starts, args=arguments, daemon=True)
+
+    def collect() -> None:
+        with suppress(EOFError, OSError):
+            while True:
+                one = here.recv()
+                if isinstance(one, str):
+                    remark(one)
+                elif isinstance(one, GoalMissed):
+                    problems.append(one)
+                else:
+                    starts.append(one)
+                    first.set()
+        first.set()
+
+    def ready() -> bool:
+        if waits:
+            first.wait()
+        if first.is_set() and not starts:
+            raise (
+                problems[0]
+                if problems
+                else GoalMissed(
+                    "the process that plans ways from rest ended without one; run the night again with more memory"
+                )
+            )
+        return bool(starts)
+
+    with ignoring_interrupts():
+        process.start()
+    there.close()
+    threading.Thread(target=collect, daemon=True).start()
+    try:
+        yield replace(recovery, ready=ready)
+    finally:
+        process.terminate()
+        process.join()
+
+
+_GENTLE = 10
+"""By how much less urgent planning is than a loop in real time (nice)."""
+
+
+def _plan_starts(
+    pipe: Connection, path: Path, loop: LoopSettings, archive: bytes, main: GainSchedule, nice: int
+) -> None:
+    """Send ways from rest as they are found; remarks as texts, and the error if the first stop cannot be reached.
+
+    path: the itinerary's, for messages; archive: of its plan.
+    """
+    end_with_parent()
+    if hasattr(os, "nice"):
+        os.nice(nice)
+    reference = load_reference(BytesIO(archive))
+    # The plan has the texts of itinerary and model; the objects made of them cannot be sent to another process.
+    itinerary = replace(stored_itinerary(path, reference), loop=loop)
+    assembly, sent = Assembly(reference, itinerary.model.arms, loop), list[int]()
+
+    def found(note: StartNote, lead_in: Reference | None) -> None:
+        pipe.send(assembly.start(note, lead_in, main))
+        sent.append(note["stop"])
+
+    warnings.showwarning = lambda message, *_, **__: pipe.send(str(message))
+    try:
+        known = recoverable(Plan(itinerary, reference, Path(), cached=True), found=found).reference
+    except GoalMissed as missed:
+        pipe.send(missed)
+        return
+    for k, note in enumerate([] if sent else plan_notes(known).get("starts", ())):
+        # Meanwhile another process has put them into the cache.
+        found(note, start_reference(known, k))
+
+
+def _gigabytes(size: float) -> str:
+    return f"{size / 1e9:.2g} GB" if size < 1e11 else f"{size / 1e9:,.0f} GB"
+
+
+@dataclass(frozen=True)
+class _Resumption:
+    """Where a night begins or goes on: session and number of the first file, from 1, and the time, s."""
+
+    session: int = 1
+    number: int = 1
+    begin: float = 0.0
+
+
+def run_night(
+    plan: Plan,
+    out: Path,
+    night: NightSettings,
+    *,
+    link: RigLink | None = None,
+    resume: bool = False,
+    force: bool = False,
+    live: bool = False,
+    progress: Progress = no_progress,
+) -> Night:
+    """Repeat a planned itinerary for hours, into the folder of `out`; return what it did.
+
+    The itinerary is one of `night_itinerary`. link: to the bench that it runs on in real time; without one it is
+    simulated. resume: go on with the night in that folder, which was interrupted. force: replace it. live: show it in
+    the viewer while it happens.
+
+    Raises:
+        InputError: the folder holds a night already, or none or another one to be resumed, or cannot be written; or no
+            bench answers, or it does not fit.
+        GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
+    """
+    scene = plan.followed().itinerary
+    settings, arms = scene.loop, scene.model.arms
+    folder = night_folder(out)
+    made_by = drawn_metadata(scene) if link is None else {"rig": link.address}
+    place = _place(folder, {**run_metadata(scene), **made_by}, night, settings.rate, resume=resume, force=force)
+    since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
+    assembly = assembled(plan)
+    recovery = assembly.planned_recovery(later=True)
+    if recovery is None:
+        raise InputError(
+            f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, by ways from rest where '
+            'need be; use on_fall = "resume" or "restart"'
+        )
+    limits = assembly.limits
+
+    def make(path: Path, more: Mapping[str, str]) -> LogWriter:
+        return log_writer(plan, path, **made_by, **more)
+
+    rolling = RollingLog(
+        folder, folder.resolve().name, make, seconds=60 * night.file_minutes, rate_hz=settings.rate,
+        limit=limits.position, extras=extra_names(arms.count, settings.estimator.augments),
+        keep_every=night.keep_every, session=place.session, number=place.number, begin=place.begin,
+        end=night.hours * 3600,
+    )  # fmt: skip
+
+    def loop(sink: LoopSink, noise: StreamReader | None = None) -> ControlLoop:
+        return assembly.loop(
+            sink=sink, rate_noise=noise, recovery=recovery, keep=False, until=until - since, progress=progress
+        )
+
+    beside = nullcontext(recovery) if recovery.starts else _starts_beside(plan, recovery, waits=link is None)
+    with rolling, beside as recovery:
+        try:
+            if link is None:
+                pace = _pace(plan, assembly, recovery)
+                waits = 0.0 if recovery.starts else _waits(settings, recovery.gains.references, until - since) / pace
+                remark(night_cost(scene, night, folder, pace=pace, waits=waits, yes=True))
+                draw = assembly.draw().endless(since=since)
+                bench = _since(settings, place.begin).bench
+                start = assembly.controller.first_state
+                with watched(plan, LogSink(rolling), live=live) as sink:
+                    simulated = loop(sink, draw.reader("rate_noise", lambda rows: rows[:, :, None]))
+                    rig = SimulatedRig(draw, bench, limits=limits, start=start, queued=simulated.queued)
+                    rolling.result(**outcome(simulated.run(rig)))
+            else:
+                remark(night_cost(scene, night, folder, real_time=True, yes=True))
+                ticks = until - since + round(_BRAKING * settings.rate)
+                recipe = replace(bench_recipe(plan, assembly), recovering=ticks)
+                with _switching_soon(), SinkBeside(LogSink(rolling)) as log, watched(plan, log, live=live) as sink:
+                    on_rig = loop(sink)
+                    with link.connected(scene, recipe, ticks=ticks, what="the night", loop=on_rig) as (rig, _):
+                        result = on_rig.run(rig)
+                if not rig.deadlines.ticks:
+                    raise GoalMissed(result.reason)
+                rolling.result(**outcome(result), **rig.deadlines.record())
+        except KeyboardInterrupt:
+            remark(f"{folder} ends here; the same command with --resume goes on with it")
+            raise
+    return read_night(folder)
+
+
+def _pace(plan: Plan, assembly: Assembly, recovery: RecoveryPlan) -> float:
+    """Return how many ticks a second are simulated and logged here, by a trial of some of them."""
+    until = round(_TRIAL * assembly.settings.rate)
+    with TemporaryDirectory() as folder, log_writer(plan, Path(folder) / "trial.mcap") as writer:
+        return until / assembly.simulate(sink=LogSink(writer), recovery=recovery, keep=False, until=until).elapsed
+
+
+_TRIAL = 1.5
+"""s, simulated."""
+
+
+def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
+    """Return the expected wait of a simulated night for its first way from rest, in ticks.
+
+    references (K, N): of a lap. ticks: of the night. The way is needed if laps begin from rest. It may be needed after
+    a blow: the forecast is then the geometric mean of a night with the wait and one without.
+    """
+    blows = settings.disturbances.knocks_per_minute
+    if len(references) < ticks and meeting_tick(references, round(LAST_SECONDS * settings.rate)) is None:
+        return max(0.0, _START_TICKS - len(references))
+    first = 60 * settings.rate / blows if blows else math.inf
+    return math.sqrt(ticks * (ticks + max(0.0, _START_TICKS - first))) - ticks if first < ticks else 0.0
+
+
+_START_TICKS = 170_000
+"""Ticks that are simulated while one way from rest is planned."""
+_BRAKING = 2.0
+"""s for which a bench must go on beyond a night's end, at which the cart is braked."""
+
+
+@contextmanager
+def _switching_soon() -> Iterator[None]:
+    """Let the loop have the interpreter within a tenth of a period, while a thread writes the log."""
+    was = sys.getswitchinterval()
+    sys.setswitchinterval(1e-4)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(was)
+
+
+def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
+    """Return the files of the long run in a folder, before anything is planned.
+
+    Raises:
+        InputError: there is one and it is neither to be resumed nor replaced, or none to be resumed.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is no folder, which a long run writes; choose another --out")
+    name = folder.resolve().name
+    there = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
+    if there and not resume and not force:
+        raise InputError(
+            f"{folder} holds a long run already; go on with it by --resume, choose another --out, or replace it "
+            "with --force"
+        )
+    if resume and not there:
+        raise InputError(f"{folder} holds no long run to be resumed; leave out --resume to begin one")
+    return there
+
+
+def _since(settings: LoopSettings, begin: float) -> LoopSettings:
+    """Return the settings of a bench that has been running for `begin` s: what sticks may have come back meanwhile."""
+    sensors = settings.sensors
+    first, end = sensors.stuck_at - begin, sensors.stuck_at + sensors.stuck_for - begin
+    if not begin or sensors.stuck_at == float("inf"):
+        return settings
+    if end <= 0:
+        return replace(settings, sensors=replace(sensors, stuck_at=float("inf")))
+    return replace(settings, sensors=replace(sensors, stuck_at=max(first, 0.0), stuck_for=end - max(first, 0.0)))
+
+
+def _place(
+    folder: Path, metadata: Mapping[str, str], night: NightSettings, rate: float, *, resume: bool, force: bool
+) -> _Resumption:
+    """Return where to begin, what an interrupted session left having been closed.
+
+    Raises:
+        InputError: there is a night and it is not to be resumed, or the other way round, or it is over, or another.
+    """
+    name = folder.resolve().name
+    there = check_folder(folder, resume=resume, force=force)
+    if not resume:
+        for file in there:
+            file.unlink()
+        return _Resumption()
+    for partial in partials_of(folder / name):
+        log = folder / f"{partial.name.partition('.mcap')[0]}.mcap"
+        if not log.exists():
+            try:
+                recover(partial, log)
+            except InputError as error:
+                # What ended before its first tick leaves nothing to recover.
+                remark(f"{error}; the night goes on without it")
+    logs = sorted(folder.glob(f"{name}-[0-9]*.mcap"))
+    if logs:
+        check_same_run(logs[-1], metadata, also=(NIGHT_METADATA,))
+    digests = read_night(folder).digests
+    last = digests[-1]
+    if last.end >= night.hours * 3600 - 1 / rate:
+        raise InputError(
+            f"{folder} is complete: {last.end / 3600:.4g} of {night.hours:g} hours; ask for more --hours to go on"
+        )
+    number = max(int(file.name[len(name) + 1 :].partition(".")[0]) for file in there)
+    return _Resumption(last.session + 1, number + 1, ceil(last.end * rate - 1e-6) / rate)

@@ -1,0 +1,430 @@
+"""A plan from rest to rest re-optimised as one problem, beside the robust plan that it starts from.
+
+    minimise ∫ u² + w_x x² dt      subject to  the plan's dynamics, time and ends, and shares of the cart's limits
+
+The parts of a plan are solved one by one, which costs several times the joint optimum. Here they are solved together.
+Interior holds stay as they are, and so does the end of the final rest, by which runs are judged. The motion may use
+`SHARE` of each limit, or as much as the robust plan: at the full track the supervisor ends every run.
+
+Such programs have many minima, whose efforts differ by up to a third. Several searches start from the joined parts, on
+meshes and polynomials of their own. The least costly motion that keeps the walk is refined.
+
+A motion keeps the walk if it crosses the same sections as the robust plan, in the same order and direction, on the same
+turns of each arm, and with the same number of wobbles at each interior stop. The joint optimum need not come near the
+orbits: nearness is a property of the robust plan, which the user gives up for less effort. If no free motion keeps the
+walk, the result is one that a weight holds near the robust plan.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from io import BytesIO
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.dynamics.chain import Level, equations_of
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import content_hash, picked
+from dpcontrol.foundation.processes import in_processes, processors
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.statistics import Share, wilson
+from dpcontrol.judge.decoding import FOLLOWS, orbit_distance, orbit_index, shortfall
+from dpcontrol.orbits.lyapunov import resting_place
+from dpcontrol.plans.pieces import STILL
+from dpcontrol.plans.plan import Plan
+from dpcontrol.plans.transfers import transfer_notes
+from dpcontrol.references.find import find_reference, on_mesh, tail
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.reference import PlanNotes, Reference, SymbolNote, joined, load_reference, plan_notes
+from dpcontrol.references.trajectory import Trajectory, even_mesh
+from dpcontrol.references.transcription import solve
+from dpcontrol.runs.campaign import Case, Job
+from dpcontrol.runs.preflight import outcomes, seconds_of
+
+SHARE = 0.7
+"""Of each limit that the motion may use: at 1 the feedback has no room, and 0.7 costs 2 to 3 % of effort."""
+
+
+@dataclass(frozen=True)
+class _JointSearch:
+    """How a motion is sought: method and interval s, weight of the distance to the robust plan, iterations at most."""
+
+    method: str
+    interval: float
+    weight: float = 0.0
+    iterations: int = 300
+
+
+_SEARCHES = (
+    _JointSearch("radau-7", 0.05), _JointSearch("radau-5", 0.05), _JointSearch("radau-3", 0.0125),
+    _JointSearch("radau-5", 0.05, weight=1.0), _JointSearch("radau-5", 0.05, weight=10.0),
+)  # fmt: skip
+"""Tried in turn; those with a weight stay near the robust plan, at more effort."""
+_HOLD = 10.0
+"""Weight of the distance to what was found while its mesh is refined."""
+CART_WEIGHT = 0.01
+MISMATCHES, RUNS = (0.05, 0.2), 48
+"""At which both plans are flown, and how often each."""
+_PACE, _AT_FIRST = 5.0, 10.0
+"""s of one processor for a second of motion, and before the first."""
+_LOOK = 1e-3
+"""s between the states whose crossings are counted."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """Effort ∫u² of a plan, m²/s³; peak, m/s²; travel either side, m; nearest: largest of its scaled distances to the
+    orbits; completed: share of runs by mismatch.
+    """
+
+    name: str
+    effort: float
+    peak: float
+    travel: float
+    nearest: float
+    completed: dict[float, Share]
+
+    def document(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        shares = {f"{mismatch:g}": picked(share, "successes", "runs", "rate", "low", "high")
+                  for mismatch, share in self.completed.items()}  # fmt: skip
+        return {**picked(self, "name", "effort", "peak", "travel", "nearest"), "completed": shares}
+
+
+@dataclass(frozen=True, repr=False)
+class Polished:
+    """A robust plan and the polished one, with what each takes; one side where the polished plan did not converge."""
+
+    robust: Plan
+    polished: Plan
+    sides: tuple[Side, ...]
+
+    @property
+    def converged(self) -> bool:
+        """Whether there is a polished plan."""
+        return self.polished.converged
+
+    @property
+    def status(self) -> str:
+        """How the polished plan was found, or why there is none."""
+        return self.polished.status
+
+    def __repr__(self) -> str:
+        return f"<polished {self.robust.itinerary.name!r}: {self.status}>"
+
+    def document(self) -> dict[str, Any]:
+        """Return the entry `polish` of `dpcontrol plan --polish --json`."""
+        plan = self.polished.document()
+        return {"sides": [side.document() for side in self.sides], "plan": plan, "status": self.status}
+
+
+def polish(
+    plan: Plan, *, fresh: bool = False, runs: int = RUNS, workers: int = 0, yes: bool = False,
+    progress: Progress = no_progress,
+) -> Polished:  # fmt: skip
+    """Return a plan from rest to rest beside the same walk re-optimised as a whole; from the cache unless `fresh`.
+
+    runs: flown of each plan at each of the `MISMATCHES`, by as many processes as `workers` says, 0 for one on each
+    processor; yes: however long it takes.
+
+    Raises:
+        InputError: the plan is not from rest to rest, or polished already, or it would take too long.
+        GoalMissed: the plan did not converge, or no controller can be made for it.
+    """
+    check_polishable(plan.followed())
+    loop = plan.itinerary.loop
+    seconds = plan.reference.duration
+    flying = 2 * len(MISMATCHES) * runs * seconds * loop.rate * seconds_of(loop) / (workers or processors())
+    file = cache_file("plans", f"{plan.itinerary.name}-polished", _key(plan))
+    content = None if fresh else kept(file)
+    solving = _AT_FIRST + _PACE * seconds if content is None else 0.0
+    announce(Cost(f"{seconds:.1f} s of motion as one", solving + flying, 5e8, f"polish {plan.itinerary.name}"), yes=yes)
+    if content is not None:
+        polished = Plan(plan.itinerary, load_reference(BytesIO(content)), file, cached=True)
+    else:
+        polished = Plan(plan.itinerary, _polished(plan, part_of(progress, 0.0, 0.8)), file, cached=False)
+        if polished.converged:
+            keep(file, polished.archive)
+    both = [("robust", plan)] + [("polished", polished)] * polished.converged
+    return Polished(plan, polished, tuple(_sides(both, runs, workers or processors(), part_of(progress, 0.8, 1.0))))
+
+
+def check_polishable(plan: Plan) -> None:
+    """Check that a plan leads from rest to rest, and is not polished.
+
+    Raises:
+        InputError: it does not, or it is.
+    """
+    notes, scene = plan.notes, plan.itinerary
+    rest = resting_place(scene.model.system)
+    ends = [notes["stops"][k]["saddle"] for k in (0, -1)]
+    if "polished" in notes:
+        raise InputError(f"{scene.path} is polished already; polish the itinerary that it was made from")
+    if not notes["symbols"] or ends != [rest, rest] or scene.start == "orbit" or "program" in notes:
+        raise InputError(
+            f"{scene.path}: --polish needs a motion from rest to rest, and this one leads from {ends[0]} to {ends[1]}; "
+            'set start = "rest" and finish = "rest", or omit --polish'
+        )
+
+
+def _key(plan: Plan) -> str:
+    # Starts after a fall belong to the robust plan, and are not polished.
+    motion = plan.reference
+    arrays = [part.tobytes() for part in (motion.mesh, motion.states, motion.inputs)]
+    settings = json.dumps([plan.itinerary.text, plan.itinerary.model.text, plan.itinerary.limits.named()])
+    return content_hash(code_hash(__name__), settings, *arrays)
+
+
+def _polished(plan: Plan, progress: Progress) -> Reference:
+    """Return the polished reference with its notes; if there is none, the robust one with a status that says why."""
+    robust, none = plan.reference, np.zeros(plan.itinerary.model.arms.count)
+    spans = list(stretches(robust))
+    parts = [tail(robust, begin, seconds=end - begin, turns=none) for begin, end, _ in spans]
+    moving = [k for k, span in enumerate(spans) if span[2]]
+    found: dict[int, list[Trajectory]] = {}
+    for count, k in enumerate(moving):
+        here = part_of(progress, 0.8 * count / len(moving), 0.8 * (count + 1) / len(moving))
+        found[k] = _searched(_problem(plan, parts[k]), parts[k], plan.itinerary.reference, here)
+    # The least costly motion of each part, then with the next one of a part in its place.
+    missed, choice = "", dict.fromkeys(moving, 0)
+    while all(place < len(found[k]) for k, place in choice.items()):
+        progress("refining", 0.8)
+        pieces = [_refined(plan, part, found[k][choice[k]]) if k in choice else part for k, part in enumerate(parts)]
+        whole = joined(pieces)[0]
+        missed = departure(robust, whole) if whole.converged else whole.status
+        if not missed:
+            whole = _noted(plan, whole)
+            missed = shortfall(whole)
+        if not missed:
+            progress("polished", 1.0)
+            return whole
+        choice = {k: place + 1 for k, place in choice.items()}
+    why = f": {missed}" if missed else ": no search converged"
+    return replace(robust, converged=False, status=f"no cheaper motion keeps the walk{why}; fly the robust plan")
+
+
+def _problem(plan: Plan, part: Reference) -> ReferenceProblem:
+    """Return the problem of a part of the robust plan, in its time and between its ends."""
+    robust, arms = plan.reference, plan.itinerary.model.arms.planned()
+    bounds = {name: max(SHARE * bound, robust.largest[name]) for name, bound in robust.limits.named().items()}
+    ends = EndConditions(start=part.state(0.0), end=part.state(part.duration))
+    return ReferenceProblem(
+        equations_of(arms, Level.CART), arms.base(), _along(part), part.duration, limits=Limits(**bounds), ends=ends
+    )
+
+
+def _along(motion: Trajectory) -> Guess:
+    return lambda times: motion.state(times)[:, :-2]
+
+
+def _searched(
+    problem: ReferenceProblem, part: Reference, settings: ReferenceSettings, progress: Progress
+) -> list[Trajectory]:
+    """Return motions found from a part of the robust plan, the least costly first."""
+    found: list[Trajectory] = []
+    for k, search in enumerate(_SEARCHES):
+        progress(f"as one, {part.duration:.1f} s", k / len(_SEARCHES))
+        wanted = _settings(settings, search.weight, search.method, search.iterations)
+        first = on_mesh(part, even_mesh(part.duration, search.interval), method_named(search.method))
+        solved = solve(problem, first, settings=wanted, limits=problem.limits)
+        if solved.succeeded:
+            found.append(solved.trajectory)
+    return sorted(found, key=lambda motion: motion.effort)
+
+
+def _settings(settings: ReferenceSettings, weight: float, method: str, iterations: int) -> ReferenceSettings:
+    return replace(
+        settings, level="cart", solver="ipopt", method=method, pendulum_weight=weight, cart_weight=CART_WEIGHT,
+        end_tolerance=0.0, iterations=iterations,
+    )  # fmt: skip
+
+
+def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
+    """Return a motion in place of a part of the plan, on a mesh of the plan's method that meets its tolerance."""
+    own = plan.itinerary.reference
+    settings = _settings(own, _HOLD, own.method, max(own.iterations, 100))
+    problem = replace(_problem(plan, part), guess=_along(motion))
+    near = on_mesh(motion, even_mesh(part.duration, own.interval), method_named(own.method))
+    found = solve(problem, near, settings=settings, limits=problem.limits)
+    reference = find_reference(problem, settings, near=found.trajectory if found.succeeded else near)
+    return replace(reference, limits=plan.reference.limits)
+
+
+def stretches(robust: Reference) -> Iterator[tuple[float, float, bool]]:
+    """Yield begin and end of each stretch, s, and whether it moves: interior holds and the last moments do not."""
+    notes, after = plan_notes(robust), 0.0
+    ways = notes["transfers"]
+    for stop, symbol in zip(notes["stops"][1:-1], notes["symbols"], strict=False):
+        if notes["orbits"][orbit_index(notes, stop)]["multiplier"] != 1.0:
+            continue
+        k = next(k for k, (begin, end) in enumerate(ways) if begin <= symbol["time"] <= end)
+        yield after, ways[k][1], True
+        yield ways[k][1], ways[k + 1][0], False
+        after = ways[k + 1][0]
+    last = robust.duration - min(STILL, robust.duration - ways[-1][1])
+    yield after, last, True
+    yield last, robust.duration, False
+
+
+@dataclass(frozen=True, eq=False)
+class _Crossed:
+    """Crossings of a plan's sections by a motion: symbols' times, s; states there (S, N); events of each walk; half
+    wobbles at each interior stop, None if none are counted there.
+    """
+
+    times: list[float]
+    states: Array
+    events: list[list[tuple[int, int, int]]]
+    halves: list[int | None]
+
+
+def departure(robust: Reference, motion: Reference) -> str:
+    """Return the first difference between the walks of a motion and of a robust plan, or an empty string."""
+    before = _crossed(robust, robust)
+    try:
+        after = _crossed(robust, motion)
+    except LookupError as error:
+        return str(error)
+    if before.events != after.events:
+        return "it crosses the walk's sections in another order"
+    for k, (was, now) in enumerate(zip(before.halves, after.halves, strict=True)):
+        if was is not None and now is not None and abs(now - was) > 1:
+            return f"{now / 2:g} wobbles at stop {k + 1} instead of {was / 2:g}"
+    return ""
+
+
+def _crossed(robust: Reference, motion: Reference) -> _Crossed:
+    """Return the crossings of a robust plan's sections by a motion.
+
+    Raises:
+        LookupError: a symbol does not cross its section on its turns.
+    """
+    notes = plan_notes(robust)
+    n = len(notes["stops"][0]["angles"])
+    grid = np.arange(0.0, motion.duration, _LOOK)
+    angles = motion.state(motion.mesh[0] + grid)[:, :n]
+    times, after = list[float](), 0.0
+    for symbol in notes["symbols"]:
+        if symbol["section"] is not None:
+            after = _crossing(robust, grid, angles, symbol, after)
+        times.append(after if symbol["section"] is not None else symbol["time"])
+    walks, events = list[list[int]](), list[list[tuple[int, int, int]]]()
+    for k, symbol in enumerate(notes["symbols"]):
+        if symbol["section"] is not None:
+            if k and notes["symbols"][k - 1]["section"] is not None:
+                walks[-1].append(k)
+            else:
+                walks.append([k])
+    for walk in walks:
+        inside = (grid >= times[walk[0]] - _LOOK) & (grid <= times[walk[-1]] + _LOOK)
+        events.append(_events([notes["symbols"][k] for k in walk], angles[inside]))
+    halves: list[int | None] = []
+    for k, (arrived, left) in enumerate(pairwise(times)):
+        if notes["wraps"][k] is None:
+            halves.append(None)
+            continue
+        stop = notes["stops"][k + 1]
+        # The arm that swings farther on the stop's orbit shows its wobbles.
+        arm = int(np.argmax(np.ptp(robust.extra[f"orbit_{orbit_index(notes, stop)}"][:, :n], axis=0)))
+        above = angles[(grid >= arrived) & (grid <= left), arm] > stop["angles"][arm]
+        halves.append(int(np.count_nonzero(above[1:] != above[:-1])))
+    return _Crossed(times, motion.state(motion.mesh[0] + np.array(times)), events, halves)
+
+
+def _crossing(robust: Reference, grid: Array, angles: Array, symbol: SymbolNote, after: float) -> float:
+    """Return when a symbol crosses its section, s: in its direction, on its turns, next to when it is due."""
+    section, n = symbol["section"], angles.shape[1]
+    assert section is not None
+    normal = np.asarray(section["normal"][:n])
+    rate = float(robust.state(robust.mesh[0] + symbol["time"])[n : 2 * n] @ normal)
+    height = (angles @ normal - section["value"]) * np.sign(rate)
+    rows = np.flatnonzero((height[:-1] <= 0) & (height[1:] > 0) & (grid[:-1] >= after))
+    rows = rows[np.abs(angles[rows] - section["angles"]).max(axis=1) <= FOLLOWS]
+    if not rows.size:
+        raise LookupError(f"symbol {symbol['text']!r} does not cross its section")
+    row = rows[np.argmin(np.abs(grid[rows] - symbol["time"]))]
+    return float(grid[row] + _LOOK * height[row] / (height[row] - height[row + 1]))
+
+
+def _events(walk: list[SymbolNote], angles: Array) -> list[tuple[int, int, int]]:
+    """Return the crossings of a walk's sections by angles (K, n) in order: section, turn, direction."""
+    found, known = list[tuple[int, int, int, int]](), list[Any]()
+    for symbol in walk:
+        section = symbol["section"]
+        assert section is not None
+        if section["normal"] in known:
+            continue
+        known.append(section["normal"])
+        height = angles @ np.asarray(section["normal"][: angles.shape[1]]) - section["value"]
+        turn = np.floor(height / (2 * np.pi)).astype(int)
+        for row in np.flatnonzero(np.diff(turn)):
+            step = int(np.sign(turn[row + 1] - turn[row]))
+            found.append((int(row), len(known), int(max(turn[row], turn[row + 1])), step))
+    return [event for _, *event in sorted(found)]  # type: ignore[misc]
+
+
+def _noted(plan: Plan, motion: Reference) -> Reference:
+    """Return a polished motion with the notes of its plan: symbols where they cross, transfers as they are now."""
+    robust = plan.reference
+    crossed, notes = _crossed(robust, motion), {**robust.notes}
+    n = plan.itinerary.model.arms.count
+    notes["symbols"] = [
+        symbol if symbol["section"] is None
+        else {**symbol, "time": time, "section": {**symbol["section"], "angles": state[:n].tolist()}}
+        for symbol, time, state in zip(notes["symbols"], crossed.times, crossed.states, strict=True)
+    ]  # fmt: skip
+    none = np.zeros(n)
+    ways = [
+        (note["text"], begin, tail(motion, begin, seconds=end - begin, turns=none))
+        for note, (begin, end) in zip(notes["taken"], notes["transfers"], strict=True)
+    ]
+    notes["taken"] = transfer_notes(plan.itinerary.model.system, ways)
+    notes.pop("starts", None)
+    notes["plan"] = _key(plan)
+    extra = {name: array for name, array in robust.extra.items() if name.startswith("orbit_")}
+    motion = replace(motion, notes=notes, extra=extra)
+    notes["polished"] = nearness(motion)
+    return replace(motion, notes=notes)
+
+
+def nearness(plan: Reference) -> list[float]:
+    """Return the least scaled distance of a plan's reference to the orbit of each of its stops, from stop to stop."""
+    notes: PlanNotes = plan_notes(plan)
+    times = [0.0, *(symbol["time"] for symbol in notes["symbols"]), plan.duration]
+    return [
+        orbit_distance(plan.state(plan.mesh[0] + np.linspace(begin, end, 400)), stop, plan)
+        for stop, (begin, end) in zip(notes["stops"], pairwise(times), strict=True)
+    ]
+
+
+def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Progress) -> Iterator[Side]:
+    """Yield what plans take, by name, each flown `runs` times at each of the mismatches."""
+    jobs = {
+        (name, mismatch): Job(
+            plan.itinerary.name, plan.archive, plan.itinerary.model.arms,
+            Case(f"mismatch={mismatch:g}", (), replace(plan.itinerary.loop, mismatch=mismatch)),
+            tuple(range(runs)), "compiled", replayed=0,
+        )
+        for name, plan in plans for mismatch in MISMATCHES
+    }  # fmt: skip
+    done: dict[str, int] = {}
+    work = list(jobs.values())
+    for count, (job, ended) in enumerate(in_processes(_completed, work, workers, remedy="Polish it again"), start=1):
+        progress(f"flown {count} of {len(work)}", count / len(work))
+        done[job.key] = ended
+    for name, plan in plans:
+        motion = plan.reference
+        shares = {mismatch: wilson(done[jobs[name, mismatch].key], runs) for mismatch in MISMATCHES}
+        yield Side(
+            name, motion.effort, motion.max_cart_acceleration,
+            motion.max_cart_position, max(nearness(motion)), shares,
+        )  # fmt: skip
+
+
+def _completed(job: Job) -> int:
+    return sum(row.completed for row in outcomes(job, len(job.seeds)))

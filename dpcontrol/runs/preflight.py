@@ -1,0 +1,660 @@
+"""Preflight: how likely the first run on a rig completes, what ends it, and which changes help.
+
+Runs are drawn as a campaign draws them, from what is known of the arms and of the bench: the model's identified
+uncertainty, or an assumed mismatch where its file gives none; delay, lag, counts and zeros as [run] has them.
+
+The rate comes with Wilson's interval, at 99 %: at 95 % one scene in twenty would lie outside, and more with the noise
+of the campaign it is compared with. The border of a trouble is the value at which the itinerary completes half as often
+as on the bench as it is, on the same seeds; it is bracketed by doubling, then narrowed by interpolation between the
+bracket's ends. A value is run on blocks of seeds until it is clear on which side it lies. Over the points found the
+share is made to fall (isotonic regression), and the border read off between them.
+
+The gain of a change is measured on some of the seeds that failed and on some that completed. The changes are options of
+`dpcontrol run`, the same that `dpcontrol.runs.remedies` tries on a single run.
+
+Everything is made of a campaign's jobs, each kept in the cache: repeated or interrupted, a preflight goes on where it
+was, and on any machine it comes to the same figures.
+
+Source of isotonic regression: Barlow et al., Statistical Inference under Order Restrictions, Wiley 1972, chapter 1.
+"""
+
+import json
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.processes import in_processes, processors
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.settings import Settings, bounds_of, setting
+from dpcontrol.foundation.statistics import wilson
+from dpcontrol.loop.bench import MechanicsSettings
+from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.pages.campaign import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt, plain_reason
+from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
+from dpcontrol.plans.plan import Plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
+
+
+@dataclass(frozen=True)
+class SceneChange:
+    """A change to try: its text, its options of `dpcontrol run`, and the advice that a preflight gives for it.
+
+    Preflights try only changes with advice.
+    """
+
+    text: str
+    options: RunOptions
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class _Trouble:
+    """A setting of the bench that can be reduced, by its name in RunOptions.
+
+    what: its name in a sentence. remedy: how a laboratory halves it. nothing: the value without the trouble. halves,
+    removed: whether half of it, or nothing of it, is tried.
+    """
+
+    setting: str
+    what: str
+    remedy: str = ""
+    nothing: float = 0.0
+    halves: bool = True
+    removed: bool = True
+
+
+_TROUBLES = (
+    _Trouble("mismatch", "mismatch", "identify the arms"),
+    _Trouble("model_uncertainty", "model uncertainty", "identify the arms"),
+    _Trouble("initial_error", "initial error", "hold the arms still at the start"),
+    _Trouble("lag", "drive lag", "tune a stiffer velocity loop", removed=False),
+    _Trouble("delay", "delay", "answer sooner"),
+    _Trouble("friction", "friction error", nothing=1.0),
+    _Trouble("response", "response error", nothing=1.0),
+    _Trouble("command_noise", "command noise", "use a quieter drive"),
+    _Trouble("cart_mass", "cart mass", halves=False),
+    _Trouble("jerk", "jerk limit", nothing=math.inf, halves=False),
+    _Trouble("zero_error", "zero error", "set the encoders' zeros"),
+    _Trouble("zero_drift", "zero drift"),
+    _Trouble("noise", "encoder noise", "use quieter encoders"),
+    _Trouble("rate_noise", "rate noise"),
+    _Trouble("missed_counts", "missed counts"),
+    _Trouble("dropout", "dropouts"),
+    _Trouble("jitter", "jitter"),
+    _Trouble("stuck_at", "stuck sensor", nothing=math.inf, halves=False),
+    _Trouble("stiction", "stiction", "loosen the joints"),
+    _Trouble("cable_torque", "cable torque"),
+    _Trouble("cable_stiffness", "cable stiffness"),
+    _Trouble("initial_rate", "initial rates"),
+    _Trouble("initial_cart", "initial cart offset"),
+    _Trouble("play", "play", "use encoders with less play"),
+    _Trouble("belt", "belt", halves=False),
+    _Trouble("tilt", "tilt", "level the track"),
+    _Trouble("push_impulse", "impulse of the pushes"),
+    _Trouble("knock_velocity", "velocity of the knocks"),
+    _Trouble("knock_impulse", "impulse of the random blows"),
+)
+
+
+def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
+    """Yield the changes of each kind, the smallest first, that are possible for this scene's run."""
+    loop = scene.loop
+    limit, drive, counts = loop.travel or scene.limits.position, loop.drive, loop.sensors.counts
+    wide, *wider = map(_short, (1.5 * limit, 2 * limit, max(4 * limit, 2 * scene.limits.position)))
+    yield (
+        SceneChange(f"a travel of ±{wide:g} m", RunOptions(travel=wide), f"more travel: ±{wide:g} m"),
+        *(SceneChange(f"a travel of ±{more:g} m", RunOptions(travel=more)) for more in wider),
+    )
+    for one in _TROUBLES:
+        value = setting_of(loop, one.setting)
+        if value == one.nothing or (one.setting == "knock_impulse" and not loop.disturbances.knocks_per_minute):
+            continue
+        tried = []
+        if one.halves:
+            smaller = (
+                tuple(_short(v / 2) for v in value) if isinstance(value, tuple) else _short((value + one.nothing) / 2)
+            )
+            half, text = RunOptions().over({one.setting: smaller}), f"half the {one.what}"
+            tried.append(SceneChange(text, half, one.remedy and f"{one.remedy}: {text}"))
+        if one.removed:
+            tried.append(SceneChange(f"no {one.what}", RunOptions().over({one.setting: one.nothing})))
+        yield tried
+    if drive.lag and loop.drive_lag != drive.lag:
+        known = "a controller that knows the drive's lag"
+        yield (SceneChange(known, RunOptions(drive_lag=drive.lag), "give the controller the drive's lag"),)
+    if counts:
+        finer = RunOptions(counts=4 * counts)
+        yield (SceneChange(f"{4 * counts} counts a turn", finer, "finer encoders: four times the counts"),)
+    if loop.rate < _QUICK:
+        # The delay stays the same in seconds.
+        delay = _short(drive.delay * _QUICK / loop.rate) if drive.delay else None
+        yield (SceneChange(f"a rate of {_QUICK:g} Hz", RunOptions(rate=_QUICK, delay=delay)),)
+    if loop.estimator.kind != "ekf":
+        yield (SceneChange("the ekf as the estimator", RunOptions(estimator="ekf")),)
+    if loop.keep != "none":
+        yield (SceneChange("no keeper of the stops", RunOptions(keep="none")),)
+    elif scene.stay is None:
+        other = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
+        yield (SceneChange(f"{other} as the law", RunOptions(controller=other), f"another law: {other}"),)
+
+
+def _short(value: float) -> float:
+    """Return a value with four digits, which an option gives exactly."""
+    return float(f"{value:.4g}")
+
+
+_QUICK = 1000.0
+"""Hz."""
+
+
+ASSUMED_MISMATCH = 0.05
+"""Of arms of which neither the model's file nor [run] says how well they are known."""
+SAMPLED = 48
+"""Seeds that failed, and that completed, of which a change is tried at most."""
+
+
+@dataclass(frozen=True)
+class PreflightSettings(Settings, table="preflight"):
+    """runs: seeds for the rate, from `first_seed` on, 0 for as many as two minutes allow; confidence of its interval;
+    workers: processes, 0 for one on each processor. The seeds are far from those that campaigns begin with.
+    """
+
+    runs: int = setting(0, least=16, most=100_000, zero="as many as two minutes allow")
+    first_seed: int = setting(1_000_000, least=0, most=2**31)
+    confidence: float = setting(0.99, least=0.5, most=0.9999)
+    workers: int = setting(0, least=1, most=1024, zero="one on each processor")
+
+
+class RunEnd(NamedTuple):
+    """How one seed ended."""
+
+    seed: int
+    completed: bool
+    ending: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Hazard:
+    """A trouble whose border is sought: its name, the run setting it raises, and other settings that go with it.
+
+    set: the bench's own value of the setting; first, end: where the border is sought first, and at last. falling: less
+    is worse. shown: the factor from the setting to what is shown, in `unit`. step: to which values are rounded.
+    """
+
+    name: str
+    setting: str
+    unit: str
+    set: float
+    first: float
+    end: float
+    falling: bool = False
+    shown: float = 1.0
+    step: float = 0.0
+    besides: tuple[tuple[str, Any], ...] = ()
+
+    def place(self, value: float) -> float:
+        """Return a value's place on a scale that grows as it gets worse; minus infinity where there is no trouble."""
+        none = value == 0 or math.isinf(value)
+        return -math.inf if none else -math.log(value) if self.falling else math.log(value)
+
+    def value(self, place: float) -> float:
+        """Return the value at a place."""
+        value = math.exp(-place if self.falling else place)
+        return max(round(value / self.step), 1) * self.step if self.step else value
+
+    def options(self, value: float) -> RunOptions:
+        """Return the run settings of a value."""
+        return RunOptions(**{self.setting: int(value) if self.setting == "counts" else value, **dict(self.besides)})
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A border to be found: job of the bench as it is, with the seeds and how they ended.
+
+    block: seeds run at first; most: at once.
+    """
+
+    hazard: Hazard
+    job: Job
+    completed: tuple[bool, ...]
+    block: int
+    most: int
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A change to be tried: job of the changed bench, with the seeds and how they ended without it; most: at once."""
+
+    change: SceneChange
+    job: Job
+    completed: tuple[bool, ...]
+    rate: float
+    most: int
+
+
+_Task = Job | _Search | _Trial
+
+
+def _do(task: _Task) -> "tuple[RunEnd, ...] | HazardBorder | Improvement":
+    if isinstance(task, Job):
+        return outcomes(task, len(task.seeds))
+    return _border(task) if isinstance(task, _Search) else _change(task)
+
+
+def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
+    """Return how a job's seeds ended, from the cache where they have been run; most: seeds at once, for memory."""
+    if len(job.seeds) > most:
+        parts = (replace(job, seeds=job.seeds[k : k + most]) for k in range(0, len(job.seeds), most))
+        return tuple(row for part in parts for row in outcomes(part, most))
+    file = cache_file("preflights", job.itinerary, content_hash(job.key, code_hash("dpcontrol.runs.campaign")))
+    if (content := kept(file)) is not None:
+        return tuple(RunEnd(*row) for row in json.loads(content))
+    rows = tuple(RunEnd(r["seed"], r["completed"], r["ending"], r["reason"]) for r in run_job(job))
+    keep(file, json.dumps(rows).encode())
+    return rows
+
+
+def _with(job: Job, loop: LoopSettings, seeds: Sequence[int]) -> Job:
+    return replace(job, case=replace(job.case, loop=loop), seeds=tuple(seeds))
+
+
+_SURE = 0.98
+"""Confidence at which a value counts as being on one side of the border."""
+_NARROW = math.log(1.3)
+"""Width of the bracket, as a ratio's logarithm, between whose ends the border is read off."""
+_MOST_VALUES = 8
+
+
+def _border(search: _Search) -> HazardBorder:
+    """Return the border of a hazard: the value at which half of what completes as it is completes."""
+    hazard = search.hazard
+    points: dict[float, ShareAt] = {}
+
+    def share(place: float) -> float:
+        value = hazard.value(place)
+        if value not in points:
+            points[value] = _point(search, value)
+        return points[value].share
+
+    def found(at: Sequence[float | None]) -> HazardBorder:
+        ends = [None if p is None else hazard.shown * math.exp(-p if hazard.falling else p) for p in at]
+        shown = [replace(p, value=hazard.shown * p.value) for p in points.values()]
+        return HazardBorder(
+            hazard.name, hazard.setting, hazard.unit, hazard.shown * hazard.set, border=ends[0], low=ends[1],
+            high=ends[2], end=hazard.shown * hazard.end, falling=hazard.falling,
+            points=tuple(sorted(shown, key=lambda p: p.value)),
+        )  # fmt: skip
+
+    own, end = hazard.place(hazard.set), hazard.place(hazard.end)
+    good = own
+    place = max(hazard.place(hazard.first), own + math.log(1.5))
+    place = min(place, (own + end) / 2 if math.isfinite(own) else end)
+    while share(place) >= 0.5:
+        good = place
+        if place >= end:
+            return found([None, None, None])
+        place = min(place + math.log(2), end)
+    bad = place
+    while math.isinf(good) and len(points) < _MOST_VALUES:
+        place = bad - math.log(3)
+        good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
+    while bad - good > _NARROW and len(points) < _MOST_VALUES:
+        above = 1.0 if good == own else share(good)
+        along = (above - 0.5) / (above - share(bad))
+        place = good + float(np.clip(along, 0.3, 0.7)) * (bad - good)
+        if hazard.value(place) in points:
+            break
+        good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
+    for value in {hazard.value(place) for place in (good, bad) if place != own and math.isfinite(place)}:
+        points[value] = _point(search, value, until_clear=False)
+    return found(_read_off(hazard, list(points.values())))
+
+
+def _point(search: _Search, value: float, *, until_clear: bool = True) -> ShareAt:
+    """Run a value on all seeds, or on blocks of them until it is clear on which side of the border it lies."""
+    job = search.job
+    loop = overridden(job.case.loop, search.hazard.options(value))
+    done = of = used = 0
+    while used < len(job.seeds):
+        block = slice(used, len(job.seeds) if used else min(search.block, len(job.seeds)))
+        done += sum(row.completed for row in outcomes(_with(job, loop, job.seeds[block]), search.most))
+        of += sum(search.completed[block])
+        used = block.stop
+        seen = wilson(min(done, of), of, confidence=_SURE)
+        if until_clear and of and not seen.low <= 0.5 <= seen.high:
+            break
+    return ShareAt(value, used, done, of)
+
+
+def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
+    """Return the places where the share, and the ends of its 95 % interval, are a half; None where they are nowhere."""
+    found = sorted(points, key=lambda p: hazard.place(p.value))
+    places = [hazard.place(p.value) for p in found]
+    shares = falling(np.array([p.share for p in found]), np.array([p.reference for p in found]))
+    bands = [wilson(min(p.completed, p.reference), p.reference) for p in found]
+    low = np.minimum.accumulate([band.low for band in bands])
+    high = np.maximum.accumulate([band.high for band in bands][::-1])[::-1]
+    own = hazard.place(hazard.set)
+    start = [own] if math.isfinite(own) and own < places[0] else []
+    x = np.array([*start, *places])
+    return [_crossing(x, np.concatenate([np.ones(len(start)), curve])) for curve in (shares, low, high)]
+
+
+def falling(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the falling sequence (K,) next to values (K,) in weighted least squares, by pooling adjacent violators."""
+    pools: list[tuple[float, float, int]] = []
+    for value, weight in zip(values.tolist(), weights.tolist(), strict=True):
+        pools.append((value, weight, 1))
+        while len(pools) > 1 and pools[-2][0] < pools[-1][0]:
+            (a, m, k), (b, n, j) = pools[-2:]
+            pools[-2:] = [((m * a + n * b) / (m + n), m + n, k + j)]
+    return np.repeat([value for value, _, _ in pools], [count for _, _, count in pools])
+
+
+def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | None:
+    """Return where a falling curve is a half, by straight lines between its points; None where it is nowhere."""
+    below = np.flatnonzero(falls < 0.5)
+    if not below.size or not below[0]:
+        return None
+    k = int(below[0])
+    along = (falls[k - 1] - 0.5) / (falls[k - 1] - falls[k])
+    return float(x[k - 1] + along * (x[k] - x[k - 1]))
+
+
+def _change(trial: _Trial) -> Improvement:
+    done = [row.completed for row in outcomes(trial.job, trial.most)]
+    before = trial.completed
+    failing, completing = before.count(False), before.count(True)
+    rescued = sum(now and not then for now, then in zip(done, before, strict=True))
+    lost = sum(then and not now for now, then in zip(done, before, strict=True))
+    change = trial.change
+    return Improvement(change.advice, change.options.given(), rescued, failing, lost, completing, trial.rate)
+
+
+_TICK, _TICK_ALONE = 1.8e-6, 2e-4
+"""s that a processor takes for a tick of one run of many side by side, and of one on its own."""
+_AHEAD = 0.15
+"""By how much more for each period of delay that the loop computes ahead, as a share."""
+
+
+def seconds_of(loop: LoopSettings) -> float:
+    """Return the time that one tick of a run with these settings takes on one processor, s."""
+    return _TICK * (1 + _AHEAD * loop.drive.delay) if loop.lockstep else _TICK_ALONE
+
+
+_AFFORD, _AFFORD_DELAY = 180.0, 40.0
+"""s of one processor that a preflight may take, and besides its search for the border of delay: two minutes of two,
+less what starts and compiles."""
+
+
+class _Amounts(NamedTuple):
+    """How many seeds are run: for the rate; for a border at first, and at its ends; for a change, of each kind."""
+
+    rate: int
+    block: int
+    border: int
+    change: int
+
+    @classmethod
+    def of(cls, rate: int) -> "_Amounts":
+        """Return the amounts that go with so many seeds for the rate."""
+        if rate <= _FEW:
+            return cls(rate, min(24, rate), min(48, rate), max(rate // 8, 8))
+        return cls(rate, 64, rate // 2, min(SAMPLED, rate // 4))
+
+    @property
+    def runs(self) -> int:
+        """About how many runs that makes at most."""
+        return self.rate + _KINDS * (3 * self.block + 2 * self.border) + _CHANGES * min(2 * self.change, self.rate)
+
+
+_FEW = 128
+"""Seeds for the rate up to which all else is done with the fewest that tell anything."""
+_KINDS, _CHANGES = 10, 9
+_CHOICES = tuple(map(_Amounts.of, (320, 256, 192, 160, 128, 96, 64, 48, 32)))
+
+
+def _amounts(asked: int, seconds: float, *, lockstep: bool) -> _Amounts:
+    """Return how many seeds are run: for the rate as many as are asked for, or as can be afforded at `seconds` each."""
+    if asked:
+        return _Amounts.of(asked)
+    runs = ((one, one.runs if lockstep else one.rate) for one in _CHOICES)
+    return next((one for one, count in runs if count * seconds <= _AFFORD), _CHOICES[-1])
+
+
+def preflight(
+    plan: Plan,
+    options: RunOptions | None = None,
+    *,
+    settings: PreflightSettings | None = None,
+    progress: Progress = no_progress,
+    yes: bool = False,
+) -> Preflight:
+    """Return how likely a planned itinerary completes on its bench, what ends it otherwise, and what would help.
+
+    options: run settings that take the place of the scene's. yes: however long it takes.
+
+    Raises:
+        InputError: an impossible setting, or it would take too long.
+        GoalMissed: the plan did not converge, no controller can be made for it, or workers died again and again.
+    """
+    began, options, settings = time.perf_counter(), options or RunOptions(), settings or PreflightSettings()
+    scene, known = as_known(plan.followed().itinerary, options)
+    loop, name = scene.loop, scene.name
+    ticks = max(round(plan.reference.duration * loop.rate), 1)
+    lockstep, tick = loop.lockstep, seconds_of(loop)
+    amounts = _amounts(settings.runs, ticks * tick, lockstep=lockstep)
+    searches = lockstep or settings.runs > 0
+    workers, count = settings.workers or processors(), amounts.runs if searches else amounts.rate
+    work = f"up to {count:,} runs of {ticks / loop.rate:.1f} s"
+    announce(Cost(work, count * ticks * tick / workers, 4e8 * workers, f"preflight of {name}"), yes=yes)
+    uncertainty = scene.model.known_to if loop.model_uncertainty else None
+    seeds = range(settings.first_seed, settings.first_seed + amounts.rate)
+    case, arms = Case("preflight", (), loop), scene.model.arms
+    job = Job(name, plan.archive, arms, case, tuple(seeds), "compiled", uncertainty, replayed=0)
+    run = partial(in_processes, _do, remedy="Finished jobs are kept: run the same command again, with fewer --workers")
+
+    # As much memory as a campaign's jobs at most.
+    most = max(min(MOST_TICKS // ticks, 256), 1)
+    size = min(128 if amounts.rate > _FEW else 64, most)
+    jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
+    found_of: dict[int, RunEnd] = {}
+    for done in _all(run(jobs, workers=workers), len(jobs), "rate", part_of(progress, 0.0, 0.15)):
+        found_of |= {row.seed: row for row in done}
+    ordered = [found_of[seed] for seed in seeds]
+    completed = [row.completed for row in ordered]
+    share = wilson(sum(completed), len(completed), confidence=settings.confidence)
+    notes = _notes(scene, loop)
+    tasks: list[_Task] = []
+    if searches:
+        most_delay = _AFFORD_DELAY / (3 * amounts.block * ticks * _TICK * _AHEAD)
+        tasks += _searches(hazards(plan, scene, most_delay=most_delay), job, completed, amounts, most, notes)
+        tasks += _trials(scene, job, completed, amounts.change, most)
+    else:
+        notes.append("these runs go one after the other, not side by side: borders and changes with --runs only")
+    found = list(_all(run(tasks, workers=workers), len(tasks), "borders and changes", part_of(progress, 0.15, 1.0)))
+    return Preflight(
+        itinerary=name,
+        title=scene.title,
+        model=scene.model.name,
+        share=share,
+        confidence=settings.confidence,
+        known=tuple(known),
+        notes=tuple(notes),
+        endings=endings(ordered),
+        borders=tuple(sorted((b for b in found if isinstance(b, HazardBorder)), key=lambda b: b.order)),
+        changes=tuple(sorted((c for c in found if isinstance(c, Improvement)), key=lambda c: (-c.gain, c.text))),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _all(pieces: Any, count: int, what: str, progress: Progress) -> Any:
+    """Yield what is done of each piece, and report how many are."""
+    for k, (_, done) in enumerate(pieces, 1):
+        progress(f"{what}: {k} of {count}", k / count)
+        yield done
+
+
+def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
+    """Return what ended the runs that were not completed, the most frequent first, in the words of the loop."""
+    groups: dict[tuple[str, str], list[RunEnd]] = {}
+    for row in ends:
+        if not row.completed:
+            groups.setdefault((row.ending, plain_reason(row.reason)), []).append(row)
+    ordered = sorted(groups.items(), key=lambda item: -len(item[1]))
+    return tuple(EndingShare(*words, len(rows), rows[0].seed, rows[0].reason) for words, rows in ordered)
+
+
+def as_known(scene: Itinerary, options: RunOptions) -> tuple[Itinerary, list[Known]]:
+    """Return the scene with its runs drawn from what is known of the arms and the bench, and what that is.
+
+    Raises:
+        InputError: an impossible setting.
+    """
+    given = options.given()
+    identified = scene.model.uncertainty is not None
+    chosen = scene.with_run(options)
+    if identified and not {"mismatch", "model_uncertainty"} & given.keys() and not scene.loop.model_uncertainty:
+        chosen = chosen.with_run(RunOptions(model_uncertainty=1.0, mismatch=0.0))
+    assumed = not chosen.loop.model_uncertainty and not chosen.loop.mismatch and "mismatch" not in given
+    if assumed and chosen.loop.plant is None:
+        chosen = chosen.with_run(RunOptions(mismatch=ASSUMED_MISMATCH))
+    else:
+        assumed = False
+    loop, file = chosen.loop, f"[run] of {scene.path.name}"
+
+    def of(*names: str) -> str:
+        return "given" if any(name in given for name in names) else file
+
+    drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
+    known = []
+    if loop.model_uncertainty:
+        source = f"identified: {scene.model.path.name}"
+        known.append(Known("arms", f"standard errors × {loop.model_uncertainty:g}", source))
+    if loop.plant is not None:
+        known.append(Known("plant", "arms of its own", of("plant")))
+    if loop.mismatch or not loop.model_uncertainty:
+        unknown = "" if identified else f"; {scene.model.path.name} has no [uncertainty]"
+        source = "assumed" if assumed else of("mismatch")
+        known.append(Known("arms", f"each parameter off by up to ±{loop.mismatch:.3g}", source + unknown))
+    limit = loop.travel or scene.limits.position
+    known += [
+        Known("start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
+        Known("delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
+        Known("lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
+        Known("encoders", f"{sensors.counts:,} counts a turn" if sensors.counts else "not rounded", of("counts")),
+        Known("zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
+        Known("travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
+    ]
+    others = {
+        "command noise": (drive.command_noise, "m/s²", "command_noise"),
+        "encoder noise": (sensors.noise, "rad", "noise"),
+        "tilt": (blows.tilt, "rad", "tilt"),
+        "blows": (blows.push_impulse if blows.pushes else 0.0, "N m s", "push_impulse"),
+    }
+    known += [Known(name, f"{value:g} {unit}", of(key)) for name, (value, unit, key) in others.items() if value]
+    for key in ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "initial_rate", "initial_cart"):
+        if value := getattr(loop.mechanics, key):
+            shown = " and ".join(f"{one:g}" for one in (value if isinstance(value, tuple) else (value,)))
+            unit = bounds_of(MechanicsSettings)[key].unit
+            known.append(Known(key.replace("_", " "), f"{shown} {unit}", of(key)))
+    known.append(Known("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator")))
+    return chosen, known
+
+
+def _notes(scene: Itinerary, loop: LoopSettings) -> list[str]:
+    notes = []
+    if scene.start == "orbit":
+        notes.append('start = "orbit": runs begin at the orbit\'s exact rates, which no rig can; plan it from "rest"')
+    measured = {"lag": loop.drive.lag, "zero_error": loop.sensors.zero_error}
+    if unmeasured := [name for name, value in measured.items() if not value]:
+        notes.append(
+            f"{' and '.join(unmeasured)} = 0 in [run]: no bench is so; measure it with `dpcontrol commission "
+            f"{scene.name} --rig ADDRESS --write`, or give what is to be expected"
+        )
+    return notes
+
+
+def _searches(
+    kinds: Sequence[Hazard], job: Job, completed: Sequence[bool], amounts: _Amounts, most: int, notes: list[str]
+) -> list[_Search]:
+    """Return the borders to be sought; notes gets why there are none."""
+    done = sum(completed)
+    if done < _FEWEST:
+        notes.append(f"only {done} of {len(completed)} runs complete: too few to seek borders; see what would help")
+        return []
+    # Where few complete, more seeds, so that as many do.
+    count = min(math.ceil(amounts.border * max(1.0, 0.6 * len(completed) / done)), len(completed))
+    searches = []
+    for kind in kinds:
+        own = amounts.block if kind.setting == "delay" else count
+        seeds = replace(job, seeds=job.seeds[:own])
+        searches.append(_Search(kind, seeds, tuple(completed[:own]), amounts.block, most))
+    return searches
+
+
+_FEWEST = 8
+"""Completed runs from which on borders are sought."""
+
+
+def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
+    """Return the troubles whose borders are sought, with the bench's own values; most_delay: periods, of time to spare.
+
+    Prediction over a delay takes time by its length, and each delay code of its own: its border is sought within 40 ms
+    and on few seeds.
+    """
+    loop, rate = scene.loop, scene.loop.rate
+    drive, sensors, blows, rig = loop.drive, loop.sensors, loop.disturbances, loop.mechanics
+    pushes = blows.pushes or 2
+    # What the loop knows of the bench stays as it is.
+    known = (("known_belt", loop.known_belt), ("known_play", rig.of_each("known_play", scene.model.arms.count)))
+    further = [
+        Hazard("cable torque", "cable_torque", "mN m", abs(rig.cable_torque), 0.05, 5.0, shown=1e3),
+        Hazard("cable stiffness", "cable_stiffness", "mN m/rad", rig.cable_stiffness, 0.02, 2.0, shown=1e3),
+        Hazard("first rates", "initial_rate", "rad/s", rig.initial_rate, 1.0, 30.0),
+        Hazard("cart at first", "initial_cart", "mm", abs(rig.initial_cart), 0.1, 1.0, shown=1e3),
+    ]
+    return [
+        Hazard("delay", "delay", "ms", drive.delay, 0.01 * rate, max(min(0.04 * rate, most_delay), 2 * drive.delay, 2),
+               shown=1e3 / rate, step=1.0),
+        Hazard("lag", "lag", "ms", drive.lag, 0.02, 0.32, shown=1e3),
+        Hazard("mismatch", "mismatch", "%", loop.mismatch, 0.15, 0.9, shown=100.0),
+        Hazard(f"{pushes} blows", "push_impulse", "mN m s", blows.push_impulse if blows.pushes else 0.0, 0.005, 20.0,
+               shown=1e3, besides=(("pushes", pushes),)),
+        Hazard("zeros", "zero_error", "mrad", sensors.zero_error, 0.05, 0.8, shown=1e3),
+        Hazard("counts", "counts", "a turn", sensors.counts or math.inf, 1000, 16, falling=True, step=1.0),
+        Hazard("travel", "travel", "mm", loop.limits(plan.reference).position, math.inf,
+               plan.reference.max_cart_position, falling=True, shown=1e3),
+        Hazard("belt", "belt", "Hz", rig.belt or math.inf, 40.0, 4.0, falling=True, besides=known),
+        Hazard("play", "play", "mrad", max(rig.of_each("play", scene.model.arms.count)), 0.01, 0.8, shown=1e3,
+               besides=known),
+        Hazard("stiction", "stiction", "mN m", max(rig.of_each("stiction", scene.model.arms.count)), 0.004, 0.5,
+               shown=1e3),
+        *(one for one in further if one.set),
+    ]  # fmt: skip
+
+
+def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Trial]:
+    """Return the changes to be tried on `count` seeds of each kind, none where every run completes."""
+    if all(completed):
+        return []
+    failing = [k for k, done in enumerate(completed) if not done][:count]
+    completing = [k for k, done in enumerate(completed) if done][:count]
+    chosen = sorted([*failing, *completing])
+    seeds, before = [job.seeds[k] for k in chosen], tuple(completed[k] for k in chosen)
+    rate = sum(completed) / len(completed)
+    advised = [change for group in changes(scene) for change in group if change.advice]
+    loops = [scene.with_run(change.options).loop for change in advised]
+    return [
+        _Trial(change, _with(job, loop, seeds), before, rate, most) for change, loop in zip(advised, loops, strict=True)
+    ]

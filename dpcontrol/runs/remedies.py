@@ -1,0 +1,245 @@
+"""Remedies of a failed run: options of `dpcontrol run` that complete it more often than harmless changes do.
+
+A run that fails by chance is completed by almost any change, even by 39,999 instead of 40,000 counts. So a change must
+beat a null group. One half of it are harmless variants of the failed run, whose mismatches differ by a ten-thousandth.
+The other half are neighbouring seeds with the present settings. Each change is tried on the same variants and seeds.
+It is a remedy if it meets three conditions:
+
+    chance       McNemar's exact test of the pairs rejects chance at `_LEVEL`.
+    neighbours   On the neighbouring seeds it rescues at least as many runs as it loses.
+    the run      The failed run itself is completed if the option is added to its command line.
+
+Changes of one kind are tried from the smallest; the first remedy of a kind ends it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any
+
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.processes import in_processes, processors
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
+from dpcontrol.foundation.statistics import paired
+from dpcontrol.judge.score import Score
+from dpcontrol.plans.plan import Plan, recoverable
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import Case, Job
+from dpcontrol.runs.preflight import SceneChange, changes, outcomes, seconds_of
+from dpcontrol.runs.run import run_plan
+
+SAME, SAME_ALONE = 16, 8
+"""Variants of the failed run, and as many neighbouring seeds: side by side, and one after the other."""
+_HARMLESS = 1e-4
+"""Share by which the mismatch of one variant differs from that of the one before."""
+_LEVEL = 0.02
+"""Largest two-sided p of a remedy."""
+
+
+@dataclass(frozen=True)
+class Completed:
+    """How many runs were completed: variants of the failed run, and neighbouring seeds; each of `of`."""
+
+    same_seed: int
+    neighbours: int
+    of: int
+
+    @property
+    def total(self) -> int:
+        """Of both groups."""
+        return self.same_seed + self.neighbours
+
+
+@dataclass(frozen=True)
+class TriedChange:
+    """One change.
+
+    change: its text. option: its text on the command line. completed: whether the failed run is completed with it.
+    verdict: on that run. helps: whether it is a remedy. counts: None if the groups were not run.
+    """
+
+    change: str
+    option: str
+    completed: bool
+    verdict: str
+    helps: bool = False
+    counts: Completed | None = None
+
+    @property
+    def total(self) -> int:
+        """How many runs were completed in all."""
+        return self.counts.total if self.counts else 0
+
+
+@dataclass(frozen=True)
+class Why:
+    """The changes tried for a failed run. reason: of the failure. unchanged: the null group's count."""
+
+    log: str
+    seed: int | None
+    reason: str
+    trials: tuple[TriedChange, ...]
+    unchanged: Completed | None = None
+
+    @property
+    def remedies(self) -> tuple[TriedChange, ...]:
+        """The changes that help, the surest first."""
+        return tuple(sorted((one for one in self.trials if one.helps), key=lambda one: -one.total))
+
+    @property
+    def saves(self) -> tuple[str, ...]:
+        """The options that complete the run."""
+        return tuple(trial.option for trial in self.remedies)
+
+    @property
+    def sentence(self) -> str:
+        """The remedies in one line."""
+        if self.unchanged is None:
+            return "the run was completed, so no change was tried"
+        count = f"{len(self.trials)} change{'s' * (len(self.trials) != 1)}"
+        if self.saves:
+            return f"completed with {', or with '.join(f'`{one}`' for one in self.saves)} ({count} tried)"
+        text = f"none of {count} completes this run more often than harmless changes do"
+        if 2 * self.unchanged.same_seed >= self.unchanged.of:
+            text += f"; these complete it {self.unchanged.same_seed} times in {self.unchanged.of}, so chance decides"
+        return text
+
+    def lines(self) -> list[str]:
+        """Return the evidence for each remedy."""
+        null = self.unchanged
+        if null is None:
+            return []
+        head = f"unchanged: {null.same_seed} of {null.of} harmless variants, {null.neighbours} of {null.of} other seeds"
+        counts = [(one, one.counts) for one in self.remedies if one.counts is not None]
+        return [head] + [
+            f"{one.option}: {found.same_seed} and {found.neighbours} of {null.of} ({one.change})"
+            for one, found in counts
+        ]
+
+    def __repr__(self) -> str:
+        return f"<why: {self.sentence}>"
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of `dpcontrol score --why`."""
+        return {**asdict(self), "saves": list(self.saves), "sentence": self.sentence}
+
+
+_Group = tuple[Sequence[tuple[SceneChange, Job]], Sequence[bool]]
+"""Changes of one kind with their jobs, whose first run is the failed one. Which runs the null group completes."""
+
+
+def why(
+    plan: Plan,
+    failed: Score,
+    typed: Callable[[RunOptions], Plan],
+    *,
+    workers: int = 0,
+    yes: bool = False,
+    progress: Progress = no_progress,
+) -> Why:
+    """Return the changes that complete a logged run.
+
+    typed: returns the run's plan with options added to its command line.
+
+    Raises:
+        InputError: it would take too long.
+        GoalMissed: no controller can be made for the run, or workers died again and again.
+    """
+    if failed.completed:
+        return Why(failed.log, failed.seed, failed.reason, ())
+    scene, groups = plan.itinerary, [*changes(plan.itinerary)]
+    lockstep = scene.loop.lockstep
+    size = SAME if lockstep else SAME_ALONE
+    ticks = max(round(plan.reference.duration * scene.loop.rate), 1)
+    workers = workers or processors()
+    each, tried = 2 * size * ticks * seconds_of(scene.loop), sum(map(len, groups))
+    cost = (tried + 1) * (each + _OVERHEAD) / workers if lockstep else (tried * 0.3 + 1) * each / workers
+    announce(Cost(f"{tried} changes", cost, 4e8 * workers, f"--why of {scene.name}"), yes=yes)
+
+    def jobs(group: Sequence[SceneChange]) -> tuple[tuple[SceneChange, Job], ...]:
+        made = []
+        for change in group:
+            try:
+                made.append((change, _job(typed(change.options), size)))
+            except InputError:
+                # The option does not go with the run's other settings.
+                continue
+        return tuple(made)
+
+    progress("harmless changes", 0.0)
+    before, _ = _tried(([(SceneChange("", RunOptions()), _job(plan, size))], ()))[0]
+    null, trials = Completed(sum(before[:size]), sum(before[size:]), size), list[TriedChange]()
+
+    pieces: list[_Group] = [(made, before) for group in groups if (made := jobs(group))]
+    ended = in_processes(_tried, pieces, workers, remedy="Finished jobs are kept: run the same command again")
+    for k, ((jobs_of, _), found) in enumerate(ended, 1):
+        progress(f"changes: {k} of {len(pieces)} kinds", k / (len(pieces) + 1))
+        for (change, _), (done, verdict) in zip(jobs_of, found, strict=False):
+            trials.append(_judged(change, done, verdict, before, typed))
+    progress("why", 1.0)
+    return Why(failed.log, failed.seed, failed.reason, tuple(trials), null)
+
+
+_OVERHEAD = 2.0
+"""s that a lockstep job takes in addition to its ticks."""
+
+
+def _job(plan: Plan, size: int) -> Job:
+    """Return the job of a failed run's variants, the run itself first, and of as many neighbouring seeds."""
+    scene, loop = plan.itinerary, plan.itinerary.loop
+    seeds = (*[loop.seed] * size, *range(loop.seed + 1, loop.seed + 1 + size))
+    variants = [loop.mismatch * (1 - _HARMLESS * k) if loop.mismatch else 1e-2 * _HARMLESS * k for k in range(size)]
+    return Job(
+        scene.name, plan.archive, scene.model.arms, Case("why", (), loop), seeds, "compiled", scene.uncertainty,
+        replayed=0, mismatches=(*variants, *[loop.mismatch] * size),
+    )  # fmt: skip
+
+
+def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
+    """Return for each job which runs were completed and the first run's verdict, up to the first that beats the null.
+
+    If runs go one after the other, the rest of a job is run only if its first run is completed.
+    """
+    found: list[tuple[tuple[bool, ...], str]] = []
+    (tried, before), first = group, slice(1)
+    for _, job in tried:
+        alone = replace(job, seeds=job.seeds[first], mismatches=job.mismatches[first])
+        try:
+            ended = outcomes(alone if before and not job.case.loop.lockstep else job, len(job.seeds))
+            if ended[0].completed and len(ended) == 1:
+                ended = outcomes(job, len(job.seeds))
+        except (GoalMissed, InputError) as missed:
+            found.append(((), str(missed)))
+            continue
+        done = tuple(row.completed for row in ended)
+        found.append((done, ended[0].reason))
+        if done[0] and _beats(done, before):
+            break
+    return found
+
+
+def _beats(done: Sequence[bool], before: Sequence[bool]) -> bool:
+    """True if runs are completed more often than those of the null group, pair by pair."""
+    if len(done) != len(before):
+        return False
+    half = len(done) // 2
+    all_pairs, others = paired(before, done), paired(before[half:], done[half:])
+    surely = all_pairs.only_second > all_pairs.only_first and all_pairs.p_value <= _LEVEL
+    return surely and others.only_second >= others.only_first
+
+
+def _judged(
+    change: SceneChange,
+    done: Sequence[bool],
+    verdict: str,
+    before: Sequence[bool],
+    typed: Callable[[RunOptions], Plan],
+) -> TriedChange:
+    """Return a change with its verdict; one that beats the null group is typed."""
+    half = len(before) // 2
+    counts = Completed(sum(done[:half]), sum(done[half:]), half) if len(done) == len(before) else None
+    tried = partial(TriedChange, change.text, change.options.typed, counts=counts)
+    if not (done and done[0] and _beats(done, before)):
+        return tried(completed=bool(done and done[0]), verdict=verdict)
+    alone = run_plan(recoverable(typed(change.options))).score()
+    return tried(completed=bool(alone.completed), verdict=alone.reason, helps=bool(alone.completed))

@@ -1,0 +1,914 @@
+"""Run an itinerary: its plan, the closed loop, the log.
+
+A run is determined by scene, model and reference, which its log carries, by its settings, which the log notes, and by
+the program: all that is random comes from the seed. So it can be repeated from its log alone, and on the same version
+the new log holds the same bytes in every message; only what the metadata says of the run's pace may differ.
+
+On a bench in real time, over UDP: the same loop, the same log, and how the deadlines were kept. The bench may be any
+that speaks `dpcontrol.rig.packets`; the example is the simulated one, by its own clock.
+"""
+
+import json
+import types
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+import dpcontrol
+from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, extra_names
+from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
+from dpcontrol.control.interface import Controller, GainSchedule
+from dpcontrol.control.margins import Margins
+from dpcontrol.control.tick import TickProgram
+from dpcontrol.control.tracking import AdaptiveSettings
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.cache import commit
+from dpcontrol.foundation.errors import GoalMissed, InputError, remark
+from dpcontrol.foundation.files import (
+    checked_other_file,
+    checked_source,
+    content_hash,
+    in_the_way,
+    picked,
+    write_folder,
+    write_whole,
+)
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.settings import with_values
+from dpcontrol.foundation.shipped import folders
+from dpcontrol.judge.score import (
+    DRAWN_METADATA,
+    HARDEST_METADATA,
+    MODEL_METADATA,
+    PLANT_METADATA,
+    REFERENCE_ATTACHMENT,
+    THINKING_METADATA,
+    Score,
+    score,
+)
+from dpcontrol.logs import (
+    Comparison,
+    Event,
+    Extras,
+    LogWriter,
+    RunLog,
+    check_replaced,
+    compare_messages,
+    control_fields,
+    joint_names,
+    read_log,
+    slow_numbers,
+)
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, filter_of, law_of
+from dpcontrol.loop.loop import ControlLoop, LoopSettings
+from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
+from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink, Ticks
+from dpcontrol.plans.itinerary import Itinerary, itinerary_from, setting_of
+from dpcontrol.plans.model import model_from
+from dpcontrol.plans.plan import Plan, plan_key, recoverable
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import load_reference
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+    from dpcontrol.rig.bench import BenchProcess, BenchRecipe
+    from dpcontrol.rig.client import Deadlines, UdpRig
+    from dpcontrol.rig.commissioning import Commissioning
+    from dpcontrol.runs.remedies import Why
+
+_SCENE, _MODEL = "scene.toml", "model.toml"
+_LIBRARY = "controller_library"
+"""Metadata of a run whose ticks a library did: what identifies its file."""
+
+
+def default_log(itinerary: Itinerary) -> Path:
+    """Return logs/NAME-SEED.mcap in the working folder."""
+    return Path("logs") / f"{itinerary.name}-{itinerary.loop.seed}.mcap"
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run, or what was recorded of a bench, as its log says; see `RunLog` for the arrays."""
+
+    log: RunLog
+
+    def __repr__(self) -> str:
+        return f"<run {self.log.path}: {self.status}>"
+
+    def score(self) -> Score:
+        """Return whether the run did what was asked, by what is in the log alone.
+
+        Raises:
+            InputError: the log carries no plan.
+        """
+        return self._score
+
+    @cached_property
+    def _score(self) -> Score:
+        return score(self.log)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the itinerary was completed; False where that is not known."""
+        return bool(self._judged and self._judged.completed)
+
+    @property
+    def status(self) -> str:
+        """The verdict in one line."""
+        return self._judged.sentence if self._judged else f"{len(self.log.time):,} samples, no plan to be judged by"
+
+    def why(self, *, workers: int = 0, yes: bool = False, progress: Progress = no_progress) -> "Why":
+        """Return which options of `dpcontrol run` complete a run that failed, and more often than harmless changes do.
+
+        workers: processes, 0 for one on each processor. yes: however long it takes.
+
+        Raises:
+            InputError: the log is not of a simulated run, lacks what a repetition needs, or it would take too long.
+        """
+        from dpcontrol.runs.remedies import why
+
+        with TemporaryDirectory() as folder:
+            plan = _plan(self.log, Path(folder))
+            scene = itinerary_from(plan.itinerary.text, plan.itinerary.name, plan.itinerary.model)
+
+            def typed(change: RunOptions) -> Plan:
+                return _with_options(plan, scene, change)
+
+            return why(plan, self.score(), typed, workers=workers, yes=yes, progress=progress)
+
+    @cached_property
+    def _judged(self) -> Score | None:
+        return self._score if REFERENCE_ATTACHMENT in self.log.attachments else None
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol run --json` prints.
+
+        Raises:
+            InputError: the log carries no plan.
+        """
+        return self._score.document()
+
+    @property
+    def plant(self) -> ArmChainParameters | None:
+        """The arms that were simulated, as drawn for this run; None of a rig's log, and of older ones.
+
+        Raises:
+            InputError: the log is damaged there.
+        """
+        text = self.log.metadata.get(PLANT_METADATA)
+        try:
+            return None if text is None else _settings(ArmChainParameters, json.loads(text))
+        except (TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"{self.log.path}: its {PLANT_METADATA} do not read: {error}; run it again") from error
+
+    def frame(self) -> "DataFrame":
+        """Return a pandas table, one row for each tick; see `RunLog.frame`.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return self.log.frame()
+
+    def plot(self) -> "Figure":
+        """Return the page of the run: the itinerary as asked and as done, a film, series, errors, phase planes."""
+        from dpcontrol.pages.of_log import run_view
+        from dpcontrol.pages.page import draw
+
+        return draw(run_view(self.log))
+
+
+def assembled(plan: Plan) -> Assembly:
+    """Return what the runs of a plan are made of.
+
+    Raises:
+        InputError: the plant is to be drawn from an uncertainty that the model's file does not give.
+        GoalMissed: the plan did not converge.
+    """
+    scene = plan.itinerary
+    return Assembly(plan.followed().reference, scene.model.arms, scene.loop, scene.uncertainty)
+
+
+def run_plan(
+    plan: Plan,
+    out: Path | None = None,
+    *,
+    assembly: Assembly | None = None,
+    library: Path | None = None,
+    rig: OwnObject | None = None,
+    force: bool = False,
+    live: bool = False,
+    progress: Progress = no_progress,
+) -> Run:
+    """Run the closed loop of a planned itinerary; write its log to `out`, if one is wanted.
+
+    assembly: made of the plan before, to be shared by many runs. library: one made of what `export_plan` wrote for this
+    itinerary, which does the ticks. rig: a user's, in place of the simulated bench. force: replace a log of another run
+    at `out`. live: show it in the viewer while it happens.
+
+    Raises:
+        InputError: the log cannot be written, or there is that of another run; the plant is to be drawn from an
+            uncertainty that the model's file does not give; the library is not of this itinerary; or there is no
+            display for a live view.
+        GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
+    """
+    plan = recoverable(plan.followed())
+    scene, sink = plan.itinerary, _Events()
+    assembly = assembly or assembled(plan)
+
+    def run(sink: LoopSink) -> LoopResult:
+        if rig is None:
+            return assembly.simulate(sink=sink, library=library, progress=progress)
+        arms, period = scene.model.arms.count, 1 / scene.loop.rate
+        flown = assembly.loop(sink=sink, progress=progress).run(OwnRig(rig, arms=arms, period=period))
+        if not len(flown.ticks.times):
+            raise GoalMissed(flown.reason)
+        return flown
+
+    made_by = drawn_metadata(scene) if rig is None else {"rig": rig.name}
+    if out is None:
+        with watched(plan, sink, live=live) as sinks:
+            result = run(sink=sinks)
+        return Run(_log_in_memory(plan, result.ticks, sink.kept, **made_by, **outcome(result)))
+    if library is not None:
+        check_exportable(scene)
+        made_by[_LIBRARY] = content_hash(checked_source(library).read_bytes()) if library.is_file() else str(library)
+    check_replaced(out, {**run_metadata(plan.itinerary), **made_by}, force=force)
+    with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sinks:
+        writer.result(**outcome(run(sink=sinks)))
+    return Run(read_log(out))
+
+
+@contextmanager
+def watched(plan: Plan, sink: LoopSink, *, live: bool) -> Iterator[LoopSink]:
+    """Yield a run's sink, and beside it a live view if one is wanted.
+
+    Raises:
+        InputError: there is no display for it.
+    """
+    if not live:
+        yield sink
+        return
+    from dpcontrol.pages.live import LiveView, Sinks
+
+    nothing = Ticks.empty(0, plan.itinerary.model.arms.count, has_truth=True, period=1.0)
+    with LiveView(_log_in_memory(plan, nothing, ())) as view:
+        yield Sinks(sink, view)
+
+
+def outcome(result: LoopResult) -> dict[str, str]:
+    """Return the metadata on how a run went: its pace, its ending, the time that ticks took, the hardest drive."""
+    noted = {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
+    if result.hardest is not None:
+        noted[HARDEST_METADATA] = repr(result.hardest)
+    if len(result.thinking):
+        quantiles = np.quantile(result.thinking, [0.5, 0.99]).tolist()
+        noted |= {name: repr(value) for name, value in zip(THINKING_METADATA, quantiles, strict=True)}
+    return noted
+
+
+def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
+    """Return what a log says of the plant that is simulated, and of what else is drawn once for a run."""
+    draw = itinerary.loop.draw(itinerary.model.arms, ticks=1, uncertainty=itinerary.uncertainty)
+    once = {"initial_error": draw.initial_error.tolist(), "zeros": draw.zeros.tolist()}
+    # What a user's own plant is, its name in the settings says.
+    arms = {} if draw.own else {PLANT_METADATA: json.dumps(asdict(draw.plant.arms), sort_keys=True)}
+    return {**arms, DRAWN_METADATA: json.dumps(once)}
+
+
+class _Events(NoSink):
+    """Keeps events; the result holds every tick."""
+
+    def __init__(self) -> None:
+        self.kept: list[Event] = []
+
+    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+        """Keep one event."""
+        self.kept.append(Event(time_s, level, name, text))
+
+
+def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
+    """Return what the log of a run would say; more: metadata."""
+    scene = plan.itinerary
+    lengths, limits = scene.model.arms.length, scene.loop.limits(plan.reference)
+    states = {"estimate": ticks.estimates, "reference": ticks.references}
+    return RunLog(
+        path=Path(f"{scene.name}, seed {scene.loop.seed}"),
+        time=ticks.times,
+        measured=ticks.measured,
+        rates=None,
+        states=states if ticks.truth is None else {**states, "truth": ticks.truth},
+        controls=dict(zip(control_fields(len(lengths), has_cart=True), ticks.control.T, strict=True)),
+        events=tuple(events),
+        metadata={**run_metadata(scene), **more},
+        attachments=_attachments(plan),
+        joint_names=joint_names(len(lengths), has_cart=True),
+        arm_lengths=lengths,
+        has_cart=True,
+        rate_hz=scene.loop.rate,
+        limits=(limits.position, limits.velocity, limits.acceleration),
+        extras=_extras(ticks, extra_names(len(lengths), scene.loop.estimator.augments)),
+    )
+
+
+def _extras(ticks: Ticks, names: tuple[str, ...]) -> Extras | None:
+    """Return the extras of those ticks at which a log has them."""
+    if ticks.extras is None or not names:
+        return None
+    numbers = slow_numbers(np.rint(ticks.times * 1e9).astype(np.int64))
+    due = np.diff(numbers, prepend=-1) > 0
+    sigmas, values = np.split(ticks.extras[due], 2, axis=1)
+    return Extras(names, ticks.times[due], values, sigmas)
+
+
+def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
+    """Return the writer of the log of a run, with all that is known before it, and more metadata.
+
+    Raises:
+        InputError: the log cannot be written.
+    """
+    itinerary = plan.itinerary
+    limits = itinerary.loop.limits(plan.reference)
+    return LogWriter(
+        out,
+        arm_lengths=itinerary.model.arms.length,
+        rate_hz=itinerary.loop.rate,
+        limits=(limits.position, limits.velocity, limits.acceleration),
+        extras=extra_names(itinerary.model.arms.count, itinerary.loop.estimator.augments),
+        metadata={**run_metadata(itinerary), **more},
+        attachments=_attachments(plan),
+    )
+
+
+def _attachments(plan: Plan) -> dict[str, bytes]:
+    return {
+        _SCENE: plan.itinerary.text.encode(),
+        _MODEL: plan.itinerary.model.text.encode(),
+        REFERENCE_ATTACHMENT: plan.archive,
+    }
+
+
+def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
+    """Return what distinguishes this run from others; settings as JSON, overriding options included."""
+    return {
+        "version": dpcontrol.__version__,
+        "commit": commit(),
+        "itinerary": itinerary.name,
+        "model": itinerary.model.name,
+        "seed": str(itinerary.loop.seed),
+        "plan": plan_key(itinerary),
+        "scene_hash": content_hash(itinerary.text),
+        "model_hash": content_hash(itinerary.model.text),
+        "run_settings": json.dumps(asdict(itinerary.loop), sort_keys=True, default=str),
+        MODEL_METADATA: json.dumps(asdict(itinerary.model.arms), sort_keys=True),
+    }
+
+
+_KINDS: Mapping[str, Mapping[str, type]] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """A run repeated: its score, the comparison with the log it was repeated from, and a word on another version."""
+
+    score: Score
+    comparison: Comparison
+    versions: str | None
+
+
+def repeated_log(source: Path) -> Path:
+    """Return logs/NAME-again.mcap in the working folder."""
+    return Path("logs") / f"{source.name.removesuffix('.mcap')}-again.mcap"
+
+
+def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progress = no_progress) -> Repeat:
+    """Repeat the run in the log `source`, write its log to `out`, and compare the two message for message.
+
+    Raises:
+        InputError: the log cannot be read, lacks what a repetition needs, or `out` is the same file.
+        GoalMissed: no controller can be made for its reference.
+    """
+    log = read_log(source)
+    checked_other_file(out, source, what="the log to repeat")
+    with TemporaryDirectory() as folder:
+        verdict = run_plan(_plan(log, Path(folder)), out, force=force, progress=progress).score()
+    then, now = log.metadata.get("version", "?"), dpcontrol.__version__
+    versions = None if then == now else f"the log was written by version {then}, this is {now}"
+    return Repeat(verdict, compare_messages(source, out), versions)
+
+
+def logged_margins(log: RunLog) -> Margins:
+    """Return what gain, further delay and further lag the loop of a logged run bears along its reference.
+
+    Raises:
+        InputError: the log lacks what that needs, or its law has no margins.
+        GoalMissed: no controller can be made for its reference.
+    """
+    with TemporaryDirectory() as folder:
+        return assembled(_plan(log, Path(folder), repeats=False)).margins()
+
+
+def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
+    """Return the plan of a logged run, its file in `folder`; repeats: to be run once more, else for its margins."""
+    cannot = "be repeated" if repeats else "have margins"
+    needed = (_SCENE, _MODEL, REFERENCE_ATTACHMENT)
+    lacking = [name for name in needed if name not in log.attachments]
+    lacking += [key for key in ("itinerary", "model", "run_settings") if key not in log.metadata]
+    if lacking:
+        raise InputError(f"{log.path} cannot {cannot}: it lacks {', '.join(lacking)}; give a log of `dpcontrol run`")
+    if repeats and (log.truth is None or "rig" in log.metadata):
+        where = f"the rig at {log.metadata['rig']}" if "rig" in log.metadata else "a rig"
+        raise InputError(
+            f"{log.path} cannot be repeated: it was made on {where}, and only what is simulated does the same twice; "
+            f"`dpcontrol replay` shows what a model makes of it"
+        )
+    if repeats and _LIBRARY in log.metadata:
+        raise InputError(
+            f"{log.path} cannot be repeated: a controller's library did its ticks, which is not in the log; run it "
+            "again with --controller-library"
+        )
+    model = model_from(log.attachments[_MODEL].decode(), log.metadata["model"])
+    itinerary = itinerary_from(log.attachments[_SCENE].decode(), log.metadata["itinerary"], model)
+    file = folder / REFERENCE_ATTACHMENT
+    file.write_bytes(log.attachments[REFERENCE_ATTACHMENT])
+    return Plan(_with_settings(itinerary, log, cannot=cannot), load_reference(file), file, cached=True)
+
+
+def _with_options(plan: Plan, scene: Itinerary, change: RunOptions) -> Plan:
+    """Return the plan of a logged run with options added to its command line.
+
+    scene: the itinerary without any options. The run's own options are those settings in which it differs from that;
+    where they do not account for all that the log notes, the options are applied to the noted settings.
+    """
+    then = plan.itinerary
+    names = [field.name for field in fields(RunOptions) if field.name != "plant"]
+    pairs = {name: (setting_of(scene.loop, name), setting_of(then.loop, name)) for name in names}
+    own = RunOptions(**{name: noted for name, (before, noted) in pairs.items() if before != noted})
+    accounted = scene.with_run(own, seed=then.loop.seed).loop == then.loop
+    chosen = (scene.with_run(own, seed=then.loop.seed) if accounted else then).with_run(
+        own.over(change.given()) if accounted else change
+    )
+    reference = plan.reference
+    if chosen.loop.travel != then.loop.travel and "starts" in reference.notes:
+        # Starts are planned for the travel.
+        notes = {name: note for name, note in reference.notes.items() if name != "starts"}
+        reference = replace(reference, notes=notes)
+    return replace(plan, itinerary=chosen, reference=reference)
+
+
+def _says(now: Any, noted: Any) -> bool:
+    """Return whether settings are as a log notes them; those that came later are at their defaults."""
+    if isinstance(now, dict) and isinstance(noted, dict):
+        return all(key in now and _says(now[key], value) for key, value in noted.items())
+    return bool(now == noted)
+
+
+def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinerary:
+    """Return the itinerary with the run's settings as the log notes them: overrides and all."""
+    text = log.metadata["run_settings"]
+    try:
+        loop = _settings(LoopSettings, json.loads(text))
+        same = _says(json.loads(json.dumps(asdict(loop))), json.loads(text))
+    except (TypeError, ValueError, LookupError) as error:
+        raise InputError(f"{log.path} cannot {cannot}: its run settings do not read: {error}") from error
+    if not same:
+        raise InputError(
+            f"{log.path} cannot {cannot}: its run settings are of another version; use the one that wrote it "
+            f"({log.metadata.get('version', '?')}, commit {log.metadata.get('commit') or 'unknown'})"
+        )
+    return replace(itinerary, loop=loop)
+
+
+def _settings(kind: type, values: Mapping[str, Any]) -> Any:
+    """Return settings of dataclass `kind` from what `asdict` and JSON made of them."""
+    hints = get_type_hints(kind)
+    names = [field.name for field in fields(kind) if field.init and field.name in values]
+    read = {name: _value(name, hints[name], values[name]) for name in names}
+    if isinstance(read.get("controller"), AdaptiveSettings) and isinstance(read.get("estimator"), EkfSettings):
+        # As itineraries read it: with the defaults that go with an adaptive law.
+        read["estimator"] = _settings(AdaptiveEkfSettings, values["estimator"])
+    return kind(**read)
+
+
+def _value(name: str, hint: Any, value: Any) -> Any:
+    if isinstance(value, list):
+        inner = next(iter(get_args(hint)), Any)
+        return tuple(_value(name, inner, item) for item in value)
+    if not isinstance(value, Mapping):
+        return value
+    if name in _KINDS:
+        if value["kind"] not in _KINDS[name]:
+            raise LookupError(f"{name} = {value['kind']} is a user's object, which is not in the log")
+        return _settings(_KINDS[name][value["kind"]], value)
+    options = get_args(hint) if get_origin(hint) is types.UnionType else (hint,)
+    return _settings(next(option for option in options if is_dataclass(option) and isinstance(option, type)), value)
+
+
+_CHECKED_TICKS = 4000
+"""Of a simulated run, for the check of what was exported."""
+
+
+def check_exportable(itinerary: Itinerary) -> None:
+    """Reject an itinerary whose controller cannot leave as C, by its settings, before it is planned.
+
+    Raises:
+        InputError: names the setting.
+    """
+    loop = itinerary.loop
+    if loop.keep != "none":
+        raise InputError(f'run: keep = "{loop.keep}" keeps a clock of its own and cannot leave as C; export without it')
+    if loop.supervisor.hold != "none":
+        raise InputError(
+            f'supervisor: hold = "{loop.supervisor.hold}" searches for what to hold and cannot leave as C; export with '
+            'hold = "none"'
+        )
+    if loop.supervisor.on_fall != "stop":
+        raise InputError(
+            f'supervisor: on_fall = "{loop.supervisor.on_fall}" changes what is followed in mid-run and cannot leave '
+            'as C; export with on_fall = "stop"'
+        )
+    kind, by = loop.controller.kind, getattr(loop.controller, "schedule", "time")
+    if isinstance(loop.controller, OwnLaw):
+        raise InputError(f"controller = {kind}: Python cannot leave as C; give a dp.SymbolicLaw")
+    if not law_of(loop.controller).symbolic or by != "time":
+        what = f'schedule = "{by}"' if by != "time" else f'kind = "{kind}"'
+        raise InputError(f"controller: {what} keeps a clock of its own and cannot leave as C; {LEAVING}")
+    if not filter_of(loop.estimator).symbolic:
+        raise InputError(f'estimator: kind = "{loop.estimator.kind}" cannot leave as C; use "ekf"')
+
+
+def export_plan(
+    plan: Plan,
+    out: Path | None = None,
+    *,
+    assembly: Assembly | None = None,
+    single: bool = False,
+    clock: float | None = None,
+    force: bool = False,
+    progress: Progress = no_progress,
+) -> ControllerSource:
+    """Return the controller of a planned itinerary as C, and write it to a folder if one is given, whole or not at all.
+
+    assembly: made of the plan before. single: in single precision. clock MHz: of a Cortex-M4 that is to keep the rate.
+    force: replace what is in the folder under the same names.
+
+    Raises:
+        InputError: its law or estimator cannot leave as C, the target cannot keep the rate, or the folder holds
+            something else.
+        GoalMissed: the plan did not converge, or no controller can be made for it.
+    """
+    source, _, _ = _exported(plan, assembly or assembled(plan), single, progress, clock=clock)
+    if out is not None:
+        write_folder(out, source.files, force=force)
+    return source
+
+
+def export_unit(
+    plan: Plan, out: Path, *, single: bool = False, force: bool = False, progress: Progress = no_progress
+) -> tuple[ControllerSource, str]:
+    """Write the controller of a planned itinerary as a co-simulation unit to `out`; return its C, and why the unit has
+    no binary for this platform, or "".
+
+    single, force, and what is raised: see `export_plan`.
+    """
+    from dpcontrol.control.export import controller_unit
+
+    source, program, schedule = _exported(plan, assembled(plan), single, progress)
+    made = controller_unit(
+        source, program, schedule, name=out.stem, title=plan.itinerary.title, delay=plan.itinerary.loop.drive.delay
+    )
+    if not force and out.exists() and not (out.is_file() and out.read_bytes() == made.archive):
+        raise in_the_way(out, "holds something else")
+    write_whole(out, made.archive)
+    return source, made.lacks
+
+
+def _exported(
+    plan: Plan, assembly: Assembly, single: bool, progress: Progress, *, clock: float | None = None
+) -> tuple[ControllerSource, TickProgram, GainSchedule]:
+    """Return a controller as C, with the readings of a simulated run to replay, and what it was made of."""
+    itinerary = plan.itinerary
+    check_exportable(itinerary)
+    if any(itinerary.zeros):
+        remark(
+            f"{itinerary.path}: [run] zeros = {list(itinerary.zeros)} is not in the exported program, which takes "
+            "readings as they come; set the encoders to zero, or take the zeros off before a step"
+        )
+    controller, program, loop = assembly.controller, assembly.ticker().program, itinerary.loop
+    schedule = checked_exportable(controller, lead=program.lead)
+    checked = replace(loop, sensors=replace(loop.sensors, rate_noise=0.0))
+    ran = replace(assembly, settings=checked, law=_beginning(controller, _CHECKED_TICKS)).simulate(progress=progress)
+    names = [f"measured.{name}" for name in joint_names(itinerary.model.arms.count, has_cart=True)]
+    rows = np.column_stack([ran.ticks.measured, ran.ticks.control[:, 0]]).tolist()
+    readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
+    source = controller_source(
+        program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
+        clock=clock, readings=f"{','.join([*names, 'control.command'])}\n{readings}",
+    )  # fmt: skip
+    return source, program, schedule
+
+
+def _beginning(controller: Controller, count: int) -> Any:
+    """Return the same controller for `count` ticks at most."""
+    names = ("kind", "first_state", "schedule")
+    return SimpleNamespace(**picked(controller, *names), ticks=min(controller.ticks, count - 1))
+
+
+OWN_BENCH = "udp"
+"""In place of an address: the example bench is started for the run, in a process of its own."""
+_SPARE = 1.0
+"""Seconds for which the example bench can go on after the controller's end."""
+
+
+@dataclass(frozen=True)
+class RigRun:
+    """A run on a bench: score (completion is not known without the true state), the loop's result, deadlines.
+
+    bench: what the example bench said, if it was started for the run. deadlines: None where another program controlled
+    it that says nothing of them. difference m/s²: the largest between such a program's commands and the loop's own.
+    """
+
+    score: Score
+    result: LoopResult
+    deadlines: "Deadlines | None"
+    bench: tuple[str, ...]
+    difference: float | None = None
+
+
+def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> "BenchRecipe":
+    """Return the simulated bench that a planned itinerary is run on; assembly: of the plan, made where not given.
+
+    Raises:
+        InputError: the plant is to be drawn from an uncertainty that the model's file does not give.
+        GoalMissed: the plan did not converge, or no controller can be made for it.
+    """
+    itinerary, assembly = plan.itinerary, assembly or assembled(plan)
+    loop, controller = itinerary.loop, assembly.controller
+    from dpcontrol.rig.bench import BenchRecipe
+
+    return BenchRecipe(
+        itinerary.model.arms, loop, assembly.limits, controller.first_state,
+        ticks=controller.ticks + round(_SPARE * loop.rate) + 1, uncertainty=itinerary.uncertainty,
+        zeros=itinerary.zeros,
+        recovering=0 if loop.supervisor.on_fall == "stop" else round(_RECOVERING * loop.rate),
+    )  # fmt: skip
+
+
+_RECOVERING = 600.0
+"""Seconds for which a bench can run beyond its itinerary where runs go on after falls."""
+_HANGING = 600.0
+"""Seconds for which a bench with hanging arms can run."""
+
+
+def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> "BenchRecipe":
+    """Return the itinerary's simulated bench with its arms hanging, for commissioning, for which nothing is planned.
+
+    Raises:
+        InputError: a fault that these arms cannot have; the plant is to be drawn from an uncertainty that is not known.
+    """
+    from dpcontrol.rig.bench import BenchRecipe, checked_faults
+
+    arms, loop = itinerary.model.arms, itinerary.loop
+    return BenchRecipe(
+        arms, loop, _limits(itinerary), np.zeros(2 * arms.count + 2), ticks=round(_HANGING * loop.rate),
+        uncertainty=itinerary.uncertainty, zeros=itinerary.zeros, faults=checked_faults(faults, arms.count),
+    )  # fmt: skip
+
+
+def _limits(itinerary: Itinerary) -> Limits:
+    travel = itinerary.loop.travel
+    return replace(itinerary.limits, position=travel) if travel else itinerary.limits
+
+
+@dataclass(frozen=True)
+class RigLink:
+    """How a loop reaches its bench.
+
+    address: udp://HOST:PORT, or `udp` for an example bench of its own. key: the one that is shared with the bench;
+    insecure: a bench on another computer needs none. real_time: ask the system for priority.
+
+    Raises:
+        InputError: the address is malformed.
+    """
+
+    address: str
+    key: bytes = b""
+    insecure: bool = False
+    real_time: bool = False
+
+    def __post_init__(self) -> None:
+        """Look at the address."""
+        from dpcontrol.rig.client import parse_address
+
+        if self.address != OWN_BENCH:
+            parse_address(self.address)
+
+    @contextmanager
+    def connected(
+        self, itinerary: Itinerary, recipe: "BenchRecipe", *, ticks: int, what: str, loop: ControlLoop | None = None
+    ) -> "Iterator[tuple[UdpRig, BenchProcess | None]]":
+        """Yield the rig, which can run for the `ticks` that `what` takes, and the example bench if there is one.
+
+        recipe: of that. loop: is rehearsed first, and knows the commands on their way; without one the arms hang.
+
+        Raises:
+            InputError: no bench answers, it needs a key, or it does not fit the itinerary.
+        """
+        from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
+        from dpcontrol.rig.client import UdpRig, parse_address, real_time_priority, without_collecting
+
+        arms, rate, key, process = itinerary.model.arms.count, itinerary.loop.rate, self.key, None
+        begun: dict[str, Any] = {}
+        if loop is not None:
+            if self.address != OWN_BENCH and itinerary.start == "orbit":
+                fastest = np.abs(recipe.start[arms : 2 * arms]).max()
+                remark(
+                    f'{itinerary.path}: start = "orbit" begins at the orbit\'s exact rates, {fastest:.3g} rad/s, which '
+                    'only a simulated bench can; on a rig use an itinerary with start = "rest", such as turn-from-rest'
+                )
+            loop.rehearse()
+            begun = {"queued": loop.queued, "zeros": itinerary.zeros}
+        with ExitStack() as stack:
+            if self.address == OWN_BENCH:
+                process = stack.enter_context(BenchProcess(recipe, BenchServerSettings(real_time=self.real_time)))
+                where, key = process.address, process.key
+            else:
+                where = parse_address(self.address)
+            rig = stack.enter_context(UdpRig(where, key=key, insecure=self.insecure, **begun))
+            there = rig.welcome
+            if there.arms != arms:
+                raise InputError(f"rig {rig.address} has {there.arms} arms, the itinerary's model {arms}")
+            if abs(there.period * rate - 1) > 1e-6:
+                own = 1 / there.period
+                remedy = f"set rate = {own:g} in [run]" if loop is None else f"run with --rate {own:g}"
+                raise InputError(f"rig {rig.address} ticks at {own:g} Hz, the loop at {rate:g} Hz; {remedy}")
+            if there.ticks < ticks:
+                longer = "; start the example bench with --hanging" if loop is None else ""
+                raise InputError(f"rig {rig.address} can run for {there.ticks} ticks, {what} takes {ticks}{longer}")
+            stack.enter_context(without_collecting())
+            if self.real_time:
+                stack.enter_context(real_time_priority())
+            yield rig, process
+
+
+def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real_time: bool) -> RigLink | None:
+    """Return the link to a bench, with the key of a file or of the environment; None without an address.
+
+    Raises:
+        InputError: the address is malformed, or the key does not read.
+    """
+    from dpcontrol.rig.packets import shared_key
+
+    if address is None:
+        return None
+    link = RigLink(address, insecure=insecure, real_time=real_time)
+    return link if address == OWN_BENCH else replace(link, key=shared_key(key_file))
+
+
+def commission_rig(
+    itinerary: Itinerary,
+    link: RigLink | None = None,
+    *,
+    practice: Itinerary | None = None,
+    faults: Sequence[str] = (),
+    switches: float = 0.0,
+    tell: Callable[[str], None] = lambda text: None,
+) -> "Commissioning":
+    """Find out what must be right before the first run on a rig; see `dpcontrol.rig.commissioning`.
+
+    link: to the rig; without one it is the example bench in simulated time. practice: the itinerary as that bench has
+    it, with other settings; faults: it has besides.
+
+    Raises:
+        InputError: no bench answers, it needs a key or does not fit the itinerary.
+    """
+    from dpcontrol.rig.commissioning import CommissioningSettings, commission
+
+    options, rate = CommissioningSettings(), itinerary.loop.rate
+    recipe = hanging_recipe(practice or itinerary, faults=faults)
+    find = partial(
+        commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=_limits(itinerary),
+        zeros=itinerary.zeros, switches=switches, options=options, tell=tell,
+    )  # fmt: skip
+    if link is None:
+        return find(recipe.rig(()))
+    ticks = round((options.seconds + 4 * switches / options.creep) * rate)
+    with link.connected(itinerary, recipe, ticks=ticks, what="commissioning") as (rig, _):
+        return find(rig)
+
+
+def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path, str]:
+    """Return the file that is to hold an itinerary with values in its [run], and its text.
+
+    That is its own file, or, of one that is shipped, a copy in the working folder's `itineraries`.
+
+    Raises:
+        InputError: the file cannot be read, or its text not be changed.
+    """
+    if itinerary.stored is not None:
+        raise InputError(f"{itinerary.stored} is a plan, which stays as it is; give the itinerary's own .toml")
+    try:
+        text = itinerary.path.read_bytes().decode()
+    except OSError as error:
+        raise InputError(f"cannot read {itinerary.path}: {error.strerror or error}; check the file") from error
+    own, shipped = folders("itineraries")
+    path = itinerary.path.resolve()
+    if path.is_relative_to(shipped.resolve()) and not path.is_relative_to(own.resolve()):
+        path = own / path.name
+    mark = "\ufeff" if text.startswith("\ufeff") else ""
+    return path, mark + with_values(text.removeprefix(mark), "run", values, file=str(itinerary.path))
+
+
+def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, live: bool = False) -> RigRun:
+    """Run the closed loop of a planned itinerary on a bench, write its log to `out`, and score it.
+
+    live: show it in the viewer while it happens.
+
+    Raises:
+        InputError: no bench answers, it needs a key or does not fit the itinerary, the log cannot be written, or there
+            is no display for a live view.
+        GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
+    """
+    itinerary, assembly = plan.itinerary, assembled(plan)
+    # What a rig does is not what any log there says, whatever its settings.
+    check_replaced(out, {**run_metadata(itinerary), "rig": link.address}, force=force)
+    # All is made before the log is begun.
+    _ = assembly.controller, assembly.fallback, assembly.recovery
+    with log_writer(plan, out) as writer, watched(plan, LogSink(writer), live=live) as sink:
+        loop, recipe = assembly.loop(sink=sink), bench_recipe(plan, assembly)
+        with link.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, process):
+            result = loop.run(rig)
+        if not len(result.ticks.times):
+            raise GoalMissed(result.reason)
+        deadlines = rig.deadlines
+        if deadlines.strangers:
+            writer.event(float(result.ticks.times[-1]), "warn", "rig", deadlines.strangers)
+        writer.result(**outcome(result), rig=rig.address, **deadlines.record())
+    return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
+
+
+PROGRAM_WATCHDOG = 0.03
+"""Seconds of silence after which the example bench stops the cart of a program, which does not stall as Python may."""
+
+
+def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = False, force: bool = False) -> RigRun:
+    """Run a planned itinerary on an example bench with a program of its own as the controller, log and score the run.
+
+    The log is made once the run has ended: the loop is shown the readings that the bench recorded, and says what it
+    knew and wanted by them. It has the true states, and differs from a simulated run's in what real time did.
+    real_time: ask the system for priority, and the program to do so.
+
+    Raises:
+        InputError: the program cannot be run or does not fit the itinerary, or the log cannot be written.
+        GoalMissed: the plan did not converge, or no controller can be made for it.
+    """
+    from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
+
+    check_replaced(out, {**run_metadata(plan.itinerary), "rig": OWN_BENCH}, force=force)
+    loop = plan.itinerary.loop
+    # A program does not get up after a fall, and takes no zeros off its readings.
+    stops = replace(loop, supervisor=replace(loop.supervisor, on_fall="stop"))
+    assembly, settings = assembled(plan), BenchServerSettings(real_time=real_time, watchdog=PROGRAM_WATCHDOG)
+    process, deadlines = BenchProcess(replace(bench_recipe(plan, assembly), zeros=()), settings), None
+    assembly = assembly.under(stops)
+    try:
+        with process:
+            deadlines = process.controlled_by(program, *(["--real-time"] if real_time else []))
+    except KeyboardInterrupt:
+        if process.record is not None:
+            _log_recorded(plan, out, program, assembly, process, deadlines)
+        raise
+    return _log_recorded(plan, out, program, assembly, process, deadlines)
+
+
+def _log_recorded(
+    plan: Plan, out: Path, program: Path, assembly: Assembly, process: "BenchProcess", kept: "Deadlines | None"
+) -> RigRun:
+    from dpcontrol.rig.bench import RecordedRig
+
+    if process.record is None:
+        raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.said)}")
+    with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:
+        loop = assembly.loop(sink=LogSink(writer))
+        rig = RecordedRig(process.record, loop.ticker.program)
+        result = loop.run(rig)
+        if not len(result.ticks.times):
+            raise GoalMissed(result.reason)
+        # What the loop took to see what had happened is not what the program took.
+        result = replace(result, elapsed=float(result.ticks.times[-1]) + rig.period, thinking=np.zeros(0))
+        writer.result(
+            **outcome(result), rig=f"udp://{process.address[0]}:{process.address[1]}",
+            controller_program=content_hash(program.read_bytes()), command_difference=repr(rig.difference),
+            **(kept.record() if kept else {}),
+        )  # fmt: skip
+    return RigRun(score(read_log(out)), result, kept, tuple(process.said), rig.difference)

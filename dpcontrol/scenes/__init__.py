@@ -1,1 +1,0 @@
-"""Itinerary and model files; plans and runs made from them."""

@@ -1,0 +1,94 @@
+"""A score claims no more than a log shows: stamps that leave time out, a NIS in its band but off its mean."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpcontrol.cli.review import score_text
+from dpcontrol.control.estimator_settings import MEANS_OF, nis_means
+from dpcontrol.judge.decoding import FOLLOWS
+from dpcontrol.judge.score import score
+from dpcontrol.logs import RunLog
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.runs.run import run_plan
+
+
+@pytest.fixture(scope="module")
+def log() -> RunLog:
+    """The log of a completed run of 1 ms periods."""
+    return run_plan(make_plan(load_itinerary("outer-turn"))).log
+
+
+def test_a_whole_run_and_one_that_lacks_a_few_ticks_are_completed(log: RunLog) -> None:
+    assert score(log).completed
+    late = log.time + np.where(log.time > 1.0, 0.02, 0.0)
+    assert score(replace(log, time=late)).completed
+
+
+@pytest.mark.parametrize(("shift", "fault"), [(0.4, "jump by 0.401 s"), (-0.4, "go back by 0.399 s")])
+def test_stamps_that_jump_or_go_back_are_not_scored_as_completed(shift: float, fault: str, log: RunLog) -> None:
+    row = len(log.time) // 2
+    moved = log.time + np.where(np.arange(len(log.time)) > row, shift, 0.0)
+    found = score(replace(log, time=moved))
+    assert found.completed is False
+    assert f"its stamps {fault} at t = {log.time[row]:.2f} s" in found.reason
+
+
+def test_a_tumble_after_the_run_has_lost_its_reference_is_no_symbol(log: RunLog) -> None:
+    """The outer arm falls the same way round before its turn is due, and hangs about upright again by chance."""
+    n, truth = len(log.arm_lengths), log.states["truth"].copy()
+    early = int(0.35 * len(log.time))
+    truth[:, :n] = np.where(np.arange(len(truth))[:, None] < early, truth[:, :n], truth[-1, :n])
+    assert np.abs(truth[early, :n] - log.reference[early, :n]).max() > FOLLOWS
+    found = score(replace(log, states={**log.states, "truth": truth}))
+    assert (found.completed, found.symbols_completed) == (False, 0)
+    assert f"from t = {log.time[early]:.2f} s an angle was more than 1.5 rad from the reference" in found.reason
+    # Followed all the way the same stops count.
+    assert score(log).symbols_completed == 1
+
+
+def test_a_run_that_ends_at_once_is_not_said_to_have_begun_elsewhere(log: RunLog) -> None:
+    rows = slice(0, 40)
+    begun = replace(
+        log, time=log.time[rows], measured=log.measured[rows], states={k: v[rows] for k, v in log.states.items()},
+        controls={k: v[rows] for k, v in log.controls.items()},
+    )  # fmt: skip
+    assert "ended within the first half period about down-up" in score(begun).reason
+
+
+def test_a_nis_inside_its_band_but_off_its_mean_is_called_so(log: RunLog) -> None:
+    """A third of what is expected leaves nine tenths of single values in their band, and no mean."""
+    nis = 0.34 * np.random.default_rng(0).chisquare(3, len(log.time))
+    found = score(replace(log, controls={**log.controls, "nis": nis}))
+    assert found.nis_inside_95 > 0.85
+    assert found.nis_means is not None
+    assert found.nis_means.inside_95 == 0.0
+    assert found.nis_means.mean == pytest.approx(1.02, abs=0.05)
+    far = score(replace(log, controls={**log.controls, "nis": nis / 2}))
+    assert "expects far more noise than there is; set counts and noise" in "\n".join(score_text(far))
+    assert found.document()["nis_means"] == {"mean": found.nis_means.mean, "expected": 3, "inside_95": 0.0}
+
+
+def test_a_default_run_is_not_said_to_have_a_filter_at_fault(log: RunLog) -> None:
+    """The default filter expects nearly the noise that the bench has, and nothing need be done."""
+    found = score(log)
+    assert found.nis_means is not None
+    assert 2.5 < found.nis_means.mean < 3.2
+    assert found.nis_means.inside_95 > 0.85
+    assert "noise than there is" not in "\n".join(score_text(found))
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3])
+def test_means_of_a_consistent_nis_are_in_their_band(freedom: int) -> None:
+    values = np.random.default_rng(1).chisquare(freedom, 2000 * MEANS_OF)
+    values[::7] = np.nan
+    found = nis_means(values, freedom)
+    assert found is not None
+    assert found.inside_95 == pytest.approx(0.95, abs=0.02)
+    assert found.sentence.endswith("inside")
+    large = nis_means(1.5 * values, freedom)
+    assert large is not None
+    assert "less noise" in large.sentence
+    assert nis_means(values[: MEANS_OF - 1], freedom) is None

@@ -1,0 +1,63 @@
+"""What verdicts are judged by: in simulation the true plant and what its drive applied, on a rig the estimate."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpcontrol.judge.score import HARDEST_METADATA, score
+from dpcontrol.logs import RunLog
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.runs.run import run_plan
+
+
+@pytest.fixture(scope="module")
+def log() -> RunLog:
+    return run_plan(make_plan(load_itinerary("outer-turn"))).log
+
+
+def with_applied(log: RunLog, row: int, value: float) -> RunLog:
+    """Return the log with another acceleration in the loop's own figures."""
+    applied = log.controls["applied"].copy()
+    applied[row] = value
+    return replace(log, controls={**log.controls, "applied": applied})
+
+
+def without_note(log: RunLog) -> RunLog:
+    return replace(log, metadata={k: v for k, v in log.metadata.items() if k != HARDEST_METADATA})
+
+
+def test_a_simulated_run_notes_the_largest_acceleration_that_its_drive_applied(log: RunLog) -> None:
+    """Without a cart's mass, command noise or blows it is the largest change of the true velocity."""
+    true = np.abs(np.diff(log.states["truth"][:, -1])).max() * log.rate_hz
+    assert float(log.metadata[HARDEST_METADATA]) == pytest.approx(true, rel=1e-6)
+    assert score(log).document()["judged_by"] == "truth"
+
+
+def test_what_the_loop_wrongly_expects_of_the_drive_fails_no_simulated_run(log: RunLog) -> None:
+    wrong = with_applied(log, 700, 98.3)
+    assert score(wrong).completed
+    assert score(without_note(wrong)).completed
+
+
+def test_a_drive_that_really_went_beyond_its_limit_fails_the_run(log: RunLog) -> None:
+    found = score(replace(log, metadata={**log.metadata, HARDEST_METADATA: "41.5"}))
+    assert found.completed is False
+    assert "the drive's acceleration of 41.500 passed the limit of 30" in found.reason
+
+
+def test_in_an_old_log_both_the_loop_and_the_true_cart_must_show_it(log: RunLog) -> None:
+    truth = log.states["truth"].copy()
+    truth[701:, -1] += 0.05
+    pushed = replace(without_note(log), states={**log.states, "truth": truth})
+    assert score(pushed).completed
+    assert "acceleration" in score(with_applied(pushed, 700, 45.0)).reason
+
+
+def test_without_the_true_state_the_estimate_decides_and_the_verdict_says_so(log: RunLog) -> None:
+    measured = replace(without_note(log), states={k: v for k, v in log.states.items() if k != "truth"})
+    found = score(measured)
+    assert (found.completed, found.judged_by) == (None, "estimate")
+    assert "by the estimate: the symbol done" in found.sentence
+    assert "cart acceleration 98.300 passed its limit" in score(with_applied(measured, 700, 98.3)).reason

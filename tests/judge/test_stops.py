@@ -1,0 +1,148 @@
+"""Stops, symbols and wraps decoded from angles, on plans written by hand with known motions."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dpcontrol.judge.decoding import decode_run
+
+PERIOD = 0.8
+WRAPS = 4
+TURN = 2 * np.pi
+SWING = 0.9
+"""rad: of the inner arm on the orbit about down-up; the outer one keeps upright."""
+
+
+def wobble(times: np.ndarray) -> np.ndarray:
+    return SWING * np.sin(TURN * times / PERIOD)
+
+
+def turn(times: np.ndarray, at: float, direction: float = 1.0) -> np.ndarray:
+    """Return a whole turn around `at`, in a third of a second."""
+    return direction * np.pi * (1 + np.tanh((times - at) / 0.08))
+
+
+def motion(times: np.ndarray, first: float, second: float, directions: tuple[float, float] = (1.0, 1.0)) -> np.ndarray:
+    """Wobble about down-up and turn the outer arm at two times, s."""
+    outer = np.pi + turn(times, first, directions[0]) + turn(times, second, directions[1])
+    return np.array([wobble(times), outer]).T
+
+
+FIRST, SECOND, END = 2.0, 5.4, 8.0
+
+
+def plan(*, directions: tuple[float, float] = (1.0, 1.0), wraps: int = WRAPS, **more):
+    """A plan of two turns of the outer arm, `FIRST` and `SECOND` s after its start."""
+    lifts = np.cumsum([0.0, *directions]) * TURN
+    gap = (SECOND - FIRST) / PERIOD - wraps
+    symbol = {"time_in": 0.0, "time_out": 0.0, "phase_in": 0.0, "phase_out": gap % 1.0, "text": "down-up"}
+    assert 0 <= gap < 1
+    symbols = [
+        {
+            **symbol, "time": at,
+            "section": {
+                "normal": [0.0, 1.0, 0.0, 0.0], "value": middle,
+                "angles": [float(wobble(np.array(at))), middle],
+            },
+        }
+        for at, middle in zip((FIRST, SECOND), np.pi + (lifts[:-1] + lifts[1:]) / 2, strict=True)
+    ]  # fmt: skip
+    notes = {
+        "stops": [{"saddle": "down-up", "angles": [0.0, np.pi + lift], "orbit": 0} for lift in lifts],
+        "symbols": symbols, "wraps": [wraps], "transfers": [], "orbits": [{"saddle": "down-up", "period": PERIOD}],
+        "saddles": {"down-up": {"angles": [0.0, np.pi]}, "up-down": {"angles": [np.pi, 0.0]}}, **more,
+    }  # fmt: skip
+    return SimpleNamespace(
+        notes=notes, duration=END, mesh=np.array([0.0, END]),
+        state=lambda t: np.moveaxis(motion(np.asarray(t, dtype=float), FIRST, SECOND, directions).T, 0, -1),
+    )  # fmt: skip
+
+
+TIMES = np.arange(0.0, END, 1e-3)
+
+
+def test_the_plan_itself_makes_its_stops_and_wraps() -> None:
+    found = decode_run(TIMES, motion(TIMES, FIRST, SECOND), plan())
+    assert (found.matched, found.wraps, found.lost) == (3, (WRAPS,), None)
+    assert found.crossings == pytest.approx((FIRST, SECOND), abs=1e-3)
+    assert [visit.angles[1] for visit in found.visits] == pytest.approx([np.pi, 3 * np.pi, 5 * np.pi])
+
+
+def test_a_wide_swing_past_other_saddles_is_no_departure() -> None:
+    found = decode_run(TIMES, motion(TIMES, FIRST, SECOND), plan())
+    stay = found.visits[1]
+    assert TIMES[stay.first] == pytest.approx(FIRST, abs=0.2)
+    assert TIMES[stay.last] == pytest.approx(SECOND, abs=0.2)
+
+
+@pytest.mark.parametrize("late", [-0.1, 0.1])
+def test_a_run_that_is_early_or_late_does_its_symbols(late: float) -> None:
+    found = decode_run(TIMES, motion(TIMES - late, FIRST, SECOND), plan())
+    assert (found.matched, found.wraps, found.lost) == (3, (WRAPS,), None)
+    assert found.crossings == pytest.approx((FIRST + late, SECOND + late), abs=1e-3)
+
+
+@pytest.mark.parametrize("more", [-1, 1, 2])
+def test_wobbles_more_or_fewer_are_counted(more: int) -> None:
+    times = np.arange(0.0, END + more * PERIOD, 1e-3)
+    found = decode_run(times, motion(times, FIRST, SECOND + more * PERIOD), plan())
+    assert found.wraps == (WRAPS + more,)
+
+
+def test_a_turn_the_wrong_way_round_is_lost_where_it_begins() -> None:
+    found = decode_run(TIMES, motion(TIMES, FIRST, SECOND, (1.0, -1.0)), plan())
+    assert found.matched == 2
+    assert found.lost is not None
+    assert TIMES[found.lost] == pytest.approx(SECOND, abs=0.3)
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+def test_a_turn_left_out_is_lost(missing: int) -> None:
+    angles = motion(TIMES, *((99.0, SECOND) if missing == 0 else (FIRST, 99.0)))
+    found = decode_run(TIMES, angles, plan())
+    assert found.matched == 1 + missing
+    assert found.lost is not None
+
+
+def test_a_turn_and_back_that_nobody_asked_for_is_lost() -> None:
+    angles = motion(TIMES, FIRST, SECOND)
+    angles[:, 1] += turn(TIMES, 3.2) - turn(TIMES, 4.0)
+    found = decode_run(TIMES, angles, plan())
+    assert found.matched <= 2
+    assert found.lost is not None
+    assert TIMES[found.lost] == pytest.approx(3.2, abs=0.2)
+
+
+def test_mirrored_arms_never_were_on_the_first_orbit() -> None:
+    found = decode_run(TIMES, -motion(TIMES, FIRST, SECOND), plan())
+    assert (found.matched, found.lost) == (0, 0)
+
+
+def test_a_run_that_ends_early_has_only_the_stops_that_it_reached() -> None:
+    rows = TIMES < SECOND + 0.1
+    found = decode_run(TIMES[rows], motion(TIMES, FIRST, SECOND)[rows], plan())
+    assert (found.matched, found.lost) == (2, None)
+
+
+def test_angles_that_are_no_numbers_follow_nothing() -> None:
+    angles = motion(TIMES, FIRST, SECOND)
+    angles[3000:] = np.nan
+    found = decode_run(TIMES, angles, plan())
+    assert (found.matched, found.lost) == (2, 3000)
+
+
+def test_a_turn_back_at_the_same_angles_is_told_from_the_one_before_by_its_direction() -> None:
+    there_and_back = plan(directions=(1.0, -1.0))
+    found = decode_run(TIMES, motion(TIMES, FIRST, SECOND, (1.0, -1.0)), there_and_back)
+    assert (found.matched, found.wraps) == (3, (WRAPS,))
+    assert found.crossings == pytest.approx((FIRST, SECOND), abs=1e-3)
+
+
+def test_a_run_may_wobble_on_after_the_plans_end() -> None:
+    times = np.arange(0.0, END + 2.3 * PERIOD, 1e-3)
+    found = decode_run(times, motion(times, FIRST, SECOND), plan())
+    assert (found.matched, found.lost) == (3, None)
+    angles = motion(times, FIRST, SECOND)
+    angles[times > END + PERIOD, 0] += 4.0
+    assert times[decode_run(times, angles, plan()).lost] == pytest.approx(END + PERIOD, abs=2e-3)

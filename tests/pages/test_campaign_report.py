@@ -1,0 +1,190 @@
+"""A campaign's table as numbers and as one page: shares with intervals, failures by symbol and by reason."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.pages.campaign import campaign_summary, draw_campaign
+
+WILSON = 1e-6
+"""The normal quantile below is given to seven digits."""
+
+
+def rows(*, controllers: tuple[str, ...] = ("tvlqr", "feedforward"), each: int = 10) -> list[dict[str, Any]]:
+    """Return runs of two controllers; of the first 8 of 10 complete, of the second none."""
+    found = []
+    for controller in controllers:
+        for seed in range(each):
+            done = controller == "tvlqr" and seed < 8
+            found.append(
+                {
+                    "itinerary": "outer-turn",
+                    "controller": controller,
+                    "seed": seed,
+                    "mismatch": 0.02 * (seed % 2),
+                    "completed": done,
+                    "symbols_completed": 1 if done else seed % 2,
+                    "symbols_total": 1,
+                    "reason": "done" if done else f"symbol 1 not done; the run ended 1 s early: lost at t = {seed}.5 s",
+                    "ending": "completed" if done else "lost",
+                    "max_cart_position": 0.05 + 0.01 * seed,
+                    "a_column_of_tomorrow": "x",
+                }
+            )
+    return found
+
+
+def table(path: Path, content: list[dict[str, Any]]) -> Path:
+    """Write rows as a Parquet table."""
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(content), path)
+    return path
+
+
+def _wilson(successes: int, runs: int) -> tuple[float, float]:
+    """Return the roots p of (p̂ - p)² = z² p (1 - p) / n, which is how Wilson defines his interval."""
+    share, z = successes / runs, 1.959964
+    spread = z * z / runs
+    low, high = sorted(np.roots([1 + spread, -(2 * share + spread), share * share]).real)
+    return float(low), float(high)
+
+
+def test_shares_by_group_have_wilsons_interval(tmp_path: Path) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", rows()))
+    assert [group.label for group in summary.groups] == ["feedforward", "tvlqr"]
+    none, most = (group.share for group in summary.groups)
+    assert (none.low, none.high) == pytest.approx(_wilson(0, 10), abs=WILSON)
+    assert (most.low, most.high) == pytest.approx(_wilson(8, 10), abs=WILSON)
+    assert summary.status.startswith("8 of 20 runs completed: 40.0%")
+
+
+def test_failures_are_counted_by_symbol_and_by_reason_without_its_numbers(tmp_path: Path) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", rows()))
+    assert summary.reasons == (("lost at t = … s", 12),)
+    # Symbol 2 of 1: all symbols done, but not held to the end.
+    assert {(label, symbol): count for label, symbol, count in summary.failed_symbols} == {
+        ("feedforward", 1): 5,
+        ("feedforward", 2): 5,
+        ("tvlqr", 1): 1,
+        ("tvlqr", 2): 1,
+    }
+
+
+def test_shares_by_mismatch_add_up_to_the_groups(tmp_path: Path) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", rows()))
+    for group in summary.groups:
+        levels = [level for level in summary.levels if level.label == group.label]
+        assert [level.low for level in levels] == [0.0, 0.02]
+        assert sum(level.share.runs for level in levels) == group.share.runs
+        assert sum(level.share.successes for level in levels) == group.share.successes
+
+
+def test_many_mismatches_are_gathered_and_none_is_lost(tmp_path: Path) -> None:
+    content = [{"completed": k % 3 > 0, "mismatch": k / 1000} for k in range(200)]
+    summary = campaign_summary(table(tmp_path / "runs.parquet", content))
+    assert len(summary.levels) == 6
+    assert sum(level.share.runs for level in summary.levels) == 200
+
+
+def standard_rows(controllers: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Return three kinds of trouble at 21 levels, once each; the first controller stands more of it."""
+    return [
+        {"controller": controller, "kind": kind, "level": float(k), "mismatch": 0.01 * k, "completed": k < 15 - 8 * c}
+        for c, controller in enumerate(controllers)
+        for kind in ("noise", "lag", "pushes")
+        for k in range(21)
+    ]
+
+
+def test_a_standard_score_is_told_by_kind_and_by_level_of_all_kinds(tmp_path: Path) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", standard_rows(("tvlqr", "adaptive"))))
+    shares = {tuple(group.names.values()): group.share for group in summary.groups}
+    assert {key: share.successes for key, share in shares.items()} == {
+        (controller, kind): count
+        for controller, count in (("tvlqr", 15), ("adaptive", 7))
+        for kind in ("noise", "lag", "pushes")
+    }
+    assert summary.axis == "level"
+    levels = {(level.label, level.low): (level.share.successes, level.share.runs) for level in summary.levels}
+    assert len(levels) == 42
+    assert levels["tvlqr", 14.0] == (3, 3)
+    assert levels["tvlqr", 15.0] == levels["adaptive", 7.0] == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("reason", "shown"),
+    [
+        (
+            "symbol 1 of 1 ('down-up +') was not done; the run ended 2.38 s early: cart at its stop at t = 2.339 s: at "
+            "-0.116 m with -2.90 m/s it must brake now to stay on the track; raise its weight (position in a table)",
+            "cart at its stop at t = … s: at … m with … m/s it must brake now to stay on the track",
+        ),
+        ("symbol 2 of 3 ('a > b') was not done; the run ended 1 s early", "symbol … of … ('a > b') was not done"),
+        ("cart position 0.411 passed its limit of 0.4", "cart position … passed its limit of …"),
+    ],
+)
+def test_a_reason_is_how_it_came_about_not_the_remedy(tmp_path: Path, reason: str, shown: str) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", [{"completed": False, "reason": reason}]))
+    assert summary.reasons == ((shown, 1),)
+
+
+def test_runs_without_a_verdict_are_counted_apart(tmp_path: Path) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", [*rows(), {"completed": None}]))
+    assert (summary.runs, summary.unknown) == (20, 1)
+    assert "1 without a verdict" in summary.status
+
+
+@pytest.mark.parametrize(
+    "content",
+    [rows(), rows(controllers=("tvlqr",), each=8), [{"completed": False}], standard_rows(("a", "b", "c"))],
+)
+def test_every_table_is_drawn_and_an_empty_panel_says_why(tmp_path: Path, content: list[dict[str, Any]]) -> None:
+    figure = draw_campaign(campaign_summary(table(tmp_path / "runs.parquet", content)))
+    figure.savefig(tmp_path / "page.png")
+    for axes in figure.axes:
+        assert axes.patches or axes.lines or axes.texts, axes.get_title(loc="left")
+
+
+def test_what_is_no_campaign_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no campaign"):
+        campaign_summary(tmp_path / "none.parquet")
+    (tmp_path / "text.parquet").write_text("no table")
+    with pytest.raises(InputError, match="not a Parquet table"):
+        campaign_summary(tmp_path / "text.parquet")
+    with pytest.raises(InputError, match="has no column of completed runs, only seed"):
+        campaign_summary(table(tmp_path / "bare.parquet", [{"seed": 1}]))
+    with pytest.raises(InputError, match="no runs with a verdict"):
+        campaign_summary(table(tmp_path / "empty.parquet", [{"completed": None}]))
+
+
+def test_cases_that_a_campaign_compares_are_never_merged(tmp_path: Path) -> None:
+    content = [
+        {**row, "case": f"controller={row['controller']}, lag={lag}", "max_cart_position": lag + 0.01}
+        for lag in (0.0, 0.1)
+        for row in rows()
+    ]
+    summary = campaign_summary(table(tmp_path / "cases.parquet", content))
+    assert [group.label for group in summary.groups] == [
+        f"controller={controller}, lag={lag}" for controller in ("feedforward", "tvlqr") for lag in (0.0, 0.1)
+    ]
+    assert [group.share.successes for group in summary.groups] == [0, 0, 8, 8]
+    assert {group["controller"] for group in summary.document()["groups"]} == {"tvlqr", "feedforward"}
+    # Each has a histogram of its own.
+    spread = summary.spreads["max_cart_position"]
+    assert [(np.unique(good).tolist(), np.unique(bad).tolist()) for good, bad in spread.values()] == [
+        ([], [0.01]), ([], [0.11]), ([0.01], [0.01]), ([0.11], [0.11]),
+    ]  # fmt: skip
+    page = draw_campaign(summary)
+    shown = [axes for axes in page.axes if axes.get_title(loc="left").startswith("Cart's largest distance")]
+    assert {text.get_text() for text in shown[0].texts} == {group.label for group in summary.groups}
+
+
+def test_cases_of_one_mismatch_each_stay_levels_of_one_group(tmp_path: Path) -> None:
+    content = [{**row, "case": f"mismatch={row['mismatch']}"} for row in rows(controllers=("tvlqr",))]
+    summary = campaign_summary(table(tmp_path / "levels.parquet", content))
+    assert [group.label for group in summary.groups] == ["all runs"]
+    assert len(summary.levels) == 2

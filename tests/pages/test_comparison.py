@@ -1,0 +1,116 @@
+"""Several runs on one clock: aligned at a symbol, said how, drawn and recorded."""
+
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_run import synthetic_run, view_of
+from test_recording import bare_log
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.pages.comparison import MOST, compare, draw_comparison, write_comparison_recording
+from dpcontrol.pages.motion import RunView, Stay, series_of
+from dpcontrol.pages.picture import viewer_program
+
+SAME_MOMENT = 0.02
+"""s: the synthetic turns pass 2π in their middle, where the wobble is zero, but for errors of 0.04 rad at 11 rad/s."""
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> list[RunView]:
+    """Two runs whose turns come at 2.5 s and at 1.875 s; the second ends in the wrong place."""
+    folder = tmp_path_factory.mktemp("pair")
+    found = []
+    for name, seconds in (("first", 5.0), ("second", 3.75)):
+        view = view_of(folder / f"{name}.mcap", synthetic_run(seconds=seconds))
+        planned = (Stay(0.0, seconds / 2, "down-up", "down-up"), Stay(seconds / 2, seconds, "down-up", "down-up"))
+        view = replace(
+            view,
+            crossings=(seconds / 2,),
+            plan=replace(view.plan, planned=planned, duration=5.0),
+            done=(Stay(0.0, seconds / 2, "down-up", "down-up"), Stay(3.0, 3.5, "up-down", "up-down (−1π)", False)),
+        )
+        found.append(view)
+    return found
+
+
+def _passes_two_turns(time: np.ndarray, angle: np.ndarray) -> float:
+    """Return when an angle first passes 2π upwards."""
+    return float(np.interp(2 * np.pi, *(part[np.argsort(angle, kind="stable")] for part in (angle, time))))
+
+
+def test_runs_cross_the_symbols_section_at_the_same_moment(pair: list[RunView]) -> None:
+    comparison = compare(pair)
+    moments = [_passes_two_turns(run.view.time, run.view.state[:, 1]) for run in comparison.runs]
+    assert moments[0] == pytest.approx(moments[1], abs=SAME_MOMENT)
+    assert comparison.moment == 2.5
+    assert [run.delay for run in comparison.runs] == [0.0, 0.625]
+    assert all(run.view.crossings == (2.5,) for run in comparison.runs)
+    assert comparison.status.count("by its decoded crossing (true angles)") == 2
+
+
+def test_a_run_that_did_not_do_the_symbol_is_aligned_by_its_plan_and_that_is_said(
+    pair: list[RunView],
+) -> None:
+    first, second = pair
+    plan = replace(first.plan, symbols=((1.25, "down-up +"),))
+    comparison = compare([replace(first, crossings=(), plan=plan), second])
+    assert [run.delay for run in comparison.runs] == [0.625, 0.0]
+    assert "first by its plan's time (not done)" in comparison.status
+
+
+def test_a_recording_without_a_plan_is_aligned_at_its_start(pair: list[RunView], tmp_path: Path) -> None:
+    bare = bare_log(tmp_path / "bare.mcap", arms=2, has_cart=True, ticks=50)
+    comparison = compare([pair[0], series_of(bare)])
+    assert comparison.runs[1].delay == 2.5
+    assert "bare by its start (no such symbol)" in comparison.status
+
+
+def test_what_cannot_be_compared_is_refused_in_one_sentence(pair: list[RunView], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"up to {MOST}"):
+        compare([pair[0]] * (MOST + 1))
+    with pytest.raises(InputError, match="symbols 1 to 1"):
+        compare(pair, symbol=2)
+    other = bare_log(tmp_path / "one.mcap", arms=1, has_cart=True, ticks=5)
+    with pytest.raises(InputError, match="numbers of arms"):
+        compare([pair[0], series_of(other)])
+
+
+def test_logs_of_one_name_are_told_apart(pair: list[RunView]) -> None:
+    assert [run.name for run in compare([pair[0], pair[0]]).runs] == ["first (1)", "first (2)"]
+
+
+def test_the_page_of_a_pair_names_both_runs_and_draws_each_in_every_panel(
+    pair: list[RunView],
+) -> None:
+    figure = draw_comparison(compare(pair))
+    texts = [text.get_text() for text in figure.texts]
+    assert {"first", "second"} <= set(texts)
+    for axes in figure.axes:
+        title = axes.get_title(loc="left")
+        if title.startswith(("Arm", "Cart", "Tracking", "Acceleration", "NIS")):
+            colours = {line.get_color() for line in axes.lines}
+            assert {run.colour for run in compare(pair).runs} <= colours, title
+
+
+def test_panels_of_a_pair_share_their_time_axis(pair: list[RunView]) -> None:
+    figure = draw_comparison(compare(pair))
+    panels = [axes for axes in figure.axes if axes.get_title(loc="left").startswith(("Cart", "Tracking", "NIS"))]
+    assert len(panels) == 3
+    assert len({axes.get_xlim() for axes in panels}) == 1
+
+
+def test_the_recording_of_a_pair_is_verified_by_the_viewers_own_tool(pair: list[RunView], tmp_path: Path) -> None:
+    program = viewer_program()
+    if program is None:
+        pytest.skip("the installed rerun-sdk holds no viewer")
+    write_comparison_recording(compare(pair), tmp_path / "pair.rrd")
+    for verb in ("verify", "stats"):
+        done = subprocess.run(
+            [str(program), "rrd", verb, str(tmp_path / "pair.rrd")], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+    for entity in ("/runs/1/scene/arms/arm_2", "/runs/2/scene/arms/arm_2", "/plots/angle_1/2_second", "/done"):
+        assert entity in done.stdout

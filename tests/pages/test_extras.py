@@ -1,0 +1,98 @@
+"""What an estimator finds besides the state: logged, beside the truth that a simulated log knows, and drawn."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpcontrol.pages.of_log import run_view
+from dpcontrol.pages.page import draw
+from dpcontrol.pages.series import extra_charts
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.run import Run, run_plan
+
+SIGMAS = 5.0
+FOUND = 2e-3
+"""Of an inertia's or a weight's ratio: what the filter's own noise leaves after a turn."""
+KNOWN = ("M11", "M22", "S1", "S2")
+
+
+def run_of(log: Path | None = None, **options: float | str) -> Run:
+    plan = make_plan(load_itinerary("outer-turn"))
+    return run_plan(replace(plan, itinerary=plan.itinerary.with_run(RunOptions(**options), seed=3)), log)
+
+
+@pytest.fixture(scope="module")
+def adaptive(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A turn on a plant that is off by up to 5 %, logged."""
+    return run_of(tmp_path_factory.mktemp("run") / "run.mcap", controller="adaptive", mismatch=0.05, travel=0.8)
+
+
+def test_the_estimates_of_a_log_end_at_its_plants_ratios(adaptive: Run) -> None:
+    plant, model = adaptive.plant, load_itinerary("outer-turn").model.arms
+    assert plant is not None
+    view = run_view(adaptive.log)
+    extras = view.extras
+    assert extras is not None
+    assert extras.names[-4:] == KNOWN
+    # By hand, from the physical parameters: M12 = (m2 a2) l1, S1 = m1 a1 + m2 l1, M22 = J2 + m2 a2².
+    ratios = []
+    for arms in (plant, model):
+        (m1, m2), (a1, a2), (l1, _), (_, j2) = arms.mass, arms.centre_of_mass, arms.length, arms.inertia
+        ratios.append(np.array([m1 * a1 + m2 * l1, j2 + m2 * a2**2]) / (m2 * a2 * l1))
+    by_hand = ratios[0] / ratios[1] - 1
+    assert [view.extra_truth["S1"], view.extra_truth["M22"]] == pytest.approx(by_hand.tolist(), abs=1e-12)
+    for name in KNOWN:
+        column = extras.names.index(name)
+        away = abs(extras.values[-1, column] - view.extra_truth[name])
+        assert away <= max(SIGMAS * extras.sigmas[-1, column], FOUND), name
+
+
+def test_a_run_in_memory_has_the_extras_of_its_log(adaptive: Run) -> None:
+    memory = run_of(controller="adaptive", mismatch=0.05, travel=0.8)
+    one, other = memory.log.extras, adaptive.log.extras
+    assert one is not None
+    assert other is not None
+    assert one.names == other.names
+    np.testing.assert_allclose(one.time, other.time, atol=1e-9)
+    np.testing.assert_array_equal(one.values, other.values)
+    np.testing.assert_array_equal(one.sigmas, other.sigmas)
+    assert memory.plant == adaptive.plant
+
+
+def test_the_page_has_a_chart_for_each_kind_with_the_truth_in_it(adaptive: Run) -> None:
+    view = run_view(adaptive.log)
+    shown = {chart.key: chart for chart in extra_charts(view)}
+    assert list(shown)[-4:] == ["drive", "friction", "dry", "parameters"]
+    assert [line.key for line in shown["parameters"].lines] == [*KNOWN, *(f"{name}_truth" for name in KNOWN)]
+    titles = [axes.get_title(loc="left") for axes in draw(view).axes]
+    assert all(chart.title in titles for chart in shown.values())
+
+
+def test_the_zeros_found_are_those_that_were_drawn() -> None:
+    view = run_view(run_of(zero_error=0.02, mismatch=0.0).log)
+    assert extra_charts(view)[0].key == "zeros"
+    assert view.extras is not None
+    for k, name in enumerate(view.extras.names[:2]):
+        assert name == f"zero_{k + 1}"
+        away = abs(view.extras.values[-1, k] - view.extra_truth[name])
+        assert away <= SIGMAS * view.extras.sigmas[-1, k] + 2e-3, name
+
+
+def test_other_laws_of_friction_leave_its_error_unknown(tmp_path: Path) -> None:
+    model = load_itinerary("outer-turn").model
+    rusty = tmp_path / "rusty.toml"
+    rusty.write_text(model.text + "coulomb = [1e-4, 1e-4]\n")
+    view = run_view(run_of(controller="adaptive", plant=str(rusty)).log)
+    assert {"friction_1", "friction_2"} <= set(view.extras.names if view.extras else ())
+    assert not {"friction_1", "friction_2"} & view.extra_truth.keys()
+    assert set(KNOWN) <= view.extra_truth.keys()
+
+
+def test_the_track_that_is_drawn_is_the_runs_and_not_the_plans() -> None:
+    view = run_view(run_of(travel=0.8, mismatch=0.0).log)
+    assert view.limits is not None
+    assert view.limits[0] == 0.8

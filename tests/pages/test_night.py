@@ -1,0 +1,125 @@
+"""What is told of a long run: by hand what was on, what was off, and why."""
+
+from pathlib import Path
+
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs.rolling import Digest
+from dpcontrol.pages.night import (
+    BETWEEN,
+    CALMING,
+    ITINERARY,
+    STARTING,
+    UNKNOWN,
+    Night,
+    cause_of,
+    draw_night,
+    read_night,
+)
+
+ON = "on the itinerary from t = 0.0000 s of the reference: "
+FALL = "tracking lost at t = 100.000 s: an angle has stayed 2 rad from the reference; symbol 1 of 1 is done again"
+STUCK = "estimate lost at t = 1210.000 s: the encoder of joint 1 is stuck: it has given the same reading for 2 s"
+Events = list[tuple[float, str, str, str]]
+
+
+def digest(number: int, first: float, events: Events, *, on: bool = True, zero: float = 0.0, **more: float) -> Digest:
+    one = Digest(number, first=first, end=first + 600, ticks=600_000, on=on, limit=0.4, cart=0.3, **more)  # type: ignore[arg-type]
+    for event in events:
+        one.add_event(*event)
+    one.extras, one.size = {"zero_1": (zero, 1e-3)}, 1
+    one.squares, one.followed, one.memory = 600_000 * 2 * 0.01**2, 600_000, 4e8 + number * 1e6
+    return one
+
+
+def night(folder: Path = Path("turn-0")) -> Night:
+    """Two files, one missing, a fourth; two falls before one way back, a sensor that sticks, laps of both kinds."""
+    first: Events = [
+        (0.0, "info", "start", "adaptive, ekf"), (0.0, "info", "resume", f"{ON}symbol 1 of 1"),
+        (50.0, "info", "lap", f"{ON}lap 2"), (100.0, "warn", "return", FALL), (107.0, "info", "at rest", "after 7 s"),
+        (107.0, "info", "start", "from rest to stop 1"), (108.0, "warn", "return", FALL),
+        (116.0, "info", "at rest", "after 8 s"), (116.0, "info", "start", "from rest to stop 1"),
+        (120.0, "info", "resume", f"{ON}symbol 1 of 1, attempt 2"),
+    ]  # fmt: skip
+    second: Events = [
+        (700.0, "info", "return", "lap 2 is done"), (706.0, "info", "at rest", "after 6 s"),
+        (706.0, "info", "start", "from rest to stop 1"), (710.0, "info", "lap", f"{ON}lap 3"),
+        (1195.0, "warn", "return", STUCK),
+    ]  # fmt: skip
+    third: Events = [
+        (1800.0, "info", "start", "adaptive, ekf"), (1800.0, "info", "resume", f"{ON}symbol 1 of 1"),
+        (2399.999, "info", "finished", "its time is over"),
+    ]  # fmt: skip
+    digests = (
+        digest(1, 0.0, first, on=False), digest(2, 600.0, second, zero=0.001),
+        digest(4, 1800.0, third, on=False, zero=0.003, session=2),
+    )  # fmt: skip
+    return Night(folder, digests)
+
+
+def test_uptime_is_the_time_between_joining_and_leaving() -> None:
+    told = night()
+    times = {kind: told._time(kind) for kind in (ITINERARY, CALMING, STARTING, BETWEEN, UNKNOWN)}
+    on = 100 + (700 - 120) + (1195 - 710) + 599.999
+    assert times == pytest.approx({ITINERARY: on, CALMING: 15 + 5, STARTING: 5, BETWEEN: 10, UNKNOWN: 600}, abs=0.01)
+    assert told.uptime == pytest.approx(on / 1800, abs=1e-4)
+    assert told.known == pytest.approx(1800)
+
+
+def test_two_falls_before_the_way_back_are_one_absence() -> None:
+    told = night()
+    assert [fall.back for fall in told.falls] == [20.0, None, None]
+    assert told.causes == {"tracking lost": 2, "sensor stuck": 1}
+    assert told.falls_per_hour == pytest.approx(6.0)
+    assert told.repetitions == 2
+    document = told.document()
+    assert (document["return_median"], document["return_99"]) == (20.0, 20.0)
+    # The fall that the lost file hides the end of.
+    assert document["not_back"] == 1
+    assert document["sessions"] == 2
+    assert document["not_logged"] == [{"first": 1200.0, "end": 1800.0}]
+
+
+def test_drift_and_tracking_are_those_of_the_files() -> None:
+    told = night()
+    (drift,) = told.drifts
+    assert (drift.first, drift.last) == (0.0, 0.003)
+    assert drift.per_hour == pytest.approx(0.006, rel=0.1)
+    assert told.tracking == pytest.approx(0.01)
+    assert told.cart == 0.3
+
+
+def test_the_page_shows_hours_falls_and_what_is_missing() -> None:
+    figure = draw_night(night())
+    strip, _, causes, drift, others = figure.axes
+    legend = strip.get_legend()
+    assert legend is not None
+    shown = {text.get_text() for text in legend.get_texts()}
+    assert shown >= {ITINERARY, CALMING, STARTING, BETWEEN, UNKNOWN, "fall: tracking lost", "fall: sensor stuck"}
+    assert [label.get_text() for label in causes.get_yticklabels()] == ["tracking lost", "sensor stuck"]
+    assert [len(axes.lines) for axes in (drift, others)] == [1, 0]
+    assert any("no log from 20.00 to 30.00 minutes" in line for line in night().lines())
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        (FALL, "tracking lost"),
+        (STUCK, "sensor stuck"),
+        ("estimate lost at t = 1.000 s: no measurement for 0.101 s; check the encoders' cables", "no measurement"),
+        ("cart at its stop at t = 2.000 s: a limit switch answered, with an angle", "limit switch"),
+        ("cart at its stop at t = 2.000 s: at 0.399 m with 1.20 m/s it must brake", "cart near its stop"),
+        ("something else", "other"),
+    ],
+)
+def test_causes_have_few_words(text: str, cause: str) -> None:
+    assert cause_of(text) == cause
+
+
+def test_a_folder_without_a_night_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a folder without logs of a long run"):
+        read_night(tmp_path)
+    (tmp_path / f"{tmp_path.name}-0001.json").write_text("{}")
+    with pytest.raises(InputError, match="is damaged, and its log was thinned"):
+        read_night(tmp_path)

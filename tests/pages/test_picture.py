@@ -1,0 +1,149 @@
+"""Pictures of a run: by the viewer where it can render, else by matplotlib, and never a hanging process."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from matplotlib.image import imread
+from synthetic_run import synthetic_run, view_of
+from test_recording import bare_log
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.pages import picture as viewer
+from dpcontrol.pages.motion import RunView, series_of
+from dpcontrol.pages.page import curve, draw, save_figure
+from dpcontrol.pages.picture import write_picture
+from dpcontrol.pages.rerun_recording import write_recording
+
+PIXELS_SET = 0.02
+"""Least share of pixels that differ from the background in a picture that shows something."""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunView:
+    return view_of(tmp_path_factory.mktemp("runs") / "run.mcap", synthetic_run())
+
+
+def _share_set(path: Path) -> float:
+    pixels = imread(path)[..., :3]
+    return float((np.abs(pixels - pixels[0, 0]).max(axis=-1) > 0.1).mean())
+
+
+def test_a_drawn_picture_shows_something_and_says_why_it_was_drawn(
+    run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(viewer, "missing_renderer", lambda: "no driver")
+    made = write_picture(run, tmp_path / "run.png")
+    assert made.renderer == "matplotlib"
+    assert "no driver" in made.status
+    assert imread(made.path).shape[:2] == (1276, 1760)
+    assert _share_set(made.path) > PIXELS_SET
+
+
+@pytest.mark.slow
+def test_texts_in_the_drawn_picture_do_not_overlap(run: RunView) -> None:
+    steps = tuple((0.5 + 0.6 * i, f"symbol {i + 1}") for i in range(6))
+    for shown in (
+        run,
+        replace(run, plan=replace(run.plan, symbols=steps)),
+        replace(run, plan=replace(run.plan, symbols=()), verdict="stopped: " + "why " * 70),
+    ):
+        figure = draw(shown)
+        figure.canvas.draw()
+        boxes = []
+        for axes in figure.axes:
+            legend = axes.get_legend()
+            texts = [
+                *axes.texts,
+                axes.title,
+                getattr(axes, "_left_title", None),
+                *(legend.get_texts() if legend else []),
+            ]
+            boxes += [(text.get_text(), text.get_window_extent()) for text in texts if text and text.get_text()]
+        boxes += [(text.get_text(), text.get_window_extent()) for text in figure.texts]
+        for i, (name, box) in enumerate(boxes):
+            assert box.x0 >= 0
+            assert box.x1 <= figure.bbox.width, f"{name!r} leaves the page"
+            for other, another in boxes[i + 1 :]:
+                assert not box.padded(-1).overlaps(another.padded(-1)), f"{name!r} overlaps {other!r}"
+
+
+def test_without_a_driver_the_picture_is_drawn(run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer, "missing_renderer", lambda: "no Vulkan driver is installed")
+    made = write_picture(run, tmp_path / "run.png")
+    assert made.renderer == "matplotlib"
+    assert "no Vulkan driver" in made.status
+
+
+def test_the_viewer_renders_without_a_screen(run: RunView, tmp_path: Path) -> None:
+    reason = viewer.missing_renderer()
+    if reason is not None:
+        pytest.skip(reason)
+    made = write_picture(run, tmp_path / "run.png")
+    assert made.renderer == "viewer", made.status
+    assert _share_set(made.path) > PIXELS_SET
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(viewer.missing_renderer() is not None, reason="no renderer for the viewer")
+def test_a_viewer_out_of_time_is_ended_with_its_children(
+    run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Whatever is started inherits the mark, also what was orphaned.
+    monkeypatch.setenv("DPCONTROL_TEST_MARK", str(tmp_path))
+    for seconds in (0.2, 1.2, 1.8):
+        reason = viewer.picture_of(
+            lambda file: write_recording(run, file), tmp_path / "run.png", moment=1.0, seconds=seconds
+        )
+        assert reason is not None
+        assert f"longer than {seconds} s" in reason
+    assert not list(tmp_path.iterdir())
+    time.sleep(0.3)
+    assert not [process for process in psutil.process_iter() if _mark(process) == str(tmp_path)]
+
+
+def _mark(process: psutil.Process) -> str | None:
+    try:
+        return process.environ().get("DPCONTROL_TEST_MARK")
+    except psutil.Error:
+        return None
+
+
+@pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
+def test_other_shapes_are_drawn_too(tmp_path: Path, arms: int, has_cart: bool, ticks: int) -> None:
+    log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)
+    save_figure(draw(series_of(log)), tmp_path / "run.png")
+    assert _share_set(tmp_path / "run.png") > PIXELS_SET / 4
+
+
+def test_a_picture_that_cannot_be_written_is_an_input_error(run: RunView, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write"):
+        save_figure(draw(run), tmp_path / "file" / "run.png")
+
+
+def test_thinned_curves_keep_every_peak(run: RunView) -> None:
+    time_s = np.linspace(0, 1, 100_000)
+    values = np.sin(40 * time_s)
+    values[[777, 50_000]] = 5.0, -5.0
+    thin_time, thin_values = curve(run, time_s, values)
+    assert len(thin_time) < 3_100
+    assert (thin_values.max(), thin_values.min()) == (5.0, -5.0)
+    assert (np.diff(thin_time) > 0).all()
+
+
+@pytest.mark.slow
+def test_a_run_that_went_wrong_beyond_numbers_is_still_shown(tmp_path: Path) -> None:
+    made = synthetic_run(seconds=2.0)
+    for spoilt, since in ((np.nan, 1200), (np.inf, 1200), (1e300, 1200), (1e5, 1200), (np.nan, 0)):
+        estimate, truth, control = made.estimate.copy(), made.truth.copy(), made.control.copy()
+        for array in (estimate, truth, control):
+            array[since:] = spoilt
+        bad = replace(made, estimate=estimate, truth=truth, control=control)
+        view = replace(view_of(tmp_path / "run.mcap", bad), energy=truth[:, 0])
+        write_recording(view, tmp_path / "run.rrd")
+        save_figure(draw(view), tmp_path / "run.png")
+        assert _share_set(tmp_path / "run.png") > PIXELS_SET

@@ -1,0 +1,331 @@
+"""The atlas: everything of an energy, each thing once, in a file that comes back whole or is refused."""
+
+import json
+import zipfile
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+from quick_rate import quick_rate
+from scipy.integrate import solve_ivp
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, load_atlas, make_atlas, save_atlas
+from dpcontrol.plans.model import load_model
+from dpcontrol.tubes.connections import can_be_reversed, find_connections, orbits_between, reversed_search
+from dpcontrol.walks import edges
+from dpcontrol.walks.atlas import Atlas
+from tests.command_line import dpcontrol
+from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
+
+STATE = 1e-9  # the bar for states; what is reached is about 1e-12
+PERIOD = 1e-11
+FLIGHT = 1e-6  # scipy over at most a second and a half, errors growing e-fold each tenth of one, from rtol 1e-12
+REVERSED = 1e-9  # a search and the image of the opposite one are two computations of one thing
+APPROACH = 1e-5  # s and phase: the first approach is located on a distance with kinks
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model("lab")
+
+
+@pytest.fixture(scope="module")
+def high(model):
+    return compute_atlas(model, 0.2)
+
+
+@pytest.fixture(scope="module")
+def low(model):
+    return compute_atlas(model, -0.07)
+
+
+@pytest.fixture
+def saved(low, tmp_path):
+    save_atlas(tmp_path / "low.npz", low)
+    return tmp_path / "low.npz"
+
+
+def on_torus(first, second):
+    """Largest difference of states, angles modulo a turn."""
+    gap = np.asarray(first) - np.asarray(second)
+    return max(np.abs(2 * np.sin(gap[:2] / 2)).max(), np.abs(gap[2:]).max())
+
+
+def test_all_four_kinds_hold_the_reference_connections(high):
+    found = {(k.source, k.target): k.count for k in high.kinds}
+    assert found == {key[:2]: count for key, (count, _) in CONNECTIONS.items() if key[2] == 0.2} | {
+        ("up-down", "down-up"): CONNECTIONS["down-up", "up-down", 0.2][0]
+    }
+    for (source, target, energy), (_, states) in CONNECTIONS.items():
+        for state in states if energy == 0.2 else ():
+            assert min(on_torus(c.state, np.array(state)) for c in high.between(source, target)) < STATE
+    assert len({c.name for c in high.connections}) == len(high.connections)
+
+
+def test_orbits_are_the_reference_ones_and_their_samples_lie_on_the_flow(model, high):
+    for orbit in high.orbits:
+        state, period, *_ = LYAPUNOV_ORBITS["lab", orbit.saddle, 0.2]
+        assert on_torus(orbit.state, state) < STATE
+        assert orbit.period == pytest.approx(period, rel=PERIOD)
+        quarter = len(orbit.samples) // 4
+        flown = flown_by_scipy(model.system, orbit.state, orbit.period / 4)
+        assert np.abs(orbit.samples[quarter] - flown).max() < FLIGHT
+
+
+def test_rotating_orbits_of_both_arms_are_there_with_their_stability(model, high):
+    """The elliptic one of the inner arm at 0.2 J has an independently computed period and multipliers."""
+    assert {o.arm for o in high.rotating_orbits} == {1, 2}
+    (elliptic,) = (o for o in high.rotating_orbits if o.kind == "elliptic")
+    assert elliptic.arm == 1
+    assert elliptic.period == pytest.approx(0.7111087096946145, abs=PERIOD)
+    assert (
+        np.abs(elliptic.floquet_multipliers - [-0.2998122599 + 0.9539982227j, -0.2998122599 - 0.9539982227j]).max()
+        < 1e-8
+    )
+    quarter = len(elliptic.samples) // 4
+    flown = flown_by_scipy(model.system, elliptic.state, elliptic.period / 4)
+    assert np.abs(elliptic.samples[quarter] - flown).max() < FLIGHT
+
+
+def test_below_up_downs_energy_there_are_only_down_ups_homoclinics_and_the_reason_is_said(low):
+    assert [(k.source, k.target) for k in low.kinds] == [("down-up", "down-up")]
+    assert len(low.connections) == 8
+    assert low.complete
+    assert [saddle for saddle, _ in low.absent] == ["up-down"]
+    assert "exist only above its energy of 0.175429746" in low.status
+
+
+def flown_by_scipy(system, state, seconds):
+    f, p = quick_rate(system.equations), system.parameters
+    return solve_ivp(
+        lambda t, x: np.array(f(x, [], p)).ravel(), (0, seconds), state, method="DOP853", rtol=1e-12, atol=1e-12
+    ).y[:, -1]
+
+
+@pytest.mark.slow
+def test_flights_pass_the_section_at_time_zero_and_follow_the_equations(model, high):
+    for c in high.connections:
+        for seconds in (-0.7 * c.time_out, 0.0, c.time_in):
+            k = int(np.searchsorted(c.times, seconds))
+            assert np.abs(flown_by_scipy(model.system, c.state, c.times[k]) - c.states[k]).max() < FLIGHT
+        assert c.times[0] < -c.time_out
+        assert c.times[-1] > c.time_in
+
+
+def test_strands_of_a_tube_end_on_its_cut(high):
+    for cut in high.cuts:
+        points = np.concatenate([piece.states for piece in cut.pieces])
+        for strand in cut.strands:
+            assert abs(np.sin(strand[-1] @ np.asarray(cut.section.normal) / 2)) < STATE
+            # Strands are flown anew from recomputed seeds, whose rounding the tube magnifies.
+            assert min(np.abs(points - strand[-1]).max(axis=1)) < 1e-7
+
+
+def test_each_tube_is_cut_once(model, monkeypatch):
+    cut = []
+    plain = edges.tube_cut
+
+    def counted(manifold, section, **options):
+        cut.append((manifold.orbit.saddle, section.name, options["hit"]))
+        return plain(manifold, section, **options)
+
+    monkeypatch.setattr(edges, "tube_cut", counted)
+    monkeypatch.setattr("dpcontrol.tubes.connections.tube_cut", counted)
+    compute_atlas(model, 0.2)
+    assert len(cut) == len(set(cut)) == 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "pair", "energy", "hits"),
+    [
+        ("lab", ("down-up", "up-down"), 0.2, (1, 1)),
+        ("lab", ("down-up", "up-down"), 0.2, (1, 2)),
+        ("lab", ("down-up", "down-up"), -0.07, (1, 1)),
+        ("three-body", ("L1", "L2"), -1.5175, (2, 2)),
+    ],
+    ids=lambda value: str(value),
+)
+def test_a_search_the_other_way_finds_the_images_under_time_reversal(name, pair, energy, hits):
+    system = load_model(name).system
+    assert can_be_reversed(system, *pair)
+    orbits = orbits_between(system, *pair, energy)
+    images = reversed_search(find_connections(*orbits, hits=hits)).connections
+    direct = find_connections(orbits[1], orbits[0], hits=hits[::-1]).connections
+    assert len(direct) == len(images) > 0
+    assert [c.name for c in images] == [c.name for c in direct]
+    for image, c in zip(images, direct, strict=True):
+        assert np.abs(image.state - c.state).max() < REVERSED
+        assert (image.winding, image.sense, image.symmetric, image.hits) == (c.winding, c.sense, c.symmetric, c.hits)
+        assert image.transversality_angle == pytest.approx(c.transversality_angle, abs=1e-6)
+        assert image.time_out == pytest.approx(c.time_out, abs=APPROACH, nan_ok=True)
+        assert image.time_in == pytest.approx(c.time_in, abs=APPROACH, nan_ok=True)
+        for mine, other in ((image.phase_out, c.phase_out), (image.phase_in, c.phase_in)):
+            if np.isfinite(other):
+                assert abs((mine - other + 0.5) % 1 - 0.5) < APPROACH
+        times = np.linspace(-0.5, 0.5, 11)
+        assert np.abs(image.orbit.sample(times) - c.orbit.sample(times)).max() < 10 * REVERSED
+
+
+def test_reversed_orbits_satisfy_their_own_boundary_conditions(model):
+    images = reversed_search(find_connections(*orbits_between(model.system, "down-up", "up-down", 0.2))).connections
+    for c in images:
+        assert np.abs(c.orbit.start.point()[0] - c.orbit.states[0]).max() < REVERSED
+        assert np.abs(c.orbit.end.point()[0] - c.orbit.states[-1]).max() < REVERSED
+
+
+@pytest.mark.slow
+def test_where_first_hits_are_empty_the_next_are_searched_and_both_are_reported():
+    """L1 → L2 on x = 1 - μ: both tubes pass it once before they can meet."""
+    found = compute_atlas(load_model("three-body"), -1.5175)
+    hits = [(k.hits, k.count) for k in found.kinds if (k.source, k.target) == ("L1", "L2")]
+    assert hits[0] == ((1, 1), 0)
+    assert hits[1][0] == (2, 2)
+    assert hits[1][1] > 0
+    assert "L1 → L2 is empty at first hits and has its first connections at [2, 2]" in found.status
+    assert not found.complete
+    assert all(k.open_ends for k in found.kinds if not k.complete)
+
+
+@pytest.mark.slow
+def test_hits_asked_for_are_those_searched(model):
+    found = compute_atlas(model, -0.07, settings=AtlasSettings(hits=(1, 2)))
+    assert {k.hits for k in found.kinds} == {(1, 2)}
+    assert found.connections
+    assert all(c.hits == (1, 2) for c in found.connections)
+
+
+def test_a_model_without_sections_has_orbits_of_every_family_and_no_connections():
+    found = compute_atlas(load_model("triple"), 0.3)
+    assert {(o.saddle, o.family) for o in found.orbits} == {
+        (s, f) for s in ("down-down-up", "down-up-down", "up-down-down") for f in (0, 1)
+    }
+    assert not found.connections
+    assert "no sections" in found.status
+
+
+def same(first, second):
+    """Compare records field by field, arrays bit for bit."""
+    if is_dataclass(first):
+        return type(first) is type(second) and all(
+            same(getattr(first, f.name), getattr(second, f.name)) for f in fields(first)
+        )
+    if isinstance(first, np.ndarray):
+        return np.array_equal(first, second, equal_nan=True)
+    if isinstance(first, tuple):
+        return len(first) == len(second) and all(map(same, first, second))
+    return first == second or (first != first and second != second)
+
+
+def test_an_atlas_comes_back_from_its_file_bit_for_bit(high, tmp_path):
+    save_atlas(tmp_path / "a.npz", high)
+    back = load_atlas(tmp_path / "a.npz")
+    for field in fields(Atlas):
+        assert same(getattr(back, field.name), getattr(high, field.name)), field.name
+
+
+def test_what_is_not_finite_comes_back(low, tmp_path):
+    lost = replace(low, connections=(replace(low.connections[0], time_out=float("nan")),))
+    save_atlas(tmp_path / "a.npz", lost)
+    assert np.isnan(load_atlas(tmp_path / "a.npz").connections[0].time_out)
+
+
+def test_an_atlas_is_readable_with_numpy_alone_and_holds_no_pickles(saved):
+    with np.load(saved, allow_pickle=False) as file:
+        header = json.loads(str(file["header"]))
+        assert (header["format"], header["version"]) == ("dpcontrol-atlas", 2)
+        assert file["orbit_0_samples"].shape[1] == 4
+        assert all(file[name].dtype != object for name in file.files)
+
+
+def rewritten(path, change):
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    header = json.loads(str(arrays["header"]))
+    change(header, arrays)
+    arrays["header"] = np.array(json.dumps(header))
+    np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda h, a: h.update(format="other"), "its format is 'other'"),
+        (lambda h, a: h.update(version=99), "its version is 99, this program reads 2"),
+        (lambda h, a: h.pop("orbits"), "it lacks 'orbits'"),
+        (lambda h, a: a.pop("orbit_0_samples"), "it lacks 'orbit_0_samples'"),
+        (lambda h, a: a.update(orbit_0_samples=np.zeros((4, 3))), "orbit_0_samples has shape"),
+        (lambda h, a: a.update(orbit_0_samples=np.full((4, 4), np.nan)), "orbit_0_samples is not finite"),
+        (lambda h, a: h["connections"][0].update(section=9), "out of range"),
+    ],
+    ids=["format", "version", "header", "array", "shape", "number", "section"],
+)
+def test_a_damaged_or_foreign_file_is_refused_with_its_reason(saved, change, reason):
+    rewritten(saved, change)
+    with pytest.raises(InputError, match=r"is not an atlas of dpcontrol, or is damaged") as refused:
+        load_atlas(saved)
+    assert reason in str(refused.value)
+
+
+def test_files_that_are_cut_short_or_no_archives_are_refused(saved, tmp_path):
+    content = saved.read_bytes()
+    for data in (content[: len(content) // 2], b"", b"no archive", content[:-30]):
+        (tmp_path / "b.npz").write_bytes(data)
+        with pytest.raises(InputError, match="is not an atlas of dpcontrol"):
+            load_atlas(tmp_path / "b.npz")
+    with zipfile.ZipFile(tmp_path / "c.npz", "w") as archive:
+        archive.writestr("readme.txt", "hello")
+    with pytest.raises(InputError, match="is not an atlas"):
+        load_atlas(tmp_path / "c.npz")
+    with pytest.raises(InputError, match="there is no atlas"):
+        load_atlas(tmp_path / "none.npz")
+
+
+def test_an_atlas_is_made_once_and_made_again_when_damaged_or_asked(model, tmp_path, monkeypatch):
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
+    first = make_atlas(model, -0.07)
+    assert not first.cached
+    assert make_atlas(model, -0.07).cached
+    assert make_atlas(model, -0.06).file != first.file
+    assert not make_atlas(model, -0.07, fresh=True).cached
+    first.file.write_bytes(b"damaged")
+    assert not make_atlas(model, -0.07).cached
+    assert make_atlas(model, -0.07).cached
+
+
+def test_the_verb_prints_one_document_with_orbits_and_connections(tmp_path):
+    done = dpcontrol("atlas", "lab", "--energy", "-0.07", "--json", "--out", tmp_path / "a.npz")
+    assert done.code == 0
+    document = done.document
+    assert set(document["seconds"]) == {"orbits", "tubes", "connections", "jit"}
+    assert document["file"] == str(tmp_path / "a.npz")
+    assert document["complete"] is True
+    single = dpcontrol("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07", "--json")
+    by_name = {c["name"]: c for c in document["connections"]}
+    for c in single.document["connections"]:
+        for key in c:
+            assert key in by_name[c["name"]]
+    orbit = dpcontrol("orbit", "lab", "--saddle", "down-up", "--energy", "-0.07", "--json").document
+    for key in orbit:
+        if key != "family_end":
+            assert key in document["orbits"][0]
+    assert document["orbits"][0]["state"] == orbit["state"]
+    assert load_atlas(tmp_path / "a.npz").energy == -0.07
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("lab", "--energy", "-0.3"), "their families begin at down-up -0.17543 J, up-down 0.17543 J"),
+        (("lab", "--energy", "nan"), "must be a finite number"),
+        (("lab", "--energy", "0.2", "--out", "atlas.txt"), "a name that ends in .npz"),
+        (("labb", "--energy", "0.2"), "did you mean 'lab'"),
+        (("lab", "--energy", "0.2", "--hits", "0"), "neither one number from 1 to 9 nor two"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_exit_code_two(arguments, message):
+    done = dpcontrol("atlas", *arguments)
+    assert done.code == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr

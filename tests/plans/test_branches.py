@@ -1,0 +1,50 @@
+"""Diagrams of connections against energy: kept by content, read back as they were made, and made anew if damaged."""
+
+import numpy as np
+import pytest
+
+from dpcontrol.plans import atlas as branches
+from dpcontrol.plans.atlas import make_branches
+from dpcontrol.plans.model import load_model
+
+FOLD = (-0.1425, -0.1400)  # J: about the first saddle-node of Down-Up's homoclinics
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
+    return make_branches(load_model("lab"), "down-up", "down-up", energies=FOLD, samples=2)
+
+
+def again():
+    return make_branches(load_model("lab"), "down-up", "down-up", energies=FOLD, samples=2)
+
+
+def test_a_diagram_holds_the_event_where_its_runs_turn(made):
+    (mark,) = made.marks
+    assert (mark.kind, mark.count_below, mark.count_above) == ("saddle-node", 0, 4)
+    energies, points = min(made.runs, key=lambda run: run[0].min())
+    assert 0 < energies.min() - mark.energy < 1e-5
+    assert np.abs(points[int(np.argmin(energies))] - mark.point).max() < 0.01
+    assert [count for _, count, _ in made.counts] == [0, 4]
+
+
+def test_a_kept_diagram_is_read_back_and_not_swept_again(made, monkeypatch):
+    monkeypatch.setattr(branches, "find_bifurcations", lambda *_, **__: pytest.fail("swept again"))
+    read = again()
+    assert read.marks == made.marks
+    assert read.counts == made.counts
+    assert all(
+        np.array_equal(a, b)
+        for one, other in zip(read.runs, made.runs, strict=True)
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("content", ["", "{}", '{"runs": 3}', "[1"])
+def test_a_damaged_diagram_is_made_anew(made, tmp_path, content):
+    (file,) = tmp_path.glob("branches/*.json")
+    file.write_text(content)
+    assert again().marks == made.marks
+    assert file.stat().st_size > 200

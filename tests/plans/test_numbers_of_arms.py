@@ -1,0 +1,73 @@
+"""One, two and three arms go through the same code: planned, run, scored, reviewed, reported and exported."""
+
+from itertools import pairwise, permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+
+from dpcontrol.plans.itinerary import HoldPart, load_itinerary
+from dpcontrol.plans.transfers import Transfer, find_transfers
+
+TWO_ARMS = """
+model = "lab"
+start = "rest"
+finish = "rest"
+hold = "down-up"
+seconds = 1.0
+"""
+
+
+def document(*arguments: str | Path) -> Any:
+    ended = dpcontrol(*arguments, "--json")
+    assert ended.code == 0, ended.message
+    return ended.document
+
+
+def test_fifty_six_goes_once_from_each_equilibrium_of_three_arms_to_each_other() -> None:
+    itinerary = load_itinerary("fifty-six")
+    holds = [part for part in itinerary.parts if isinstance(part, HoldPart)]
+    assert len(holds) == len(itinerary.parts) == 57
+    assert itinerary.limits.position == 1.0
+    assert itinerary.limits.acceleration == 30.0
+    done = [(a.hold, b.hold) for a, b in pairwise(holds)]
+    assert sorted(done) == sorted(permutations(itinerary.model.system.equilibria, 2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arms", [1, 2, 3])
+def test_any_number_of_arms_goes_through_every_stage(arms: int, tmp_path: Path) -> None:
+    """Half a minute for three arms, of which the plan and the compiling of the filter take most."""
+    (tmp_path / "two-arms.toml").write_text(TWO_ARMS)
+    scene = {1: "one-arm", 2: str(tmp_path / "two-arms.toml"), 3: "third-arm"}[arms]
+    log, folder = tmp_path / "run.mcap", tmp_path / "controller"
+    planned = document("plan", scene)
+    assert len(planned["transfers"]) == 2
+    assert planned["reference"]["max_error_between_nodes"] <= 1e-6
+    bench = ("--seed", "1", "--mismatch", "0.02", "--delay", "1", "--lag", "0.005", "--counts", "40000")
+    assert document("run", scene, *bench, "--out", log)["completed"]
+    assert document("score", log)["completed"]
+    document("review", log, "--save", tmp_path / "run.rrd")
+    document("report", log, "--picture", tmp_path / "page.png")
+    document("export", scene, "--out", folder)
+    assert (tmp_path / "run.rrd").stat().st_size > 1e4
+    assert (tmp_path / "page.png").stat().st_size > 1e4
+    assert list(folder.glob("*.c"))
+
+
+@pytest.mark.slow
+def test_transfers_are_found_in_processes_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of a minute, most of it the processes' start."""
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
+    scene = load_itinerary("one-arm")
+    up, hanging = (scene.model.system.equilibrium(name) for name in ("up", "down"))
+    cart = np.zeros(2)
+    wanted = [
+        Transfer.of(scene, text, np.append(a, cart), [np.append(b, cart)])
+        for text, a, b in (("up", hanging, up), ("down", up, hanging))
+    ]
+    found = find_transfers(wanted, workers=2)
+    assert set(found) == {one.key for one in wanted}
+    assert all(one.file.is_file() for one in wanted)

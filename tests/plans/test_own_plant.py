@@ -1,0 +1,98 @@
+"""A plant with arms and laws of friction of its own, which the controller's model does not have."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shipped import find
+from dpcontrol.plans.itinerary import Itinerary, itinerary_from, load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs.campaign import CampaignSettings, cases_of, run_campaign
+from dpcontrol.runs.run import run_plan
+
+FRICTION = "viscous = [8e-4, 1e-4]\ncoulomb = [3e-4, 2e-4]\nquadratic = [1e-3, 1e-3]"
+SAME = 1e-9
+"""Of a log's states: the compiled plant computes one run as it computes many, to the last bit; scores round."""
+
+
+@pytest.fixture
+def rusty(tmp_path: Path) -> Path:
+    """The lab's arms with dry joints, in air."""
+    text = find("models", "lab").read_text()
+    file = tmp_path / "rusty.toml"
+    file.write_text(text[: text.index("viscous =")] + FRICTION + "\n")
+    return file
+
+
+@pytest.fixture(scope="module")
+def turn() -> Itinerary:
+    return load_itinerary("outer-turn")
+
+
+def test_the_plant_is_the_files_and_the_model_stays(turn: Itinerary, rusty: Path) -> None:
+    scene = turn.with_run(RunOptions(plant=str(rusty), mismatch=0.0))
+    assert scene.loop.draw(scene.model.arms, ticks=2).plant.arms == load_model(str(rusty)).arms
+    assert scene.model.arms == load_model("lab").arms
+
+
+def test_mismatch_and_the_factor_on_friction_go_with_the_plants_own(turn: Itinerary, rusty: Path) -> None:
+    own = load_model(str(rusty)).arms
+    scene = turn.with_run(RunOptions(plant=str(rusty), mismatch=0.05, friction=3.0), seed=4)
+    drawn = scene.loop.draw(scene.model.arms, ticks=2).plant.arms
+    assert np.all(np.abs(np.divide(drawn.mass, own.mass) - 1) <= 0.05)
+    for law in ("viscous", "coulomb", "quadratic"):
+        factor = np.divide(getattr(drawn, law), getattr(own, law))
+        assert np.all((factor >= 3 * 0.75) & (factor <= 3 * 1.25))
+    plain = turn.with_run(RunOptions(mismatch=0.05), seed=4)
+    tripled = replace(plain.loop, friction=3.0).draw(plain.model.arms, ticks=2).plant.arms
+    as_before = plain.loop.draw(plain.model.arms, ticks=2).plant.arms
+    assert tripled == replace(as_before, viscous=tuple(3.0 * k for k in as_before.viscous))
+
+
+def test_a_stored_plans_plant_is_found_beside_the_plan(rusty: Path) -> None:
+    text = find("itineraries", "outer-turn").read_text().replace("[run]", '[run]\nplant = "rusty.toml"')
+    loaded = itinerary_from(text, "with-rust", load_model("lab"), folder=rusty.parent)
+    assert loaded.loop.plant == load_model(str(rusty)).arms
+
+
+def test_an_itinerary_names_its_plant_from_its_own_folder(rusty: Path) -> None:
+    text = find("itineraries", "outer-turn").read_text()
+    scene = rusty.with_name("with-rust.toml")
+    scene.write_text(text.replace("[run]", '[run]\nplant = "rusty.toml"\nfriction = 2.0'))
+    loaded = load_itinerary(str(scene))
+    assert loaded.loop.plant == load_model(str(rusty)).arms
+    assert loaded.loop.friction == 2.0
+
+
+@pytest.mark.slow
+def test_lockstep_and_loop_run_the_same_plant_and_a_log_repeats_it(turn: Itinerary, rusty: Path) -> None:
+    plan = make_plan(turn)
+    cases = cases_of(turn, fixed=RunOptions(plant=str(rusty), friction=1.5), over={})
+    rows = {}
+    for path in ("compiled", "ticks"):
+        settings = CampaignSettings(runs=2, workers=1, path=path)
+        rows[path] = run_campaign(plan, cases, settings=settings, yes=True).rows
+    for together, alone in zip(rows["compiled"], rows["ticks"], strict=True):
+        assert together["rms_tracking_error"] == pytest.approx(alone["rms_tracking_error"], rel=SAME)
+    run = run_plan(replace(plan, itinerary=turn.with_run(RunOptions(plant=str(rusty), friction=1.5), seed=0)))
+    assert run.score().rms_tracking_error == pytest.approx(rows["ticks"][0]["rms_tracking_error"], rel=SAME)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (RunOptions(plant="nowhere.toml"), "plant = 'nowhere.toml': there is no file nowhere.toml"),
+        (RunOptions(plant="triple"), "the plant has 3 arms, the itinerary's model 2"),
+        (RunOptions(plant="three-body"), "has no arms and no cart"),
+        (RunOptions(plant="lab-identified", model_uncertainty=1.0), "model_uncertainty = 1.0: the plant has arms"),
+        (RunOptions(friction=-1.0), "friction = -1.0"),
+    ],
+)
+def test_an_impossible_plant_is_refused_in_one_sentence(turn: Itinerary, options: RunOptions, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        turn.with_run(options)

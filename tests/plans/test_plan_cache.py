@@ -1,0 +1,168 @@
+"""Plans kept by content: found again, and never taken for another's."""
+
+import io
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import dpcontrol as call
+
+import dpcontrol
+from dpcontrol.foundation.cache import code_hash, module_sources
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.score import score
+from dpcontrol.logs import RunLog
+from dpcontrol.plans import atlas
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan, plan_key
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.references.reference import Reference, load_reference, save_reference
+from dpcontrol.runs.run import run_plan
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache of this test's own."""
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def test_a_plan_under_anothers_name_is_made_anew(cache: Path) -> None:
+    turn, cross = load_itinerary("outer-turn"), load_itinerary("cross")
+    made = make_plan(cross)
+    assert not made.cached
+    assert make_plan(cross).cached
+    stolen = cache / "plans" / f"outer-turn-{plan_key(turn)}.npz"
+    shutil.copyfile(made.file, stolen)
+    plan = make_plan(turn)
+    assert not plan.cached
+    assert plan.notes["itinerary"] == "outer-turn"
+
+
+@pytest.fixture(scope="module")
+def turn_plan(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The outer turn's plan as its file's bytes, found without a cache."""
+    return make_plan(load_itinerary("outer-turn")).archive
+
+
+def test_a_kept_plan_whose_states_were_changed_is_never_served(
+    cache: Path, turn_plan: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turn = load_itinerary("outer-turn")
+    monkeypatch.setattr("dpcontrol.plans.planning.planned", lambda *_, **__: made_anew())
+    sound = load_reference(io.BytesIO(turn_plan))
+
+    def made_anew() -> tuple[Reference, dict[str, Any], dict[str, Any]]:
+        return replace(sound, notes={}, extra={}), dict(sound.notes), dict(sound.extra)
+
+    file = make_plan(turn).file
+    assert make_plan(turn).cached
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    np.savez(file, **(arrays | {"states": 1.5 * arrays["states"]}))
+    assert load_reference(file).converged
+    again = make_plan(turn)
+    assert not again.cached
+    assert np.array_equal(again.reference.states, sound.states)
+    assert make_plan(turn).cached
+
+
+def test_a_plan_is_made_and_run_where_the_cache_cannot_be_written(
+    tmp_path: Path, turn_plan: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a file").touch()
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "a file"))
+    sound = load_reference(io.BytesIO(turn_plan))
+    found = replace(sound, notes={}, extra={}), dict(sound.notes), dict(sound.extra)
+    monkeypatch.setattr("dpcontrol.plans.planning.planned", lambda *_, **__: found)
+    ended = call("run", "outer-turn", "--out", tmp_path / "turn.mcap")
+    assert ended.code == 0, ended.stderr
+    assert ended.stderr.count("DPCONTROL_CACHE") == 1
+    assert "Traceback" not in ended.stderr
+    planned = call("plan", "outer-turn", "--out", tmp_path / "turn.npz", "--json").document
+    assert planned["file"] == str(tmp_path / "turn.npz")
+    assert call("plan", "outer-turn", "--json").document["file"] is None
+
+
+def test_a_changed_title_or_limit_asks_for_another_plan() -> None:
+    scene = load_itinerary("outer-turn")
+    assert plan_key(replace(scene, title="Another")) != plan_key(scene)
+    assert plan_key(replace(scene, limits=replace(scene.limits, position=0.3))) != plan_key(scene)
+    assert plan_key(scene.with_run(RunOptions(mismatch=0.1), seed=5)) == plan_key(scene)
+
+
+ATLAS = atlas.__name__
+MADE_BY = sorted({name.rsplit(".", 1)[0] for name in module_sources(ATLAS)} - {"dpcontrol"})
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the package, to edit."""
+    folder = tmp_path_factory.mktemp("edited") / "dpcontrol"
+    shutil.copytree(Path(dpcontrol.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+@pytest.mark.parametrize("package", MADE_BY)
+def test_an_edit_to_a_package_that_makes_atlases_asks_for_new_atlases(package: str, copy: Path) -> None:
+    names = [name for name in module_sources(ATLAS) if name.rsplit(".", 1)[0] == package]
+    file = copy.joinpath(*names[-1].split(".")[1:]).with_suffix(".py")
+    text = file.read_text()
+    file.write_text(text.replace("return ", "return  ", 1) + "\n_EDITED = 1\n")
+    try:
+        code_hash.cache_clear()
+        assert code_hash(ATLAS, copy) != code_hash(ATLAS)
+    finally:
+        file.write_text(text)
+    code_hash.cache_clear()
+    assert code_hash(ATLAS, copy) == code_hash(ATLAS)
+
+
+def test_all_code_that_an_atlas_runs_through_counts(tmp_path: Path) -> None:
+    """What an interpreter imports of this package by an atlas is among what is hashed, but for empty packages."""
+    script = f"import sys, {ATLAS}; print(*(n for n in sys.modules if n.startswith('dpcontrol.')))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    hashed = module_sources(ATLAS)
+    for name in set(done.stdout.split()) - set(hashed):
+        file = Path(dpcontrol.__file__).parent.joinpath(*name.split(".")[1:], "__init__.py")
+        assert len(file.read_text().splitlines()) <= 1, f"{name} is not hashed"
+
+
+def test_an_edit_to_the_command_line_keeps_the_atlases(copy: Path) -> None:
+    (copy / "cli" / "plan.py").write_text("")
+    code_hash.cache_clear()
+    assert code_hash(ATLAS, copy) == code_hash(ATLAS)
+
+
+@pytest.fixture(scope="module")
+def flown() -> RunLog:
+    """What the log of a run says."""
+    run = run_plan(make_plan(load_itinerary("outer-turn")))
+    assert run.score().completed
+    return run.log
+
+
+def with_plan(log: RunLog, reference: Reference, folder: Path) -> RunLog:
+    """Return the log with another plan attached."""
+    save_reference(folder / "other.npz", reference)
+    return replace(log, attachments={**log.attachments, "reference.npz": (folder / "other.npz").read_bytes()})
+
+
+@pytest.mark.parametrize("lost", ["stops", "symbols", "orbits", "saddles", "wraps", "title"])
+def test_a_log_whose_plan_lacks_a_part_is_refused_whole(lost: str, flown: RunLog, tmp_path: Path) -> None:
+    reference = load_reference(io.BytesIO(flown.attachments["reference.npz"]))
+    notes = {key: value for key, value in reference.notes.items() if key != lost}
+    with pytest.raises(InputError, match="holds no plan"):
+        score(with_plan(flown, replace(reference, notes=notes), tmp_path))
+
+
+def test_a_log_whose_plan_is_of_other_arms_is_refused(flown: RunLog, tmp_path: Path) -> None:
+    reference = load_reference(io.BytesIO(flown.attachments["reference.npz"]))
+    fewer = replace(reference, states=np.ascontiguousarray(reference.states[..., :3]))
+    with pytest.raises(InputError, match="holds no plan"):
+        score(with_plan(flown, fewer, tmp_path))

@@ -1,0 +1,109 @@
+"""Plans with ways from rest to their stops: what is planned, kept and judged for runs that go on after a fall."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpcontrol.control.tracking import TvlqrSettings
+from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
+from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.bench import Push
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import make_plan, recoverable
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.plans.starts import planned_starts
+from dpcontrol.references.reference import plan_notes, start_reference
+from dpcontrol.runs.campaign import CampaignSettings, cases_of, run_campaign
+from dpcontrol.runs.run import check_exportable, repeat_run, run_plan
+
+RESUME = RunOptions(on_fall="resume", lag=0.005, mismatch=0.05, travel=0.8)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    scene = load_itinerary("outer-turn").with_run(RESUME, seed=3)
+    blows = (Push(1.7, 0, 0.02), Push(3.0, 1, 0.02))
+    loop = replace(scene.loop, disturbances=replace(scene.loop.disturbances, explicit=blows))
+    return make_plan(replace(scene, loop=loop))
+
+
+@pytest.mark.slow
+def test_each_stop_has_a_way_from_rest_that_ends_on_the_reference(plan) -> None:
+    starts = plan_notes(plan.reference)["starts"]
+    assert [start["stop"] for start in starts] == [0, 1]
+    for k, start in enumerate(starts):
+        lead_in = start_reference(plan.reference, k)
+        assert lead_in is not None
+        np.testing.assert_allclose(lead_in.state(0.0), 0.0, atol=1e-9)
+        meets = plan.reference.state(start["at"]) - lead_in.state(lead_in.duration)
+        meets[:2] -= 2 * np.pi * np.array(start["turns"])
+        np.testing.assert_allclose(meets, 0.0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_plan_is_the_same_with_starts_and_without(plan) -> None:
+    alone = make_plan(load_itinerary("outer-turn"))
+    np.testing.assert_array_equal(alone.reference.states, plan.reference.states)
+    assert "starts" not in alone.notes
+    assert make_plan(plan.itinerary).cached
+
+
+@pytest.mark.slow
+def test_a_run_that_fell_and_was_done_again_is_completed_and_repeats_itself(plan, tmp_path) -> None:
+    log = tmp_path / "fell.mcap"
+    verdict = run_plan(plan, log).score()
+    assert verdict.completed
+    assert verdict.falls == 1
+    assert verdict.attempts == (2,)
+    assert "after 1 fall" in verdict.sentence
+    assert verdict.rms_tracking_error < 0.5
+    assert repeat_run(log, tmp_path / "again.mcap").comparison.difference is None
+
+
+@pytest.mark.slow
+def test_a_stop_that_cannot_be_reached_on_the_track_that_is_left_is_passed_over(plan, monkeypatch) -> None:
+    bare, asked = make_plan(load_itinerary("outer-turn")).reference, []
+
+    def none_to(turns: int):
+        def sought(scene, start, ends, **_):
+            asked.append(scene.limits.position)
+            if any(np.abs(end[1] - np.pi).max() < 1 for end in ends) and len(asked) > turns:
+                raise GoalMissed("no transfer in 2 s within the cart's limits")
+            return start_reference(plan.reference, 0)
+
+        return sought
+
+    short = replace(plan.itinerary, loop=replace(plan.itinerary.loop, travel=0.2))
+    monkeypatch.setattr("dpcontrol.plans.starts.kept_transfer", none_to(1))
+    with pytest.warns(Remark, match=r"from rest to stop 2 \(down-up\): no transfer.*the stop before it"):
+        starts, _ = planned_starts(short, bare)
+    assert [start["stop"] for start in starts] == [0]
+    assert set(asked) == {0.2}
+    # Without the first there is no way at all.
+    with pytest.raises(GoalMissed, match=r"on_fall: from rest to stop 1 \(down-up\): no transfer"):
+        planned_starts(short, bare)
+
+
+@pytest.mark.slow
+def test_what_gets_up_after_a_fall_cannot_leave_as_c(plan) -> None:
+    with pytest.raises(InputError, match=r'on_fall = "resume".*export with on_fall = "stop"'):
+        check_exportable(plan.itinerary)
+
+
+@pytest.mark.slow
+def test_a_law_with_a_clock_of_its_own_cannot_be_taken_up_anywhere(plan) -> None:
+    scene = plan.itinerary
+    loop = replace(scene.loop, controller=TvlqrSettings(schedule="phase"))
+    controller = Assembly(plan.reference, scene.model.arms, loop).controller
+    with pytest.raises(InputError, match="has no gains by time"):
+        _ = Assembly(plan.reference, scene.model.arms, loop, law=controller).recovery
+
+
+@pytest.mark.slow
+def test_a_plan_that_was_made_without_starts_gets_them_where_its_runs_recover(plan) -> None:
+    alone = make_plan(load_itinerary("outer-turn"))
+    (case,) = cases_of(alone.itinerary, fixed=replace(RESUME, pushes=2, push_impulse=0.02), over={})
+    campaign = run_campaign(alone, [case], settings=CampaignSettings(runs=2, first_seed=3, workers=1), yes=True)
+    assert campaign.completed.successes == 2
+    assert plan_notes(recoverable(replace(alone, itinerary=plan.itinerary)).reference)["starts"]

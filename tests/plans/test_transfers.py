@@ -1,0 +1,278 @@
+"""Itineraries of transfers between equilibria: found once and kept, each with what it takes and passes."""
+
+from dataclasses import replace
+from itertools import pairwise, permutations, product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from quick_rate import quick_rate
+from scipy.integrate import solve_ivp
+
+import dpcontrol as dp
+from dpcontrol.control.interface import SampledModel
+from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
+from dpcontrol.dynamics.chain import Level, equations_of
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.orbits.lyapunov import lyapunov_orbit, resting_place
+from dpcontrol.plans import transfers
+from dpcontrol.plans.itinerary import HoldPart, load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.transfers import sensitivity, transfer_notes
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import Reference
+
+LAB = load_model("lab")
+SYSTEM = LAB.system
+QUICK = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
+"""Coarse: what is asked here is where transfers lead and what becomes of them, not how exact they are."""
+QUADRATURE = 1e-4  # relative, of sums over milliseconds
+BETWEEN_ORBITS = 0.02  # scaled, of neighbours among the orbits of a family
+
+
+def scene(folder: Path, *holds: str, model: str = "lab") -> Path:
+    parts = "".join(f'[[parts]]\nhold = "{name}"\nseconds = 0.5\n' for name in holds)
+    file = folder / "tour.toml"
+    file.write_text(f'model = "{model}"\nstart = "rest"\nfinish = "rest"\n{parts}{QUICK}')
+    return file
+
+
+@pytest.fixture(scope="module")
+def there_and_back(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    folder = tmp_path_factory.mktemp("tour")
+    return make_plan(load_itinerary(str(scene(folder, "down-down", "down-up", "down-down"))))
+
+
+def flown_again(plan: Plan, number: int) -> Reference:
+    """Return one of a plan's transfers by itself, at the turns that its start is named at."""
+    reference, (begin, end) = plan.reference, plan.notes["transfers"][number]
+    first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
+    states = reference.states[first:last]
+    lift = np.append(np.rint(states[0, 0, :2] / (2 * np.pi) - [0, 0.25 * number]) * 2 * np.pi, np.zeros(4))
+    return replace(
+        reference, mesh=reference.mesh[first : last + 1] - begin, states=states - lift,
+        inputs=reference.inputs[first:last], notes={}, extra={},
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_hold_where_arms_rest_is_the_rest_at_an_end(there_and_back: Plan) -> None:
+    notes = there_and_back.notes
+    assert [stop["saddle"] for stop in notes["stops"]] == ["down-down", "down-up", "down-down"]
+    assert [symbol["text"] for symbol in notes["symbols"]] == ["rest to down-up", "down-up to rest"]
+    (begin, _), (_, end) = notes["transfers"]
+    assert begin == pytest.approx(0.5)
+    assert there_and_back.reference.duration - end == pytest.approx(0.5)
+
+
+def test_what_a_transfer_takes_is_what_its_reference_does(there_and_back: Plan) -> None:
+    reference, document = there_and_back.reference, there_and_back.document()
+    assert len(document["transfers"]) == 2
+    for note, (begin, end) in zip(document["transfers"], there_and_back.notes["transfers"], strict=True):
+        assert (note["begin"], note["duration"]) == pytest.approx((begin, end - begin))
+        times = np.linspace(begin, end, 20_001)
+        middle = (times[1:] + times[:-1]) / 2
+        assert note["effort"] == pytest.approx((reference.input(middle) ** 2).mean() * (end - begin), rel=QUADRATURE)
+        positions = reference.state(times)[:, -2]
+        assert note["stroke"] == pytest.approx(positions.max() - positions.min(), rel=QUADRATURE)
+
+
+def standing(states: np.ndarray) -> Reference:
+    """Return a reference that passes pendulum states (K, 4), its cart at rest."""
+    method = method_named("radau-3")
+    mesh = np.linspace(0.0, 1.0, len(states))
+    carts = np.hstack([states, np.zeros((len(states), 2))])
+    share = method.support[:, None]
+    rows = carts[:-1, None] * (1 - share) + carts[1:, None] * share
+    inputs = np.zeros((len(states) - 1, len(method.points), 1))
+    return Reference(method, mesh, rows, inputs, Limits(), "", converged=True, max_error_between_nodes=0.0)
+
+
+def test_the_closest_approach_is_to_the_nearest_of_all_orbits_of_a_family() -> None:
+    """Along an orbit itself: none of another energy is nearer; and beside it, as far as brute force finds it."""
+    orbit = lyapunov_orbit(SYSTEM, "down-up", energy=0.1)
+    flown = solve_ivp(
+        lambda _, x: SYSTEM.numeric.rate(x), (0, orbit.period), orbit.state, t_eval=np.linspace(0, orbit.period, 400),
+        rtol=1e-10, atol=1e-10,
+    ).y.T  # fmt: skip
+    (on,) = transfer_notes(SYSTEM, [("on it", 0.0, standing(flown))])
+    (near,) = [one for one in on["closest"] if one["orbit"] == "down-up"]
+    assert near["distance"] < BETWEEN_ORBITS
+    assert near["energy"] == pytest.approx(0.1, abs=0.05)
+    place = flown[120] + np.array([0.0, 0.0, 3.0, 0.0])
+    (beside,) = transfer_notes(SYSTEM, [("beside it", 0.0, standing(np.array([place, place])))])
+    nearest = np.inf
+    for energy in np.linspace(-0.17, 0.48, 60):
+        other = lyapunov_orbit(SYSTEM, "down-up", energy=energy)
+        times = np.linspace(0, other.period, 400)
+        nearest = min(nearest, SYSTEM.scaled_distance(SYSTEM.propagator.sample(other.state, times), place).min())
+    (near,) = [one for one in beside["closest"] if one["orbit"] == "down-up"]
+    assert near["distance"] == pytest.approx(nearest, abs=BETWEEN_ORBITS)
+
+
+def test_a_transfer_that_begins_at_a_saddle_is_at_no_distance_from_its_orbits(there_and_back: Plan) -> None:
+    for note, end in zip(there_and_back.document()["transfers"], (1, 0), strict=True):
+        near = {one["orbit"]: one for one in note["closest"]}
+        assert set(near) == {"down-up"}, "up-down lies higher than these transfers reach"
+        assert near["down-up"]["distance"] == 0
+        assert near["down-up"]["time"] == pytest.approx(end * note["duration"])
+
+
+def test_the_table_of_transfers_is_printed(tmp_path: Path) -> None:
+    shown = dpcontrol("plan", scene(tmp_path, "down-down", "down-up", "down-down")).stdout
+    for text in ("rest to down-up", "down-up to rest", "∫u²", "stroke", "closest to", "0.00 at -0.175 J"):
+        assert text in shown
+
+
+def test_planning_that_was_interrupted_goes_on_with_the_transfers_it_had(
+    tmp_path: Path, there_and_back: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
+    sought: list[int] = []
+
+    def interrupted(*_: object, start: np.ndarray, **__: object) -> Reference:
+        sought.append(len(sought))
+        if len(sought) == 2:
+            raise KeyboardInterrupt
+        return flown_again(there_and_back, int(start.any()))
+
+    monkeypatch.setattr(transfers, "find_transfer", interrupted)
+    itinerary = there_and_back.itinerary
+    with pytest.raises(KeyboardInterrupt):
+        make_plan(itinerary)
+    again = make_plan(itinerary)
+    assert len(sought) == 3, "the first of two transfers was found once"
+    assert again.reference.states == pytest.approx(there_and_back.reference.states, abs=1e-12)
+    assert make_plan(itinerary).cached
+    make_plan(itinerary, fresh=True)
+    assert len(sought) == 5, "--fresh searches for both"
+
+
+def test_of_two_ways_between_equilibria_that_mirror_each_other_one_is_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
+    tried: list[list[np.ndarray]] = []
+
+    def nowhere(*_: object, start: np.ndarray, ends: list[np.ndarray], **__: object) -> Reference:
+        tried.append([end - start for end in ends])
+        raise GoalMissed("none")
+
+    monkeypatch.setattr(transfers, "find_transfer", nowhere)
+    for name, ways in (("down-up", 1), ("up-up", 2)):
+        with pytest.raises(GoalMissed, match=f"rest to {name}: none"):
+            make_plan(load_itinerary(str(scene(tmp_path, "down-down", name))))
+        assert len(tried[-1]) == ways
+        assert not any(np.allclose(a, -b) for a in tried[-1] for b in tried[-1])
+
+
+def test_a_motions_sensitivity_is_how_far_plants_stray_whose_arms_are_a_little_off(there_and_back: Plan) -> None:
+    """With the feedback of a controller that follows it, on a plant stepped by another integrator."""
+    motion, arms = flown_again(there_and_back, 0), LAB.arms
+    model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=0.005)
+    ticks = np.arange(round(motion.duration / 0.005)) * 0.005
+    states, commands = motion.state(ticks), motion.input(ticks + 0.0025)[:, 0]
+    a, b = model.linearised(states, commands)
+    weights, effort = TvlqrSettings().weights(2, 0.005)
+    terminal = terminal_cost(a[-1], b[-1], weights=np.diag(weights), effort=effort)
+    gains, _, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
+    rate = quick_rate(equations_of(arms, Level.CART))
+
+    def flown(base: np.ndarray) -> np.ndarray:
+        state, angles = states[0], []
+        for wanted, command, gain in zip(states, commands, gains, strict=True):
+            held = [command - gain @ (state - wanted)]
+            done = solve_ivp(lambda _, x, u=held: np.array(rate(x, u, base)).ravel(), (0, 0.005), state, rtol=1e-8)
+            state = done.y[:, -1]
+            angles.append(state[:2])
+        return np.array(angles)
+
+    off, nominal, strayed = 1e-3, flown(arms.base()), []
+    for name, i in product(("mass", "centre_of_mass", "length", "inertia"), range(2)):
+        values = list(getattr(arms, name))
+        values[i] *= 1 + off
+        strayed.append((flown(replace(arms, **{name: tuple(values)}).base()) - nominal) / off)
+    expected = np.sqrt(np.square(strayed).sum((0, 2))).max()
+    assert sensitivity(arms, motion) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["lab", "triple"])
+def test_arms_rest_where_all_of_them_hang(name: str) -> None:
+    system = load_model(name).system
+    assert not system.equilibrium(resting_place(system)).any()
+
+
+def test_twelve_goes_once_from_each_equilibrium_to_each_other() -> None:
+    itinerary = load_itinerary("twelve")
+    holds = [part for part in itinerary.parts if isinstance(part, HoldPart)]
+    assert len(holds) == len(itinerary.parts) == 13
+    assert {part.seconds for part in holds} == {1.0}
+    done = [(a.hold, b.hold) for a, b in pairwise(holds)]
+    assert sorted(done) == sorted(permutations(SYSTEM.equilibria, 2))
+
+
+@pytest.mark.benchmark
+def test_twelve_is_planned_from_its_file_alone_within_its_limits() -> None:
+    """Half a minute."""
+    plan = make_plan(load_itinerary("twelve"))
+    assert plan.converged
+    assert [stop["saddle"] for stop in plan.notes["stops"]] == [part.hold for part in plan.itinerary.parts]
+    assert plan.reference.max_cart_position <= plan.itinerary.limits.position
+    for note in plan.document()["transfers"]:
+        assert 0 < note["duration"] <= 3
+        assert {one["orbit"] for one in note["closest"]} <= set(SYSTEM.saddles)
+
+
+@pytest.mark.slow
+def test_three_arms_are_led_between_their_equilibria_as_two_are(tmp_path: Path) -> None:
+    """A minute."""
+    plan = make_plan(load_itinerary(str(scene(tmp_path, "down-down-down", "down-down-up", model="triple"))))
+    assert [stop["saddle"] for stop in plan.notes["stops"]] == ["down-down-down", "down-down-up", "down-down-down"]
+    assert plan.converged
+
+
+def test_transitions_fill_a_square_and_are_refused_where_there_are_none(there_and_back: Plan, tmp_path: Path) -> None:
+    file, picture = tmp_path / "tour.npz", tmp_path / "square.png"
+    file.write_bytes(there_and_back.archive)
+    answer = dpcontrol("reference", str(file), "--transitions", str(picture), "--json")
+    assert answer.document["transitions"] == str(picture)
+    assert picture.stat().st_size > 10_000
+    figure = dp.picture(there_and_back, transitions=True)
+    # Two equilibria: there and back beside the two themselves, each with its arms and its cart.
+    assert [len(axes.lines) for axes in figure.axes] == [3, 19, 19, 3]
+    assert [bool(axes.texts) for axes in figure.axes] == [False, True, True, False]
+    dpcontrol("plan", "cross", "--out", str(file))
+    refused = dpcontrol("reference", str(file), "--transitions", str(tmp_path / "none.png"))
+    assert refused.code == 2
+    assert "cross has no transfers from one equilibrium to another" in refused.stderr
+    assert not (tmp_path / "none.png").exists()
+
+
+def test_each_transition_is_flown_alone_from_hold_to_hold(there_and_back: Plan, tmp_path: Path) -> None:
+    table = tmp_path / "legs.parquet"
+    found = dp.campaign(there_and_back, runs=2, over={"mismatch": (0.01, 0.5)}, transitions=True, workers=1, out=table)
+    named = [(one.name, one.case) for one in found.transitions]
+    legs = ("down-down to down-up", "down-up to down-down")
+    assert named == [(leg, case) for leg in legs for case in ("mismatch=0.01", "mismatch=0.5")]
+    assert [(one.source, one.target) for one in found.transitions[::2]] == [tuple(leg.split(" to ")) for leg in legs]
+    assert [one.completed.runs for one in found.transitions] == [2] * 4
+    assert [result.completed.runs for result in found.results] == [4, 4]
+    # Half a second of each hold on either side of the transfer.
+    (begin, end), *_ = there_and_back.notes["transfers"]
+    assert found.transitions[0].duration == pytest.approx(end - begin)
+    assert found.rows[0]["simulated_seconds"] == pytest.approx(end - begin + 1.0, abs=0.01)
+    lost = [one for one in found.transitions if one.completed.successes < 2]
+    assert lost
+    assert all(one.reasons for one in lost)
+    assert found.document()["transitions"][0]["completed"] == found.transitions[0].completed.successes
+    # The whole itinerary's table is another one.
+    with pytest.raises(dp.InputError, match="another campaign"):
+        dp.campaign(there_and_back, runs=2, over={"mismatch": (0.01, 0.5)}, workers=1, out=table)
+    resume = dp.RunOptions(on_fall="resume")
+    with pytest.raises(dp.InputError, match="leave on_fall at stop"):
+        dp.campaign(there_and_back, runs=1, options=resume, transitions=True, workers=1)
+    with pytest.raises(dp.InputError, match="no transitions"):
+        dp.campaign("cross", runs=1, transitions=True, workers=1)

@@ -1,0 +1,106 @@
+"""Plans re-optimised as one problem: what counts as the same walk, what is refused, what a polished plan is worth."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+
+from dpcontrol import api
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.decoding import orbit_index, planned_wraps, shortfall
+from dpcontrol.plans.plan import Plan, load_plan
+from dpcontrol.references.find import tail
+from dpcontrol.references.reference import Reference, joined
+from dpcontrol.runs.polish import SHARE, departure, nearness
+
+STAYS = 1e-9  # rad and m: what is not re-optimised is copied
+TOUR = 'model = "lab"\nstart = "rest"\nfinish = "rest"\n[[parts]]\nhold = "down-up"\nseconds = 1.5\n'
+COARSE = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-4\n'
+
+
+@pytest.fixture(scope="module")
+def turns() -> Plan:
+    return api.plan("double-turn")
+
+
+def part(motion: Reference, begin: float, end: float) -> Reference:
+    return tail(motion, begin, seconds=end - begin, turns=np.zeros(2))
+
+
+def test_a_plan_keeps_its_own_walk(turns: Plan) -> None:
+    assert departure(turns.reference, turns.reference) == ""
+    assert shortfall(turns.reference) == ""
+
+
+def test_turns_the_other_way_are_another_walk(turns: Plan) -> None:
+    mirrored = turns.reference.states.copy()
+    mirrored[..., :2] *= -1
+    assert "does not cross its section" in departure(turns.reference, replace(turns.reference, states=mirrored))
+
+
+def test_one_wobble_more_at_a_stop_is_another_walk(turns: Plan) -> None:
+    motion, notes = turns.reference, turns.notes
+    first, second = (symbol["time"] for symbol in notes["symbols"])
+    period = notes["orbits"][orbit_index(notes, notes["stops"][1])]["period"]
+    middle = (first + second) / 2
+    longer, _ = joined([part(motion, 0.0, middle + period / 2), part(motion, middle - period / 2, motion.duration)])
+    assert "wobbles at stop 1" in departure(motion, longer)
+
+
+def test_an_arm_that_turns_once_more_between_two_symbols_is_another_walk(turns: Plan) -> None:
+    motion = turns.reference
+    first, second = (symbol["time"] for symbol in turns.notes["symbols"])
+    times = motion.mesh[:-1, None] + np.diff(motion.mesh)[:, None] * motion.method.support
+    states = motion.states.copy()
+    inside = (times > first) & (times < second)
+    states[..., 1] += np.where(inside, -2 * np.pi * np.sin(np.pi * (times - first) / (second - first)) ** 2, 0.0)
+    assert departure(motion, replace(motion, states=states)) != ""
+
+
+def test_wraps_of_a_polished_plan_are_those_that_were_counted(turns: Plan) -> None:
+    notes = turns.notes
+    late = [notes["symbols"][0], {**notes["symbols"][1], "time": notes["symbols"][1]["time"] + 0.4}]
+    made = planned_wraps({**notes, "symbols": late}, 0)
+    (asked,) = notes["wraps"]
+    assert made is not None
+    assert asked is not None
+    assert abs(made - asked) > 0.3
+    assert planned_wraps({**notes, "symbols": late, "polished": [0.0, 0.0, 0.0]}, 0) == asked
+
+
+@pytest.mark.parametrize("itinerary", ["outer-turn", "hold-up-up"])
+def test_what_does_not_lead_from_rest_to_rest_is_refused_in_a_sentence(itinerary: str) -> None:
+    ended = dpcontrol("plan", itinerary, "--polish")
+    assert ended.code == 2
+    assert "--polish needs a motion from rest to rest" in ended.message
+    assert 'finish = "rest"' in ended.message
+
+
+@pytest.mark.slow
+def test_a_polished_plan_costs_less_keeps_its_holds_and_can_be_flown_from_its_file(tmp_path: Path) -> None:
+    """Slow: plans two transfers and searches for both again."""
+    scene, file = tmp_path / "tour.toml", tmp_path / "tour.npz"
+    scene.write_text(TOUR + COARSE)
+    ended = dpcontrol("plan", str(scene), "--polish", "--out", str(file), "--json")
+    assert ended.code == 0, ended.stderr
+    robust, polished = ended.document["polish"]["sides"]
+    assert polished["effort"] <= robust["effort"] * (1 + 1e-6)
+    assert polished["completed"]["0.05"]["rate"] >= 0.9
+    plan, better = api.plan(str(scene)), load_plan(file)
+    motion, notes = better.reference, better.notes
+    assert motion.converged
+    assert shortfall(motion) == ""
+    assert notes.get("polished") == pytest.approx(nearness(motion))
+    assert abs(motion.duration - plan.reference.duration) < STAYS
+    (_, begin), (end, last) = notes["transfers"]
+    for times in (np.linspace(begin, end, 50), np.linspace(motion.duration - 0.8, motion.duration, 50), [0.0]):
+        assert np.abs(motion.state(times) - plan.reference.state(times)).max() < STAYS
+    assert last < motion.duration
+    for name, bound in plan.itinerary.limits.named().items():
+        assert motion.largest[name] <= max(SHARE * bound, plan.reference.largest[name]) * (1 + 1e-6)
+    run = api.run(better, mismatch=0.02, seed=1)
+    assert run.converged, run.status
+    with pytest.raises(InputError, match="is polished already"):
+        api.polish(better)

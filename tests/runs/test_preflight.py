@@ -1,0 +1,227 @@
+"""Preflights: rate, endings, borders and changes are those of a campaign's own runs, found once and kept."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpcontrol.dynamics.chain import Uncertainty, ratio_names
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.statistics import wilson
+from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.pages.campaign import HazardBorder, Improvement, Preflight, ShareAt
+from dpcontrol.pages.page import save_figure
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.runs import preflight as module
+from dpcontrol.runs.campaign import CampaignSettings, Job, cases_of, run_campaign
+from dpcontrol.runs.preflight import (
+    ASSUMED_MISMATCH,
+    PreflightSettings,
+    SceneChange,
+    as_known,
+    falling,
+    hazards,
+    preflight,
+)
+
+HARD = RunOptions(mismatch=0.2, initial_error=0.05, lag=0.005, command_noise=0.3, controller="tvlqr")
+"""Bench on which some runs fail and some do not."""
+SMALL = PreflightSettings(runs=16, workers=1, first_seed=40_000)
+ROUNDING = 1e-9
+
+
+@pytest.fixture(scope="module")
+def turn() -> Plan:
+    """The outer turn, planned."""
+    return make_plan(load_itinerary("outer-turn"))
+
+
+def made_up(monkeypatch: pytest.MonkeyPatch, threshold: Any) -> list[Job]:
+    """Let a seed complete as long as its settings are below its own threshold; return the jobs that were asked for."""
+    asked: list[Job] = []
+
+    def run_job(job: Job) -> list[dict[str, Any]]:
+        asked.append(job)
+        rows = []
+        for seed in job.seeds:
+            done = threshold(job.case.loop, np.random.default_rng(seed))
+            ending, reason = ("finished", "") if done else ("tracking lost", f"tracking lost at t = {seed} s; try")
+            rows.append({"seed": seed, "completed": done, "ending": ending, "reason": reason})
+        return rows
+
+    monkeypatch.setattr(module, "run_job", run_job)
+    monkeypatch.setattr(module, "kept", lambda file: None)
+    monkeypatch.setattr(module, "keep", lambda file, content: None)
+    return asked
+
+
+def border(found: Preflight, setting: str) -> HazardBorder:
+    (one,) = (b for b in found.borders if b.setting == setting)
+    return one
+
+
+@pytest.mark.parametrize("median", [0.011, 0.05, 0.2])
+def test_a_border_is_the_median_of_the_seeds_own_thresholds(
+    median: float, turn: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seeds with log-normal thresholds of lag, a third of a factor e wide: the median to two standard errors."""
+    made_up(monkeypatch, lambda loop, random: loop.drive.lag < median * math.exp(random.normal() / 3))
+    found = preflight(turn, RunOptions(lag=0.003), settings=PreflightSettings(runs=256, workers=1))
+    lag = border(found, "lag")
+    assert None not in (lag.border, lag.low, lag.high)
+    # The median of 128 has a standard error of √(π/2)/√128 of the thresholds' own.
+    assert abs(math.log(lag.border / (1e3 * median))) < 2.5 * 1.2533 / math.sqrt(128) / 3
+    assert lag.low < lag.border < lag.high
+    assert lag.margin == pytest.approx(lag.border / 3)
+
+
+def test_borders_where_less_is_worse_are_sought_downward(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    def threshold(loop: LoopSettings, random: np.random.Generator) -> bool:
+        return loop.sensors.counts > 300 and (not loop.travel or loop.travel > 0.2 * random.uniform(1, 1.1))
+
+    made_up(monkeypatch, threshold)
+    found = preflight(turn, settings=PreflightSettings(runs=128, workers=1))
+    counts, travel = border(found, "counts"), border(found, "travel")
+    assert counts.border == pytest.approx(300, rel=0.3)
+    assert counts.margin == pytest.approx(40_000 / counts.border)
+    assert travel.border == pytest.approx(210, rel=0.05)
+    # What nothing disturbs has no border where it is sought.
+    assert border(found, "lag").border is None
+    assert border(found, "lag").sentence.startswith("beyond")
+    assert (border(found, "belt").own, border(found, "counts").own) == ("none", "40,000 a turn")
+
+
+def test_a_change_is_worth_what_it_rescues_less_what_it_loses(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half the mismatch saves all; other laws lose all; the rest changes nothing."""
+    made_up(
+        monkeypatch,
+        lambda loop, random: (loop.mismatch <= 0.1 or random.uniform() < 0.75) and loop.controller.kind == "tvlqr",
+    )
+    found = preflight(turn, replace(HARD, mismatch=0.2), settings=PreflightSettings(runs=128, workers=1))
+    best, worst = found.changes[0], found.changes[-1]
+    assert "half the mismatch" in best.text
+    assert best.gain == pytest.approx(1 - found.share.rate, abs=ROUNDING)
+    assert "adaptive" in worst.text
+    assert worst.gain == pytest.approx(-found.share.rate, abs=ROUNDING)
+    assert [c.gain for c in found.changes[1:-1]] == [0.0] * (len(found.changes) - 2)
+    assert best.text in found.advice
+    assert {e.ending for e in found.endings} == {"tracking lost"}
+    assert sum(e.runs for e in found.endings) == found.share.runs - found.share.successes
+
+
+def test_where_all_complete_nothing_is_tried_and_where_none_does_no_border_is_sought(
+    turn: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made_up(monkeypatch, lambda loop, random: True)
+    fine = preflight(turn, settings=SMALL)
+    assert (fine.changes, fine.endings, fine.likely) == ((), (), None)
+    assert all(b.border is None for b in fine.borders)
+    made_up(monkeypatch, lambda loop, random: False)
+    hopeless = preflight(turn, settings=SMALL)
+    assert (hopeless.borders, hopeless.likely) == ((), False)
+    assert any("too few to seek borders" in note for note in hopeless.notes)
+    assert {c.gain for c in hopeless.changes} == {0.0}
+
+
+def test_a_plan_tells_it_in_python_and_runs_that_cannot_go_side_by_side_are_few(
+    turn: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made_up(monkeypatch, lambda loop, random: random.uniform() < 0.9)
+    found = preflight(turn, RunOptions(missed_counts=1.0), settings=PreflightSettings(workers=1))
+    assert (found.borders, found.changes) == ((), ())
+    assert any("one after the other" in note for note in found.notes)
+    assert 32 <= found.share.runs < preflight(turn, settings=PreflightSettings(workers=1)).share.runs
+    assert len(repr(found)) < 300
+    # More that are asked for by number are run.
+    assert preflight(turn, RunOptions(missed_counts=1.0), settings=PreflightSettings(runs=16, workers=1)).borders
+
+
+@pytest.mark.slow
+def test_its_runs_are_those_of_a_campaign_and_are_kept(
+    turn: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(module, "hazards", lambda plan, scene, **most: [])
+    half = RunOptions(mismatch=0.1)
+    changed = SceneChange("", half, "half")
+    monkeypatch.setattr(module, "changes", lambda scene: [[changed]])
+    found = preflight(turn, HARD, settings=SMALL)
+    assert found.changes[0].gain > 0
+    cases = cases_of(turn.itinerary, fixed=HARD, over={})
+    runs = CampaignSettings(runs=16, first_seed=40_000, workers=1, replayed=0)
+    campaign = run_campaign(turn, cases, settings=runs)
+    assert found.share.successes == campaign.completed.successes
+    assert found.share.low == wilson(found.share.successes, 16, confidence=0.99).low
+    assert {e.seed for e in found.endings} <= {row["seed"] for row in campaign.results[0].failures}
+    # A second time nothing is run, and the document is the same but for what it took.
+    monkeypatch.setattr(module, "run_job", lambda job: pytest.fail("run again"))
+    first, second = ({**one.document(), "seconds": 0} for one in (found, preflight(turn, HARD, settings=SMALL)))
+    assert first == second
+    # A part that is damaged is run again.
+    (part, *_) = (tmp_path / "cache" / "preflights").iterdir()
+    part.write_bytes(part.read_bytes()[:-1] + b"x")
+    with pytest.raises(pytest.fail.Exception, match="run again"):
+        preflight(turn, HARD, settings=SMALL)
+    save_figure(found.plot(), tmp_path / "page.pdf")
+    assert (tmp_path / "page.pdf").stat().st_size > 10_000
+    json.dumps(first)
+
+
+def test_arms_are_drawn_from_what_is_known_of_them(turn: Plan) -> None:
+    scene = turn.itinerary
+    assert as_known(scene, RunOptions())[0].loop.mismatch == scene.loop.mismatch
+    unknown, said = as_known(replace(scene, loop=replace(scene.loop, mismatch=0.0)), RunOptions())
+    assert unknown.loop.mismatch == ASSUMED_MISMATCH
+    assert said[0].source.startswith("assumed")
+    # Asked for by name, no mismatch is none.
+    assert as_known(scene, RunOptions(mismatch=0.0))[0].loop.mismatch == 0
+    names = ratio_names(scene.model.arms)
+    covariance = tuple((1e-4 * np.eye(len(names))).ravel().tolist())
+    model = replace(scene.model, uncertainty=Uncertainty(names, covariance))
+    known, said = as_known(replace(scene, model=model), RunOptions())
+    assert (known.loop.model_uncertainty, known.loop.mismatch) == (1.0, 0.0)
+    assert said[0].source.startswith("identified")
+    assert as_known(replace(scene, model=model), RunOptions(mismatch=0.1))[0].loop.model_uncertainty == 0
+
+
+def test_the_falling_sequence_next_to_values_is_that_of_the_textbook() -> None:
+    # Barlow et al.: pooled blocks take their weighted mean.
+    assert falling(np.array([1.0, 0.4, 0.8, 0.1]), np.array([1.0, 1.0, 3.0, 1.0])) == pytest.approx([1, 0.7, 0.7, 0.1])
+    assert falling(np.array([0.9, 0.5, 0.2]), np.ones(3)) == pytest.approx([0.9, 0.5, 0.2])
+
+
+def test_a_gain_and_its_error_weigh_both_kinds_of_seeds() -> None:
+    change = Improvement("x", {}, rescued=12, failing=24, lost=3, completing=48, rate=0.8)
+    assert change.gain == pytest.approx(0.2 * 0.5 - 0.8 / 16)
+    up, down = 14 / 28, 5 / 52
+    assert change.error**2 == pytest.approx(0.04 * up * (1 - up) / 28 + 0.64 * down * (1 - down) / 52)
+
+
+@pytest.mark.parametrize("values", [{"runs": 3}, {"workers": -1}, {"confidence": 2.0}])
+def test_impossible_settings_are_refused_by_name(values: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=next(iter(values))):
+        PreflightSettings(**values)
+
+
+def test_points_without_completing_seeds_have_no_share() -> None:
+    assert math.isnan(ShareAt(1.0, 32, 0, 0).share)
+
+
+def test_borders_of_belt_play_and_stiction_are_sought_and_what_the_loop_knows_stays(turn: Plan) -> None:
+    rough = RunOptions(belt=60.0, play=0.004, cable_torque=-0.001)
+    scene = turn.followed().itinerary.with_run(rough)
+    found = {one.name: one for one in hazards(turn, scene, most_delay=10)}
+    assert {"belt", "play", "stiction", "cable torque"} <= found.keys()
+    assert not {"cable stiffness", "first rates", "cart at first"} & found.keys()
+    assert (found["belt"].set, found["play"].set, found["cable torque"].set) == (60.0, 0.004, 0.001)
+    worse = scene.with_run(found["play"].options(0.02)).loop
+    assert worse.mechanics.play == 0.02
+    assert worse.known_mechanics(2) == scene.loop.known_mechanics(2)
+    # Of a belt less is worse.
+    assert found["belt"].place(30.0) > found["belt"].place(60.0)

@@ -1,0 +1,143 @@
+"""Verdicts held against a second decoder of another method; thousands of runs are among the benchmarks."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from generated_itineraries import write_itinerary
+from verdict_runs import Comparison, drawn_options, for_plan
+
+from dpcontrol.judge.decoding import decode_run, shortfall
+from dpcontrol.judge.score import Flown, verdict_on
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan, recoverable
+from dpcontrol.plans.run_options import RunOptions
+
+CROSS_AND_HOLD = """
+model = "lab"
+start = "rest"
+finish = "rest"
+
+[[parts]]
+energy = 0.2
+walk = ["down-up > up-down"]
+wraps = []
+
+[[parts]]
+hold = "up-up"
+seconds = {seconds}
+"""
+
+
+def planned(folder: Path, text: str) -> Plan:
+    file = folder / "scene.toml"
+    file.write_text(text)
+    return make_plan(load_itinerary(str(file)))
+
+
+def exact(plan: Plan) -> Flown:
+    """The run that follows the reference exactly."""
+    reference = plan.reference
+    times = np.arange(0.0, reference.duration, 1e-3)
+    states = reference.state(times)
+    limits = reference.limits
+    return Flown(
+        time=times, states=states, reference_angles=states[:, :2], applied=np.zeros(len(times)), rate_hz=1000.0,
+        limits=(limits.position + 1e-6, limits.velocity, limits.acceleration),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def outer_turn() -> Plan:
+    return make_plan(load_itinerary("outer-turn"))
+
+
+@pytest.mark.slow
+def test_a_wide_orbit_between_a_transfer_and_a_hold_is_a_stop(tmp_path: Path) -> None:
+    plan, random, found = planned(tmp_path, CROSS_AND_HOLD.format(seconds=1.5)), np.random.default_rng(1), Comparison()
+    assert verdict_on(exact(plan), plan.reference).problem == ""
+    found.add(plan, RunOptions(mismatch=0.0), list(range(8)), random)
+    assert found.completed == 8
+    found.add(plan, RunOptions(mismatch=0.3), list(range(16)), random)
+    found.add(plan, RunOptions(mismatch=0.02, controller="feedforward"), list(range(8)), random)
+    assert found.completed < found.runs
+    assert not found.false
+
+
+@pytest.mark.slow
+def test_a_hold_at_the_end_is_judged_for_no_longer_than_it_lasts(tmp_path: Path) -> None:
+    holds = [
+        f'[[parts]]\nhold = "{name}"\nseconds = {seconds}\n' for name, seconds in (("up-up", 1.0), ("down-down", 0.5))
+    ]
+    text = "".join(['model = "lab"\nstart = "rest"\nfinish = "rest"\n', *holds])
+    plan = planned(tmp_path, text)
+    assert plan.converged
+    assert verdict_on(exact(plan), plan.reference).problem == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [11, 12, 20])
+def test_drawn_itineraries_are_judged_as_a_second_decoder_judges_them(seed: int, tmp_path: Path) -> None:
+    """One whose stops are kept; two that end without a wobble, which the plan must refuse, and then with one."""
+    file, random, found = write_itinerary(tmp_path, seed), np.random.default_rng(seed), Comparison()
+    plan = make_plan(load_itinerary(str(file)))
+    if seed != 11:
+        assert not plan.converged
+        assert "raise lead_out to 1" in plan.status
+        file.write_text(file.read_text().replace("lead_out = 0", "lead_out = 1"))
+        plan = make_plan(load_itinerary(str(file)))
+    assert plan.converged
+    assert verdict_on(exact(plan), plan.reference).problem == ""
+    for _ in range(1 if seed == 11 else 4):
+        found.add(plan, for_plan(drawn_options(random), plan), list(range(2 if seed == 11 else 16)), random)
+    found.add(plan, RunOptions(mismatch=0.0), [0], random)
+    assert found.completed > 0
+    assert found.wrong > 0
+    assert not found.false
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("on_fall", ["resume", "restart"])
+def test_runs_that_fall_and_go_on_are_judged_as_a_second_decoder_judges_them(on_fall: str, outer_turn: Plan) -> None:
+    options = RunOptions(on_fall=on_fall, knocks_per_minute=20.0, knock_impulse=0.05, travel=0.8, mismatch=0.05)
+    plan = recoverable(replace(outer_turn, itinerary=outer_turn.itinerary.with_run(options)))
+    found = Comparison()
+    found.add(plan, options, [0, 1], np.random.default_rng(0))
+    assert not found.false
+
+
+def test_a_run_of_another_plan_is_not_completed(outer_turn: Plan) -> None:
+    """The same turn the other way round, and the arms exchanged."""
+    flown = exact(outer_turn)
+    assert verdict_on(flown, outer_turn.reference).problem == ""
+    mirrored = flown.states.copy()
+    mirrored[:, 1] = 2 * np.pi - mirrored[:, 1]
+    mirrored[:, 0] *= -1
+    for states in (mirrored, flown.states[:, [1, 0, 3, 2, 4, 5]]):
+        other = replace(flown, states=states, reference_angles=states[:, :2])
+        assert verdict_on(other, outer_turn.reference).problem
+
+
+def test_a_reference_that_does_not_do_its_itinerary_is_refused_with_what_to_change(outer_turn: Plan) -> None:
+    reference = outer_turn.reference
+    assert shortfall(reference) == ""
+    notes = dict(reference.notes)
+    stops = [notes["stops"][0], {**notes["stops"][1], "angles": [0.0, 5 * np.pi]}]
+    far = shortfall(replace(reference, notes={**notes, "stops": stops}))
+    assert far.startswith("symbol 1 of 1 ('down-up +') comes no nearer than")
+    assert far.endswith("raise lead_out to 3")
+    short = reference.mesh[-1] - notes["orbits"][0]["period"] * 2.5
+    rows = int(np.searchsorted(reference.mesh, short))
+    cut = replace(
+        reference, mesh=reference.mesh[: rows + 1], states=reference.states[:rows], inputs=reference.inputs[:rows]
+    )
+    assert "over the last period it is up to" in shortfall(cut)
+
+
+def test_stops_of_the_reference_itself_are_found_where_it_stays(outer_turn: Plan) -> None:
+    flown = exact(outer_turn)
+    found = decode_run(flown.time, flown.angles, outer_turn.reference)
+    (crossing,) = found.crossings
+    assert crossing == pytest.approx(outer_turn.notes["symbols"][0]["time"], abs=2e-3)
+    assert found.visits[0].last < crossing * 1000 < found.visits[1].first
