@@ -477,7 +477,7 @@ CHARTS: dict[str, Drawer] = {
     "propagation": _of("propagation"),
     **{name: _of("design", f"{name}_chart") for name in ("connections", "transcription")},
     **{name: _of("control", f"{name}_chart") for name in ("estimation", "control")},
-    **{name: _of(name) for name in ("logging", "levels", "payoff")},
+    "payoff": _of("payoff"),
     **{f"edges-{name}": _of("edges", f"{name}_chart") for name in _EDGES},
 }
 GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}

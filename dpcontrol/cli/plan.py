@@ -51,7 +51,7 @@ def plan_command(
     """
     from dpcontrol import api
     from dpcontrol.foundation.files import write_whole
-    from dpcontrol.runs.evidence import off_tubes_remarks, plan_remarks
+    from dpcontrol.runs.off_tubes import off_tubes_remarks
 
     if explore_energy is not None:
         from dpcontrol.bench.energies import only_walk
@@ -68,7 +68,7 @@ def plan_command(
     if out is not None and wanted.converged:
         write_whole(out, wanted.archive)
         (document if polished is None else document["polish"]["plan"])["file"] = out
-    for line in (*plan_remarks(plan.itinerary), *off_tubes_remarks(plan.itinerary)):
+    for line in off_tubes_remarks(plan.itinerary):
         say(line)
     found = api.closed_loop(plan).margins() if margins and plan.converged else None
     if found is not None:

@@ -152,7 +152,6 @@ def run_command(
     from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
-    from dpcontrol.runs.evidence import run_remarks
     from dpcontrol.runs.run import default_log, rig_link, run_on_rig, run_plan, run_with_program
 
     # Before the plan, which can take minutes.
@@ -197,8 +196,6 @@ def run_command(
             verdict = flown.score()
     if link is None:
         assert verdict is not None
-        for line in run_remarks(scene):
-            say(line)
         return Answer(verdict.document(), score_text(verdict), shortfall(verdict))
     # Without a progress bar, whose own thread would take time from the loop's.
     if program is not None:

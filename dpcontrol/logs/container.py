@@ -10,8 +10,6 @@ the file that was left.
 MCAP has checksums for chunks and attachments, but metadata is covered only by the checksum of the data section. In a
 cut or damaged file metadata could not be verified. Each metadata record therefore carries a CRC-32 of name and values.
 
-For comparison, a log can be rewritten message by message with the writer of the mcap package. The messages are prepared
-beforehand, so the timing covers the writer alone.
 Source: the MCAP format specification, version 0.
 """
 
@@ -20,18 +18,16 @@ import mimetypes
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Set
 from contextlib import suppress
 from dataclasses import dataclass
-from io import BufferedWriter, FileIO, RawIOBase
+from io import FileIO, RawIOBase
 from pathlib import Path
 
 import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import (
     Attachment,
     AttachmentIndex,
@@ -41,18 +37,13 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
-    Message,
     Metadata,
     MetadataIndex,
     Schema,
     Statistics,
     SummaryOffset,
 )
-from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
-
-from dpcontrol.logs.layout import MEASURED
 
 COMPRESSION = 1
 """Level of zstd. Higher levels take far longer and save little, because noise does not compress."""
@@ -343,79 +334,3 @@ def unsealed(name: str, record: Mapping[str, str]) -> dict[str, str] | None:
 def _checksum(name: str, values: Mapping[str, str]) -> str:
     content = json.dumps([name, dict(sorted(values.items()))])
     return f"{zlib.crc32(content.encode()):08x}"
-
-
-@dataclass(frozen=True)
-class Messages:
-    """Messages of a log in order, with their schemas and channels."""
-
-    schemas: tuple[Schema, ...]
-    channels: tuple[Channel, ...]
-    messages: tuple[Message, ...]
-
-    @property
-    def ends(self) -> tuple[int, ...]:
-        """Number of messages up to the end of each tick."""
-        measured = next(c.id for c in self.channels if c.topic == MEASURED)
-        starts = [k for k, message in enumerate(self.messages) if message.channel_id == measured]
-        return (*starts[1:], len(self.messages))
-
-
-def messages_of(path: Path) -> Messages:
-    """Return the messages of a complete log."""
-    with path.open("rb") as stream:
-        reader = make_reader(stream)
-        summary = reader.get_summary()
-        messages = tuple(message for _, _, message in reader.iter_messages(log_time_order=False))
-    if summary is None:
-        raise ValueError(f"{path} has no summary: the file is incomplete")
-    return Messages(tuple(summary.schemas.values()), tuple(summary.channels.values()), messages)
-
-
-class MessageWriter:
-    """Writes messages with the mcap package to an unbuffered stream.
-
-    The mcap package buffers its output to a bare stream, so it gets a buffer that can be flushed.
-
-    Args:
-        stream: unbuffered binary stream.
-        known: messages that provide the schemas and channels.
-        chunk_bytes: size of a chunk, bytes.
-        compression: "zstd" or "none".
-    """
-
-    def __init__(self, stream: RawIOBase, known: Messages, *, chunk_bytes: int, compression: str = "zstd") -> None:
-        kind = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}[compression]
-        self._buffer = BufferedWriter(stream)
-        self._writer = Writer(self._buffer, chunk_size=chunk_bytes, compression=kind, enable_data_crcs=True)
-        self._writer.start(profile="ros2")
-        schemas = {s.id: self._writer.register_schema(s.name, s.encoding, s.data) for s in known.schemas}
-        self._channels = {
-            c.id: self._writer.register_channel(c.topic, c.message_encoding, schemas[c.schema_id])
-            for c in known.channels
-        }
-
-    def add(self, messages: Sequence[Message]) -> None:
-        """Write messages one by one, and flush complete chunks."""
-        for m in messages:
-            self._writer.add_message(self._channels[m.channel_id], m.log_time, m.data, m.publish_time, m.sequence)
-        self._buffer.flush()
-
-    def finish(self) -> None:
-        """Write the end of the file."""
-        self._writer.finish()
-        self._buffer.flush()
-
-
-def ticks_left(path: Path) -> int:
-    """Return the number of readable ticks in a possibly cut file."""
-    count, measured = 0, set()
-    with path.open("rb") as stream:
-        try:
-            for record in StreamReader(stream).records:
-                if isinstance(record, Channel) and record.topic == MEASURED:
-                    measured.add(record.id)
-                count += isinstance(record, Message) and record.channel_id in measured
-        except (McapError, EOFError):
-            return count
-    return count

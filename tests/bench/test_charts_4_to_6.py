@@ -1,16 +1,10 @@
-"""Trials of the charts of estimation, control and logging, with reported failures."""
+"""Trials of the charts of estimation and control, with reported failures."""
 
 import math
-import shutil
-import signal
-import subprocess
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-from log_recording import RATE, hand_over, recording
 
 from dpcontrol.bench.control import (
     PERIOD,
@@ -23,10 +17,8 @@ from dpcontrol.bench.control import (
     noise_of,
     swing,
 )
-from dpcontrol.bench.logging import Arrays, Blocks, ByMessage, Lines, RowGroups, losses
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.ogy import OgySettings, ogy_controller
-from dpcontrol.logs.container import messages_of, ticks_left
 from dpcontrol.loop.controllers import make_estimator
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.loop.result import BatchRun, Ending
@@ -134,52 +126,3 @@ def test_pulses_at_few_sections_are_missing_with_their_reason_and_at_many_a_poin
     assert (point.method, point.setting) == ("OGY", "16")
     assert 0 < point.error < 0.1
     assert point.others["success_small"] == 1
-
-
-def test_a_copy_of_the_growing_file_holds_what_a_kill_leaves(tmp_path: Path):
-    tick = 333
-    script = Path(__file__).with_name("killed_format.py")
-    done = subprocess.run([sys.executable, script, tmp_path, str(tick)], capture_output=True, text=True)
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    run = recording(tmp_path, 400)
-    for k, kind in enumerate([Blocks(), ByMessage(16 * 1024), Lines("CSV", flush=False), Lines("JSON", flush=True)]):
-        path = tmp_path / f"copied-{k}"
-        hand_over(kind, path, run, tick)
-        copy = tmp_path / f"copy-{k}"
-        shutil.copyfile(kind.growing(path), copy)
-        killed = tmp_path / f"killed-{k}"
-        growing = next(p for p in (killed.with_name(killed.name + ".partial"), killed) if p.exists())
-        assert kind.left(growing) == kind.left(copy), kind.method
-        kind.end()
-
-
-def test_each_format_loses_what_it_keeps_to_itself(tmp_path: Path):
-    run = recording(tmp_path, TICKS)
-
-    def loss(kind):
-        return losses(kind, tmp_path / "run", run, kills=4)
-
-    ours = loss(Blocks())
-    # Up to a chunk, and the tick under way.
-    assert 1 / RATE <= max(ours) <= 0.021
-    assert loss(Lines("CSV", flush=True)) == pytest.approx([1 / RATE] * 4)
-    kills = np.sort(np.random.default_rng(5).integers(TICKS // 10, TICKS, 4))
-    for whole in (Arrays(compressed=False), RowGroups(100), ByMessage(1024 * 1024)):
-        assert loss(whole) == pytest.approx((kills + 1) / RATE), whole.method
-    assert max(loss(ByMessage(16 * 1024))) < 0.1
-    assert max(loss(Blocks(0.2))) > max(ours)
-
-
-def test_the_packages_own_writer_writes_the_same_messages(tmp_path: Path):
-    run = recording(tmp_path, 100)
-    kind, path = ByMessage(16 * 1024), tmp_path / "again.mcap"
-    hand_over(kind, path, run, 100)
-    kind.end()
-    again = messages_of(path)
-    assert [(m.log_time, m.sequence, m.data) for m in again.messages] == [
-        (m.log_time, m.sequence, m.data) for m in run.messages.messages
-    ]
-    assert ticks_left(path) == 100
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert 0 < ticks_left(cut) < 100

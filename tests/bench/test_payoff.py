@@ -39,7 +39,7 @@ from dpcontrol.references.find import smooth_guess
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.trajectory import Trajectory, times_on
-from dpcontrol.runs.evidence import known_flights, off_tubes_remarks
+from dpcontrol.runs.off_tubes import known_flights, off_tubes_remarks
 
 ARMS = load_model("lab").arms
 EQUATIONS = equations_of(ARMS, Level.CART)
