@@ -14,7 +14,7 @@ from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, Page
 from dpcontrol.pages.page import angle_axis, new_figure, quiet
 from dpcontrol.tubes.cut import section_points, tube_cut
-from dpcontrol.tubes.intersections import InteriorSettings, Outline, Returns, TubeInterior, inside, tube_interior
+from dpcontrol.tubes.interior import InteriorSettings, Outline, Returns, TubeInterior, inside, tube_interior
 
 
 def draw_interior(interior: TubeInterior, periodic: tuple[RotatingOrbit, ...] = ()) -> Figure:

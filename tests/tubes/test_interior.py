@@ -13,7 +13,7 @@ from dpcontrol.pages.page import save_figure
 from dpcontrol.pages.wheels import draw_interior
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.cut import CutSettings, section_points, tube_cut
-from dpcontrol.tubes.intersections import (
+from dpcontrol.tubes.interior import (
     InteriorSettings,
     inside,
     labels,
