@@ -774,8 +774,8 @@ def picture(
         InputError: a file cannot be written; a film is of an atlas, or of a system without arms; transitions are asked
             of what has none.
     """
+    from dpcontrol.judge.of_log import reference_view, run_view
     from dpcontrol.pages.atlas import draw_atlas
-    from dpcontrol.pages.of_log import reference_view, run_view
     from dpcontrol.pages.page import draw, save_figure
     from dpcontrol.pages.walks import WalkStory, draw_walk
     from dpcontrol.plans.plan import Plan

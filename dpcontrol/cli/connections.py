@@ -229,7 +229,7 @@ def _sustained(model: "Model", saddle: str, energy: float, family: int, sections
     if not orbit.converged:
         picture = None
     if picture is not None:
-        from dpcontrol.pages.of_log import sustained_view
+        from dpcontrol.judge.of_log import sustained_view
         from dpcontrol.pages.page import draw, save_figure
 
         save_figure(draw(sustained_view(orbit, arms.length)), picture)

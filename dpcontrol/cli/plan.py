@@ -164,7 +164,7 @@ def reference_command(
         summary = summarised(reference)
         document = summary.document()
         if picture is not None:
-            from dpcontrol.pages.of_log import reference_view
+            from dpcontrol.judge.of_log import reference_view
             from dpcontrol.pages.page import draw, save_figure
 
             save_figure(draw(reference_view(summary, file)), picture)

@@ -167,8 +167,8 @@ def review_command(
 
 def _filmed(shown: Any, file: Path, stretch: tuple[float, float] | None, *, yes: bool, progress: Progress) -> Path:
     """Write a film of what is to be seen."""
+    from dpcontrol.judge.run_view import RunView
     from dpcontrol.pages.film import write_film
-    from dpcontrol.pages.motion import RunView
 
     if not isinstance(shown, RunView):
         raise InputError(f"{file}: a film shows one motion: give one log, recording or reference")
@@ -178,8 +178,8 @@ def _filmed(shown: Any, file: Path, stretch: tuple[float, float] | None, *, yes:
 def _opened(files: tuple[Path, ...], symbol: int) -> Any:
     """Return what is to be seen: the view of a run or a reference, an atlas, or a comparison of several runs."""
     from dpcontrol.foundation.files import archive_format, is_archive
+    from dpcontrol.judge.of_log import read_reference_view, run_view
     from dpcontrol.logs import read_log
-    from dpcontrol.pages.of_log import read_reference_view, run_view
     from dpcontrol.references.reference import FORMAT as REFERENCE
 
     first, *others = files
@@ -234,9 +234,9 @@ def report_command(
 
 
 def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
+    from dpcontrol.judge.of_log import run_view
     from dpcontrol.judge.score import REFERENCE_ATTACHMENT, score
     from dpcontrol.logs import read_log
-    from dpcontrol.pages.of_log import run_view
     from dpcontrol.pages.page import draw, save_figure
     from dpcontrol.pages.series import margins_chart
 

@@ -51,7 +51,7 @@ def demo_command(
         progress("loading", 0.0)
         from dpcontrol import api
         from dpcontrol.foundation.parts import installed
-        from dpcontrol.pages.of_log import run_view
+        from dpcontrol.judge.of_log import run_view
         from dpcontrol.pages.picture import write_picture
         from dpcontrol.pages.rerun_recording import write_recording
 

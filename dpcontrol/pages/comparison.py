@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import rerun_recording, style
-from dpcontrol.pages.motion import RunView
 from dpcontrol.pages.page import (
     draw_chart,
     draw_film,

@@ -24,8 +24,8 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
+from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.motion import RunView
 from dpcontrol.pages.page import SMALL, key, new_figure, story, story_rows
 from dpcontrol.pages.series import Range, arm_points
 

@@ -26,9 +26,9 @@ import numpy as np
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import Event, RunLog
 from dpcontrol.loop.result import LoopSink, Ticks
-from dpcontrol.pages.motion import RunView, series_of
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -173,8 +173,8 @@ class Shown:
 
         It shows the plan with its orbits and tubes.
         """
+        from dpcontrol.judge.of_log import reference_view
         from dpcontrol.judge.score import plan_of
-        from dpcontrol.pages.of_log import reference_view
         from dpcontrol.references.reference import summarised
 
         planned = reference_view(summarised(plan_of(start)), start.path)

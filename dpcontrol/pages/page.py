@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import series, style
-from dpcontrol.pages.motion import RunView
 from dpcontrol.pages.series import (
     Chart,
     LevelLine,

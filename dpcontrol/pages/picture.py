@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.parts import installed, part
-from dpcontrol.pages.motion import RunView
+from dpcontrol.judge.run_view import RunView
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,8 +20,8 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.parts import Later
+from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.motion import RunView
 from dpcontrol.pages.series import (
     Chart,
     Line,

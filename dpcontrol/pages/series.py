@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from dpcontrol.control.estimator_settings import MEANS_OF, mean_band, means_of
 from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.judge.run_view import ACTUAL, RunView, Stay, clean
 from dpcontrol.logs import LAP, RESUME, RETURN, START, Mode
 from dpcontrol.pages import style
-from dpcontrol.pages.motion import ACTUAL, RunView, Stay, clean
 
 Range = tuple[float, float]
 

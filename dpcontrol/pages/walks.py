@@ -19,9 +19,9 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.judge.run_view import PlanView, RunView, Stay
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.pages import page, style
-from dpcontrol.pages.motion import PlanView, RunView, Stay
 from dpcontrol.pages.page import (
     badge,
     draw_chart,

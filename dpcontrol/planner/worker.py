@@ -112,14 +112,14 @@ def _page(report: Reporter, *, log: str) -> None:
 
 
 def _film(report: Reporter, *, log: str, film: str) -> None:
+    from dpcontrol.judge.of_log import run_view
     from dpcontrol.pages.film import write_film
-    from dpcontrol.pages.of_log import run_view
 
     write_film(run_view(read_log(log)), film, progress=report.progress)
 
 
 def _rerun(_: Reporter, *, log: str) -> None:
-    from dpcontrol.pages.of_log import run_view
+    from dpcontrol.judge.of_log import run_view
     from dpcontrol.pages.picture import view_in_window
 
     view_in_window(run_view(read_log(log)), Path(log).stem)

@@ -182,7 +182,7 @@ class Run:
 
     def plot(self) -> "Figure":
         """Return the page of the run: the itinerary as asked and as done, a film, series, errors, phase planes."""
-        from dpcontrol.pages.of_log import run_view
+        from dpcontrol.judge.of_log import run_view
         from dpcontrol.pages.page import draw
 
         return draw(run_view(self.log))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from command_line import Ended, dpcontrol
 
+from dpcontrol.judge.of_log import run_view
 from dpcontrol.logs import read_log
-from dpcontrol.pages.of_log import run_view
 
 PNG, RECORDING = b"\x89PNG\r\n\x1a\n", b"RRF2"
 """First bytes of a picture (PNG specification) and of a Rerun recording."""

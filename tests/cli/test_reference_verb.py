@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 
-from dpcontrol.pages.of_log import reference_view
+from dpcontrol.judge.of_log import reference_view
 from dpcontrol.pages.page import draw
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference, summarised

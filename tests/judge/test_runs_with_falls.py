@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.score import counted, flights_of
 from dpcontrol.logs import Event, Flight, joined_at, joined_text
 from dpcontrol.loop.bench import Push
-from dpcontrol.pages.of_log import run_view
 from dpcontrol.pages.series import strips
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dpcontrol.judge.run_view import PlacedOrbit, PlanView, RunView, series_of
 from dpcontrol.logs import LogWriter, Mode, read_log
-from dpcontrol.pages.motion import PlacedOrbit, PlanView, RunView, series_of
 
 ARM_LENGTHS = (0.1738, 0.2490)
 LIMITS = (0.9, 3.0, 30.0)

@@ -10,8 +10,8 @@ from synthetic_run import synthetic_run, view_of
 from test_recording import bare_log
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.run_view import RunView, Stay, series_of
 from dpcontrol.pages.comparison import MOST, compare, draw_comparison, write_comparison_recording
-from dpcontrol.pages.motion import RunView, Stay, series_of
 from dpcontrol.pages.picture import viewer_program
 
 SAME_MOMENT = 0.02

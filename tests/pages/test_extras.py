@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpcontrol.pages.of_log import run_view
+from dpcontrol.judge.of_log import run_view
 from dpcontrol.pages.page import draw
 from dpcontrol.pages.series import extra_charts
 from dpcontrol.plans.itinerary import load_itinerary

@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.run_view import PlanView, RunView, Stay
 from dpcontrol.pages import style
 from dpcontrol.pages.film import RATE, Film, write_film
-from dpcontrol.pages.motion import PlanView, RunView, Stay
 
 
 def swinging(seconds: float = 4.0, **more) -> RunView:

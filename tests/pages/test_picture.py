@@ -12,8 +12,8 @@ from synthetic_run import synthetic_run, view_of
 from test_recording import bare_log
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.pages import picture as viewer
-from dpcontrol.pages.motion import RunView, series_of
 from dpcontrol.pages.page import curve, draw, save_figure
 from dpcontrol.pages.picture import write_picture
 from dpcontrol.pages.rerun_recording import write_recording

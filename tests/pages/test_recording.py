@@ -10,8 +10,8 @@ import pytest
 from synthetic_run import RATE, synthetic_run, view_of, write_log
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.run_view import ACTUAL, RunView, series_of
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
-from dpcontrol.pages.motion import ACTUAL, RunView, series_of
 from dpcontrol.pages.picture import open_viewer, viewer_program
 from dpcontrol.pages.rerun_recording import plane_view, write_recording
 from dpcontrol.pages.series import ticked
@@ -122,7 +122,7 @@ def test_a_viewer_for_no_recording_is_an_input_error(tmp_path: Path) -> None:
 
 def test_logs_and_contexts_are_imported_without_the_viewer_or_matplotlib() -> None:
     program = (
-        "import sys, dpcontrol.logs, dpcontrol.pages.motion, dpcontrol.pages.picture\n"
+        "import sys, dpcontrol.logs, dpcontrol.judge.run_view, dpcontrol.pages.picture\n"
         "assert not {'rerun', 'matplotlib'} & sys.modules.keys()\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)

@@ -11,9 +11,9 @@ import rerun as rr
 from synthetic_run import ARM_LENGTHS, synthetic_run, write_log
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.of_log import run_view
+from dpcontrol.judge.run_view import series_of
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
-from dpcontrol.pages.motion import series_of
-from dpcontrol.pages.of_log import run_view
 from dpcontrol.pages.page import curve, draw
 from dpcontrol.pages.rerun_recording import write_recording
 from dpcontrol.pages.series import mode_spans

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from dpcontrol.dynamics.chain import pendulum_system
-from dpcontrol.pages.of_log import tubes_of
+from dpcontrol.judge.of_log import tubes_of
 from dpcontrol.plans.model import load_model
 
 CHORD = 0.2  # rad, a rad/s counting a fifth: a hundredth of the picture's width

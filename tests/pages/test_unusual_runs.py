@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from synthetic_run import ARM_LENGTHS, synthetic_run, view_of, write_log
 
+from dpcontrol.judge.of_log import run_view
+from dpcontrol.judge.run_view import PlanView, series_of
 from dpcontrol.judge.score import Score
 from dpcontrol.logs import LogWriter, read_log, recover
-from dpcontrol.pages.motion import PlanView, series_of
-from dpcontrol.pages.of_log import run_view
 from dpcontrol.pages.page import draw, film_times
 from dpcontrol.recordings.recording import REPLAYED
 

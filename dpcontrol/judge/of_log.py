@@ -23,6 +23,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, PartMissing, remark
 from dpcontrol.judge.decoding import Decoded, decode_run, orbit_index
+from dpcontrol.judge.run_view import ACTUAL, PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
 from dpcontrol.judge.score import (
     DRAWN_METADATA,
     MODEL_METADATA,
@@ -40,7 +41,6 @@ from dpcontrol.logs import RunLog
 from dpcontrol.logs.layout import SLOW_RATE
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.pages.motion import ACTUAL, PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
 from dpcontrol.recordings.recording import SUMMARY
 from dpcontrol.references.reference import (
     OrbitNote,
