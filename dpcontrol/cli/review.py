@@ -24,9 +24,9 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, progress_bar
 
 if TYPE_CHECKING:
+    from dpcontrol.judge.campaign import CampaignSummary
     from dpcontrol.judge.score import Score
     from dpcontrol.logs import LogSummary, Recovery
-    from dpcontrol.pages.campaign import CampaignSummary
 
 
 @verb("score", example="dpcontrol score logs/outer-turn-0.mcap --why")
@@ -74,7 +74,7 @@ def score_command(
 
 
 def _nights(folders: list[Path], others: list[Path], *, why: bool) -> Answer:
-    from dpcontrol.pages.night import read_night
+    from dpcontrol.judge.night import read_night
 
     if others or why:
         what = "--why tries single runs" if why else f"{others[0]} is a single log"
@@ -184,7 +184,7 @@ def _opened(files: tuple[Path, ...], symbol: int) -> Any:
 
     first, *others = files
     if others:
-        from dpcontrol.pages.comparison import compare
+        from dpcontrol.judge.comparison import compare
 
         if other := next((file for file in files if file.suffix.lower() == ".npz"), None):
             raise InputError(
@@ -258,7 +258,8 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
 
 
 def _night(folder: Path, picture: Path) -> Answer:
-    from dpcontrol.pages.night import draw_night, read_night
+    from dpcontrol.judge.night import read_night
+    from dpcontrol.pages.night import draw_night
     from dpcontrol.pages.page import save_figure
 
     night = read_night(folder)
@@ -267,7 +268,8 @@ def _night(folder: Path, picture: Path) -> Answer:
 
 
 def _campaign(file: Path, picture: Path) -> Answer:
-    from dpcontrol.pages.campaign import campaign_summary, draw_campaign
+    from dpcontrol.judge.campaign import campaign_summary
+    from dpcontrol.pages.campaign import draw_campaign
     from dpcontrol.pages.page import save_figure
 
     summary = campaign_summary(file)

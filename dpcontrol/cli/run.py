@@ -39,11 +39,12 @@ from dpcontrol.foundation.files import checked_target, write_whole
 from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.progress import part_of, progress_bar
+from dpcontrol.foundation.rendering import live_view
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.plans.run_options import RunOptions
 
 if TYPE_CHECKING:
-    from dpcontrol.pages.campaign import Preflight
+    from dpcontrol.judge.preflight import Preflight
     from dpcontrol.runs.campaign import Campaign, StandardScore
 
 KINDS: dict[str, type] = {
@@ -159,6 +160,7 @@ def run_command(
         if program is not None:
             raise click.UsageError("--live shows what the loop does, and a program does it here: give one of them")
         check_viewer(LIVE_REMEDY)
+    shown = live_view if live else None
     address = None if own else address
     link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     rig = None if own is None else load_own("rig", own)
@@ -182,7 +184,7 @@ def run_command(
         night_cost(scene, night, night_folder(out), real_time=address is not None, yes=yes)
         with progress_bar("night") as progress:
             plan = night_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
-            fly = partial(run_night, plan, out, night, link=link, resume=resume, force=force, live=live)
+            fly = partial(run_night, plan, out, night, link=link, resume=resume, force=force, live=shown)
             if link is None:
                 done = fly(progress=part_of(progress, 0.05, 1.0))
                 return Answer(done.document(), done.lines())
@@ -192,7 +194,7 @@ def run_command(
         plan = make_plan(scene, progress=progress, yes=yes)
         verdict = None
         if link is None:
-            flown = run_plan(plan, out, library=library, rig=rig, force=force, live=live, progress=progress)
+            flown = run_plan(plan, out, library=library, rig=rig, force=force, live=shown, progress=progress)
             verdict = flown.score()
     if link is None:
         assert verdict is not None
@@ -201,7 +203,7 @@ def run_command(
     if program is not None:
         run = run_with_program(plan, out, program, real_time=real_time, force=force)
     else:
-        run = run_on_rig(plan, out, link, force=force, live=live)
+        run = run_on_rig(plan, out, link, force=force, live=shown)
     verdict, result = run.score, run.result
     kept = None if run.deadlines is None else asdict(run.deadlines)
     document = {**verdict.document(), "ending": result.ending.value, "deadlines": kept}

@@ -300,6 +300,23 @@ class NoSink:
         """Ignore an event."""
 
 
+class Sinks:
+    """Passes ticks and events to several sinks in turn."""
+
+    def __init__(self, *sinks: LoopSink) -> None:
+        self._sinks = sinks
+
+    def ticks(self, rows: Ticks) -> None:
+        """Pass on the next ticks."""
+        for sink in self._sinks:
+            sink.ticks(rows)
+
+    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+        """Pass on one event."""
+        for sink in self._sinks:
+            sink.event(time_s, level, name, text)
+
+
 @dataclass(frozen=True, eq=False)
 class LoopResult:
     """A run of K ticks, n arms.

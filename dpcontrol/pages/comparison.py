@@ -1,15 +1,10 @@
-"""Several runs on one clock, on a page and as a Rerun recording, aligned at the crossing of one symbol's section.
-
-The crossing time is decoded from the run's true angles, or from the estimated ones if the truth is unknown. For a
-symbol without a section, or one that the run did not complete, the plan's time is used. A log without a plan is aligned
-at its start. The comparison's status reports the method used for each run.
-"""
+"""Several runs on one clock, on a page and as a Rerun recording."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
@@ -18,8 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.judge.run_view import RunView
+from dpcontrol.judge.comparison import ComparedRun, RunComparison
 from dpcontrol.pages import rerun_recording, style
 from dpcontrol.pages.page import (
     draw_chart,
@@ -32,93 +26,7 @@ from dpcontrol.pages.page import (
     story_rows,
 )
 from dpcontrol.pages.rerun_recording import rrb
-from dpcontrol.pages.series import Chart, Line, Range, charts, plane, strips
-
-MOST = len(style.RUNS)
-
-
-@dataclass(frozen=True)
-class ComparedRun:
-    """One run of a comparison.
-
-    Attributes:
-        name: file name, numbered if another run has the same.
-        colour: colour of the run.
-        view: the run on the common clock.
-        delay: shift of its clock, s.
-        aligned_by: phrase on the alignment.
-    """
-
-    name: str
-    colour: str
-    view: RunView
-    delay: float
-    aligned_by: str
-
-
-@dataclass(frozen=True)
-class RunComparison:
-    """Runs on one clock, aligned at a symbol.
-
-    The symbol counts from 1; its time is in s.
-    """
-
-    runs: tuple[ComparedRun, ...]
-    symbol: int
-    moment: float
-
-    @property
-    def status(self) -> str:
-        """Sentence on the alignment of the runs."""
-        alignment = [f"{run.name} {run.aligned_by}" for run in self.runs]
-        return f"aligned at symbol {self.symbol}, at {self.moment:.3f} s: {'; '.join(alignment)}"
-
-    @property
-    def title(self) -> str:
-        """Title of the page."""
-        titles = list(dict.fromkeys(run.view.title.split(" — ")[0] for run in self.runs))
-        return f"{len(self.runs)} runs: {titles[0]}" if len(titles) == 1 else f"{len(self.runs)} runs compared"
-
-    @property
-    def span(self) -> Range:
-        """Range of the runs and their plans on the clock, s."""
-        ends = [run.view.span for run in self.runs]
-        return min(begin for begin, _ in ends), max(end for _, end in ends)
-
-
-def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
-    """Return runs on one clock, aligned at a symbol, counted from 1.
-
-    Raises:
-        InputError: there are too many runs, their pendulums differ, or the symbol is missing in all.
-    """
-    if len(runs) > MOST:
-        raise InputError(f"{len(runs)} logs are too many for one picture: compare up to {MOST}")
-    if len({view.arms for view in runs}) > 1:
-        raise InputError("the logs are of pendulums with different numbers of arms: compare those that have the same")
-    most = max(len(view.symbols) for view in runs)
-    if not 1 <= symbol <= max(most, 1):
-        raise InputError(f"--align {symbol}: these runs have symbols 1 to {most}" if most else "no log has symbols")
-    moments = [_moment(view, symbol - 1) for view in runs]
-    latest = max(moment for moment, _ in moments)
-    names = [view.path.stem for view in runs]
-    compared = []
-    for k, (view, (moment, alignment)) in enumerate(zip(runs, moments, strict=True)):
-        delay = latest - moment
-        name = names[k] if names.count(names[k]) == 1 else f"{names[k]} ({k + 1})"
-        compared.append(ComparedRun(name, style.RUNS[k], view.delayed(delay), delay, alignment))
-    return RunComparison(tuple(compared), symbol, latest)
-
-
-def _moment(view: RunView, k: int) -> tuple[float, str]:
-    done = view.crossings[k] if k < len(view.crossings) else None
-    if done is not None:
-        known = "estimated" if view.what == "estimate" else "true"
-        return done, f"by its decoded crossing ({known} angles)"
-    if k < len(view.symbols):
-        reached = k < len(view.crossings)
-        return view.plan.symbols[k][0], f"by its plan's time ({'a swing' if reached else 'not done'})"
-    return float(view.time[0]), "by its start (no such symbol)"
+from dpcontrol.pages.series import Chart, Line, charts, plane, strips
 
 
 def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
@@ -158,7 +66,7 @@ def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title
         if parts:
             values = parts[0].values if len(parts) == 1 else np.max([np.abs(line.values) for line in parts], axis=0)
             place = f"{k + 1}_{_plain(run.name)}"
-            lines.append(Line(place, run.name, "", parts[0].time, values, run.colour, dashed=k > 0))
+            lines.append(Line(place, run.name, "", parts[0].time, values, style.RUNS[k], dashed=k > 0))
     known = next((own for own in every if own), None)
     if known is None:
         return None
@@ -208,8 +116,8 @@ def draw_comparison(comparison: RunComparison) -> Figure:
     write(comparison.status, 0.022, tall - 0.68, 190, fontsize=9, color=style.NOTE)
     top = tall - _HEAD
     frames = _frames(comparison)
-    for run in runs:
-        write(run.name, 0.022, top - 0.12, 100, fontsize=11, weight="bold", color=run.colour)
+    for run, colour in zip(runs, style.RUNS, strict=False):
+        write(run.name, 0.022, top - 0.12, 100, fontsize=11, weight="bold", color=colour)
         write(run.view.verdict, 0.165, top - 0.12, 150, fontsize=9.5, color=style.verdict_colour(run.view.good))
         if story_rows(run.view, span=comparison.span):
             height = _STORY - 0.5
@@ -261,7 +169,7 @@ def _panels(figure: Figure, comparison: RunComparison, *, top: float, tall: floa
     for arm in range(arms):
         bottom = top - (arm + 1) * half + 0.5
         axes = figure.add_axes((0.70, bottom / tall, 0.28, (half - 0.5) / tall))
-        planes = [(plane(run.view, arm), run.colour) for run in comparison.runs]
+        planes = [(plane(run.view, arm), style.RUNS[k]) for k, run in enumerate(comparison.runs)]
         draw_plane(axes, planes, tubes=False)
 
 

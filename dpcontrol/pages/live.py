@@ -28,7 +28,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import Event, RunLog
-from dpcontrol.loop.result import LoopSink, Ticks
+from dpcontrol.loop.result import Ticks
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -133,23 +133,6 @@ class LiveView:
         except OSError:
             os.close(self._pipe)
             self._pipe = -1
-
-
-class Sinks:
-    """Passes ticks and events to several sinks in turn."""
-
-    def __init__(self, *sinks: LoopSink) -> None:
-        self._sinks = sinks
-
-    def ticks(self, rows: Ticks) -> None:
-        """Pass on the next ticks."""
-        for sink in self._sinks:
-            sink.ticks(rows)
-
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Pass on one event."""
-        for sink in self._sinks:
-            sink.event(time_s, level, name, text)
 
 
 @dataclass

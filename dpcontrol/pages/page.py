@@ -27,7 +27,9 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.run_view import RunView
+from dpcontrol.logs import RunLog
 from dpcontrol.pages import series, style
 from dpcontrol.pages.series import (
     Chart,
@@ -42,6 +44,7 @@ from dpcontrol.pages.series import (
     gap_times,
     strips,
 )
+from dpcontrol.runs.run import Run
 
 SMALL = 8.5
 _DPI = 110
@@ -707,3 +710,13 @@ def _heading(figure: Figure, view: RunView) -> None:
         lines = wrap(view.verdict, 150, max_lines=2, placeholder=" …")
     look |= {"color": style.verdict_colour(view.good), "fontsize": 12 if len(lines) == 1 else 9.5}
     figure.text(0.022, 0.947, "\n".join(lines), **look)
+
+
+def draw_log(log: RunLog) -> Figure:
+    """Return the page of a log as a figure."""
+    return draw(run_view(log))
+
+
+def draw_run(run: Run) -> Figure:
+    """Return the page of a run as a figure."""
+    return draw_log(run.log)

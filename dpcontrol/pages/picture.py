@@ -27,7 +27,7 @@ from dpcontrol.judge.run_view import RunView
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dpcontrol.pages.comparison import RunComparison
+    from dpcontrol.judge.comparison import RunComparison
     from dpcontrol.walks.atlas import Atlas
 
 _SECONDS = 120.0

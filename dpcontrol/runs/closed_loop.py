@@ -9,9 +9,10 @@ from dpcontrol.control.export import ControllerSource
 from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.arguments import place
 from dpcontrol.foundation.progress import Reporting, reporting
+from dpcontrol.foundation.rendering import live_view
+from dpcontrol.judge.preflight import Preflight
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.own import OwnObject
-from dpcontrol.pages.campaign import Preflight
 from dpcontrol.plans.plan import Plan, recoverable
 from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import Campaign, CampaignSettings, cases_of, run_campaign
@@ -88,7 +89,8 @@ class ClosedLoop:
         with reporting(progress, "run") as report:
             return run_plan(
                 replace(plan, itinerary=scene), place("log", log),
-                assembly=assembly.under(scene.loop), rig=own, force=force, live=live, progress=report,
+                assembly=assembly.under(scene.loop), rig=own, force=force, live=live_view if live else None,
+                progress=report,
             )  # fmt: skip
 
     def campaign(

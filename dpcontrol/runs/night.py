@@ -32,6 +32,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
 from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.judge.night import Night, read_night
 from dpcontrol.logs import LogWriter, partials_of, recover
 from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
@@ -41,11 +42,11 @@ from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.recovery import LAST_SECONDS, RecoveryPlan, meeting_tick
 from dpcontrol.loop.result import LogSink, LoopSink, SinkBeside
 from dpcontrol.loop.simulated import SimulatedRig
-from dpcontrol.pages.night import Night, read_night
 from dpcontrol.plans.itinerary import Itinerary, stored_itinerary
 from dpcontrol.plans.plan import Plan, expected_seconds, make_plan, recoverable, with_kept_starts
 from dpcontrol.references.reference import Reference, StartNote, load_reference, plan_notes, start_reference
 from dpcontrol.runs.run import (
+    LiveSink,
     RigLink,
     assembled,
     bench_recipe,
@@ -270,14 +271,14 @@ def run_night(
     link: RigLink | None = None,
     resume: bool = False,
     force: bool = False,
-    live: bool = False,
+    live: LiveSink | None = None,
     progress: Progress = no_progress,
 ) -> Night:
     """Repeat a planned itinerary for hours, into the folder of `out`; return what it did.
 
     The itinerary is one of `night_itinerary`. link: to the bench that it runs on in real time; without one it is
-    simulated. resume: go on with the night in that folder, which was interrupted. force: replace it. live: show it in
-    the viewer while it happens.
+    simulated. resume: go on with the night in that folder, which was interrupted. force: replace it. live: makes a sink
+    that shows it while it happens.
 
     Raises:
         InputError: the folder holds a night already, or none or another one to be resumed, or cannot be written; or no

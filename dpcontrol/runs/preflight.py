@@ -35,9 +35,10 @@ from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
 from dpcontrol.foundation.statistics import wilson
+from dpcontrol.judge.campaign import plain_reason
+from dpcontrol.judge.preflight import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.pages.campaign import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt, plain_reason
 from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
 from dpcontrol.plans.plan import Plan
 from dpcontrol.plans.run_options import RunOptions

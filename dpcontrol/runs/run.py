@@ -11,7 +11,7 @@ that speaks `dpcontrol.rig.packets`; the example is the simulated one, by its ow
 import json
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -41,6 +41,7 @@ from dpcontrol.foundation.files import (
     write_whole,
 )
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.rendering import Figure, render
 from dpcontrol.foundation.settings import with_values
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.judge.score import (
@@ -70,7 +71,7 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
-from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink, Ticks
+from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink, Sinks, Ticks
 from dpcontrol.plans.itinerary import Itinerary, itinerary_from, setting_of
 from dpcontrol.plans.model import model_from
 from dpcontrol.plans.plan import Plan, plan_key, recoverable
@@ -79,7 +80,6 @@ from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from dpcontrol.rig.bench import BenchProcess, BenchRecipe
@@ -180,12 +180,13 @@ class Run:
         """
         return self.log.frame()
 
-    def plot(self) -> "Figure":
+    def plot(self) -> Figure:
         """Return the page of the run: the itinerary as asked and as done, a film, series, errors, phase planes."""
-        from dpcontrol.judge.of_log import run_view
-        from dpcontrol.pages.page import draw
+        return render(self)
 
-        return draw(run_view(self.log))
+
+LiveSink = Callable[[RunLog], AbstractContextManager[LoopSink]]
+"""Makes a sink that shows a run while it happens, from the run's log before its first row."""
 
 
 def assembled(plan: Plan) -> Assembly:
@@ -207,14 +208,14 @@ def run_plan(
     library: Path | None = None,
     rig: OwnObject | None = None,
     force: bool = False,
-    live: bool = False,
+    live: LiveSink | None = None,
     progress: Progress = no_progress,
 ) -> Run:
     """Run the closed loop of a planned itinerary; write its log to `out`, if one is wanted.
 
     assembly: made of the plan before, to be shared by many runs. library: one made of what `export_plan` wrote for this
     itinerary, which does the ticks. rig: a user's, in place of the simulated bench. force: replace a log of another run
-    at `out`. live: show it in the viewer while it happens.
+    at `out`. live: makes a sink that shows it while it happens.
 
     Raises:
         InputError: the log cannot be written, or there is that of another run; the plant is to be drawn from an
@@ -250,19 +251,17 @@ def run_plan(
 
 
 @contextmanager
-def watched(plan: Plan, sink: LoopSink, *, live: bool) -> Iterator[LoopSink]:
+def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[LoopSink]:
     """Yield a run's sink, and beside it a live view if one is wanted.
 
     Raises:
         InputError: there is no display for it.
     """
-    if not live:
+    if live is None:
         yield sink
         return
-    from dpcontrol.pages.live import LiveView, Sinks
-
     nothing = Ticks.empty(0, plan.itinerary.model.arms.count, has_truth=True, period=1.0)
-    with LiveView(_log_in_memory(plan, nothing, ())) as view:
+    with live(_log_in_memory(plan, nothing, ())) as view:
         yield Sinks(sink, view)
 
 
@@ -829,10 +828,10 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
     return path, mark + with_values(text.removeprefix(mark), "run", values, file=str(itinerary.path))
 
 
-def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, live: bool = False) -> RigRun:
+def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, live: LiveSink | None = None) -> RigRun:
     """Run the closed loop of a planned itinerary on a bench, write its log to `out`, and score it.
 
-    live: show it in the viewer while it happens.
+    live: makes a sink that shows it while it happens.
 
     Raises:
         InputError: no bench answers, it needs a key or does not fit the itinerary, the log cannot be written, or there

@@ -13,6 +13,7 @@ import time
 import numpy as np
 import pytest
 
+from dpcontrol.foundation.rendering import live_view
 from dpcontrol.pages import live
 from dpcontrol.pages.picture import viewer_program
 from dpcontrol.plans.itinerary import load_itinerary
@@ -40,7 +41,7 @@ def test_a_live_view_makes_no_tick_late(tmp_path, monkeypatch, capsys) -> None:
     try:
         for turn in range(2 * TURNS):
             shown = bool(turn % 2)
-            run = run_on_rig(plan, tmp_path / f"{turn}.mcap", link, live=shown)
+            run = run_on_rig(plan, tmp_path / f"{turn}.mcap", link, live=live_view if shown else None)
             thinking, deadlines = run.result.thinking, run.deadlines
             assert run.result.finished, run.result.reason
             assert deadlines is not None

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.optimize import isotonic_regression
 
-from dpcontrol.pages.campaign import HazardBorder, Preflight
+from dpcontrol.judge.preflight import HazardBorder, Preflight
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.plans.run_options import RunOptions

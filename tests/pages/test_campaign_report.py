@@ -9,7 +9,8 @@ import pyarrow.parquet
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.pages.campaign import campaign_summary, draw_campaign
+from dpcontrol.judge.campaign import campaign_summary
+from dpcontrol.pages.campaign import draw_campaign
 
 WILSON = 1e-6
 """The normal quantile below is given to seven digits."""

@@ -13,6 +13,7 @@ import pytest
 import rerun as rr
 
 from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.foundation.rendering import live_view
 from dpcontrol.logs import read_log
 from dpcontrol.pages import live
 from dpcontrol.pages.live import LiveView, Shown, messages
@@ -84,7 +85,7 @@ def test_what_is_sent_arrives_as_rows_at_fifty_hertz_and_is_drawn(plan, tmp_path
 
 def test_a_run_is_the_same_with_a_live_view_and_without(plan, watched, tmp_path: Path) -> None:
     for name, shown in (("plain", False), ("live", True)):
-        runs.run_plan(plan, tmp_path / f"{name}.mcap", live=shown)
+        runs.run_plan(plan, tmp_path / f"{name}.mcap", live=live_view if shown else None)
     plain, other = (read_log(tmp_path / f"{name}.mcap") for name in ("plain", "live"))
     np.testing.assert_array_equal(plain.truth, other.truth)
     np.testing.assert_array_equal(plain.time, other.time)
@@ -102,7 +103,7 @@ def test_a_view_that_is_killed_ends_and_the_run_goes_on(plan, watched, monkeypat
 
     monkeypatch.setattr(LiveView, "__enter__", killed)
     with pytest.warns(Remark, match="the live view ended before the run"):
-        run = runs.run_plan(plan, live=True)
+        run = runs.run_plan(plan, live=live_view)
     assert run.converged
 
 
@@ -118,7 +119,7 @@ def test_a_view_that_does_not_read_drops_rows_and_holds_nothing_up(plan, watched
 
     monkeypatch.setattr(LiveView, "__enter__", stopped)
     with pytest.warns(Remark, match=r"the live view was behind: [1-9]"):
-        run = runs.run_plan(plan, live=True)
+        run = runs.run_plan(plan, live=live_view)
     assert run.converged
 
 
@@ -126,4 +127,4 @@ def test_without_a_display_it_is_refused_before_the_run(plan, monkeypatch) -> No
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(InputError, match="there is no display to open the viewer on"):
-        runs.run_plan(plan, live=True)
+        runs.run_plan(plan, live=live_view)

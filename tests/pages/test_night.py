@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs.rolling import Digest
-from dpcontrol.pages.night import (
+from dpcontrol.judge.night import (
     BETWEEN,
     CALMING,
     ITINERARY,
@@ -14,9 +13,10 @@ from dpcontrol.pages.night import (
     UNKNOWN,
     Night,
     cause_of,
-    draw_night,
     read_night,
 )
+from dpcontrol.logs.rolling import Digest
+from dpcontrol.pages.night import draw_night
 
 ON = "on the itinerary from t = 0.0000 s of the reference: "
 FALL = "tracking lost at t = 100.000 s: an angle has stayed 2 rad from the reference; symbol 1 of 1 is done again"

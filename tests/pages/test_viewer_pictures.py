@@ -12,11 +12,12 @@ import pytest
 from matplotlib.image import imread
 from synthetic_run import ARM_LENGTHS, synthetic_run, view_of
 
+from dpcontrol.judge.comparison import compare
 from dpcontrol.judge.of_log import reference_view, run_view
 from dpcontrol.judge.run_view import RunView, Stay
 from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.pages.atlas import write_atlas_recording
-from dpcontrol.pages.comparison import compare, write_comparison_recording
+from dpcontrol.pages.comparison import write_comparison_recording
 from dpcontrol.pages.picture import missing_renderer, picture_of
 from dpcontrol.pages.rerun_recording import write_recording
 from dpcontrol.plans.atlas import AtlasSettings, make_atlas

@@ -12,8 +12,8 @@ import pytest
 from dpcontrol.dynamics.chain import Uncertainty, ratio_names
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.statistics import wilson
+from dpcontrol.judge.preflight import HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.pages.campaign import HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.pages.page import save_figure
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.pages.campaign import campaign_summary
+from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.runs.campaign import _write
 
 FLIPS = 400

@@ -1,0 +1,60 @@
+"""The way from a result to its picture, which is drawn in a higher layer.
+
+Results do not import the modules that draw them. They call `render`, which finds the renderer in the table
+`dpcontrol.pages.renderers.RENDERERS`. This is the only module that imports a higher layer, and it does so by name.
+`Axes` and `Figure` are matplotlib's for type checkers, so results can annotate `plot` without matplotlib.
+"""
+
+from contextlib import AbstractContextManager
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from dpcontrol.foundation.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+else:
+    Axes = Figure = Any
+
+_TABLE = "dpcontrol.pages.renderers"
+_LIVE = "dpcontrol.pages.live"
+
+
+def render(result: object, axes: Axes | None = None) -> Figure:
+    """Return the picture of a result.
+
+    Args:
+        result: an instance of a class in the table of renderers, or of a subclass.
+        axes: panel to draw in; by default a new figure is drawn.
+
+    Returns:
+        The new figure, or the figure of `axes`.
+
+    Raises:
+        InputError: the result has no renderer, or its picture has several panels and does not fit in `axes`.
+    """
+    table = import_module(_TABLE)
+    for kind in type(result).__mro__:
+        name = f"{kind.__module__}.{kind.__qualname__}"
+        if axes is not None and name in table.PANELS:
+            table.renderer(table.PANELS[name])(axes, result)
+            return axes.figure  # type: ignore[return-value]
+        if name in table.RENDERERS:
+            if axes is not None:
+                raise InputError(f"the picture of a {kind.__name__} has several panels; plot it without axes")
+            return table.renderer(table.RENDERERS[name])(result)
+    known = ", ".join(sorted(name.rpartition(".")[2] for name in table.RENDERERS))
+    raise InputError(f"a {type(result).__name__} has no picture; results with one are {known}")
+
+
+def live_view(start: Any) -> AbstractContextManager[Any]:
+    """Return a sink that shows a run in the viewer.
+
+    Args:
+        start: log of the run before its first row.
+
+    Raises:
+        InputError: there is no viewer, or no display to open it on.
+    """
+    return import_module(_LIVE).LiveView(start)

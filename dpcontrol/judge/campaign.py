@@ -1,0 +1,263 @@
+"""A campaign's table as numbers: shares of success, failures, spreads.
+
+Each row is one run. Shares come with Wilson's 95 % interval (`foundation.statistics`). Only the column `completed` is
+required. Optional columns are itinerary, controller, estimator, mismatch, symbols_completed, symbols_total, reason,
+ending, rms_tracking_error (rad), max_cart_position (m). A table with kind and level comes from the standard score: its
+groups are formed by kind of trouble, its levels over all kinds together. Cases with equal values in these columns are
+distinguished by `case`. Other columns are ignored.
+"""
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import check_seal, checked_size, checked_source, picked
+from dpcontrol.foundation.parts import part
+from dpcontrol.foundation.statistics import Share, wilson
+
+SPREADS = ("max_cart_position", "rms_tracking_error")
+"""Columns with a spread over the runs, in m and rad."""
+_WHAT = ("itinerary", "controller", "estimator")
+_KIND, _LEVEL, _CASE = "kind", "level", "case"
+_EARLY = re.compile(r"; the run ended [^:;]* early: ")
+_APART, _BINS = 21, 6
+"""Most values shown individually, and the number of bins for more."""
+_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?")
+_MOST_LETTERS = 90
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs with equal `names` and similar mismatch or trouble.
+
+    The mismatch or level lies between two bounds.
+    """
+
+    names: dict[str, str]
+    share: Share
+    low: float = -np.inf
+    high: float = np.inf
+
+    @property
+    def label(self) -> str:
+        """The names as one line, without those that the case repeats."""
+        return self._line()
+
+    @property
+    def family(self) -> str:
+        """The names except the kind of trouble, as one line."""
+        return self._line(without=_KIND)
+
+    def _line(self, *, without: str = "") -> str:
+        named = self.names.get(_CASE, "").split(", ")
+        parts = (n for column, n in self.names.items() if column != without and f"{column}={n}" not in named)
+        return " · ".join(parts) or "all runs"
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignSummary:
+    """Summary of a campaign's table.
+
+    Attributes:
+        path: of the table.
+        runs: rows with a known outcome.
+        unknown: other rows.
+        share: of all runs.
+        groups: by itinerary, controller and estimator if these differ, by kind of trouble, and by case if these and
+            the mismatch do not distinguish cases.
+        axis: "mismatch", or "level" of the standard score.
+        levels: by family and mismatch or level; empty if it does not vary.
+        failed_symbols: (family, symbol from 1, number of runs that failed at it), symbol 0 if unknown.
+        reasons: number of failed runs by reason without its numbers, the most frequent first.
+        spreads: by column and family, values of runs that completed and of those that did not.
+    """
+
+    path: Path
+    runs: int
+    unknown: int
+    share: Share
+    groups: tuple[Group, ...]
+    axis: str
+    levels: tuple[Group, ...]
+    failed_symbols: tuple[tuple[str, int, int], ...]
+    reasons: tuple[tuple[str, int], ...]
+    spreads: dict[str, dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]]
+
+    @property
+    def status(self) -> str:
+        """The result in one line."""
+        share, rest = self.share, f"; {self.unknown} without a verdict" if self.unknown else ""
+        chance = f"{share.rate:.1%} ({share.low:.1%} to {share.high:.1%} with 95 % confidence)"
+        return f"{share.successes} of {share.runs} runs completed: {chance}{rest}"
+
+    def document(self) -> dict[str, Any]:
+        """Return the output of `dpcontrol report --json` for a campaign."""
+        return {
+            "campaign": str(self.path),
+            **picked(self, "status", "runs", "unknown"),
+            **_share_document(self.share),
+            "groups": [{**group.names, **_share_document(group.share)} for group in self.groups],
+            self.axis: [
+                {"group": level.label, "from": level.low, "to": level.high, **_share_document(level.share)}
+                for level in self.levels
+            ],
+            "failures": {
+                "by_symbol": [
+                    {"group": label, "symbol": symbol or None, "runs": count}
+                    for label, symbol, count in self.failed_symbols
+                ],
+                "by_reason": [{"reason": reason, "runs": count} for reason, count in self.reasons],
+            },
+        }
+
+
+def _share_document(share: Share) -> dict[str, Any]:
+    return {"completed": share.successes, "of": share.runs, **picked(share, "rate", "low", "high")}
+
+
+def campaign_summary(path: Path) -> CampaignSummary:
+    """Return the summary of a campaign's Parquet table.
+
+    Raises:
+        InputError: the file is missing, not a Parquet table, has no runs, or no column of completed runs.
+    """
+    columns = _columns(Path(path))
+    if "completed" not in columns:
+        found = ", ".join(sorted(columns)) or "no columns"
+        raise InputError(f"{path} has no column of completed runs, only {found}; give a table of `dpcontrol campaign`")
+    rows = [k for k, value in enumerate(columns["completed"]) if value is not None and value == value]
+    if not rows:
+        raise InputError(f"{path} holds no runs with a verdict; run the campaign again")
+    table = {name: [values[k] for k in rows] for name, values in columns.items()}
+    done = np.array(table["completed"], dtype=bool)
+    families = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
+    standard = _KIND in table and _LEVEL in table
+    if not standard and _CASE in table and _merged(table):
+        families.append(_CASE)
+    axis = _LEVEL if standard else "mismatch"
+    groups = _groups(table, [*families, _KIND] if standard else families, done)
+    alone = _groups(table, families, done)
+    return CampaignSummary(
+        path=Path(path),
+        runs=len(rows),
+        unknown=len(columns["completed"]) - len(rows),
+        share=wilson(int(done.sum()), len(done)),
+        groups=tuple(group for group, _ in groups),
+        axis=axis,
+        levels=_levels(_numbers(table, axis), alone, done),
+        failed_symbols=_symbols(table, alone, done),
+        reasons=_reasons(table, done),
+        spreads=_spreads(table, alone, done),
+    )
+
+
+Rows = NDArray[np.bool_]
+
+
+def _merged(table: dict[str, list[Any]]) -> bool:
+    """True if the columns of groups and levels do not separate all cases."""
+    columns = [table[name] for name in (*_WHAT, "mismatch") if name in table]
+    places = list(zip(*columns, strict=True)) if columns else [()] * len(table[_CASE])
+    return len(set(zip(places, table[_CASE], strict=True))) > len(set(places))
+
+
+def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list[tuple[Group, Rows]]:
+    """Return the groups of runs with equal values in columns, and the rows (K,) of each."""
+    keys = [tuple(str(table[name][k]) for name in columns) for k in range(len(done))]
+    found = []
+    for key in sorted(set(keys)):
+        mine = np.array([other == key for other in keys])
+        found.append((Group(dict(zip(columns, key, strict=True)), _share(done, mine)), mine))
+    return found
+
+
+def _columns(path: Path) -> dict[str, list[Any]]:
+    # Importing pyarrow takes a third of a second.
+    arrow = part("pyarrow")
+    if not checked_source(path).is_file():
+        raise InputError(f"there is no campaign {path}")
+    try:
+        check_seal(path.read_bytes())
+        file = part("pyarrow.parquet").ParquetFile(path)
+        checked_size(8.0 * file.metadata.num_rows * file.metadata.num_columns)
+        return file.read().to_pydict()
+    except (arrow.ArrowException, OSError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path} is not a Parquet table, or is damaged: {reason}; run the campaign again") from error
+
+
+def _share(done: Rows, chosen: Rows) -> Share:
+    return wilson(int(done[chosen].sum()), int(chosen.sum()))
+
+
+def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
+    """Return a column as numbers, nan for missing values, or None if it has no numbers."""
+    try:
+        values = np.array([np.nan if v is None else float(v) for v in table.get(name, [])])
+    except (TypeError, ValueError):
+        return None
+    return values if np.isfinite(values).any() else None
+
+
+def _levels(values: NDArray[np.float64] | None, groups: list[tuple[Group, Rows]], done: Rows) -> tuple[Group, ...]:
+    if values is None or len(known := np.unique(values[np.isfinite(values)])) < 2:
+        return ()
+    if len(known) <= _APART:
+        bounds = [(float(v), float(v)) for v in known]
+    else:
+        edges = np.unique(np.quantile(values[np.isfinite(values)], np.linspace(0, 1, _BINS + 1)))
+        bounds = [(float(a), float(np.nextafter(b, -np.inf))) for a, b in pairwise(edges)]
+        bounds[-1] = (bounds[-1][0], float(edges[-1]))
+    return tuple(
+        Group(group.names, _share(done, chosen), low, high)
+        for group, mine in groups
+        for low, high in bounds
+        if (chosen := mine & (values >= low) & (values <= high)).any()
+    )
+
+
+def _symbols(
+    table: dict[str, list[Any]], groups: list[tuple[Group, Rows]], done: Rows
+) -> tuple[tuple[str, int, int], ...]:
+    reached, total = (_numbers(table, name) for name in ("symbols_completed", "symbols_total"))
+    symbols = np.zeros(len(done)) if reached is None else np.nan_to_num(reached + 1)
+    if total is not None:
+        # All symbols were done, but end, wraps or limits failed: the failure is after the last.
+        symbols = np.fmin(symbols, total + 1)
+    counts = ((group.label, Counter(symbols[mine & ~done].astype(int).tolist())) for group, mine in groups)
+    return tuple((label, symbol, count) for label, some in counts for symbol, count in sorted(some.items()))
+
+
+def _reasons(table: dict[str, list[Any]], done: Rows) -> tuple[tuple[str, int], ...]:
+    texts = table.get("reason") or table.get("ending") or [""] * len(done)
+    counts = Counter(plain_reason(str(texts[k] or "not named")) for k in np.flatnonzero(~done))
+    return tuple(counts.most_common())
+
+
+def plain_reason(reason: str) -> str:
+    """Return the reason for a run's failure, without numbers and remedy."""
+    text = _NUMBER.sub("…", _EARLY.split(reason)[-1].split(";")[0].strip())
+    return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"
+
+
+def _spreads(
+    table: dict[str, list[Any]], groups: list[tuple[Group, Rows]], done: Rows
+) -> dict[str, dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]]:
+    found = {}
+    for name in SPREADS:
+        values = _numbers(table, name)
+        if values is not None:
+            known = np.isfinite(values)
+            found[name] = {
+                group.family: (values[mine & known & done], values[mine & known & ~done])
+                for group, mine in groups
+                if (mine & known).any()
+            }
+    return found

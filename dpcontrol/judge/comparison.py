@@ -1,0 +1,97 @@
+"""Several runs on one clock, aligned at the crossing of one symbol's section.
+
+The crossing time is decoded from the run's true angles, or from the estimated ones if the truth is unknown. For a
+symbol without a section, or one that the run did not complete, the plan's time is used. A log without a plan is aligned
+at its start. The comparison's status reports the method used for each run.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.judge.run_view import RunView
+
+MOST = 6
+"""Most runs in a comparison: as many have distinct colours."""
+
+
+@dataclass(frozen=True)
+class ComparedRun:
+    """One run of a comparison.
+
+    Attributes:
+        name: file name, numbered if another run has the same.
+        view: the run on the common clock.
+        delay: shift of its clock, s.
+        aligned_by: phrase on the alignment.
+    """
+
+    name: str
+    view: RunView
+    delay: float
+    aligned_by: str
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """Runs on one clock, aligned at a symbol.
+
+    The symbol counts from 1; its time is in s.
+    """
+
+    runs: tuple[ComparedRun, ...]
+    symbol: int
+    moment: float
+
+    @property
+    def status(self) -> str:
+        """Sentence on the alignment of the runs."""
+        alignment = [f"{run.name} {run.aligned_by}" for run in self.runs]
+        return f"aligned at symbol {self.symbol}, at {self.moment:.3f} s: {'; '.join(alignment)}"
+
+    @property
+    def title(self) -> str:
+        """Title of the page."""
+        titles = list(dict.fromkeys(run.view.title.split(" — ")[0] for run in self.runs))
+        return f"{len(self.runs)} runs: {titles[0]}" if len(titles) == 1 else f"{len(self.runs)} runs compared"
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Range of the runs and their plans on the clock, s."""
+        ends = [run.view.span for run in self.runs]
+        return min(begin for begin, _ in ends), max(end for _, end in ends)
+
+
+def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
+    """Return runs on one clock, aligned at a symbol, counted from 1.
+
+    Raises:
+        InputError: there are too many runs, their pendulums differ, or the symbol is missing in all.
+    """
+    if len(runs) > MOST:
+        raise InputError(f"{len(runs)} logs are too many for one picture: compare up to {MOST}")
+    if len({view.arms for view in runs}) > 1:
+        raise InputError("the logs are of pendulums with different numbers of arms: compare those that have the same")
+    most = max(len(view.symbols) for view in runs)
+    if not 1 <= symbol <= max(most, 1):
+        raise InputError(f"--align {symbol}: these runs have symbols 1 to {most}" if most else "no log has symbols")
+    moments = [_moment(view, symbol - 1) for view in runs]
+    latest = max(moment for moment, _ in moments)
+    names = [view.path.stem for view in runs]
+    compared = []
+    for k, (view, (moment, alignment)) in enumerate(zip(runs, moments, strict=True)):
+        delay = latest - moment
+        name = names[k] if names.count(names[k]) == 1 else f"{names[k]} ({k + 1})"
+        compared.append(ComparedRun(name, view.delayed(delay), delay, alignment))
+    return RunComparison(tuple(compared), symbol, latest)
+
+
+def _moment(view: RunView, k: int) -> tuple[float, str]:
+    done = view.crossings[k] if k < len(view.crossings) else None
+    if done is not None:
+        known = "estimated" if view.what == "estimate" else "true"
+        return done, f"by its decoded crossing ({known} angles)"
+    if k < len(view.symbols):
+        reached = k < len(view.crossings)
+        return view.plan.symbols[k][0], f"by its plan's time ({'a swing' if reached else 'not done'})"
+    return float(view.time[0]), "by its start (no such symbol)"

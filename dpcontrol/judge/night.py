@@ -1,0 +1,361 @@
+"""Evaluate a long run from the folder of its logs: times on and off the itinerary, and the reasons.
+
+    uptime = time on the itinerary / known time
+
+At a fall the supervisor gives up the itinerary. The time until the itinerary is joined again is one
+absence, regardless of further falls in it. The files' digests are read one by one; a missing digest, as after a killed
+run, is computed from the log.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs.container import partials_of
+from dpcontrol.logs.layout import CATCH, LAP, REST, RESUME, RETURN, START
+from dpcontrol.logs.reader import read_log
+from dpcontrol.logs.rolling import Digest, digest_of_log
+
+ITINERARY, CALMING, STARTING = "on the itinerary", "arms calmed", "rising"
+BETWEEN, UNKNOWN = "between repetitions", "no log"
+"""Kinds of spans, as displayed."""
+STOPPED = "ended"
+_SHORT = 0.05
+"""Share of the longest file's time below which a mean does not count: estimates drift while the cart is at rest."""
+_GAP = 0.5
+"""Least gap between two files, s."""
+
+
+@dataclass(frozen=True)
+class NightSpan:
+    """A part of a night of one kind; times in s.
+
+    The `cause` is that of the preceding fall, or "".
+    """
+
+    first: float
+    end: float
+    kind: str
+    cause: str = ""
+
+
+@dataclass(frozen=True)
+class Fall:
+    """A fall at a time s, with its cause and logged text.
+
+    `back` is the time until the itinerary was joined again, s, from the first of consecutive falls, or None.
+    """
+
+    time: float
+    cause: str
+    text: str
+    back: float | None = None
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Course of one estimated parameter.
+
+    It has the mean over the first file and the last, and the change per hour.
+
+    The change is that of a straight line through the files' means; not-a-number for a single file.
+    """
+
+    name: str
+    first: float
+    last: float
+    per_hour: float
+
+
+def cause_of(text: str) -> str:
+    """Return the reason for giving up the itinerary, in a few words."""
+    # A braking cart has not hit its stop.
+    for mark, words in (("is stuck", "sensor stuck"), ("no measurement", "no measurement"),
+                        ("limit switch", "limit switch"), ("cart at its stop", "cart near its stop")):  # fmt: skip
+        if mark in text:
+            return words
+    for words in ("tracking lost", "estimate lost", "plant failed"):
+        if text.startswith(words):
+            return words
+    return "other"
+
+
+@dataclass(frozen=True, eq=False)
+class Night:
+    """A long run, represented by its digests in order."""
+
+    folder: Path
+    digests: tuple[Digest, ...]
+    partials: tuple[Path, ...] = ()
+    spans: tuple[NightSpan, ...] = field(init=False)
+    falls: tuple[Fall, ...] = field(init=False)
+    endings: tuple[tuple[float, str], ...] = field(init=False)
+    """Times and texts of endings, except by the planned time."""
+
+    def __post_init__(self) -> None:
+        """Find spans and falls in the digests."""
+        spans, falls, endings = _followed(self.digests)
+        for name, value in (("spans", spans), ("falls", falls), ("endings", endings)):
+            object.__setattr__(self, name, tuple(value))
+
+    def _time(self, *kinds: str) -> float:
+        return sum(span.end - span.first for span in self.spans if span.kind in kinds)
+
+    @property
+    def known(self) -> float:
+        """Time with known activity, s."""
+        return sum(digest.end - digest.first for digest in self.digests)
+
+    @property
+    def uptime(self) -> float:
+        """Share of the known time on the itinerary."""
+        return self._time(ITINERARY) / self.known
+
+    @property
+    def falls_per_hour(self) -> float:
+        """Falls in an hour of the known time."""
+        return 3600 * len(self.falls) / self.known
+
+    @property
+    def causes(self) -> dict[str, int]:
+        """Number of falls by cause, the most frequent first."""
+        return dict(Counter(fall.cause for fall in self.falls).most_common())
+
+    @property
+    def returns(self) -> Array:
+        """Time from each fall until the itinerary was joined again, s."""
+        return np.array([fall.back for fall in self.falls if fall.back is not None])
+
+    @property
+    def repetitions(self) -> int:
+        """Number of completed repetitions of the itinerary."""
+        return sum(digest.repetitions for digest in self.digests)
+
+    @property
+    def catches(self) -> int:
+        """Number of catches before a fall."""
+        return sum(digest.others.get(CATCH, 0) for digest in self.digests)
+
+    @property
+    def tracking(self) -> float:
+        """Rms distance of the angles from the reference on the itinerary, rad."""
+        followed = sum(digest.followed for digest in self.digests)
+        return math.sqrt(sum(digest.squares for digest in self.digests) / followed / 2) if followed else math.nan
+
+    @property
+    def cart(self) -> float:
+        """Greatest distance of the cart from the centre, m."""
+        return max(digest.cart for digest in self.digests)
+
+    @property
+    def stop_hits(self) -> int:
+        """Number of times the cart hit an end stop of its track."""
+        return sum("hit its hard stop" in text for _, text in self.endings)
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        return tuple(dict.fromkeys(name for digest in self.digests for name in digest.extras))
+
+    def course(self, name: str) -> tuple[Array, Array]:
+        """Return hours (K,) and means (K,) of a parameter, by file.
+
+        A short last file is omitted.
+        """
+        own = [digest for digest in self.digests if name in digest.extras]
+        least = _SHORT * max(digest.end - digest.first for digest in own)
+        hours, values = np.array(
+            [((d.first + d.end) / 7200, d.extras[name][0]) for d in own if d.end - d.first >= least]
+        ).T
+        return hours, values
+
+    @property
+    def drifts(self) -> tuple[Drift, ...]:
+        """Courses of the estimated parameters."""
+        out = []
+        for name in self.estimated:
+            hours, values = self.course(name)
+            slope = float(np.polyfit(hours, values, 1)[0]) if len(values) > 1 else math.nan
+            out.append(Drift(name, float(values[0]), float(values[-1]), slope))
+        return tuple(out)
+
+    @property
+    def memory_growth(self) -> float:
+        """Final memory of the process relative to the session's first file.
+
+        It is not-a-number if unknown.
+        """
+        last = self.digests[-1]
+        of_session = [d.memory for d in self.digests if d.session == last.session and math.isfinite(d.memory)]
+        return of_session[-1] / of_session[0] if of_session else math.nan
+
+    @property
+    def deadlines(self) -> dict[str, float] | None:
+        """Deadline statistics of a rig, or None in simulation.
+
+        Counts cover all sessions; the worst delay is in s.
+        """
+        kept = [digest.deadlines for digest in self.digests if digest.deadlines]
+        counts = {name: sum(int(one[name]) for one in kept) for name in ("ticks", "missed", "lost", "held")}
+        return {**counts, "worst": max(one["worst"] for one in kept)} if kept else None
+
+    @property
+    def sentence(self) -> str:
+        """Summary of the night in one line."""
+        hours = self.known / 3600
+        returns = self.returns
+        back = ""
+        if len(returns):
+            median, slowest = np.quantile(returns, [0.5, 0.99])
+            back = f", back on it after {median:.1f} s in the median, 99 % within {slowest:.1f} s"
+        caught = f"caught {self.catches} time{'s' * (self.catches > 1)}, " if self.catches else ""
+        return (
+            f"{hours:.3g} hours: {self.uptime:.1%} of the time on the itinerary, {self.repetitions} repetitions; "
+            f"{caught}{len(self.falls)} fall{'s' * (len(self.falls) != 1)} ({self.falls_per_hour:.3g} an hour){back}"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the output of `dpcontrol score FOLDER --json`."""
+        returns = self.returns
+        quantiles = np.quantile(returns, [0.5, 0.99]).tolist() if len(returns) else [None, None]
+        lost = [{"first": s.first, "end": s.end} for s in self.spans if s.kind == UNKNOWN]
+        return {
+            "log": self.folder, "hours": self.known / 3600, "files": len(self.digests),
+            "files_kept": len([*self.folder.glob("*.mcap")]),
+            "sessions": len({d.session for d in self.digests}),
+            "uptime": self.uptime, "repetitions": self.repetitions, "falls": len(self.falls),
+            "catches": self.catches, "falls_per_hour": self.falls_per_hour, "causes": self.causes,
+            "return_median": quantiles[0], "return_99": quantiles[1],
+            "not_back": sum(fall.back is None for fall in _firsts(self.falls, self.spans)),
+            "stop_hits": self.stop_hits, "max_cart_position": self.cart, "rms_tracking_error": self.tracking,
+            "seconds": {kind: self._time(kind) for kind in (ITINERARY, CALMING, STARTING, BETWEEN)},
+            "not_logged": lost, "endings": [{"time": time, "text": text} for time, text in self.endings],
+            "drift": [asdict(drift) for drift in self.drifts],
+            "memory_growth": self.memory_growth, "deadlines": self.deadlines, "partials": list(self.partials),
+        }  # fmt: skip
+
+    def lines(self) -> Iterator[str]:
+        """Yield the lines of the report."""
+        yield str(self.folder)
+        yield f"  {self.sentence}"
+        if self.falls:
+            yield f"  falls    {', '.join(f'{cause} {count}' for cause, count in self.causes.items())}"
+        limit = self.digests[0].limit
+        of = f" of {1e3 * limit:.0f}" if limit else ""
+        hits = self.stop_hits
+        yield (
+            f"  cart     {1e3 * self.cart:.1f}{of} mm at most, {hits or 'no'} end stop{'s' if hits > 1 else ''} hit; "
+            f"tracking {1e3 * self.tracking:.1f} mrad rms on the itinerary"
+        )
+        if self.drifts:
+            shown = (f"{d.name} {d.first:+.4f} to {d.last:+.4f}" for d in self.drifts)
+            yield f"  drift    {', '.join(shown)}"
+        if math.isfinite(self.memory_growth):
+            yield f"  memory   {self.memory_growth:.0%} of its size after the first file"
+        if (kept := self.deadlines) is not None:
+            yield (
+                f"  rig      {kept['missed']:,} of {kept['ticks']:,} deadlines missed, ticks began up to "
+                f"{1e3 * kept['worst']:.3g} ms late; {kept['lost']:,} readings lost, the bench repeated a command "
+                f"{kept['held']:,} times"
+            )
+        for span in self.spans:
+            if span.kind == UNKNOWN:
+                yield f"  no log from {span.first / 60:.2f} to {span.end / 60:.2f} minutes"
+        for time, text in self.endings:
+            yield f"  ended at {time / 60:.2f} minutes: {text}"
+        for file in self.partials:
+            yield f"  beside it: {file}, of a night that was interrupted or is under way"
+
+
+def _firsts(falls: Sequence[Fall], spans: Sequence[NightSpan]) -> list[Fall]:
+    """Return the falls that took a run off its itinerary."""
+    ends = [span.end for span in spans if span.kind == ITINERARY]
+    return [fall for fall in falls if any(abs(fall.time - end) < 1e-6 for end in ends)]
+
+
+def _followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[tuple[float, str]]]:
+    spans: list[NightSpan] = []
+    falls: list[Fall] = []
+    endings: list[tuple[float, str]] = []
+    kind, cause, since, left = STOPPED, "", digests[0].first, None
+    end = digests[0].first
+
+    def turn(time: float, following: str, why: str) -> None:
+        nonlocal kind, cause, since
+        if time > since:
+            if spans and (spans[-1].kind, spans[-1].cause, spans[-1].end) == (kind, cause, since):
+                spans[-1] = replace(spans[-1], end=time)
+            else:
+                spans.append(NightSpan(since, time, kind, cause))
+        kind, cause, since = following, why, time
+
+    for digest in digests:
+        if digest.first > end + _GAP:
+            turn(end, UNKNOWN, "")
+            turn(digest.first, ITINERARY if digest.on else STOPPED, "")
+            left = None
+        for time, level, name, text in digest.events:
+            if name in (RESUME, LAP):
+                if left is not None:
+                    falls[left] = replace(falls[left], back=time - falls[left].time)
+                    left = None
+                turn(time, ITINERARY, "")
+            elif name == RETURN and level == "info":
+                turn(time, BETWEEN, "")
+            elif name == RETURN:
+                left = len(falls) if left is None else left
+                falls.append(Fall(time, cause_of(text), text))
+                turn(time, CALMING, falls[left].cause)
+            elif name == START and kind not in (STOPPED, ITINERARY):
+                turn(time, BETWEEN if kind == BETWEEN else STARTING, cause)
+            elif name not in (REST, START):
+                if name != "finished":
+                    endings.append((time, text))
+                turn(time, STOPPED, "")
+        end = digest.end
+    turn(end, STOPPED, "")
+    return spans, falls, endings
+
+
+def read_night(folder: Path) -> Night:
+    """Return the long run in a folder.
+
+    Raises:
+        InputError: the folder holds none, or one of its files is damaged or from another run.
+    """
+    folder = Path(folder)
+    digests = [*_digests(folder)]
+    if not digests:
+        raise InputError(
+            f"cannot read {folder}: it is a folder without logs of a long run; give a log, or a folder that "
+            "`dpcontrol run --hours` made"
+        )
+    partials = partials_of(folder / folder.resolve().name)
+    # Partial files with a recovered log are not reported.
+    left = [file for file in partials if not (folder / f"{file.name.partition('.mcap')[0]}.mcap").exists()]
+    return Night(folder, tuple(digests), tuple(left))
+
+
+def _digests(folder: Path) -> Iterator[Digest]:
+    name = folder.resolve().name
+    numbers = sorted({file.stem for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json")})
+    for stem in numbers:
+        log, beside = folder / f"{stem}.mcap", folder / f"{stem}.json"
+        size = log.stat().st_size if log.is_file() else None
+        digest = None
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            digest = Digest.of(beside.read_text(encoding="utf-8"))
+        if digest is not None and size in (None, digest.size):
+            yield digest
+        elif size is not None:
+            yield digest_of_log(read_log(log), size=size)
+        else:
+            raise InputError(f"{beside} is damaged, and its log was thinned; remove it to score the other files")

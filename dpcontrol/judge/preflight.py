@@ -1,0 +1,261 @@
+"""A preflight's forecast: completed runs on the bench as described, endings, borders, and gains of changes.
+
+`dpcontrol.runs.preflight` computes it.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.rendering import Figure, render
+from dpcontrol.foundation.statistics import Share
+
+
+def shown_number(value: float) -> str:
+    """Return a value for display: three digits, and whole numbers unchanged."""
+    return f"{value:,.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+
+
+@dataclass(frozen=True)
+class Known:
+    """A known property of the bench, as text, and its source."""
+
+    name: str
+    value: str
+    source: str
+
+
+@dataclass(frozen=True)
+class EndingShare:
+    """Number of runs with an ending.
+
+    It has the reason without numbers, and a seed with its full reason.
+    """
+
+    ending: str
+    reason: str
+    runs: int
+    seed: int
+    example: str
+
+    @property
+    def words(self) -> str:
+        """Short text of the ending.
+
+        Finished runs off their target have "at the end, but off target".
+        """
+        return "at the end, but off target" if self.ending == "finished" else self.ending
+
+
+@dataclass(frozen=True)
+class ShareAt:
+    """Completed runs at a value of a trouble.
+
+    For comparison it holds those of the same seeds on the described bench.
+    """
+
+    value: float
+    runs: int
+    completed: int
+    reference: int
+
+    @property
+    def share(self) -> float:
+        """Completed runs relative to those on the described bench."""
+        return self.completed / self.reference if self.reference else math.nan
+
+
+_NEAR = 1.25
+"""Largest factor between a border and the ends of its interval if it counts as known."""
+
+
+@dataclass(frozen=True)
+class HazardBorder:
+    """Border of a trouble, at half the described bench's completed runs.
+
+    Attributes:
+        setting: the run setting.
+        set: value on the bench, in `unit`.
+        border: in `unit`.
+        low: of the border's 95 % interval, None if no value was below the border.
+        high: of the interval, None if no value was beyond the border.
+        end: last value tried, if the border is beyond it.
+        falling: True if less is worse.
+    """
+
+    name: str
+    setting: str
+    unit: str
+    set: float
+    border: float | None
+    low: float | None
+    high: float | None
+    end: float
+    falling: bool
+    points: tuple[ShareAt, ...]
+
+    @property
+    def margin(self) -> float | None:
+        """Factor by which the bench may worsen, or None.
+
+        It is None without this trouble or without a known border.
+        """
+        if self.border is None or not self.set or math.isinf(self.set):
+            return None
+        return self.set / self.border if self.falling else self.border / self.set
+
+    @property
+    def own(self) -> str:
+        """The bench's value, as text."""
+        return "none" if math.isinf(self.set) else f"{shown_number(self.set)} {self.unit}"
+
+    @property
+    def order(self) -> tuple[bool, float, str]:
+        """Sort key that puts the nearest border first.
+
+        Those without a margin are last.
+        """
+        return self.margin is None, self.margin or 0.0, self.name
+
+    @property
+    def interval(self) -> str:
+        """The border's 95 % interval, as text; "…" for an unknown end."""
+        ends = ("" if end is None else shown_number(end) for end in (self.low, self.high))
+        return "" if self.border is None else " … ".join(ends)
+
+    @property
+    def sure(self) -> bool:
+        """True if its interval is known and within a quarter of it.
+
+        At slowly falling shares it is wider.
+        """
+        if self.border is None or self.low is None or self.high is None:
+            return False
+        return max(self.low, self.high) <= _NEAR * self.border and min(self.low, self.high) >= self.border / _NEAR
+
+    @property
+    def sentence(self) -> str:
+        """Position of the border, as text."""
+        if self.border is None:
+            return f"{'below' if self.falling else 'beyond'} {shown_number(self.end)} {self.unit}"
+        return f"{'' if self.sure else 'about '}{shown_number(self.border)} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """A change on the same seeds.
+
+    Of `failing` runs, `rescued` now complete; of `completing` ones, `lost` no longer do.
+
+    Attributes:
+        options: run settings of the change.
+        rate: share of completed runs without it.
+    """
+
+    text: str
+    options: Mapping[str, Any]
+    rescued: int
+    failing: int
+    lost: int
+    completing: int
+    rate: float
+
+    @property
+    def gain(self) -> float:
+        """Increase of the share of completed runs."""
+        up = (1 - self.rate) * self.rescued / self.failing if self.failing else 0.0
+        return up - (self.rate * self.lost / self.completing if self.completing else 0.0)
+
+    @property
+    def error(self) -> float:
+        """Standard error of the gain.
+
+        Two more of each kind keep it above zero (Agresti and Coull, 1998).
+        """
+        variance = 0.0
+        up, down = (1 - self.rate, self.rescued, self.failing), (self.rate, self.lost, self.completing)
+        for weight, hits, count in (up, down):
+            if count:
+                share = (hits + 2) / (count + 4)
+                variance += weight**2 * share * (1 - share) / (count + 4)
+        return math.sqrt(variance)
+
+
+@dataclass(frozen=True)
+class Preflight:
+    """Forecast before the first run.
+
+    Attributes:
+        share: completed runs, with its interval at `confidence`.
+        known: properties of the bench.
+        notes: warnings.
+        endings: of failed runs, the most frequent first.
+        borders: the nearest first.
+        changes: the largest gain first.
+        seconds: computing time.
+    """
+
+    itinerary: str
+    title: str
+    model: str
+    share: Share
+    confidence: float
+    known: tuple[Known, ...]
+    notes: tuple[str, ...]
+    endings: tuple[EndingShare, ...]
+    borders: tuple[HazardBorder, ...]
+    changes: tuple[Improvement, ...]
+    seconds: float
+
+    def __repr__(self) -> str:
+        return f"<preflight of {self.itinerary!r}: {self.status}>"
+
+    @property
+    def likely(self) -> bool | None:
+        """True if at least nine of ten runs complete.
+
+        The value is False if less than half do, and None in between.
+        """
+        return True if self.share.low >= 0.9 else False if self.share.high < 0.5 else None
+
+    @property
+    def status(self) -> str:
+        """Sentence on the share of completed runs."""
+        s = self.share
+        band = f"{s.low:.1%} to {s.high:.1%} with {self.confidence:.0%} confidence"
+        return f"{s.successes} of {s.runs} runs completed: {s.rate:.1%} ({band})"
+
+    @property
+    def advice(self) -> str:
+        """Sentence on the best change, or on the nearest border."""
+        best = self.changes[0] if self.changes else None
+        if best is not None and best.gain > 2 * best.error:
+            return f"{best.text} would gain most: {100 * best.gain:+.0f} points of {self.share.rate:.0%}"
+        nearest = next((b for b in self.borders if b.margin is not None), None)
+        at = "" if nearest is None else f"; the nearest border is that of {nearest.name}, at {nearest.sentence}"
+        none = "no run failed, so no change can help" if best is None else "no change gains more than chance"
+        return none + at
+
+    def document(self) -> dict[str, Any]:
+        """Return the output of `dpcontrol preflight --json`."""
+        s = self.share
+        return {
+            **picked(self, "itinerary", "title", "model", "status", "advice"),
+            "runs": s.runs,
+            "completed": s.successes,
+            "success_rate": s.rate,
+            "wilson": [s.low, s.high],
+            "confidence": self.confidence,
+            "known": [asdict(one) for one in self.known],
+            "notes": list(self.notes),
+            "endings": [{**asdict(one), "share": one.runs / s.runs} for one in self.endings],
+            "borders": [{**asdict(one), "margin": one.margin, "sure": one.sure} for one in self.borders],
+            "changes": [{**asdict(one), "gain": one.gain, "error": one.error} for one in self.changes],
+            "seconds": self.seconds,
+        }
+
+    def plot(self) -> Figure:
+        """Return the page to print."""
+        return render(self)

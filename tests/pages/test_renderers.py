@@ -1,0 +1,23 @@
+"""Results find their renderers through one table."""
+
+import inspect
+from importlib import import_module
+
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.rendering import render
+from dpcontrol.pages.renderers import PANELS, RENDERERS, renderer
+
+
+@pytest.mark.parametrize("name", [*RENDERERS, *PANELS])
+def test_each_entry_of_the_table_names_a_class_and_a_function(name: str) -> None:
+    module, _, kind = name.rpartition(".")
+    place = RENDERERS.get(name) or PANELS[name]
+    assert inspect.isclass(getattr(import_module(module), kind))
+    assert inspect.isfunction(renderer(place))
+
+
+def test_a_result_without_a_renderer_is_refused_with_the_results_that_have_one() -> None:
+    with pytest.raises(InputError, match=r"a dict has no picture; results with one are .*Night.*Run"):
+        render({})
