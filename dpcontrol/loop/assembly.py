@@ -1,7 +1,8 @@
-"""What a closed loop is made of, made once for any number of runs: controller, fallback, recovery, ticker, bench.
+"""Assemble the parts of a closed loop once for any number of runs.
 
-An assembly is a reference, the arms of the model and the settings of a run. Its parts are made when they are first
-needed: a run tick by tick, many runs in lockstep, a run on a rig and the margins all take theirs from here.
+An assembly holds a reference, the arms of the model and the settings of a run. It builds the controller, fallback,
+recovery, ticker and bench when they are first needed. Single runs, runs in lockstep, runs on a rig and the margins all
+use these parts.
 """
 
 from collections.abc import Sequence
@@ -38,34 +39,33 @@ from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference, StartNote, joined, plan_notes, start_reference
 
 _PLACES = 100.0
-"""Hz, at which a reference has places where a run may be caught."""
+"""Sampling rate of the reference for catching a run, Hz."""
 _ONWARD = 4.0
-"""Seconds of the itinerary after a start joins it that the start's gains look ahead to: these forget what is later."""
+"""Preview of a start's gains after it joins the itinerary, s. The gains do not depend on anything later."""
 _UNBOUND = Limits(position=1e6, velocity=1e6, acceleration=1e6)
-"""Of a cart that nothing stops."""
+"""Limits of a cart that nothing stops."""
 _HELD = 10.0
-"""s of a hold that are simulated for its margins."""
+"""Simulated duration of a hold when its margins are computed, s."""
 _WOBBLE = 0.8
-"""s: of a reference that names no orbit."""
+"""Default for a reference that names no orbit, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """A reference, the arms of the model, the settings of a run, and what is made of them.
-
-    uncertainty: of the model, for settings that draw the plant from it. law: a controller made before, in place of the
-    settings' own. believed_delay in periods, the drive's own by default.
-    """
+    """Reference, model arms and settings of a run, and the parts built from them."""
 
     reference: Reference
     arms: ArmChainParameters
     settings: LoopSettings
     uncertainty: Uncertainty | None = None
+    """Uncertainty of the model, for settings that draw the plant from it."""
     law: Controller | None = None
+    """Controller that replaces the one of the settings."""
     believed_delay: float | None = None
+    """Delay that the loop assumes, in periods; None for the drive's delay."""
 
     def under(self, settings: LoopSettings) -> "Assembly":
-        """Return the parts made so far under other settings of the bench, supervisor or seed."""
+        """Return the parts built so far under other settings of bench, supervisor or seed."""
         other = replace(self, settings=settings)
         parts = ("controller", "fallback", "recovery")
         other.__dict__.update({name: self.__dict__[name] for name in parts if name in self.__dict__})
@@ -73,17 +73,17 @@ class Assembly:
 
     @property
     def limits(self) -> Limits:
-        """The cart's limits: the reference's, with the settings' travel where it is given."""
+        """The cart's limits: those of the reference, with the travel of the settings if given."""
         return self.settings.limits(self.reference)
 
     @property
     def delay(self) -> float:
-        """The drive's delay that the loop reckons with, in periods."""
+        """The drive delay that the loop assumes, in periods."""
         return self.settings.drive.delay if self.believed_delay is None else self.believed_delay
 
     @property
     def model(self) -> SampledModel:
-        """The model of controller and filter. A hold that estimates disturbances leaves dry friction to them."""
+        """Model of controller and filter, without dry friction if a hold estimates disturbances."""
         settings = self.settings
         leaves = isinstance(settings.controller, HoldSettings) and Augment.DISTURBANCE in settings.estimator.augments
         arms = replace(self.arms, coulomb=()) if leaves else self.arms
@@ -94,8 +94,8 @@ class Assembly:
         """The controller.
 
         Raises:
-            InputError: the reference did not converge, or is not one of these arms.
-            GoalMissed: no controller can be made for it.
+            InputError: the reference did not converge or belongs to other arms.
+            GoalMissed: no controller exists for the reference.
         """
         settings = self.settings
         return self.law or make_controller(
@@ -105,11 +105,11 @@ class Assembly:
 
     @cached_property
     def fallback(self) -> NearestKeeper | None:
-        """What is held when tracking is lost; None for nothing.
+        """The orbits to hold if tracking is lost; None without a fallback.
 
         Raises:
-            InputError: the reference is of other arms.
-            GoalMissed: an orbit was not found, or cannot be held.
+            InputError: the reference belongs to other arms.
+            GoalMissed: an orbit was not found or cannot be held.
         """
         if self.settings.supervisor.hold == "none":
             return None
@@ -119,16 +119,16 @@ class Assembly:
 
     @cached_property
     def recovery(self) -> RecoveryPlan | None:
-        """How runs recover from a fall, by the reference's ways from rest to its stops; None if they end.
+        """The recovery from falls, using the reference's starts; None if falls end runs.
 
         Raises:
-            InputError: the reference has none, or the controller has no gains by time.
-            GoalMissed: no controller can be made for a start.
+            InputError: the reference has no starts, or the controller has no time-indexed gains.
+            GoalMissed: no controller exists for a start.
         """
         return self.planned_recovery()
 
     def planned_recovery(self, *, later: bool = False) -> RecoveryPlan | None:
-        """Return `recovery`; later: the reference may have no starts, for they are added to it while it runs."""
+        """Return `recovery`; with `later`, starts may be added while the itinerary runs."""
         reference, settings = self.reference, self.settings
         s = settings.supervisor
         if s.on_fall == "stop":
@@ -161,14 +161,17 @@ class Assembly:
         )  # fmt: skip
 
     def start(self, note: StartNote, lead_in: Reference | None, main: GainSchedule) -> StartController:
-        """Return a way from rest to a stop and on along the reference; lead_in: its transfer, None from a stop at rest.
+        """Return a start controller from rest to a stop and onward along the reference.
 
-        main: gains of the whole reference.
+        Args:
+            note: stop and place at which the start joins the reference.
+            lead_in: transfer from rest to the stop; None for a stop at rest.
+            main: gains of the whole reference.
 
         Raises:
-            GoalMissed: no controller can be made for it.
+            GoalMissed: no controller exists for the start.
         """
-        # Runs that do not recover do without what finds references.
+        # Runs without recovery do not need the code that finds references.
         from dpcontrol.references.find import tail
 
         settings = self.settings
@@ -188,13 +191,15 @@ class Assembly:
         return StartController(note["stop"], note["at"], ticks, turns, whole)
 
     def ticker(self, *, runs: int = 1, library: Path | None = None) -> Ticker:
-        """Return controller, estimator and supervisor of one run, or of `runs` side by side.
+        """Return controller, estimator and supervisor for one run or several side by side.
 
-        library: one made of what `dpcontrol export` writes, which does the ticks of one run.
+        Args:
+            runs: number of runs, default 1.
+            library: library built from the files of `dpcontrol export`; it computes the ticks of a single run.
 
         Raises:
-            InputError: the delay is impossible, or the controller is not for these arms; or the library is not of these
-                settings, or such a one cannot be.
+            InputError: the delay is impossible, the controller belongs to other arms, or the library does not fit these
+                settings.
         """
         settings, controller, model, lead = self.settings, self.controller, self.model, whole_periods(self.delay)[1]
         # The estimator relies on the stated noise of sensors and drive.
@@ -223,13 +228,13 @@ class Assembly:
         return ticker
 
     def _bounds(self, trust: float) -> dict[str, float]:
-        """Return the numbers that a tick judges by (`tick.BOUNDS`)."""
+        """Return the numbers by which a tick is judged (`tick.BOUNDS`)."""
         settings, limits, s = self.settings, self.limits, self.settings.supervisor
         delay = settings.drive.delay
         return {
             "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": limits.position,
             "reaction": (delay + 1) / settings.rate + settings.known_lag,
-            # The state ahead is that at which a command acts: the delay is in it.
+            # The predicted state is that at which a command acts, so it includes the delay.
             "onset": (delay - whole_periods(delay)[1] + 1) / settings.rate + settings.known_lag,
             "brake": 2 * s.braking * limits.acceleration,
             "margin": s.margin, "lost_tracking": s.lost_tracking, "lost_estimate": s.lost_estimate,
@@ -251,17 +256,22 @@ class Assembly:
     ) -> ControlLoop:
         """Return a loop for any rig, simulated or real.
 
-        rate_noise, (n, 1) rad/s by tick, keep: see `ControlLoop`. until: tick up to which the itinerary is repeated.
-        recovery: in place of the assembly's own. library: see `ticker`.
+        Args:
+            rate_noise: noise (n, 1) added to the rates in each tick, rad/s.
+            until: tick until which the itinerary repeats; 0 to run it once.
+            keep: if False, rows are not kept in memory.
+            library: see `ticker`.
+            progress: receiver of progress reports.
 
         Raises:
-            InputError: the delay is impossible, or the controller is not for these arms; or the library not for this.
+            InputError: the delay is impossible, the controller belongs to other arms, or the library does not support
+                this loop.
         """
         recovery, fallback = recovery or self.recovery, self.fallback
         if library is not None and (rate_noise is not None or fallback is not None or recovery is not None):
             what = "noise on measured rates" if fallback is None else 'hold = "nearest"'
             what = what if recovery is None else "on_fall"
-            raise InputError(f"run: a controller's library knows nothing of {what}; run it without")
+            raise InputError(f"run: a controller's library does not support {what}; remove one of the two")
         ticker = self.ticker(library=library)
         falls = None if recovery is None else FallRecovery(recovery, self.controller, until=until)
         return ControlLoop(
@@ -270,7 +280,7 @@ class Assembly:
         )  # fmt: skip
 
     def draw(self, *, seed: int | None = None, mismatch: float | None = None) -> BenchDraw:
-        """Return what is drawn for a run, by another seed or mismatch than the settings' if one is given."""
+        """Return a draw for one run; seed and mismatch override the settings."""
         ticks = self.controller.ticks + 1
         return self.settings.draw(self.arms, ticks=ticks, uncertainty=self.uncertainty, seed=seed, mismatch=mismatch)
 
@@ -286,15 +296,17 @@ class Assembly:
         library: Path | None = None,
         progress: Progress = no_progress,
     ) -> LoopResult:
-        """Track the reference on a simulated bench, with the arms as the model of controller and estimator.
+        """Track the reference on a simulated bench whose controller models these arms.
 
-        seed, mismatch: in place of the settings' own. recovery, until, keep, library: see `loop`; until: the tick up to
-        which it is done again and again, where it recovers from falls; 0: it is done once.
+        Args:
+            seed: seed that overrides the settings.
+            mismatch: mismatch that overrides the settings.
+            until: tick until which the itinerary repeats after falls; 0 to run it once.
 
         Raises:
-            InputError: the reference did not converge, or is not one of these arms; an uncertainty is asked for and not
-                known.
-            GoalMissed: no controller can be made for it, or no plant drawn.
+            InputError: the reference did not converge or belongs to other arms, or the settings need an uncertainty
+                that is missing.
+            GoalMissed: no controller exists for the reference, or no plant could be drawn.
         """
         recovers = (recovery or self.recovery) is not None
         draw = self.draw(seed=seed, mismatch=mismatch)
@@ -311,21 +323,25 @@ class Assembly:
 
     @property
     def lockstep(self) -> bool:
-        """Whether runs can go side by side."""
+        """True if runs can be computed side by side."""
         many = hasattr(self.controller, "schedule") or hasattr(self.controller, "begin_many")
         return self.settings.lockstep and many
 
     def batch(self, seeds: Sequence[int], *, mismatches: Sequence[float] | None = None) -> list[BatchRun]:
-        """Run the seeds side by side and return them in their order; mismatches: of each, in place of the settings'.
+        """Run the seeds side by side and return their results in order.
+
+        Args:
+            seeds: one seed per run.
+            mismatches: one mismatch per run, default that of the settings.
 
         Raises:
-            InputError: the settings ask for what `lockstep` rejects.
+            InputError: the settings do not allow lockstep.
         """
         if not self.lockstep:
-            raise InputError("these runs cannot go in lockstep; run them tick by tick, --path ticks")
+            raise InputError("these settings do not support lockstep; use --path ticks")
         if not seeds:
             return []
-        # Full vectors of the processor only: those left over would be rounded differently, and a run with its company.
+        # Only full vectors of the processor are used. Partial ones round differently and would affect the other runs.
         own = [self.settings.mismatch] * len(seeds) if mismatches is None else mismatches
         lanes = [*zip(seeds, own, strict=True)]
         lanes += [lanes[-1]] * (-len(lanes) % VECTOR)
@@ -338,22 +354,23 @@ class Assembly:
         return Lockstep(ticker, bench, draws).run()[: len(seeds)]
 
     def margins(self) -> Margins:
-        """Return what gain, further delay and further lag the loop bears along the reference.
+        """Return the margins of gain, further delay and further lag along the reference.
 
-        The arms are as the model says. Another filter than the extended one counts as that of its settings.
+        The plant has the parameters of the model. Any filter other than the extended one is replaced by it, with the
+        same settings.
 
         Raises:
-            InputError: the law has no margins, for it acts by pulses or not at all, or the reference is not of these
+            InputError: the law acts by pulses or not at all and so has no margins, or the reference belongs to other
                 arms.
-            GoalMissed: no controller can be made for it, or the loop does not stay on its reference.
+            GoalMissed: no controller exists, or the loop does not stay on its reference.
         """
         settings = replace(self.settings, travel=0.0)
         if isinstance(settings.controller, OwnLaw) or isinstance(settings.estimator, OwnEstimator):
-            raise InputError("margins need the loop's equations, which no Python object has; leave it out")
+            raise InputError("margins need symbolic equations, which Python objects do not provide; remove the object")
         if not isinstance(settings.estimator, EkfSettings):
             known = {f.name: getattr(settings.estimator, f.name) for f in fields(FilterSettings) if f.name != "kind"}
             settings = replace(settings, estimator=EkfSettings(**known))
-        # To first order a known belt with its shaping is a lag, and play is nothing.
+        # To first order, a known belt with its input shaping is a lag, and play has no effect.
         unshaped = replace(settings.mechanics, known_belt=0.0, known_play=0.0)
         settings = replace(settings, drive_lag=settings.known_lag, mechanics=unshaped)
         unbound = replace(self.reference, limits=_UNBOUND)

@@ -1,4 +1,4 @@
-"""The closed loop of many simulated runs side by side: one tick of all of them is one call."""
+"""The closed loop of many simulated runs: one call computes a tick of all runs."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ from dpcontrol.loop.ticker import Ticker
 
 
 class Lockstep:
-    """The loop of many runs."""
+    """The closed loop of many runs."""
 
     def __init__(self, ticker: Ticker, bench: BatchBench, draws: Sequence[BenchDraw]) -> None:
         self._ticker, self._bench, self._runs = ticker, bench, len(draws)
@@ -46,7 +46,7 @@ class Lockstep:
                 if own is not None:
                     self._check(k, report[own])
                 if np.add.reduce(report[notable]):
-                    self._heed(k, report, rows)
+                    self._handle_outcomes(k, report, rows)
                     for lane in np.flatnonzero(report[done] * self._alive).tolist():
                         self._end([lane], k + 1, self._endings[lane], self._reasons[lane])
                 for lane, fault in bench.faults.items():
@@ -66,13 +66,13 @@ class Lockstep:
         return [replace(run, hardest=float(most)) for run, most in zip(runs, bench.hardest, strict=True)]
 
     def _check(self, k: int, commands: Array) -> None:
-        """End runs whose symbolic law returned no sensible command, m/s²."""
+        """End runs whose symbolic law returned an invalid command, m/s²."""
         for lane in np.flatnonzero(~(np.abs(commands) <= LARGEST)).tolist():
             why = f"{wrong_command(self._ticker.kind, commands.item(lane))}, at t = {k * self._period:.3f} s"
             self._end([lane], k + 1, Ending.OBJECT_FAILED, why)
 
-    def _heed(self, k: int, report: Array, rows: JudgedTicks) -> None:
-        """Do what the outcomes of tick k ask for."""
+    def _handle_outcomes(self, k: int, report: Array, rows: JudgedTicks) -> None:
+        """Handle the outcomes of tick k."""
         outcomes = report[self._ticker.at["outcome"]] * self._alive
         for lane in np.flatnonzero(outcomes).tolist():
             outcome = Outcome(int(outcomes[lane]))

@@ -250,7 +250,7 @@ class ControlLoop:
             else:
                 self.ending, self.reason, self._stopped = ending(outcome), why, True
                 # From here on the reference stands.
-                ticker.stand(k)
+                ticker.freeze_reference(k)
         if report.item(ticker.at["stop"], 0) and (self._stopped or self._recovery is None):
             # The drive brakes by itself; what is sent meanwhile is what the loop believes it does.
             rig.stop()
@@ -267,7 +267,7 @@ class ControlLoop:
         why += f"; given up after {recovery.falls} fall{'s' * (recovery.falls > 1)}"
         self._event(k * self._period, "warn", "stop", why)
         self.ending, self.reason, self._stopped = ending(outcome), why, True
-        self.ticker.stand(k)
+        self.ticker.freeze_reference(k)
         rig.stop()
 
     def _tell_all(self, k: int, told: Sequence[Choice]) -> None:
@@ -284,7 +284,7 @@ class ControlLoop:
             text = over if abs(wish) > self.limits.acceleration else f"cart at {fastest:g} m/s"
             self._event(now, "warn", "saturated", text)
         if figures["doubted"]:
-            self._event(now, "info", "controller", self.ticker.doubt())
+            self._event(now, "info", "controller", self.ticker.flag_estimate())
 
     def _event(self, time_s: float, level: str, name: str, text: str) -> None:
         # Events stand among the ticks they belong to.

@@ -1,13 +1,13 @@
-"""Users' own objects in the loop: a law, an estimator, a plant or a rig, written in Python.
+"""Users' Python objects in the loop: a law, an estimator, a plant or a rig.
 
     controller    control(time, state, reference) -> acceleration, m/s²
     estimator     update(reading, acceleration) -> state (N,)
     plant         step(state, acceleration, seconds) -> state (N,)
     rig           read() -> positions (n+1,) or a reading, command(acceleration), stop()
 
-The first three may have `reset()`, which is called before each run. A run ends where a call raises, returns anything
-else, or lasts longer than the object's `longest` seconds, 5 if it has no such attribute. Python code is interrupted
-then; native code cannot be, and neither can code in a thread or on Windows: it is found out when it returns.
+The first three may define `reset()`, which is called before each run. A run ends if a call raises, returns an invalid
+value, or exceeds the object's time limit. The limit is its attribute `longest`, 5 s by default. Python code is
+interrupted at the limit. Native code, threads and code on Windows are only checked after they return.
 """
 
 import importlib.util
@@ -45,28 +45,28 @@ NEEDED = {
     "plant": ("step(state, acceleration, seconds)",),
     "rig": ("read()", "command(acceleration)", "stop()"),
 }
-"""The methods that an object needs, by what it takes the place of."""
+"""The methods that an object needs in each role."""
 LONGEST = 5.0
-"""s that a call may last."""
+"""Default time limit of a call, s."""
 LARGEST = 1e6
-"""Beyond every acceleration and state of these arms, SI."""
+"""Upper bound of plausible accelerations and states, SI units."""
 _SHOWN = 60
-"""Letters of a value in a sentence."""
+"""Maximum length of a value in an error message, characters."""
 
 
 class OwnFailure(ArithmeticError):
-    """A user's object failed; names the object, the method and the value."""
+    """A user's object failed; the message has the object, the method and the value."""
 
 
 class _TooLong(BaseException):
-    """Raised within a call that lasts too long; no object's own handlers of errors take it."""
+    """Interrupt of a call that exceeds its limit; objects cannot catch it as an Exception."""
 
 
 def _timed(function: Callable[..., Any], arguments: Sequence[Any], longest: float) -> Any:
-    """Call a function, and interrupt it if it lasts too long."""
+    """Call a function and interrupt it at its time limit."""
     began = time.perf_counter()
 
-    def look(number: int, frame: Any) -> None:
+    def check_time(number: int, frame: Any) -> None:
         if time.perf_counter() - began >= longest:
             raise _TooLong
         if callable(before):
@@ -75,7 +75,7 @@ def _timed(function: Callable[..., Any], arguments: Sequence[Any], longest: floa
     interrupts = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     before: Any = None
     if interrupts:
-        before = signal.signal(signal.SIGALRM, look)
+        before = signal.signal(signal.SIGALRM, check_time)
         signal.setitimer(signal.ITIMER_REAL, longest, longest)
     try:
         value = function(*arguments)
@@ -89,10 +89,15 @@ def _timed(function: Callable[..., Any], arguments: Sequence[Any], longest: floa
 
 
 class OwnObject:
-    """A user's object in the place of a controller, estimator, plant or rig; source: FILE.py:CLASS if it is of a file.
+    """A user's object in the role of a controller, estimator, plant or rig.
+
+    Args:
+        role: the role of the object.
+        thing: the object.
+        source: FILE.py:CLASS if the object comes from a file.
 
     Raises:
-        InputError: it lacks a method, or is a class.
+        InputError: the object lacks a method, or is a class.
     """
 
     def __init__(self, role: str, thing: Any, source: str = "") -> None:
@@ -119,7 +124,7 @@ class OwnObject:
 
     @cached_property
     def _fingerprint(self) -> str:
-        """Identifies code and state; unique if these cannot be read."""
+        """Return a hash of code and state; unique if these cannot be read."""
         try:
             code = self.thing.function if isinstance(self.thing, SymbolicLaw) else type(self.thing)
             return content_hash(inspect.getsource(code), pickle.dumps(self.thing))
@@ -127,7 +132,7 @@ class OwnObject:
             return uuid4().hex
 
     def attribute(self, name: str) -> Any:
-        """Return an attribute; None if there is none.
+        """Return an attribute, or None if there is none.
 
         Raises:
             InputError: reading it raised.
@@ -135,10 +140,10 @@ class OwnObject:
         try:
             return getattr(self.thing, name, None)
         except Exception as error:
-            raise InputError(f"{self.role} = {self.name}: {name} raised {_told(error)}") from error
+            raise InputError(f"{self.role} = {self.name}: {name} raised {_error_text(error)}") from error
 
     def reset(self) -> None:
-        """Have the object begin a run."""
+        """Call the object's `reset` method if it has one."""
         if callable(self.attribute("reset")):
             self.call("reset")
 
@@ -146,7 +151,7 @@ class OwnObject:
         """Call a method and return its value.
 
         Raises:
-            OwnFailure: it raised, or took too long.
+            OwnFailure: the method raised or exceeded its time limit.
         """
         longest = float(self.attribute("longest") or LONGEST)
         try:
@@ -154,13 +159,13 @@ class OwnObject:
         except _TooLong:
             raise OwnFailure(f"{self.name}.{method} took longer than {longest:g} s") from None
         except (Exception, SystemExit) as error:
-            raise OwnFailure(f"{self.name}.{method} raised {_told(error)}") from error
+            raise OwnFailure(f"{self.name}.{method} raised {_error_text(error)}") from error
 
     def number(self, method: str, *arguments: Any) -> float:
-        """Return an acceleration that a method returns.
+        """Call a method and return its result as an acceleration.
 
         Raises:
-            OwnFailure: it failed, or returned anything but a finite number of sensible size.
+            OwnFailure: the method failed, or did not return a finite number within bounds.
         """
         value = self.call(method, *arguments)
         try:
@@ -168,25 +173,25 @@ class OwnObject:
         except Exception:  # noqa: BLE001 - the value is the user's, and so is its __float__
             number = math.nan
         if not abs(number) <= LARGEST:
-            raise self.refused(method, value, f"a number from -{LARGEST:g} to {LARGEST:g} m/s²")
+            raise self.invalid_value(method, value, f"a number from -{LARGEST:g} to {LARGEST:g} m/s²")
         return number
 
     def numbers(self, method: str, value: Any, size: int) -> Array:
         """Return the array (size,) that a method returned.
 
         Raises:
-            OwnFailure: it is anything else, or has entries that are not finite or beyond all size.
+            OwnFailure: the value has another shape, or entries that are not finite or out of bounds.
         """
         try:
             array = np.array(value, dtype=float)
         except Exception:  # noqa: BLE001 - the value is the user's, and so is its __array__
             array = np.empty(0)
         if array.shape != (size,) or not np.abs(array).max() <= LARGEST:
-            raise self.refused(method, value, f"{size} finite numbers up to {LARGEST:g}, SI")
+            raise self.invalid_value(method, value, f"{size} finite numbers up to {LARGEST:g}, SI")
         return array
 
-    def refused(self, method: str, value: Any, needed: str) -> OwnFailure:
-        """Return the error of a value that a method may not return."""
+    def invalid_value(self, method: str, value: Any, needed: str) -> OwnFailure:
+        """Return the error for an invalid value of a method."""
         try:
             text = " ".join(repr(value).split())
         except Exception:  # noqa: BLE001 - the value is the user's, and so is its __repr__
@@ -196,13 +201,13 @@ class OwnObject:
 
 
 def wrong_command(law: str, value: float) -> OwnFailure | None:
-    """Return what is wrong with the command of a symbolic law, m/s²; None for nothing."""
+    """Return the error for a symbolic law's command in m/s²; None if it is valid."""
     if abs(value) <= LARGEST:
         return None
     return OwnFailure(f"{law} returned {value}: it must return a number from -{LARGEST:g} to {LARGEST:g} m/s²")
 
 
-def _told(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     try:
         text = " ".join(str(error).split())
     except Exception:  # noqa: BLE001 - the error is the user's, and so is its __str__
@@ -211,19 +216,19 @@ def _told(error: BaseException) -> str:
 
 
 def own_object(role: str, value: Any) -> OwnObject:
-    """Return a user's object, from FILE.py:CLASS or as it is.
+    """Return a user's object, loaded from FILE.py:CLASS if necessary.
 
     Raises:
-        InputError: it cannot be loaded, or lacks a method.
+        InputError: the object cannot be loaded, or lacks a method.
     """
     return load_own(role, value) if isinstance(value, str) else OwnObject(role, value)
 
 
 def load_own(role: str, source: str) -> OwnObject:
-    """Return an object of the class that FILE.py:CLASS names, made without arguments, or the object of that name.
+    """Load FILE.py:CLASS and return an instance made without arguments, or the named object.
 
     Raises:
-        InputError: there is no such file or class, it cannot be made, or it lacks a method.
+        InputError: the file or class does not exist, the constructor raised, or a method is missing.
     """
     path, _, name = source.rpartition(":")
     file = Path(path)
@@ -234,14 +239,14 @@ def load_own(role: str, source: str) -> OwnObject:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    # Dataclasses look their module up there.
+    # Dataclasses look up their module there.
     sys.modules[module_name] = module
     try:
         spec.loader.exec_module(module)
         kind = getattr(module, name, None)
         thing = kind() if isinstance(kind, type) else kind
     except (Exception, SystemExit) as error:
-        raise InputError(f"{role} = {source}: {_told(error)}") from error
+        raise InputError(f"{role} = {source}: {_error_text(error)}") from error
     if thing is None:
         raise InputError(f"{role} = {source}: {path} has no class {name}")
     return OwnObject(role, thing, source)
@@ -265,7 +270,7 @@ class OwnExpressions:
 
 @dataclass(frozen=True)
 class OwnEstimator(FilterSettings):
-    """The settings of a user's estimator: with it nothing but the state is estimated."""
+    """The settings of a user's estimator, which estimates only the state."""
 
     kind: str = "own"
     augment: tuple[str, ...] = ()
@@ -274,7 +279,10 @@ class OwnEstimator(FilterSettings):
 
 @dataclass(frozen=True)
 class OwnPlant:
-    """The settings of a user's plant: in place of arms, cart and drive, or a component of them (`SymbolicPlant`)."""
+    """The settings of a user's plant.
+
+    It replaces arms, cart and drive. A `SymbolicPlant` replaces only one component.
+    """
 
     kind: str
     own: OwnObject
@@ -290,33 +298,33 @@ class OwnController:
 
     @property
     def kind(self) -> str:
-        """The name of its class."""
+        """The name of the user's class."""
         return self.own.name
 
     @property
     def first_state(self) -> Array:
-        """The state (N,) from which it starts."""
+        """The initial state (N,)."""
         return self.flown.first_state
 
     @property
     def ticks(self) -> int:
-        """For how many periods it has something to do."""
+        """The number of periods that the law covers."""
         return self.flown.ticks
 
     def begin_after(self, lead: int) -> "OwnSession":
-        """Return a session for one run, whose first `lead` commands are the reference's own."""
+        """Return a session for one run whose first `lead` commands come from the reference."""
         return OwnSession(self, lead)
 
 
 class OwnSession:
-    """A user's law during a run; failure: what ended it."""
+    """A user's law during a run; `failure` is the error that ended it."""
 
     def __init__(self, law: OwnController, lead: int) -> None:
         self._law, self._lead, self._begun = law, lead, False
         self.failure: OwnFailure | None = None
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return what to do in the period from `tick`, for which `state` (N,) is expected."""
+        """Return the action for the period from `tick`, given the predicted state (N,)."""
         law, flown = self._law, self._law.flown
         wanted = flown.reference_states[min(tick, flown.ticks)]
         forward = float(flown.feedforward[min(tick, flown.ticks - 1)])
@@ -333,15 +341,20 @@ class OwnSession:
         return Action(forward, value - forward, wanted, Mode.TRACKING)
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Leave the clock as it is: the loop's own."""
+        """Do nothing: the loop owns the clock."""
         return ""
 
 
 class OwnEstimates:
-    """A user's estimator as the loop's; noise (n+1, n+1): of the measured positions.
+    """A user's estimator in the loop.
 
-    If the object has `sigmas` (N,), the NIS is that of the model's prediction from the estimate before. Without them
-    there is none, and the supervisor does not judge the estimate. sent m/s²: the acceleration sent last.
+    If the object has `sigmas` (N,), NIS is computed for the model's prediction from the previous estimate. Without
+    them, NIS is not available and the supervisor does not check the estimate.
+
+    Args:
+        own: the user's object.
+        model: model that predicts the state.
+        noise: covariance (n+1, n+1) of the measured positions.
     """
 
     extra_names = ()
@@ -353,7 +366,7 @@ class OwnEstimates:
 
     @property
     def judged(self) -> bool:
-        """Whether the object gives standard deviations."""
+        """True if the object provides standard deviations."""
         return self.own.attribute("sigmas") is not None
 
     def first(self, state: Array) -> Estimate:
@@ -364,13 +377,13 @@ class OwnEstimates:
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate at the first tick."""
-        return self._asked(estimate, estimate.state, measured, present)
+        return self._updated(estimate, estimate.state, measured, present)
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came."""
-        return self._asked(estimate, self._model.step(estimate.state, command), measured, present)
+        """Return the estimate after a period with `command` m/s² and a new measurement."""
+        return self._updated(estimate, self._model.step(estimate.state, command), measured, present)
 
-    def _asked(self, estimate: Estimate, expected: Array, measured: Array, present: Present) -> Estimate:
+    def _updated(self, estimate: Estimate, expected: Array, measured: Array, present: Present) -> Estimate:
         own, size = self.own, len(estimate.state)
         seen = np.ones(len(measured), dtype=bool) if present is None else present
         reading = Reading(self._count * self._model.period, measured.copy(), seen.copy())
@@ -393,7 +406,7 @@ class OwnEstimates:
         return Estimate(state, estimate.extra, sigmas, estimate.innovation, nis, len(rows), None)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
-        """Return the state (N,) after the commands on their way, by the model."""
+        """Return the state (N,) that the model predicts after the pending commands."""
         state = estimate.state
         for command in commands:
             state = self._model.step(state, command)
@@ -409,14 +422,21 @@ class OwnEstimates:
 
 
 class OwnArms:
-    """A user's plant between ticks, with hard stops at ±track m; state (N,). Blows strike arms of `parameters`."""
+    """A user's plant between ticks, with hard stops at ±track m.
+
+    Args:
+        own: the user's object.
+        parameters: arms that blows strike.
+        state: initial state (N,).
+        track: half length of the track, m.
+    """
 
     def __init__(self, own: OwnObject, parameters: PlantParameters, state: Array, *, track: float) -> None:
         self._own, self._parameters, self._track, self._begun = own, parameters, track, False
         self._cart = 2 * parameters.arms.count
         self.faults: dict[int, str] = {}
         self.state: Array = state.copy()
-        """The state now; overwritten as the plant moves."""
+        """The present state; `move` overwrites it."""
         self.values: list[Any] = state.tolist()
 
     @property
@@ -425,7 +445,7 @@ class OwnArms:
         return self.values[self._cart + 1]
 
     def move(self, acceleration: Any, duration: Any, *, time: Any, span: float = 0.0) -> None:
-        """Let `duration` s pass from `time` s with a held demand of `acceleration` m/s².
+        """Advance the plant by `duration` s from `time` s with a constant demand in m/s².
 
         Raises:
             OwnFailure: the object failed.
@@ -441,31 +461,38 @@ class OwnArms:
                 0, f"cart hit its hard stop at t = {time + duration:.3f} s: x = {side:.3f} m at {speed:.3g} m/s"
             )
             state[cart], state[cart + 1] = side, 0.0
-        self._be(state)
+        self._set_state(state)
 
     def strike(self, blow: Blow, run: int = 0) -> None:
         """Apply a blow."""
-        self._be(after_blow(self._parameters, self.state, impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock))
+        self._set_state(
+            after_blow(self._parameters, self.state, impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
+        )
 
-    def _be(self, state: Array) -> None:
+    def _set_state(self, state: Array) -> None:
         self.state[:] = state
         self.values = state.tolist()
 
 
 class OwnRig:
-    """A user's rig as the loop's; period in s. `truth` is the object's, if it has one: the true state (2n+2,).
+    """A user's rig in the loop.
 
-    A failure of `command` ends the run at the next reading.
+    If `command` fails, the run ends at the next reading.
+
+    Args:
+        own: the user's object. Its optional attribute `truth` is the true state (2n+2,).
+        arms: number of arms.
+        period: control period, s.
     """
 
     def __init__(self, own: OwnObject, *, arms: int, period: float) -> None:
         self.own, self.period, self.fault = own, period, ""
         self._arms, self._count, self._failure = arms, 0, list[OwnFailure]()
         self.truth: Array | None = None if own.attribute("truth") is None else np.zeros(2 * arms + 2)
-        """The true state (2n+2,) at the last reading, if the object knows it."""
+        """The true state (2n+2,) at the last reading, if the object provides it."""
 
     def read(self) -> Reading:
-        """Return the next tick's reading.
+        """Return the reading of the next tick.
 
         Raises:
             OwnFailure: the object failed.
@@ -482,18 +509,18 @@ class OwnRig:
         if not isinstance(value, Reading):
             return Reading(now, positions)
         if value.present is not None and np.shape(value.present) != (m,):
-            raise own.refused("read", value, f"a reading whose `present` has {m} entries")
+            raise own.invalid_value("read", value, f"a reading whose `present` has {m} entries")
         return value._replace(time=now, positions=positions)
 
     def command(self, acceleration: float) -> None:
-        """Send the cart's wanted acceleration, m/s²."""
+        """Send the demanded acceleration of the cart, m/s²."""
         try:
             self.own.call("command", acceleration)
         except OwnFailure as failure:
             self._failure.append(failure)
 
     def stop(self) -> None:
-        """Have the object stop the cart."""
+        """Stop the cart through the object."""
         try:
             self.own.call("stop")
         except OwnFailure as failure:

@@ -1,22 +1,22 @@
-"""What a run does after a fall: it calms the arms, starts again from rest, and goes on with the itinerary.
+"""Recovery from a fall: calm the arms, start again from rest, resume the itinerary.
 
-A run is a sequence of motions on one rig without interruption, one after the other by one `Ticker`, whose filter and
-commands on their way go on:
+A run is a sequence of motions on one rig. One `Ticker` controls them all without interruption, so its filter and its
+pending commands continue from one motion to the next:
 
-    itinerary   the plan's reference, from some time of it on
-    return      brake, and calm the arms, from anywhere, until they hang at rest
-    start       from hanging at rest to a stop of the walk, by a transfer planned beforehand; then the itinerary
+    itinerary   the plan's reference from some time onward
+    return      brake and calm the arms until they hang at rest
+    start       from rest to a stop, by a planned transfer
 
-Before it falls it may be caught: where the way back to the reference is long, and another place of what was flown so
-far is much nearer, the itinerary goes on from there: an orbit's other phase or other round, or a place on the tube
-that leads to it. How far a place is away the Riccati solution tells.
+A run may be caught before it falls. If the state is far from the reference and an earlier point is much nearer, the
+itinerary resumes there. Such a point can be another phase or round of an orbit, or lie on the tube that leads to it.
+The Riccati solution measures the distance:
 
-    V(t) = (x̂ - x*(t))ᵀ P(t) (x̂ - x*(t)),    caught where V is above `_FAR` at the run's own time and the least V,
-                                             at any earlier time, is below `_NEARER` of that
+    V(t) = (x̂ - x*(t))ᵀ P(t) (x̂ - x*(t)).
 
-What is flown again costs time: V counts as (1 + back/`_WORTH`) times what it is at a place so many seconds back.
+A run is caught if V exceeds `_FAR` at the present time and the least V at any earlier time is below `_NEARER` of that.
+Flying a section again costs time, so V is multiplied by (1 + back/`_WORTH`) for a point `back` seconds earlier.
 
-After a fall the symbol that failed is done again from the stop before it; what was completed stays completed.
+After a fall, the run repeats the failed symbol from the preceding stop. Completed symbols remain completed.
 """
 
 import math
@@ -36,41 +36,41 @@ from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 
 RETURN_SECONDS = 15.0
-"""After which a return that has not come to rest begins anew: it takes 6 s at most from states that falls leave."""
+"""Time limit of a return before it restarts, s; returns from states after a fall take at most 6 s."""
 FOLLOWED = 0.15
-"""rad: while the mean distance from the reference is below this it is followed; and `_BEFORE` s before, it was."""
+"""Mean distance below which a run follows its reference, rad. A run also has to have followed `_BEFORE` s earlier."""
 _BEFORE = 0.5
 REST_ANGLE, REST_RATE, REST_CART = 0.05, 0.1, 0.01
-"""rad, rad/s, m and m/s: by the estimate, what counts as hanging at rest, the cart in the middle."""
+"""Bounds on the estimate for arms that hang at rest with the cart in the middle: rad, rad/s, and m or m/s."""
 _QUIET = 0.3
-"""rad/s: arms that stay below this for `REST_SECONDS` hang, for those that swing do not."""
+"""Rate below which arms hang at rest if they keep it for `REST_SECONDS`, rad/s; swinging arms exceed it."""
 REST_SECONDS, FRESH_SECONDS = 0.3, 0.2
-"""For so long; and for how long the filter, which begins anew then, is left to find the rates."""
+"""Duration of rest, and the time for the restarted filter to estimate the rates, s."""
 _TRIED = 0.3
-"""s for which a filter that began anew is watched before it is believed."""
+"""Observation time of a restarted filter before its estimate is used, s."""
 _STUCK = 20.0
-"""s after which a sensor that still repeats itself is taken for one whose arm hangs still."""
+"""Time after which a sensor with constant readings is attributed to an arm at rest, s."""
 _HELD = 0.08
-"""rad, by the estimate: farther from the last stop's orbit than this over its last period a run has not held it."""
+"""Maximum distance from the last stop's orbit over its last period for a successful hold, rad, by the estimate."""
 _EVERY = 10
-"""Ticks between those that are looked at for it."""
+"""Ticks between checks of the hold."""
 _FAR, _NEARER = 10.0, 0.5
-"""Cost-to-go from which another place is looked for, and the share of it that the other's must be below."""
+"""Cost-to-go at which the search for another place starts, and the fraction of it that the place must not exceed."""
 _NEAR, _WORTH = 0.8, 1.0
-"""rad: places from which an arm is farther are not looked at; and s: so far back a place counts as twice as far."""
+"""Maximum angle of an arm from a candidate place, rad, and the interval back that doubles its cost, s."""
 _LOOKS, _DRIFTS = 0.1, 0.005
-"""s and m/s: how often it is looked whether a cart that was stopped stands, and what counts as drifting."""
+"""Interval between checks that a stopped cart stays still, s, and the velocity that counts as drift, m/s."""
 _FAST = 0.9
-"""Share of the greatest speed at which a cart that runs off is stopped: arms that push it take it further."""
+"""Fraction of the maximum speed at which a runaway cart is stopped; swinging arms push it further."""
 _MEETS = 0.05
-"""Between the states (rad, rad/s, m, m/s) at which a reference ends and begins for laps without a rest."""
+"""Maximum difference between the last and first state of a reference for laps without rest: rad, rad/s, m, m/s."""
 LAST_SECONDS = 1.5
-"""s at the end of a reference in which such a state is looked for: the last orbit need not end where the first begins.
-"""
+"""Final part of a reference that is searched for such a state, s. The last orbit may end at another phase than the
+first."""
 
 
 class Motion(StrEnum):
-    """What a run is doing."""
+    """The present motion of a run."""
 
     ITINERARY = "itinerary"
     RETURN = "return"
@@ -78,10 +78,10 @@ class Motion(StrEnum):
 
 
 def calming_bounds(limits: Limits) -> Mapping[str, float]:
-    """Return by what a return is judged, where it differs from a flight (`tick.BOUNDS`).
+    """Return the bounds of a return that differ from those of a flight (`tick.BOUNDS`).
 
-    No distance from rest is too far, and the filter may begin anew as often as it must. The law keeps the cart on its
-    track; the supervisor steps in only where nothing but the hardest braking is left.
+    Any distance from rest is allowed, and the filter may restart without limit. The law keeps the cart on its track.
+    The supervisor intervenes only if nothing but maximum braking remains.
     """
     return {
         "lost_tracking": 1e9, "resynchronise": 0.0, "can_hold": 0.0, "restarts": 1e9,
@@ -91,36 +91,36 @@ def calming_bounds(limits: Limits) -> Mapping[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class StartController:
-    """A way onto the itinerary, and on with it: from hanging at rest to one stop of the walk, or from a place near it.
-
-    stop: which; at s: the time of the plan's reference at which that is joined, after `lead_in` ticks. turns (n,) rad:
-    of the plan's reference against this one. gains: of all of it.
-    """
+    """A transfer onto the itinerary and its continuation, from rest or from a nearby state."""
 
     stop: int
+    """Index of the stop of the walk."""
     at: float
+    """Time of the plan's reference at which the start joins, s."""
     lead_in: int
+    """Ticks before it joins."""
     turns: Array
+    """Whole turns (n,) between the plan's reference and this one, rad."""
     gains: GainSchedule
     kind: str = "start"
 
     @property
     def first_state(self) -> Array:
-        """Return the state (N,) from which it starts."""
+        """The initial state (N,)."""
         return self.gains.references[0]
 
     @property
     def ticks(self) -> int:
-        """Return for how many periods it has something to do."""
+        """The number of periods."""
         return len(self.gains.references) - 1
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return what the loop needs; it was made for this lead."""
+        """Return the gain schedule, which was computed for this lead."""
         return self.gains
 
 
 def started(before: GainSchedule, main: GainSchedule, *, lead_in: int, place: int, turns: Array) -> GainSchedule:
-    """Return `before` for `lead_in` ticks, then `main` from its tick `place` on, whole `turns` (n,) rad taken off."""
+    """Return `before` for `lead_in` ticks, then `main` from tick `place` with `turns` (n,) rad subtracted."""
     rest = main.turned(-turns)
     return replace(
         main,
@@ -132,24 +132,24 @@ def started(before: GainSchedule, main: GainSchedule, *, lead_in: int, place: in
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Places of a reference, `every` ticks apart: states (M, N), and P (M, N, N) of the cost-to-go about them."""
+    """Places of a reference, `every` ticks apart: states (M, N) and cost-to-go matrices P (M, N, N)."""
 
     every: int
     states: Array
     costs: Array
 
     def cost(self, state: Array, place: int) -> float:
-        """Return what it costs to get from `state` (N,), on whatever turns, to a place."""
+        """Return the cost-to-go from `state` (N,), modulo whole turns, to a place."""
         away = self._away(state, slice(place, place + 1))[0]
         return float(away @ self.costs[place] @ away)
 
     def nearest(self, state: Array, last: int, *, worth: float) -> tuple[int, float]:
-        """Return the place up to `last` to which it costs least to get, and what; infinite where none is near.
+        """Return the place up to `last` with the least cost, and that cost.
 
-        Costs count more the more is flown again: twice as much `worth` places back.
+        The cost is infinite if no place is near. It doubles `worth` places earlier.
         """
         away = self._away(state, slice(last + 1))
-        # The forms of all places would take longer than a tick.
+        # Quadratic forms for all places would take longer than a tick.
         near = np.flatnonzero(np.abs(away[:, : len(state) // 2 - 1]).max(axis=1) < _NEAR)
         if not near.size:
             return last, math.inf
@@ -166,33 +166,34 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class RecoveryPlan:
-    """What recoveries of an itinerary share: the law that calms, ways from rest to its stops, in their order.
-
-    names: of the stops; symbols: their texts, fewer by one. limits: the cart's. path (M, n) rad: of the last stop's
-    orbit, on any turns; period s: its own. gains: of the whole itinerary; reach: of its reference. restarts: whether
-    the itinerary begins anew after a fall. attempts: of one symbol, 0 for no limit.
-
-    Further starts may be appended during a run. ready: called when the arms hang at rest; False while there is no start
-    yet, so that they go on resting.
-    """
+    """Data shared by all recoveries of an itinerary; starts may be appended during a run."""
 
     calming: CalmingController
     starts: list[StartController]
+    """Ways from rest to the stops, in order."""
     names: tuple[str, ...]
+    """Names of the stops."""
     symbols: tuple[str, ...]
+    """Texts of the symbols, one fewer than the names."""
     limits: Limits
     path: Array
+    """Path (M, n) of the last stop's orbit modulo whole turns, rad."""
     period: float
+    """Period of that orbit, s."""
     gains: GainSchedule
+    """Gains of the whole itinerary."""
     reach: Reach
     restarts: bool = False
+    """True if the itinerary restarts after a fall."""
     attempts: int = 10
+    """Maximum attempts per symbol; 0 for no limit."""
     ready: Callable[[], bool] = lambda: True
+    """Called when the arms hang at rest; False if no start is available yet."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What is told of a choice: level, name, text."""
+    """Log event of a choice: level, name, text."""
 
     level: str
     name: str
@@ -202,8 +203,10 @@ class Choice:
 class FallRecovery:
     """The choice of motions in one run.
 
-    until: the tick at which the run ends at the latest, the itinerary beginning anew where its reference ends; 0: the
-    run ends with its reference.
+    Args:
+        plan: data of the recovery.
+        main: controller of the whole itinerary.
+        until: last tick of the run, up to which the itinerary repeats; 0 to end with the reference.
     """
 
     def __init__(self, plan: RecoveryPlan, main: Controller, *, until: int = 0) -> None:
@@ -225,12 +228,12 @@ class FallRecovery:
         self._latest: deque[Array] = deque(maxlen=max(round(plan.period / plan.calming.period / _EVERY), 1))
 
     def flights(self, end: int) -> tuple[Flight, ...]:
-        """Return when the run was on its itinerary, up to the tick `end`."""
+        """Return the intervals on the itinerary up to the tick `end`."""
         under_way = [Flight(self._joins, end, self._at)] if self.motion is Motion.ITINERARY else []
         return (*self._flown, *under_way)
 
     def begin(self, ticker: Ticker) -> Choice:
-        """Remember by what flights are judged; return what is told of the first motion."""
+        """Store the bounds for flights and return the event of the first motion."""
         self._bounds = {name: ticker.number(name) for name in calming_bounds(self._plan.limits)}
         ticker.prepare_to_hold()
         if self.until:
@@ -249,63 +252,63 @@ class FallRecovery:
         return Choice("info", name, joined_text(self._at, what))
 
     def runs_off(self, k: int, report: Array, ticker: Ticker) -> str:
-        """Return a fall's sentence if the cart runs after its arms near its greatest speed at tick k, or ""."""
+        """Return a fall's sentence if the cart runs away near its maximum speed, or ""."""
         fastest, place = self._plan.limits.velocity, 2 * self._arms + 1
         speed = abs(report.item(place, 0))
         if speed < _FAST * fastest or self.motion is Motion.RETURN:
             return ""
-        wanted = abs(float(ticker.references[k - ticker.began, place]))
-        if speed < wanted + (1 - _FAST) * fastest:
+        planned = abs(float(ticker.references[k - ticker.began, place]))
+        if speed < planned + (1 - _FAST) * fastest:
             return ""
         when = f"tracking lost at t = {k * ticker.program.period:.3f} s"
-        return f"{when}: the cart moves at {speed:.3g} m/s, where the reference has {wanted:.3g} m/s"
+        return f"{when}: the cart moves at {speed:.3g} m/s, the reference at {planned:.3g} m/s"
 
     def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Sequence[Choice] | None:
-        """Return what is told of a fall at tick k, from which a return begins; None where no attempt is left."""
+        """Begin a return after a fall at tick k; None if no attempt is left."""
         plan = self._plan
         if self.motion is not Motion.RETURN:
             self.falls += 1
             if self.motion is Motion.ITINERARY:
                 self._flown.append(Flight(self._joins, k + 1, self._at))
                 good = self._at + (self._followed - self._joins) * period - _BEFORE
-                # Stops that no start leads to are passed over.
+                # Stops that no start leads to are skipped.
                 reached = [start.stop for start in plan.starts if start.at <= good]
                 self._stop = 0 if plan.restarts else max([self._stop, *reached])
             tried = self._attempts[self._stop] = self._attempts.get(self._stop, 0) + 1
             if plan.attempts and tried >= plan.attempts:
                 self.motion = Motion.RETURN
                 return None
-        told = self.motion is not Motion.RETURN or k * period - self._began * period > 1.0
+        logged = self.motion is not Motion.RETURN or k * period - self._began * period > 1.0
         self.motion, self._why, self._began = Motion.RETURN, outcome, k
         self._sensor = int(ticker.program.report[ticker.at["sensor"], 0])
         self._rested, self._lost_at = k, k
-        # What it has learned of the arms' parameters may be nonsense by now.
+        # After a fall, the parameter estimates may be wrong.
         ticker.lose()
         if outcome in (Outcome.ESTIMATE_LOST, Outcome.SILENT, Outcome.STUCK):
-            # The cart stands until the estimate may be believed again.
-            self._calm(k, ticker, stands=True)
+            # The cart stays still until the estimate is reliable again.
+            self._calm(k, ticker, still=True)
         else:
             self._calm(k, ticker)
-        return [Choice("warn", RETURN, f"{why}; {self._progress_lost()}")] if told else []
+        return [Choice("warn", RETURN, f"{why}; {self._progress_lost()}")] if logged else []
 
     def _progress_lost(self) -> str:
         total, number = len(self._plan.symbols), self._stop + 1
         if self._plan.restarts:
-            return "the itinerary begins anew from rest"
-        return f"symbol {number} of {total} is done again" if number <= total else "the last stop is gone to again"
+            return "the itinerary restarts from rest"
+        return f"symbol {number} of {total} is repeated" if number <= total else "the run returns to the last stop"
 
-    def _calm(self, k: int, ticker: Ticker, *, stands: bool = False) -> None:
-        """Calm the arms from the tick after k on; stands: or brake, and stand for the time being."""
-        self._calms, self._rested, self._quiet, self._fresh = not stands, k, k, False
+    def _calm(self, k: int, ticker: Ticker, *, still: bool = False) -> None:
+        """Calm the arms from the tick after k onward; with `still`, brake and hold the cart first."""
+        self._calms, self._rested, self._quiet, self._fresh = not still, k, k, False
         ticker.follow(
             k + 1, self._plan.calming, lift=np.zeros(self._arms),
-            bounds=calming_bounds(self._plan.limits), heeds_switch=False,
+            bounds=calming_bounds(self._plan.limits), uses_switch=False,
         )  # fmt: skip
-        if stands:
+        if still:
             ticker.brake(k + 1)
 
     def follow_up(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
-        """Look at tick k, which has just been done; return what is told, where something else begins with the next."""
+        """Handle the completed tick k and return events if the motion changes."""
         if self.motion is Motion.ITINERARY:
             if report.item(ticker.at["error"], 0) < FOLLOWED:
                 self._followed = k
@@ -321,9 +324,9 @@ class FallRecovery:
             return [self._resumed()]
         over = k + 2 == ticker.began + ticker.count
         if not self._calms:
-            self._keep_standing(k, report, ticker, period)
-            if (believed := self._believed(k, report, ticker, period)) or over:
-                self._calm(k, ticker, stands=not believed)
+            self._hold_still(k, report, ticker, period)
+            if (reliable := self._is_reliable(k, report, ticker, period)) or over:
+                self._calm(k, ticker, still=not reliable)
             return ()
         for_s = self._at_rest(k, report, ticker) * period
         if for_s < REST_SECONDS + FRESH_SECONDS:
@@ -342,13 +345,13 @@ class FallRecovery:
         return [rested, *self._start(k, report, ticker)]
 
     def _caught(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
-        """Go on from an earlier place where the way back is long and that to it much shorter; return what is told."""
+        """Resume from an earlier place if the state is far from the reference but near that place."""
         plan, reach, n = self._plan, self._plan.reach, self._arms
         state = report[: 2 * n + 2, 0]
         here = min(round((self._at / period + k - self._joins) / reach.every), len(reach.states) - 1)
         own = reach.cost(state, here)
         self._near = self._near or not own > _FAR
-        # Only after it has been near again: a run that never gets there would be sent back for ever.
+        # Only after the run has been near again; otherwise it could be sent back repeatedly.
         if not own > _FAR or not self._near:
             return ()
         place, least = reach.nearest(state, here, worth=_WORTH / (reach.every * period))
@@ -357,7 +360,7 @@ class FallRecovery:
         back, tick = (here - place) * reach.every * period, place * reach.every + 1
         stop = max((start.stop for start in plan.starts if start.at <= tick * period), default=0)
         if back > plan.period:
-            # A symbol, or a part of it, is flown again.
+            # A symbol, or a part of it, is repeated.
             if plan.attempts and self._attempts.get(stop, 0) + 2 > plan.attempts:
                 return ()
             self._attempts[stop] = self._attempts.get(stop, 0) + 1
@@ -367,13 +370,13 @@ class FallRecovery:
         turns = whole_turns(state[:n] - reach.states[place, :n])
         rest = replace(plan.gains, rows=plan.gains.rows[tick:], references=plan.gains.references[tick:])
         ticker.follow(k + 1, StartController(stop, self._at, 0, turns, rest), lift=turns, bounds=self._bounds)
-        what = f"{self._progress()}; caught, {back:.2f} s back, at a cost-to-go of {least:.3g} instead of {own:.3g}"
+        what = f"{self._progress()}; caught, {back:.2f} s back: cost-to-go {least:.3g} instead of {own:.3g}"
         return [Choice("warn", CATCH, joined_text(self._at, what))]
 
-    def _keep_standing(self, k: int, report: Array, ticker: Ticker, period: float) -> None:
-        """Brake a cart that was stopped and drifts all the same, for drives do not just what they are told.
+    def _hold_still(self, k: int, report: Array, ticker: Ticker, period: float) -> None:
+        """Brake a stopped cart that drifts, since a drive does not follow commands exactly.
 
-        Its scale tells how fast; one that is stuck tells that it stands.
+        The cart's scale gives the drift; a stuck scale reports no motion.
         """
         seen, where = self._seen
         since = (k - seen) * period
@@ -384,9 +387,9 @@ class FallRecovery:
         if since < 2 * _LOOKS and report.item(ticker.at["done"], 0) and abs(drift) > _DRIFTS:
             ticker.brake_from(drift)
 
-    def _believed(self, k: int, report: Array, ticker: Ticker, period: float) -> bool:
-        """Tell whether the cart stands, and the filter agrees with the readings again."""
-        # Arms that hang still stand as one that is stuck: in the end it is tried.
+    def _is_reliable(self, k: int, report: Array, ticker: Ticker, period: float) -> bool:
+        """True if the cart is still and the filter agrees with the readings again."""
+        # Arms at rest give constant readings, like a stuck sensor. After a time limit, the sensor is used again.
         since = k - self._began
         stuck = self._why is Outcome.STUCK and since * period < _STUCK and ticker.repeats(self._sensor) >= since
         lost = not report.item(ticker.at["mean_nis"], 0) <= ticker.number("lost_estimate")
@@ -396,20 +399,21 @@ class FallRecovery:
         return bool(report.item(ticker.at["done"], 0)) and (k - self._lost_at) * period >= _TRIED
 
     def _at_rest(self, k: int, report: Array, ticker: Ticker) -> int:
-        """Return for how many ticks the arms hang at rest, the cart in the middle, up to tick k."""
+        """Return the number of ticks up to k that the arms hang at rest and the cart is centred."""
         n = self._arms
         state = report[: 2 * n + 2, 0].tolist()
         if any(abs(rate) > _QUIET for rate in state[n : 2 * n]):
             self._quiet = k
         elif k - self._quiet == self._quiet_ticks and not self._fresh:
-            # The arms hang, whatever zeros the filter has made up while they swung: it would take long to unlearn them.
+            # The arms hang at rest. The filter may have estimated wrong zero errors during the swing and would
+            # correct them slowly.
             ticker.lose()
         moves = (
             any(abs(math.remainder(angle, 2 * math.pi)) > REST_ANGLE for angle in state[:n])
             or any(abs(rate) > REST_RATE for rate in state[n : 2 * n])
             or any(abs(cart) > REST_CART for cart in state[2 * n :])
         )
-        # A filter that begins anew takes its time to see that rates are small.
+        # A restarted filter needs time to find that the rates are small.
         if moves and not self._fresh:
             self._rested = k
         return k - self._rested
@@ -423,24 +427,24 @@ class FallRecovery:
         self._at, self._joins = start.at, k + 1 + start.lead_in
         self.motion = Motion.START
         text = f"from rest to stop {start.stop + 1} ({plan.names[start.stop]}): {self._progress()}"
-        told = [Choice("info", START, text)]
+        logged = [Choice("info", START, text)]
         if start.lead_in == 0:
             self.motion, self._followed = Motion.ITINERARY, k
-            told.append(self._resumed())
-        return told
+            logged.append(self._resumed())
+        return logged
 
     def _held(self, k: int, ticker: Ticker) -> Sequence[Choice]:
-        """Return what is told where the last stop was not held to the end of the reference, and a return begins."""
+        """Begin a return if the last stop was not held until the reference ended."""
         seen, end = np.array(self._latest), ticker.references[-1, : self._arms]
         path = self._plan.path + whole_turns(end - self._plan.path.mean(axis=0))
         away = float(np.abs(seen[:, None] - path).max(axis=2).min(axis=1).max())
         if away <= _HELD:
             return ()
-        why = f"the last stop was not held: over its last period the arms were up to {away:.2g} rad from its orbit"
+        why = f"the last stop was not held: over the last period the arms were up to {away:.2g} rad from its orbit"
         return self.fell(k, Outcome.TRACKING_LOST, why, ticker, ticker.program.period) or ()
 
     def ended(self, k: int, ticker: Ticker) -> Sequence[Choice]:
-        """Return what is told where the reference ends with tick k and the run goes on; none: it ends."""
+        """Continue after the reference ends with tick k; return no events if the run ends."""
         if self.motion is not Motion.ITINERARY:
             return ()
         if not self.until:
@@ -448,9 +452,9 @@ class FallRecovery:
         return self._lapped(k, ticker.references[-1], ticker)
 
     def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Choice]:
-        """Begin another lap after tick k, where the reference is at `state` (N,)."""
+        """Begin another lap after tick k, with the reference at `state` (N,)."""
         self._lap, self._begins = self._lap + 1, True
-        # What the run is judged by is its last lap.
+        # A run is judged by its last lap.
         self._flown.clear()
         self._attempts.clear()
         self._stop, self._at, self._joins = 0, 0.0, k + 1
@@ -468,9 +472,10 @@ class FallRecovery:
 
 
 def meeting_tick(references: Array, ticks: int) -> int | None:
-    """Return at which of the last `ticks` of references (K, N) they are as at the first, whole turns apart; or None.
+    """Return the last tick at which references (K, N) match their first state, or None.
 
-    Of several as good the last.
+    Only the last `ticks` are searched, and whole turns are ignored. Several matches of similar quality give the last of
+    them.
     """
     n = references.shape[1] // 2 - 1
     first = max(len(references) - ticks, len(references) // 2)

@@ -1,10 +1,10 @@
-"""The bench as a program: a rig whose plant, sensors and drive are simulated, tick by tick, for one run or for many.
+"""Simulated bench: a rig whose plant, sensors and drive are computed tick by tick.
 
-Period k runs from tick k to the next. In it the command given at tick k - i acts, i the whole periods of the delay; for
-a fraction f of a period more, the one before it acts until k + f. Blows strike at the tick, after its reading. A cart
-that reaches the end of its track stops dead there; the arms keep their momenta, and `fault` says so.
+Period k runs from tick k to the next. The command given at tick k - i acts in it, for i whole periods of delay. For a
+further fraction f of a period, the previous command acts until k + f. Blows strike at the tick, after its reading. A
+cart that reaches the end of its track stops there, and `fault` reports it. The arms keep their momenta.
 
-What is a number for one run is an array (S,) for S runs in lockstep, computed by the same lines (`Lanes`).
+The same lines compute one run or S runs in lockstep (`Lanes`). A number of one run is an array (S,) for S runs.
 """
 
 import math
@@ -27,13 +27,18 @@ from dpcontrol.references.problem import Limits
 
 
 class Encoders:
-    """Relative encoders of `arms` joints and the cart's scale, during a run: they remember what went wrong.
+    """Relative encoders of the joints and the cart's scale during a run, with their faults.
 
-    zeros (n,) rad: the encoders' zero errors, drift (n,) rad/s of them, or (n, S) with `MANY` lanes; counts are lost,
-    and sensors stick, in one run only. places: in the state, of what sensors read in place of joints and cart.
+    Lost counts and stuck sensors require a single run.
+
+    Args:
+        zeros: zero errors (n,) or (n, S) of the encoders, rad.
+        drift: drift (n,) or (n, S) of the zero errors, rad/s.
+        lanes: `ONE` run or `MANY`.
+        places: indices in the state that replace the measured joints and cart.
 
     Raises:
-        InputError: the sensor that sticks is none of these.
+        InputError: the stuck sensor does not exist.
     """
 
     def __init__(
@@ -62,12 +67,15 @@ class Encoders:
         missed: NDArray[np.int64] | None = None,
         noise: Array | None = None,
     ) -> Array:
-        """Return absolute angles and cart position (n+1,) as the sensors give them for `state` (2n+2,) at `time` s.
+        """Return measured absolute angles and cart position (n+1,).
 
-        missed (n,): counts that the encoders lose in this tick where their joints move; noise (n+1,): added to the
-        relative angles, rad, and to the cart, m. A list of plain floats is the fastest state.
+        Args:
+            state: True state (2n+2,); a list of floats is fastest.
+            time: time of the reading, s, default 0.
+            missed: counts (n,) that the encoders of moving joints lose in this tick.
+            noise: noise (n+1,) added to the relative angles, rad, and to the cart, m.
         """
-        # A few plain floats take a third of the time of numpy's calls on so short arrays.
+        # For arrays this short, plain floats take a third of the time of numpy calls.
         step, arms, nearest = self._angle, self._arms, self._lanes.rounded
         lost, added = self._missed, None if noise is None else self._lanes.rows(noise)
         if missed is not None:
@@ -96,7 +104,7 @@ class Encoders:
         return np.array(readings)
 
     def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
-        """Lose counts against the direction in which each joint moves; one at rest loses none."""
+        """Lose counts against the motion of each joint; a joint at rest loses none."""
         inner = 0.0
         for k, lost in enumerate(missed):
             outer = state[self._arms + k]
@@ -106,11 +114,11 @@ class Encoders:
 
 
 _SWITCHES, _HALVINGS = 8, 24
-"""Changes of modes within a step at most, and halvings of the time at which one occurs: to 1e-10 s."""
+"""Maximum number of mode changes within a step, and of bisections for the time of a change, to 1e-10 s."""
 
 
 class ModalStep:
-    """A plant's step in the modes of its components, one lane or many: it is split where a component changes them."""
+    """A plant's step for one or many lanes, split at mode changes of its components."""
 
     def __init__(self, step: Compiled, modes: Compiled) -> None:
         self._step, self._choose = step.machine, modes.machine
@@ -148,22 +156,27 @@ class ModalStep:
 
 
 class SimulatedPlant:
-    """Arms, cart and drive between ticks, with hard stops at ±track m; state (N,) of `plant_equations`, or (N, S).
+    """Arms, cart and drive between ticks, with hard stops at ±track m.
 
-    plants: the parameters of each run. Not to be shared between threads.
+    An instance must not be shared between threads.
+
+    Args:
+        plants: parameters of each run.
+        state: initial state (N,) or (N, S) of `plant_equations`.
+        track: half length of the track, m.
     """
 
     def __init__(self, plants: Sequence[PlantParameters], state: Array, *, track: float) -> None:
         first = plants[0]
         self.plants, self.track = plants, track
         self.faults: dict[int, str] = {}
-        """What has happened at the end of the track, by the number of the run."""
+        """Faults at the end of the track, by run number."""
         self._many = many = state.ndim > 1
         kind = {"friction": first.arms.friction, "components": first.kinds}
         step = plant_step(first.arms.count, first.level, **kind)
         modes = plant_modes(first.arms.count, first.level, **kind)
         self._machine = step.machine if modes is None else ModalStep(step, modes)
-        # One run fills a whole vector: it is computed as it would be among others, to the last bit.
+        # A single run fills a whole vector, so its result equals that in a batch to the last bit.
         lanes = state.shape[1] if many else VECTOR
         size = step.slices["state"].stop
         self._inputs, following = np.zeros((step.size_in, lanes)), np.zeros((size, lanes))
@@ -174,26 +187,30 @@ class SimulatedPlant:
         self._longest, self._lasts = min(longest_step(p) for p in plants), 0.0
         self._states: Array = self._inputs[step.slices["state"]]
         self.state: Array = self._states if many else self._states[:, 0]
-        """The state now; overwritten as the plant moves."""
+        """The present state; `move` overwrites it."""
         self.values: list[Any] = list(self.state)
-        """Its entries: of one run plain floats, which cost less one by one, of many arrays that change with it."""
-        self._be(state)
+        """Its entries: plain floats for one run, which are faster to access, or views of the arrays for many."""
+        self._set_state(state)
 
-    def _be(self, state: Array) -> None:
+    def _set_state(self, state: Array) -> None:
         self._states[:] = state if self._many else state[:, None]
         if not self._many:
             self.values = state.tolist()
 
     @property
     def loop_velocity(self) -> Any:
-        """The velocity reference w of the drive's loop, m/s; the velocity of cart or motor where nothing lags."""
+        """The velocity reference w of the drive's loop, m/s; without lag, the velocity of cart or motor."""
         v = self.values[self._motor + 1]
         return v + self._lag * self.values[self._cart + 2] if self._lag else v
 
     def move(self, acceleration: Any, duration: Any, *, time: Any, span: float = 0.0) -> None:
-        """Let `duration` s pass from `time` s with a held demand of `acceleration` m/s².
+        """Advance by `duration` s from `time` s with a constant demand in m/s².
 
-        span s: the longest of the runs' durations, where these differ.
+        Args:
+            acceleration: demand of each run, m/s².
+            duration: duration for each run, s.
+            time: start time, s.
+            span: longest duration of all runs, s, if they differ.
         """
         span = span or duration
         splits = 1 if span <= self._longest else math.ceil(span / self._longest)
@@ -210,7 +227,7 @@ class SimulatedPlant:
             if many:
                 beyond = np.abs(following[cart]) > track
                 if np.logical_or.reduce(beyond):
-                    # Too rare to be worth doing at once for many.
+                    # Too rare to vectorise.
                     for run in np.flatnonzero(beyond).tolist():
                         alone = SimulatedPlant([self.plants[run]], self.state[:, run], track=track)
                         lasts = np.broadcast_to(duration, beyond.shape)[run].item()
@@ -234,7 +251,7 @@ class SimulatedPlant:
         if self._many:
             state[:] = after
         else:
-            self._be(after)
+            self._set_state(after)
 
     def _flow(self, acceleration: float, duration: float) -> Array:
         self._inputs[self._input], self._inputs[self._duration] = acceleration, duration
@@ -243,7 +260,7 @@ class SimulatedPlant:
         return self._following
 
     def _meet_stop(self, acceleration: float, duration: float, time: float) -> None:
-        """Move one run for `duration` s in which its cart reaches a stop: to the contact, dead stop, the rest held."""
+        """Move one run to a hard stop within `duration` s; the cart stops and is held there."""
         cart, track = self._cart, self.track
         free, met = 0.0, duration
         for _ in range(60):
@@ -252,7 +269,7 @@ class SimulatedPlant:
                 met = middle
             else:
                 free = middle
-        self._be(self._flow(acceleration, free))
+        self._set_state(self._flow(acceleration, free))
         side, speed = math.copysign(1.0, self.values[cart]), self.values[cart + 1]
         self.faults.setdefault(
             0,
@@ -260,7 +277,7 @@ class SimulatedPlant:
         )
         self._hold(side)
         # The drive does not push on against the stop.
-        self._be(self._flow(0.0, duration - free))
+        self._set_state(self._flow(0.0, duration - free))
         if side * self.values[cart] > track:
             self._hold(side)
 
@@ -272,18 +289,20 @@ class SimulatedPlant:
             held[place], held[place + 1] = side * self.track, 0.0
         if self._lag:
             held[self._cart + 2] = 0.0
-        self._be(held)
+        self._set_state(held)
 
 
 _FORGOTTEN = 1000
-"""Demands that have acted, which are then forgotten at once."""
+"""Number of expired demands to keep before they are discarded."""
 
 
 class SimulatedBench:
-    """Plants, sensors and drives with the same settings, of one run or of as many as there are draws.
+    """Plants, sensors and drives with the same settings, one for each draw.
 
-    start (2n+2,): the nominal first state, to which each draw's initial error is added, or (S, 2n+2): each run's
-    own. queued m/s²: commands already on their way, oldest first; zero before them.
+    Args:
+        start: nominal initial state (2n+2,), to which each draw adds its error, or (S, 2n+2) with one state per run.
+        queued: commands that are pending at the start, oldest first, m/s²; earlier ones are zero.
+        lanes: `ONE` run or `MANY`.
 
     Raises:
         InputError: the state has the wrong shape, or the settings do not fit the arms.
@@ -298,18 +317,18 @@ class SimulatedBench:
             raise InputError(f"the first state has shape {np.shape(start)}: {n} arms on a cart need ({2 * n + 2},)")
 
         def joined(name: str) -> Array | None:
-            """What was drawn, the runs along the last axis where there are many."""
+            """Return drawn values, with runs along the last axis if there are several."""
             drawn = [getattr(d, name) for d in draws]
             return None if drawn[0] is None else np.stack(drawn, axis=-1) if lanes is MANY else drawn[0]
 
         def by_tick(name: str, rows: Any = np.ndarray.tolist) -> Any:
-            """Likewise of what is drawn for each tick, to be asked tick by tick."""
+            """Return values drawn for each tick, read tick by tick in a single run."""
             return joined(name) if lanes is MANY else draw.reader(name, rows)
 
         errors, zeros = joined("initial_error"), joined("zeros")
         assert errors is not None
         self.period = draw.period
-        """Time between ticks, s."""
+        """Period of the ticks, s."""
         own = settings.drive.limits(limits)
         self._drive = settings.drive.within(limits, draw.period, clip=lanes.clip)
         self._switch_at = own.position - settings.drive.switch_margin
@@ -318,7 +337,7 @@ class SimulatedBench:
         demands: list[Any] = [0.0 if lanes is ONE else np.zeros(len(draws))] * (whole + 1)
         for command in queued:
             demands.append(self._drive.demanded(command, 0.0, demands[-1]))
-        # From the one that acts first; the one at place k + 1 begins to act in period k.
+        # Ordered by the time they act: the one at place k + 1 begins to act in period k.
         self._demands = demands[-(whole + 1) :]
         self._sent_before, self._past = whole + 1, 0
         self._command_noise, self._noise = by_tick("command_noise"), by_tick("noise", np.asarray)
@@ -345,9 +364,9 @@ class SimulatedBench:
             else OwnArms(draw.own, draw.plant, first, track=own.position)
         )  # fmt: skip
         self.truth: Array = self._plant.state[: 2 * n + 2]
-        """The true state (2n+2,) or states (2n+2, S) at the last reading's tick; overwritten at the next."""
+        """The true state (2n+2,) or states (2n+2, S) at the last reading; the next reading overwrites it."""
         self.hardest: Any = 0.0
-        """The largest acceleration that the drive has applied, m/s², of each run where there are many."""
+        """The largest acceleration that the drive has applied in each run, m/s²."""
         self._larger: Any = max if lanes is ONE else np.maximum
         self._seen: Any = None
         self._cart, self._ticks, self._tick = 2 * n, draw.ticks, -1
@@ -379,12 +398,12 @@ class SimulatedBench:
         )
 
     def _age(self, k: int) -> Any:
-        """Return the age of the reading of tick k, s, or None if the bench does not report it."""
-        # The first reading is of the start itself.
+        """Return the age of the reading at tick k, s, or None if the bench does not report it."""
+        # The first reading shows the initial state.
         return self._ages[k] if self._reports and k else None
 
     def _demand(self, k: int, acceleration: Any) -> None:
-        """Take the command of tick k, m/s²; a second one in the same period replaces the first."""
+        """Store the command of tick k, m/s²; a second one in the same period replaces the first."""
         demands, place = self._demands, self._sent_before + k - self._past
         if len(demands) > place:
             del demands[place:]
@@ -392,7 +411,7 @@ class SimulatedBench:
         demands.append(self._drive.demanded(acceleration, noise, demands[-1]))
 
     def _pass(self, k: int) -> None:
-        """Let period k pass."""
+        """Advance the bench by period k."""
         plant, demands, period = self._plant, self._demands, self.period
         place = k - self._past
         if len(demands) < self._sent_before + place + 1:
@@ -405,7 +424,7 @@ class SimulatedBench:
         if not fraction and self._ages is None:
             plant.move(self._acting(demands[place + 1], period), period, time=k * period)
         else:
-            # The next reading is of the state `seen` seconds into this period.
+            # The next reading shows the state `seen` seconds into this period.
             seen = period if self._ages is None else period - self._ages[k + 1]
             self._seen = None
             change = fraction * period
@@ -413,16 +432,16 @@ class SimulatedBench:
                 self._part(k, demands[place], 0.0, change, seen)
             self._part(k, demands[place + 1], change, period, seen)
         if place >= _FORGOTTEN:
-            # What has acted is not needed any more.
+            # Expired demands are discarded.
             del demands[:place]
             self._past = k
 
     def _part(self, k: int, demand: Any, begin: float, end: float, seen: float) -> None:
-        """Let a part of period k pass, from `begin` to `end` seconds in it, `demand` acting."""
+        """Advance a part of period k, from `begin` to `end` s within it, under `demand`."""
         plant, start, span = self._plant, k * self.period, end - begin
         acting = self._acting(demand, span)
         if self._many:
-            # Runs that are read before or after this part let nothing pass in one of the two moves.
+            # Runs that are read before or after this part have zero duration in one of the two moves.
             middle = np.clip(seen, begin, end)
             plant.move(acting, middle - begin, time=start + begin, span=span)
             now = (begin <= seen) & (seen < end)
@@ -450,9 +469,11 @@ class SimulatedBench:
 
 
 class SimulatedRig(SimulatedBench):
-    """A simulated bench behind the `Rig` protocol.
+    """A simulated bench with the `Rig` protocol.
 
-    draw: of this run; settings: as it was drawn from; limits: the scene's; start, queued: see `SimulatedBench`.
+    Args:
+        start: see `SimulatedBench`.
+        queued: see `SimulatedBench`.
     """
 
     def __init__(
@@ -463,23 +484,23 @@ class SimulatedRig(SimulatedBench):
 
     @property
     def state(self) -> Array:
-        """Return all of the plant's state (N,): the truth, then the demand of a drive that lags."""
+        """The plant's full state (N,): the true state, then the demand of a lagging drive."""
         return self._plant.state
 
     @property
     def fault(self) -> str:
-        """Return what has happened at the end of the track, or ""."""
+        """The fault at the end of the track, or ""."""
         return self._plant.faults.get(0, "")
 
     def read(self) -> Reading:
-        """Let a period pass, unless it is the first call, and return what the sensors say.
+        """Advance one period, except in the first call, and return the readings.
 
         Raises:
-            ArithmeticError: the state is no longer finite, or the run outlasts its draw.
+            ArithmeticError: the state is no longer finite, or the run exceeds the length of its draw.
         """
         k = self._tick + 1
         if k >= self._ticks:
-            raise ArithmeticError(f"the run was drawn for {self._ticks} ticks and is asked for more; draw more of them")
+            raise ArithmeticError(f"the run exceeds the {self._ticks} ticks of its draw; draw more ticks")
         if k:
             self._pass(k - 1)
         self._tick = k
@@ -488,7 +509,7 @@ class SimulatedRig(SimulatedBench):
             raise ArithmeticError(f"plant failed at t = {now:.3f} s: its state is no longer finite")
         position = values[self._cart]
         switch = 0 if abs(position) < self._switch_at else 1 if position > 0 else -1
-        # Also where they are dropped: encoders go on counting, and losing counts.
+        # Encoders count, and lose counts, even if readings are dropped.
         measured = self._measured(k)
         if self._dropped is not None and self._dropped[k]:
             return Reading(now, self._last, self._nothing, switch)
@@ -496,17 +517,20 @@ class SimulatedRig(SimulatedBench):
         return Reading(now, measured, None, switch, age=self._age(k))
 
     def command(self, acceleration: float) -> None:
-        """Send the cart's wanted acceleration, m/s²; a second command in one period replaces the first.
+        """Send the demanded acceleration of the cart; a second command in one period replaces the first.
+
+        Args:
+            acceleration: demand, m/s².
 
         Raises:
-            ArithmeticError: it is not a finite number.
+            ArithmeticError: the demand is not finite.
         """
         if not math.isfinite(acceleration):
             raise ArithmeticError(f"command = {acceleration!r}: the drive takes finite accelerations only")
         self._demand(max(self._tick, 0), acceleration)
 
     def stop(self) -> None:
-        """Brake the cart to a standstill from now on, without the commands' delay."""
+        """Brake the cart to a standstill at once, without the commands' delay."""
         self._braking = True
 
 
@@ -515,8 +539,8 @@ class BatchBench(SimulatedBench):
 
     @property
     def failed(self) -> NDArray[np.bool_] | None:
-        """Which states (S,) are no longer finite; None while all are."""
-        # One sum tells that all are; only where one is not is it asked which.
+        """True for each state (S,) that is not finite; None if all are finite."""
+        # One sum detects the rare failure; only then is each run checked.
         if math.isfinite(np.add.reduce(self._plant.state, axis=None)):
             return None
         failed = ~np.isfinite(self._plant.state.sum(axis=0))
@@ -524,11 +548,11 @@ class BatchBench(SimulatedBench):
 
     @property
     def faults(self) -> Mapping[int, str]:
-        """Why runs have failed, by their number."""
+        """Causes of failed runs, by run number."""
         return self._plant.faults
 
     def read(self) -> Reading:
-        """Let a period pass, unless it is the first call; return positions (n+1, S), and where switches are touched."""
+        """Advance one period, except in the first call; return positions (n+1, S) and switches."""
         self._tick = k = self._tick + 1
         if k:
             self._pass(k - 1)
@@ -541,12 +565,12 @@ class BatchBench(SimulatedBench):
         return Reading(k * self.period, measured, present, switch, age=self._age(k))
 
     def command(self, accelerations: Array) -> None:
-        """Send the carts' wanted accelerations (S,), m/s²."""
-        # The report in which they stand is overwritten.
+        """Send the demanded accelerations (S,) of the carts, m/s²."""
+        # The array is a part of the report, which the next tick overwrites.
         self._demand(self._tick, accelerations.copy())
 
     def stop(self, runs: list[int]) -> None:
-        """Brake the carts of these runs to a standstill from now on, without the commands' delay."""
+        """Brake the carts of these runs to a standstill at once, without the commands' delay."""
         if self._braking is None:
             self._braking = np.zeros(self.truth.shape[1], dtype=bool)
         self._braking[runs] = True

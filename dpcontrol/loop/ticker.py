@@ -1,7 +1,7 @@
-"""Controller and estimator of a run, or of many side by side: from a reading to a report.
+"""Controller and estimator of one run or many: from a reading to a report.
 
-Where the gains stand in a table and the estimator is the compiled filter, a tick is one call of `TickProgram`. A law
-with a clock of its own is asked between its two parts; another estimator takes the place of the first.
+With tabulated gains and the compiled filter, one call of `TickProgram` computes a tick. A law with an internal clock is
+called between the two parts of a tick. Another estimator replaces the first part.
 """
 
 import math
@@ -20,18 +20,20 @@ from dpcontrol.loop.own import OwnController, OwnEstimates, OwnFailure, OwnSessi
 from dpcontrol.loop.result import Reading
 
 _SCALE_SECONDS = 0.01
-"""Over how long the cart's velocity is read off its scale."""
+"""Interval over which the cart's velocity is computed from its scale, s."""
 _VELOCITY, _VELOCITY_SHARE = 0.1, 0.1
-"""m/s and share: how far scale and estimate may be apart for the estimated velocity to be told."""
+"""Maximum difference between scale and estimate for the velocity to be reported: m/s, and a share."""
 
 
 class Ticker:
-    """The ticks of one run, or of as many in lockstep as the program has runs.
+    """The ticks of one run, or of as many lockstep runs as the program has.
 
-    estimator: in place of the compiled filter, for one run.
+    Args:
+        schedule: gains of the controller, or None if it has an internal clock.
+        estimator: replacement for the compiled filter, for a single run.
 
     Raises:
-        InputError: the first state does not fit the model, or the law cannot answer for many runs.
+        InputError: the first state does not fit the model, or the law does not support several runs.
     """
 
     def __init__(
@@ -45,9 +47,9 @@ class Ticker:
     ) -> None:
         self.program, self.controller, self.estimator = program, controller, estimator
         self._own = estimator if isinstance(estimator, OwnEstimates) else None
-        self._asks = self._own is not None or isinstance(controller, OwnController)
-        self.watched = self._asks or "own" in program.at
-        """Whether a user's law or estimator takes part; it may fail."""
+        self._has_own = self._own is not None or isinstance(controller, OwnController)
+        self.watched = self._has_own or "own" in program.at
+        """True if a user's law or estimator takes part, which may fail."""
         self.kind, self.estimator_kind = controller.kind, estimator_kind
         self.lead, self.at = program.lead, program.at
         self._arms, self._n = program.model.arms, program.model.dimension
@@ -66,15 +68,15 @@ class Ticker:
         self._stopped = program.equations.memory.slices["stopped"].start
         self._whole = schedule is not None and estimator is None and self.lead <= UNROLLED
         self.event = ""
-        """What the law decided in the last tick, a sentence for the log, or empty."""
-        self._heeds_switch = True
+        """The law's decision in the last tick, as a sentence for the log, or ""."""
+        self._uses_switch = True
         self.began = 0
-        """The tick at which what is followed now began; `references` are from there on."""
+        """The tick at which the present controller started; `references` begin there."""
         self.begin()
 
     @property
     def failure(self) -> OwnFailure | None:
-        """What was wrong with a user's law or estimator in the last tick."""
+        """The error of a user's law or estimator in the last tick."""
         if "own" in self.at and (wrong := wrong_command(self.kind, self.program.report.item(self.at["own"], 0))):
             return wrong
         session = self._session.failure if isinstance(self._session, OwnSession) else None
@@ -82,7 +84,7 @@ class Ticker:
 
     @property
     def extra_names(self) -> tuple[str, ...]:
-        """Names of what is estimated besides the state."""
+        """Names of the parameters that are estimated in addition to the state."""
         return self.program.equations.filter.extra_names
 
     def begin(self) -> None:
@@ -95,8 +97,7 @@ class Ticker:
             self._estimate: Estimate = self.estimator.first(first)
         if self._schedule is not None:
             self.references: Array = self._schedule.references
-            """(K, N): of each tick; (K, n, runs): of the angles alone, where each of many runs has a clock of its own.
-            """
+            """References (K, N) of each tick; only angles (K, n, runs) if each run has its own clock."""
             self._rows = self._schedule.rows[:, :, None]
             self._lift = np.zeros(self._rows.shape[1:])
             self.queued = self._schedule.queued[:, None]
@@ -104,26 +105,27 @@ class Ticker:
         else:
             self._session = self._begun()
             self.references = np.empty((self.count, self._arms, program.runs) if self._many else (self.count, self._n))
-            # The commands that act before the first tick's own can, computed for where those before them lead.
+            # Pending commands act before the first tick's own command; each is computed for the state that the
+            # previous ones lead to.
             rest = np.zeros(program.equations.filter.dimension - self._n)
             z = program.spread(np.concatenate([first, rest])[:, None])
             queued, drive = [], np.zeros(program.lanes)
             for k in range(self.lead):
-                forward, back = self._ask(k, z[: self._n], z[self._n :])
+                forward, back = self._call_law(k, z[: self._n], z[self._n :])
                 queued.append(np.broadcast_to(forward + back, program.lanes))
                 z, drive = program.moved(z, drive, queued[-1])
             self.queued = np.array(queued).reshape(self.lead, program.lanes)[:, : program.runs]
         program.begin(first, self.queued, velocity=float(first[-1]))
-        # Compiled now: the first tick of a run has no time for it.
+        # Compiled now, since there is no time for it in the first tick.
         program.prepare(["tick"] if self._whole else self._parts)
 
     @property
     def _parts(self) -> list[str]:
-        """The functions that a tick by parts needs."""
+        """The functions that a tick in parts needs."""
         return ["judge", "moved"] if self.estimator is not None else ["sense", "moved", "finish"]
 
     def prepare_to_hold(self) -> None:
-        """Have all compiled that is needed once the reference is given up."""
+        """Compile everything that is needed after the reference is abandoned."""
         self.program.prepare(self._parts)
 
     def _begun(self) -> Any:
@@ -131,11 +133,11 @@ class Ticker:
         if not self._many:
             return law.begin_after(self.lead) if hasattr(law, "begin_after") else law.begin()
         if not hasattr(law, "begin_many"):
-            raise InputError(f'controller: kind = "{self.kind}" answers one run at a time; run these one by one')
+            raise InputError(f'controller: kind = "{self.kind}" supports one run at a time; use --path ticks')
         return law.begin_many(self.program.runs)
 
-    def _ask(self, tick: int, ahead: Array, extra: Array) -> tuple[Any, Any]:
-        """Return the session's feedforward and feedback for `tick`, of one run or all; remember its reference."""
+    def _call_law(self, tick: int, ahead: Array, extra: Array) -> tuple[Any, Any]:
+        """Return the session's feedforward and feedback for `tick`, and store its reference."""
         if self._many:
             forward, back, wanted = self._session.commands(tick, ahead, extra)
             self._coming.append(wanted[: self._arms].reshape(self._arms, -1))
@@ -147,13 +149,16 @@ class Ticker:
         return action.feedforward, action.feedback
 
     def __call__(self, k: int, reading: Reading, rate_error: Array | None = None) -> Array:
-        """Do tick k; return its report, (size, lanes), which the next overwrites.
+        """Compute tick k and return its report (size, lanes), which the next tick overwrites.
 
-        rate_error (n, 1) or (n, lanes) rad/s: added to the rates that the law sees.
+        Args:
+            k: tick.
+            reading: reading of that tick.
+            rate_error: error (n, 1) or (n, lanes) added to the rates that the law receives, rad/s.
         """
         program = self.program
         positions = reading.positions if self._many else reading.positions[:, None]
-        switch = reading.switch if self._heeds_switch else 0
+        switch = reading.switch if self._uses_switch else 0
         program.take(positions, reading.present, switch, rate_error, reading.age)
         cart = positions[-1] if reading.present is None else np.where(reading.present[-1], positions[-1], np.nan)
         self._carts[k % len(self._carts)] = cart
@@ -164,7 +169,7 @@ class Ticker:
         return self._by_parts(k - self.began, reading)
 
     def _by_parts(self, k: int, reading: Reading) -> Array:
-        """Do the tick that is k after what is followed began."""
+        """Compute the tick that is k ticks after the present controller started."""
         program = self.program
         if self.estimator is None:
             sensed = program.sense()
@@ -177,11 +182,11 @@ class Ticker:
         if self._session is None:
             np.add(self._rows[k], self._lift, out=program.row)
         elif not self._many and program.memory[self._stopped, 0]:
-            # Being brought to rest: the law is asked no more.
+            # The cart is braking; the law is no longer called.
             self.references[k] = self.references[k - 1]
         else:
             self.event = ""
-            forward, back = self._ask(k + self.lead, ahead, z[self._n :])
+            forward, back = self._call_law(k + self.lead, ahead, z[self._n :])
             wanted = self._coming.popleft()
             program.row[self._forward] = forward
             self.references[k] = wanted
@@ -195,7 +200,7 @@ class Ticker:
         return program.report
 
     def _estimated(self, k: int, reading: Reading) -> tuple[Array, Array, Array]:
-        """Return what `TickProgram.sense` would, the state ahead and `drive` then, by another estimator; one run."""
+        """Return the values of `TickProgram.sense`, the predicted state and `drive`, by another estimator."""
         program, estimator, before = self.program, self.estimator, self._estimate
         assert estimator is not None
         means, drive = program.acting_on_their_way()
@@ -221,7 +226,7 @@ class Ticker:
         return sensed, program.with_rate_error(program.spread(ahead[:, None])), drive
 
     def hold(self, k: int, fallback: NearestKeeper) -> str:
-        """Give the reference up at tick k and hold what `fallback` finds; return what that is. For one run."""
+        """Abandon the reference at tick k of a single run, hold the fallback's orbit and return its name."""
         program, report = self.program, self.program.report
         self._session, held = fallback.session(k + self.lead, report[self._ahead, 0].copy())
         k -= self.began
@@ -229,7 +234,7 @@ class Ticker:
         self.references = np.concatenate([self.references[: k + 1], np.empty((self.count - k - 1, self._n))])
         self._coming.clear()
         self._coming.extend([now] * self.lead)
-        # The row's own law is silent from now on.
+        # The gains of the row no longer apply.
         program.row[:] = 0.0
         self._whole = False
         return held
@@ -241,15 +246,19 @@ class Ticker:
         *,
         lift: Array,
         bounds: Mapping[str, float],
-        heeds_switch: bool = True,
+        uses_switch: bool = True,
     ) -> None:
-        """Follow another controller from tick k on, the next, with `lift` (n,) rad added to its angles; for one run.
+        """Follow another controller from tick k, the next one, in a single run.
 
-        The filter goes on, and so do the commands that are on their way; what was judged begins anew, by these bounds
-        (`tick.BOUNDS`) in place of those before.
+        The filter and the pending commands continue. The supervisor's memory is reset.
+
+        Args:
+            lift: whole turns (n,) added to its angles, rad.
+            bounds: new values of `tick.BOUNDS`.
+            uses_switch: if False, the end switches do not stop the run.
         """
         program = self.program
-        self._heeds_switch = heeds_switch
+        self._uses_switch = uses_switch
         places = program.equations.memory.slices
         for name in ("error", "restarts", "held", "moved", "stopped", "still", "silent"):
             program.memory[places[name]] = 0.0
@@ -269,13 +278,13 @@ class Ticker:
             return
         self._session, self._rows, self.references = None, schedule.rows[:, :, None], schedule.references.copy()
         self.references[:, : self._arms] += lift
-        # A table is long: each row is turned when its tick comes.
+        # The table is long, so each row is turned in its own tick.
         self._lift = np.zeros(self._rows.shape[1:])
         self._lift[self._state] = self._lift[self._wanted] = lift[:, None]
         program.set_number("mode", float(schedule.mode))
 
     def lose(self) -> None:
-        """Have the filter begin anew with the next reading, knowing little else."""
+        """Restart the filter at the next reading with a wide covariance."""
         memory, places = self.program.memory, self.program.equations.memory.slices
         memory[places["restart"]], memory[places["nis"]] = 1.0, 0.0
         if self.estimator is not None:
@@ -287,39 +296,39 @@ class Ticker:
         return float(self.program.numbers[self.program.equations.numbers.slices[name]][0])
 
     def repeats(self, sensor: int) -> float:
-        """Return for how many ticks a sensor, counted from 1, has given one reading."""
+        """Return the number of ticks with a constant reading of a sensor, counted from 1."""
         return float(self.program.memory[self.program.equations.memory.slices["same"]][sensor - 1, 0])
 
     def resynchronise(self, k: int) -> str:
-        """Move the law's clock to the phase nearest to the state ahead; say by how much, or "" if it has none."""
+        """Move the law's clock to the phase nearest to the predicted state and return a sentence, or ""."""
         if self._session is None:
             return ""
         return self._session.resynchronise(k + self.lead, self.program.report[self._ahead, 0].copy())
 
-    def stand(self, k: int) -> None:
-        """Let the reference stand from tick k on: the cart is brought to rest."""
+    def freeze_reference(self, k: int) -> None:
+        """Keep the reference constant from tick k while the cart brakes."""
         if self._session is None:
-            stands = self.references.copy()
-            stands[k - self.began :] = stands[k - self.began]
-            self.references = stands
+            frozen = self.references.copy()
+            frozen[k - self.began :] = frozen[k - self.began]
+            self.references = frozen
 
     def brake(self, k: int) -> None:
-        """Bring the cart to rest from the tick after k on, whatever is followed."""
+        """Brake the cart to a standstill from the tick after k."""
         self.program.memory[self.program.equations.memory.slices["stopped"]] = float(Outcome.TRACKING_LOST)
-        self.stand(k)
+        self.freeze_reference(k)
 
     @property
     def cart_reading(self) -> float:
-        """The cart's position as last read, m."""
+        """The last measured position of the cart, m."""
         return float(self.program.reading[self._reading["measured"]][self._arms, 0])
 
     def brake_from(self, velocity: float) -> None:
-        """Have a cart that is being brought to rest brake from this velocity, m/s, whatever it was sent to."""
+        """Continue braking from this velocity of the cart, m/s, instead of the commanded one."""
         self.program.memory[self.program.equations.memory.slices["velocity"]] = velocity
 
     def rehearse(self) -> None:
-        """Do ticks that nobody sees, so that all is in memory before the first deadline; not with users' objects."""
-        if self._asks:
+        """Run ticks and discard them, to load everything before the first deadline; not with users' objects."""
+        if self._has_own:
             return
         state = self.controller.first_state
         reading = Reading(0.0, state[self.program.model.position_indices])
@@ -327,28 +336,29 @@ class Ticker:
             self(k, reading)
         self.begin()
         if self._whole:
-            # What beginning has put in their place is fetched again.
+            # `begin` has replaced some arrays, which the tick loads again.
             begun = self.program.memory.copy()
             self(0, reading)
             self.program.memory[:] = begun
 
-    def doubt(self) -> str:
-        """Return a sentence on the parameter that the last tick found to be wrong beyond the law's trust."""
+    def flag_estimate(self) -> str:
+        """Return a sentence on the parameter that left the range which the law trusts."""
         schedule, report = self._schedule, self.program.report
         assert schedule is not None
         which = int(report[self.at["doubted"], 0]) - 1
         share = report[self._extra, 0][which]
         return (
-            f"model doubted: {schedule.names[which]} is found to be off by {share:+.0%}, more than first order carries "
-            f"(trust {schedule.trust:g}); identify the arms, or expect the reference to be lost"
+            f"model doubted: {schedule.names[which]} is estimated to be off by {share:+.0%}, beyond the "
+            f"first-order range (trust {schedule.trust:g}); identify the arms, or tracking may be lost"
         )
 
     def figures(self, k: int, lane: int = 0) -> Mapping[str, float]:
-        """Return the numbers of tick k, the last, by which an outcome is explained.
+        """Return the numbers of tick k, the last, that explain an outcome.
 
-        distance rad: of the angle that is farthest from the reference, as read, or as estimated where nothing was read;
-        apart rad: of the estimated angle that is farthest from its reading; position m and velocity m/s: of the cart,
-        the velocity not a number where the cart's scale does not bear it out, as just after a knock.
+        distance    rad, of the angle farthest from the reference, as measured if possible
+        apart       rad, of the estimated angle farthest from its reading
+        position    m, of the cart
+        velocity    m/s, of the cart; NaN if its scale contradicts it
         """
         column, references, arms = self.program.report[:, lane], self.references[k - self.began], self._arms
         names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "doubted", "newly_cut")

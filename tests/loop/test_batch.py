@@ -182,5 +182,5 @@ def test_what_only_the_loop_can_do_is_left_to_it(turn: tuple[StandIn, Reference]
     assert assembly.lockstep
     other = assembly.under(settings)
     assert not other.lockstep
-    with pytest.raises(InputError, match="tick by tick"):
+    with pytest.raises(InputError, match="do not support lockstep"):
         other.batch([0])

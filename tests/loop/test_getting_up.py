@@ -92,7 +92,7 @@ def test_a_run_that_does_not_fall_is_the_one_that_could_not_recover(ready) -> No
 def test_a_run_that_restarts_begins_its_itinerary_anew(ready) -> None:
     result, told = ready(Push(4.2, 0, 0.03), Push(4.3, 1, 0.03), restarts=True)
     assert result.ending is Ending.FINISHED
-    assert "begins anew" in next(text for _, name, text in told.events if name == "return")
+    assert "restarts from rest" in next(text for _, name, text in told.events if name == "return")
     # To the first stop, although the second had been reached.
     *_, resumed = (text for _, name, text in told.events if name == "resume")
     assert joined_at(resumed)[0] < 0.1

@@ -348,7 +348,7 @@ def test_what_is_not_finite_or_beyond_the_draw_is_named() -> None:
         rig.command(math.nan)
     rig.read()
     rig.read()
-    with pytest.raises(ArithmeticError, match="drawn for 3 ticks"):
+    with pytest.raises(ArithmeticError, match="exceeds the 3 ticks of its draw"):
         rig.read()
     night = SimulatedRig(drawn(BenchSettings(), ticks=3).endless(), BenchSettings(), limits=LIMITS, start=START)
     for _ in range(10):

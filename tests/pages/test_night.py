@@ -19,7 +19,7 @@ from dpcontrol.logs.rolling import Digest
 from dpcontrol.pages.night import draw_night
 
 ON = "on the itinerary from t = 0.0000 s of the reference: "
-FALL = "tracking lost at t = 100.000 s: an angle has stayed 2 rad from the reference; symbol 1 of 1 is done again"
+FALL = "tracking lost at t = 100.000 s: an angle has stayed 2 rad from the reference; symbol 1 of 1 is repeated"
 STUCK = "estimate lost at t = 1210.000 s: the encoder of joint 1 is stuck: it has given the same reading for 2 s"
 Events = list[tuple[float, str, str, str]]
 
