@@ -21,7 +21,7 @@ FIGURES = (
     "homoclinics-high", "heteroclinics", "heteroclinic-orbits", "branches", "graph", "shadowing",
     "double-homoclinics", "triple-homoclinics", "returning-homoclinics", "up-up",
 )  # fmt: skip
-"""Names of `review.figures.FIGURES`, whose import takes a second."""
+"""Names of `pages.figures.FIGURES`, whose import takes a second."""
 _FIGURES_HELP = f"""Draw the paper's computational figures from atlases: each a PNG with a caption and what differs.
 
 Names: {", ".join(FIGURES)}. All are drawn where none is named. Atlases are kept by content.

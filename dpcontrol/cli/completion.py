@@ -69,7 +69,7 @@ COMPLETERS: dict[tuple[str, str], Completer] = {
     ("", "mapping"): completing(_found("foundation.shipped", "mappings"), files=True),
     ("", "topic"): completing(_found("cli.start", "topics")),
     ("", "fault"): completing(_found("rig.bench", "FAULTS")),
-    ("", "over"): completing(_found("scenes.run_options", "settings_to_vary")),
+    ("", "over"): completing(_found("plans.run_options", "settings_to_vary")),
     ("figures", "names"): completing(_found("cli.charts", "FIGURES")),
     ("bench", "names"): completing(_found("cli.charts", "ALL_CHARTS")),
     ("replay", "estimator"): choosing(("ekf", "ukf")),
