@@ -68,7 +68,7 @@ def test_the_wheel_carries_every_module_its_tables_and_pages_and_nothing_of_the_
     package |= set((ROOT / "dpcontrol/planner/static").iterdir())
     package |= {ROOT / "dpcontrol/control/target" / name for name in ("Makefile", "CMakeLists.txt")}
     assert names == {str(file.relative_to(ROOT)) for file in package}
-    pages = {f"dpcontrol/guide/{name}.md" for name in ("README", "rig", "payoff")}
+    pages = {f"dpcontrol/guide/{name}.md" for name in ("README", "rig", "packets", "payoff")}
     assert {"dpcontrol/recordings/mappings/multi-arm.toml", *pages} <= names
 
 

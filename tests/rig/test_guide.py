@@ -1,4 +1,4 @@
-"""The page for people with a rig of their own says what the packets are: tables, example and C program are checked."""
+"""The tables, the example and the C program of the page on packets agree with the program."""
 
 import re
 import shutil
@@ -18,7 +18,8 @@ from dpcontrol.rig.client import LinkSettings, UdpRig
 from dpcontrol.rig.packets import CommandPacket, Condition, Kind, ReadingPacket, Role, Start, Welcome
 
 GUIDE = Path(dpcontrol.__file__).parent / "guide"
-PAGE = (GUIDE / "rig.md").read_text(encoding="utf-8")
+PAGE = (GUIDE / "packets.md").read_text(encoding="utf-8")
+RIG = (GUIDE / "rig.md").read_text(encoding="utf-8")
 PACKETS = PAGE.split("\n## Packets\n")[1].split("\n## ")[0]
 SECTIONS = {text.split("\n", 1)[0]: text for text in PACKETS.split("\n### ")[1:]}
 TYPES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i8": "b", "f64": "d"}
@@ -104,7 +105,7 @@ def test_the_pages_constants_are_the_programs_own() -> None:
         assert text in " ".join(PAGE.split())
 
 
-def test_the_example_in_hexadecimal_is_what_its_text_says() -> None:
+def test_the_example_in_hexadecimal_decodes_to_the_values_in_its_text() -> None:
     (block,) = re.findall(r"```hex\n(.*?)```", PAGE, re.DOTALL)
     heard = {}
     for line in block.splitlines():
@@ -161,9 +162,9 @@ def free_port() -> int:
         return one.getsockname()[1]
 
 
-def test_the_page_names_every_member_of_a_rig_and_every_fault_for_practice() -> None:
+def test_the_guide_names_every_member_of_a_rig_and_every_simulated_fault() -> None:
     # The loop itself keeps an object's period, and what failed in it.
     members = {name for name in vars(Rig) if not name.startswith("_")} - {"period", "fault"}
-    assert members == set(re.findall(r"`(\w+)[`(]", PAGE.split("## A rig in Python")[1].split("\n## ")[0])) & members
+    assert members == set(re.findall(r"`(\w+)[`(]", RIG.split("## A rig in Python")[1].split("\n## ")[0])) & members
     practice = (GUIDE / "commission.md").read_text(encoding="utf-8").split("| fault |")[1]
     assert dict(re.findall(r"^\| `([\w-]+)` \| (.+) \|$", practice, re.MULTILINE)) == FAULTS

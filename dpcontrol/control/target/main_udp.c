@@ -2,7 +2,7 @@
  *
  *     main_udp udp://ADDRESS:PORT [--key-file FILE] [--insecure] [--real-time]
  *
- * Speaks version 2 of the packets of dpcontrol's guide to a rig of one's own (dpcontrol/guide/rig.md).
+ * Implements version 2 of the packets in dpcontrol's guide (dpcontrol/guide/packets.md).
  * The bench has the clock: it sends a reading each period, and uses the newest command that it has. A reading that is
  * lost counts as a tick without any measurement, so that the controller's ticks stay the bench's. The key that both
  * ends share stands in FILE or in the environment's DPCONTROL_RIG_KEY; beyond this computer it is needed, unless
