@@ -11,11 +11,11 @@ that fails says so in its result, by `converged` and `status`. Long calls take `
 text and a share from 0 to 1, or True for a bar on stderr. Without it a line is written to stderr every twenty seconds.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Annotated, Literal, overload
 
 from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
 from dpcontrol.dynamics.chain import ArmChainParameters
@@ -25,8 +25,7 @@ from dpcontrol.dynamics.components import Terms as Terms
 from dpcontrol.dynamics.mjcf import CART_MASS, LAG, mjcf_text
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arguments import instance, number, whole
-from dpcontrol.foundation.arguments import path as path_of
+from dpcontrol.foundation.checked import Bounds, Count, Hit, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
 from dpcontrol.plans.model import Model, ModelSystem, model_of
@@ -61,7 +60,8 @@ _SWEPT, _SWEPT_BYTES = 2.0, 1e6
 """What each energy of a sweep for bifurcations takes, in s and bytes, for each crossing of the section."""
 
 
-def orbit(model: Model | System, saddle: str, *, energy: float, family: int = 0) -> "LyapunovOrbit":
+@checked
+def orbit(model: Model | System | str, saddle: str, *, energy: float, family: Index = 0) -> "LyapunovOrbit":
     """Return the Lyapunov orbit about a saddle, such as "down-up", at `energy` in J, zero at the pivot's height.
 
     >>> dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07).period
@@ -80,11 +80,11 @@ def connections(
     source: "LyapunovOrbit",
     target: "LyapunovOrbit | None" = None,
     *,
-    hits: tuple[int, int] = (1, 1),
+    hits: tuple[Hit, Hit] = (1, 1),
     section: str | None = None,
-    longest: float | None = None,
+    longest: Positive | None = None,
     thorough: bool = False,
-    seconds: float | None = None,
+    seconds: Positive | None = None,
     progress: Reporting = None,
 ) -> "ConnectionSearch": ...
 @overload
@@ -92,20 +92,21 @@ def connections(
     source: "LyapunovOrbit",
     *,
     energies: tuple[float, float],
-    hits: tuple[int, int] = (1, 1),
-    seconds: float | None = None,
+    hits: tuple[Hit, Hit] = (1, 1),
+    seconds: Positive | None = None,
     progress: Reporting = None,
 ) -> "SymmetricSearch": ...
+@checked
 def connections(
     source: "LyapunovOrbit",
     target: "LyapunovOrbit | None" = None,
     *,
     energies: tuple[float, float] | None = None,
-    hits: tuple[int, int] = (1, 1),
+    hits: tuple[Hit, Hit] = (1, 1),
     section: str | None = None,
-    longest: float | None = None,
+    longest: Positive | None = None,
     thorough: bool = False,
-    seconds: float | None = None,
+    seconds: Positive | None = None,
     progress: Reporting = None,
 ) -> "ConnectionSearch | SymmetricSearch":
     """Find every connection from one orbit to another of the same energy, or back to itself where there is no other.
@@ -132,6 +133,8 @@ def connections(
         from dpcontrol.foundation.budget import Budget
         from dpcontrol.tubes.symmetric import find_symmetric_connections
 
+        if target is not None and target is not source:
+            raise InputError("energies and target are given: a symmetric connection leads back to its source; give one")
         if hits[0] != hits[1]:
             raise InputError(f"hits = {hits}: a symmetric connection meets the section of both tubes at the same one")
         with reporting(progress, "symmetric connections") as report:
@@ -155,7 +158,10 @@ def connections(
         )
 
 
-def graph(model: Model | System, *, energy: float, symbols: Sequence[str] = (), progress: Reporting = None) -> "Edges":
+@checked
+def graph(
+    model: Model | System | str, *, energy: float, symbols: Sequence[str] = (), progress: Reporting = None
+) -> "Edges":
     """Find the connection graph of an energy in J: the orbits of all saddles, and the connections between them.
 
     symbols: of a walk that asks for connections on other sections or at other hits, or for rotating orbits.
@@ -176,14 +182,15 @@ def graph(model: Model | System, *, energy: float, symbols: Sequence[str] = (), 
         return find_edges(system, energy, symbols=asked, progress=report)
 
 
+@checked
 def find_bifurcations(
-    model: Model | System,
+    model: Model | System | str,
     source: str,
     target: str,
     *,
     energies: tuple[float, float],
-    hits: int = 1,
-    samples: int = 24,
+    hits: Hit = 1,
+    samples: Count = 24,
     yes: bool = False,
     progress: Reporting = None,
 ) -> "BifurcationSearch":
@@ -209,13 +216,14 @@ def find_bifurcations(
         )
 
 
+@checked
 def atlas(
-    model: Model | System,
+    model: Model | System | str,
     *,
     energy: float,
-    hits: tuple[int, int] | None = None,
+    hits: tuple[Hit, Hit] | None = None,
     thorough: bool = False,
-    seconds: float | None = None,
+    seconds: Positive | None = None,
     fresh: bool = False,
     yes: bool = False,
     progress: Reporting = None,
@@ -237,16 +245,24 @@ def atlas(
 
     settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough, seconds=seconds))
     with reporting(progress, "atlas") as report:
-        return make_atlas(model, energy, settings=settings, fresh=fresh, yes=yes, progress=report).atlas
+        return make_atlas(
+            _model(model) if isinstance(model, str) else model,
+            energy,
+            settings=settings,
+            fresh=fresh,
+            yes=yes,
+            progress=report,
+        ).atlas
 
 
+@checked
 def shadow(
     found: "Edges | ConnectionSearch | Sequence[ConnectionSearch] | SymmetricSearch",
     walk: Sequence[str],
     *,
-    wraps: Sequence[int] | None = None,
-    lead_in: int = 2,
-    lead_out: int = 2,
+    wraps: Sequence[Index] | None = None,
+    lead_in: Index = 2,
+    lead_out: Index = 2,
     periodic: bool = False,
     yes: bool = False,
 ) -> "ShadowingOrbit":
@@ -266,23 +282,22 @@ def shadow(
     from dpcontrol.tubes.connections import ConnectionSearch
     from dpcontrol.tubes.symmetric import SymmetricSearch
     from dpcontrol.walks.edges import Edges
-    from dpcontrol.walks.shadowing import MOST_WRAPS, WalkSolver
+    from dpcontrol.walks.shadowing import WalkSolver
     from dpcontrol.walks.walks import resolve, symmetric_walk, walks_cost
 
     if isinstance(found, SymmetricSearch):
         return symmetric_walk(walk, found, lead_in=lead_in, lead_out=lead_out)
-    what = "a graph, or searches for connections"
-    searches = [found] if isinstance(found, ConnectionSearch) else instance("found", found, (Edges, Sequence), what)
+    searches = [found] if isinstance(found, ConnectionSearch) else found
     edges = searches if isinstance(searches, Edges) else _edges(searches)
     solver = WalkSolver(edges.known)
     key = "wraps" if wraps else "walk"
-    wraps = None if wraps is None else tuple(whole("wraps", one, least=0, most=MOST_WRAPS) for one in wraps)
     announce(walks_cost(1, symbols=len(walk), wraps=sum(wraps or ()), solve=True, key=key), yes=yes)
     chain = resolve(walk, edges)
     counts = solver.least(chain, periodic=periodic) if wraps is None else tuple(wraps)
     return solver.solve(chain, counts, periodic=periodic, lead_in=lead_in, lead_out=lead_out)
 
 
+@checked
 def prove(
     found: "LyapunovOrbit | ShadowingOrbit | ConnectionSearch",
     *,
@@ -323,6 +338,7 @@ def prove(
         return prove_orbit(found, energy=height, settings=settings, progress=report)
 
 
+@checked
 def reference(
     walks: "ShadowingOrbit | Sequence[ShadowingOrbit]",
     *,
@@ -350,11 +366,11 @@ def reference(
     from dpcontrol.plans.plan import make_plan
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
-    orbits = [walks] if isinstance(walks, ShadowingOrbit) else list(instance("walks", walks, Sequence, _WALKS))
+    orbits = [walks] if isinstance(walks, ShadowingOrbit) else list(walks)
     if not orbits:
         raise InputError("walks = []: give one at least")
     for one in orbits:
-        instance("walks", one, ShadowingOrbit, _WALKS)
+        orbits[0].connections[0].source.system.check_same(one.connections[0].source.system)
         _found(one.converged, "the walk's orbit", one.status)
         if one.periodic:
             raise InputError("a periodic walk has no ends that a reference could start and finish at; shadow it open")
@@ -374,11 +390,12 @@ def reference(
         return make_plan(scene, orbits=orbits, progress=report, yes=yes)
 
 
+@checked
 def plan(
-    itinerary: str,
+    itinerary: Place,
     *,
     fresh: bool = False,
-    workers: int = 1,
+    workers: Workers = 1,
     scheduler: str = "",
     yes: bool = False,
     progress: Reporting = None,
@@ -398,14 +415,13 @@ def plan(
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
 
-    workers = whole("workers", workers, least=0, most=4096)
-    instance("itinerary", itinerary, (str, Path), "the name or path of an itinerary")
     with reporting(progress, "plan") as report:
         return make_plan(
             load_itinerary(str(itinerary)), progress=report, fresh=fresh, workers=workers, scheduler=scheduler, yes=yes
         )
 
 
+@checked
 def closed_loop(
     planned: "Plan | str",
     *,
@@ -430,8 +446,9 @@ def closed_loop(
         return _closed(planned, _options(options).over(settings), yes=yes, progress=report)
 
 
+@checked
 def mjcf(
-    model: "Model | ArmChainParameters", *, cart_mass: float = CART_MASS, lag: float = LAG, out: Place | None = None
+    model: Model | ArmChainParameters | str, *, cart_mass: float = CART_MASS, lag: float = LAG, out: Place | None = None
 ) -> str:
     """Return the arms of a model on their cart as a model for MuJoCo.
 
@@ -449,20 +466,20 @@ def mjcf(
     """
     from dpcontrol.foundation.files import write_whole
 
-    instance("model", model, (Model, ArmChainParameters), "a model, or its arms")
-    arms = model.arms if isinstance(model, Model) else model
-    text = mjcf_text(arms, name="arms", cart_mass=number("cart_mass", cart_mass), lag=number("lag", lag))
+    arms = model if isinstance(model, ArmChainParameters) else _model(model).arms
+    text = mjcf_text(arms, name="arms", cart_mass=cart_mass, lag=lag)
     if out is not None:
-        write_whole(Path(path_of("out", out)), text)
+        write_whole(Path(out), text)
     return text
 
 
+@checked
 def polish(
     planned: "Plan | str",
     *,
     fresh: bool = False,
-    runs: int = 48,
-    workers: int = 0,
+    runs: Count = 48,
+    workers: Workers = 0,
     yes: bool = False,
     progress: Reporting = None,
 ) -> "Polished":
@@ -482,22 +499,20 @@ def polish(
         InputError: the plan is not from rest to rest, or polished already, or it would take too long.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    from dpcontrol.plans.plan import Plan
     from dpcontrol.runs.polish import polish as polish_plan
 
-    instance("planned", planned, (Plan, str), _PLAN)
-    runs = whole("runs", runs, least=1, most=1_000_000)
     with reporting(progress, "polish") as report:
         found = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.2)) if isinstance(planned, str) else planned
         return polish_plan(found, fresh=fresh, runs=runs, workers=workers, yes=yes, progress=part_of(report, 0.2, 1.0))
 
 
+@checked
 def run(
     planned: "Plan | str",
     *,
     mismatch: float | None = None,
     plant: Place | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     options: RunOptions | None = None,
     log: Place | None = None,
     force: bool = False,
@@ -533,6 +548,7 @@ def run(
         return loop.run(seed=seed, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
 
 
+@checked
 def export(
     planned: "Plan | str",
     folder: Place | None = None,
@@ -560,17 +576,18 @@ def export(
         return loop.export(folder, single=single, force=force, progress=part_of(report, 0.5, 1.0))
 
 
+@checked
 def campaign(
     planned: "Plan | str",
     *,
-    runs: int = 100,
+    runs: Count = 100,
     mismatch: float | None = None,
     plant: Place | None = None,
     options: RunOptions | None = None,
-    over: Mapping[str, Sequence[float | int | str]] | None = None,
-    first_seed: int = 0,
+    over: Mapping[str, object] | None = None,
+    first_seed: Seed = 0,
     transitions: bool = False,
-    workers: int = 0,
+    workers: Workers = 0,
     out: Place | None = None,
     force: bool = False,
     yes: bool = False,
@@ -592,9 +609,6 @@ def campaign(
     """
     from dpcontrol.runs.campaign import CampaignSettings
 
-    first_seed = whole("first_seed", first_seed, least=0, most=2**62)
-    for name, values in instance("over", over or {}, Mapping, "values of options by name").items():
-        instance(f"over: {name}", values, Collection, "a list of values")
     settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
     with reporting(progress, "campaign") as report:
         loop = _closed(planned, _options(options, mismatch, plant), yes=yes, progress=part_of(report, 0.0, 0.1))
@@ -604,7 +618,10 @@ def campaign(
         )  # fmt: skip
 
 
-def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 0, yes: bool = False) -> "Recording":
+@checked
+def swings(
+    model: Model | str, *, count: Count = 9, seconds: Positive = 2.667, seed: Seed = 0, yes: bool = False
+) -> "Recording":
     """Return free swings of a model as a bench's encoders would record them, to try `identify` on.
 
     yes: however long it takes.
@@ -617,17 +634,16 @@ def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 
     """
     from dpcontrol.recordings.recording import random_swings, swings_cost
 
-    instance("model", model, Model, _MODEL)
-    count, seed = whole("count", count, least=1, most=2**63), whole("seed", seed, least=0, most=2**63)
-    seconds = number("seconds", seconds)
+    model = _model(model)
     announce(swings_cost(count, seconds, written=False), yes=yes)
     return random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}")
 
 
+@checked
 def identify(
     recordings: "Recording | Sequence[Recording]",
     *,
-    model: Model,
+    model: Model | str,
     zeros: bool | None = None,
     out: Place | None = None,
     progress: Reporting = None,
@@ -649,11 +665,7 @@ def identify(
     from dpcontrol.recordings.checks import contradiction
     from dpcontrol.recordings.recording import Recording
 
-    what = "a recording, or a list of recordings"
-    given = [recordings] if isinstance(recordings, Recording) else [*instance("recordings", recordings, Sequence, what)]
-    for one in given:
-        instance("recordings", one, Recording, what)
-    instance("model", model, Model, _MODEL)
+    given, model = [recordings] if isinstance(recordings, Recording) else [*recordings], _model(model)
     choice = {None: "chosen", True: "free", False: "none"}[zeros]
     with reporting(progress, "identify") as report:
         found = found_in(given, model.arms, settings=IdentificationSettings(zeros=choice), progress=report)
@@ -667,6 +679,7 @@ def identify(
     return found
 
 
+@checked
 def open_log(file: Place) -> "Run":
     """Open the log of a run, or of a bench.
 
@@ -679,9 +692,10 @@ def open_log(file: Place) -> "Run":
     from dpcontrol.logs import read_log
     from dpcontrol.runs.run import Run
 
-    return Run(read_log(path_of("file", file)))
+    return Run(read_log(file))
 
 
+@checked
 def open_plan(file: Place) -> "Plan":
     """Open a plan's file, as `dpcontrol plan --out` writes it and every log carries it.
 
@@ -693,9 +707,10 @@ def open_plan(file: Place) -> "Plan":
     """
     from dpcontrol.plans.plan import load_plan
 
-    return load_plan(Path(path_of("file", file)))
+    return load_plan(Path(file))
 
 
+@checked
 def open_atlas(file: Place) -> "Atlas":
     """Open an atlas that `dpcontrol atlas --out` wrote.
 
@@ -707,10 +722,11 @@ def open_atlas(file: Place) -> "Atlas":
     """
     from dpcontrol.plans.atlas import load_atlas
 
-    return load_atlas(Path(path_of("file", file)))
+    return load_atlas(Path(file))
 
 
-def open_planner(model: str = "lab", *, browser: bool = True, port: int = 0) -> "Planner":
+@checked
+def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[int, Bounds(0, 65535)] = 0) -> "Planner":
     """Start the planner, a page in the browser from energy to run, and return it; it serves until it is closed.
 
     model: of two arms, by name or path. browser: open it; else only `address` is there to open. port: on 127.0.0.1, 0
@@ -732,6 +748,7 @@ def open_planner(model: str = "lab", *, browser: bool = True, port: int = 0) -> 
     return planner
 
 
+@checked
 def open_recording(
     file: Place, *, mapping: str | None = None, repairs: Sequence[str] = (), progress: Reporting = None
 ) -> "Recording":
@@ -748,13 +765,14 @@ def open_recording(
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import load_recording
 
-    path = Path(path_of("file", file))
+    path = Path(file)
     if path.suffix.lower() == ".mcap" and mapping is None:
         return load_recording(path)
     with reporting(progress, "import") as report:
         return import_recording(path, mapping, repairs=list(repairs), progress=report)
 
 
+@checked
 def picture(
     result: "Run | Plan | ShadowingOrbit | Atlas",
     *,
@@ -816,6 +834,7 @@ def picture(
     return figure
 
 
+@checked
 def cache(*, clear: bool = False) -> "CacheContents":
     """List the cached results of earlier work by kind, and delete them if `clear`. They can be computed again.
 
@@ -831,13 +850,12 @@ def cache(*, clear: bool = False) -> "CacheContents":
     return cache_contents(clear=clear)
 
 
-_WALKS = "the result of dp.shadow, or a list of such results"
-_PLAN = "a plan, or the name or path of an itinerary"
-_MODEL = "a model, as dp.load_model returns it"
+def _model(model: Model | str) -> Model:
+    return load_model(model) if isinstance(model, str) else model
 
 
-def _system(model: Model | System) -> System:
-    return model.system if isinstance(model, Model) else instance("model", model, System, f"{_MODEL}, or a System")
+def _system(model: Model | System | str) -> System:
+    return model if isinstance(model, System) else _model(model).system
 
 
 def _found(converged: bool, what: str, status: str) -> None:
@@ -847,14 +865,13 @@ def _found(converged: bool, what: str, status: str) -> None:
 
 def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
     """Return the part of the graph that some searches found."""
-    from dpcontrol.tubes.connections import ConnectionSearch
     from dpcontrol.walks.edges import Edges
 
     if not searches:
         raise InputError("found = []: give a graph, or one search for connections at least")
-    for one in searches:
-        instance("found", one, ConnectionSearch, "a search for connections")
     first = searches[0].source
+    for one in searches:
+        first.system.check_same(one.source.system)
     if len({one.energy for search in searches for one in (search.source, search.target)}) > 1:
         raise InputError("the connections are of different energies: a walk keeps one")
     return Edges(
@@ -869,14 +886,15 @@ def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
 
 
 def _closed(planned: "Plan | str", options: RunOptions, *, yes: bool, progress: Reporting) -> "ClosedLoop":
-    from dpcontrol.plans.plan import Plan
+    from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.closed_loop import ClosedLoop
 
-    instance("planned", planned, (Plan, str), _PLAN)
+    if isinstance(planned, str):
+        # A wrong option is reported before the plan is computed.
+        load_itinerary(planned).with_run(options)
     return ClosedLoop(plan(planned, yes=yes, progress=progress) if isinstance(planned, str) else planned, options)
 
 
 def _options(options: RunOptions | None, mismatch: float | None = None, plant: Place | None = None) -> RunOptions:
     given = {"mismatch": mismatch, "plant": None if plant is None else str(plant)}
-    chosen = RunOptions() if options is None else instance("options", options, RunOptions, "dp.RunOptions")
-    return chosen.over({name: value for name, value in given.items() if value is not None})
+    return (options or RunOptions()).over({name: value for name, value in given.items() if value is not None})

@@ -210,6 +210,17 @@ class System:
             raise InputError(f"{self.name} has no section between {source} and {target}{hint}")
         return self.sections[source, target]
 
+    def check_same(self, other: "System") -> None:
+        """Raise an error if another system has another name, other coordinates or other parameters.
+
+        Raises:
+            InputError: the systems differ.
+        """
+        names = [(one.name, one.dimension, one.coordinates, one.parameters.tolist()) for one in (self, other)]
+        if self is not other and names[0] != names[1]:
+            numbers = " with other parameters" if self.name == other.name else ""
+            raise InputError(f"the results are of different systems, {self.name} and {other.name}{numbers}; use one")
+
     def nearest_turns(self, difference: Array) -> Array:
         """Return the whole periods (…, N) nearest to a difference of states: integers, zero off angles."""
         return np.rint(np.asarray(difference) / self.periods)

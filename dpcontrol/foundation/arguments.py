@@ -21,7 +21,7 @@ def number(name: str, value: Any, *, least: float = -math.inf, most: float = mat
     except OverflowError:
         given = math.inf
     if not math.isfinite(given) or not least <= given <= most:
-        raise InputError(f"{name} = {_short(value)}: must be {_allowed('a finite number', least, most)}")
+        raise InputError(f"{name} = {shortened(value)}: must be {allowed_range('a finite number', least, most)}")
     return given
 
 
@@ -34,7 +34,7 @@ def whole(name: str, value: Any, *, least: int, most: int) -> int:
     real = isinstance(value, Real) and not isinstance(value, bool)
     given: Any = value
     if not real or not least <= given <= most or int(given) != given:
-        raise InputError(f"{name} = {_short(value)}: must be {_allowed('a whole number', least, most)}")
+        raise InputError(f"{name} = {shortened(value)}: must be {allowed_range('a whole number', least, most)}")
     return int(given)
 
 
@@ -45,7 +45,7 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
         InputError: they are not so many, or one is none.
     """
     if isinstance(values, str) or not isinstance(values, Sequence) or len(values) != count:
-        raise InputError(f"{name} = {_short(values)}: give {count} numbers")
+        raise InputError(f"{name} = {shortened(values)}: give {count} numbers")
     return tuple(number(name, value) for value in values)
 
 
@@ -56,7 +56,7 @@ def path(name: str, value: Any) -> str:
         InputError: it is no path.
     """
     if not isinstance(value, str | os.PathLike) or isinstance(os.fspath(value), bytes):
-        raise InputError(f"{name} = {_short(value)}: must be the path of a file, as text or a pathlib.Path")
+        raise InputError(f"{name} = {shortened(value)}: must be the path of a file, as text or a pathlib.Path")
     return str(os.fspath(value))
 
 
@@ -76,17 +76,17 @@ def instance(name: str, value: Any, kinds: type | tuple[type, ...], what: str) -
         InputError: it is of another kind.
     """
     if not isinstance(value, kinds):
-        raise InputError(f"{name} = {_short(value)}: must be {what}")
+        raise InputError(f"{name} = {shortened(value)}: must be {what}")
     return value
 
 
-def _allowed(kind: str, least: float, most: float) -> str:
+def allowed_range(kind: str, least: float, most: float) -> str:
     if math.isinf(least) and math.isinf(most):
         return kind
     return f"{kind} of at least {least:g}" if math.isinf(most) else f"{kind} from {least:g} to {most:g}"
 
 
-def _short(value: Any) -> str:
+def shortened(value: Any) -> str:
     """Return how a value is written, cut where it is long."""
     try:
         text = repr(value)

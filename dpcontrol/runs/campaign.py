@@ -50,6 +50,7 @@ from numpy.typing import NDArray
 
 import dpcontrol
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
+from dpcontrol.foundation.checked import is_list
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file
 from dpcontrol.foundation.parts import part
@@ -453,16 +454,19 @@ def share_document(share: Share) -> dict[str, Any]:
     }
 
 
-def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Sequence[Any]]) -> tuple[Case, ...]:
+def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Any]) -> tuple[Case, ...]:
     """Return the cases: every combination of the values in `over`, on top of `fixed`.
 
-    Names are those of `RunOptions`.
+    Names are those of `RunOptions`. A value that is no list is the only one.
 
     Raises:
-        InputError: an unknown name or an impossible value.
+        InputError: an unknown name, an impossible value or an empty list.
     """
     names = list(over)
+    over = {name: values if is_list(values) else [values] for name, values in over.items()}
     count = math.prod(len(values) for values in over.values())
+    if not count:
+        raise InputError(f"over: {', '.join(name for name, one in over.items() if not len(one))} has no values")
     if count > MOST_CASES:
         raise InputError(f"over: {count:,} cases, every combination of the values; at most {MOST_CASES:,} are compared")
     cases = []

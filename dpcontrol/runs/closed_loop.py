@@ -1,6 +1,6 @@
 """The closed loop of a plan: what flies it, made once, for runs, campaigns, margins and export."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -97,7 +97,7 @@ class ClosedLoop:
         self,
         *,
         runs: int = 100,
-        over: Mapping[str, Sequence[object]] | None = None,
+        over: Mapping[str, object] | None = None,
         settings: CampaignSettings | None = None,
         transitions: bool = False,
         out: Path | str | None = None,
@@ -109,7 +109,7 @@ class ClosedLoop:
 
         Args:
             runs: seeds of each case.
-            over: values of run options by name; each combination is a case.
+            over: values of run options by name, or one value; each combination is a case.
             settings: first seed, workers and the like, in place of `runs`.
             transitions: run each transfer from hold to hold alone.
             out: Parquet file to write the rows to.

@@ -451,6 +451,7 @@ def find_connections(
     settings, system = settings or ConnectionSettings(), source.system
     for hit in hits:
         whole("hits", hit, least=1, most=1000)
+    system.check_same(target.system)
     budget = budget or Budget(settings.seconds)
     section = section or system.section_between(source.saddle, target.saddle)
     if source.energy != target.energy:

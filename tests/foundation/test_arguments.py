@@ -48,7 +48,7 @@ def test_values_that_are_not_paths_are_refused(value):
         (lambda orbit: dp.connections(orbit, hits=(0, 1)), "hits = 0"),
         (lambda orbit: dp.atlas(orbit.system, energy=-0.07, hits=(None, 1)), "hits = None"),
         (lambda orbit: dp.atlas(orbit.system, energy=1j), "energy = 1j"),
-        (lambda orbit: dp.graph(orbit.system, energy=-0.07, symbols=[None]), "a symbol must be text"),
+        (lambda orbit: dp.graph(orbit.system, energy=-0.07, symbols=[None]), "symbols = None: must be text"),
         (
             lambda orbit: dp.find_bifurcations(orbit.system, "down-up", "down-up", energies=("x", 1)),
             "energies = 'x'",
@@ -60,7 +60,7 @@ def test_values_that_are_not_paths_are_refused(value):
         (lambda _: dp.load_model(3), "name = 3"),
         (lambda _: dp.open_log(None), "file = None"),
         (lambda _: dp.open_plan(3), "file = 3"),
-        (lambda _: dp.picture(3), "int: a picture is of a run"),
+        (lambda _: dp.picture(3), "result = 3: must be a Run"),
         (lambda _: dp.Section.plane("x", (0, 0)), "needs a direction"),
         (lambda _: dp.Section.plane("x", (0, 1), period=0), "must be positive"),
     ],
@@ -81,7 +81,8 @@ def test_functions_refuse_arguments_of_the_wrong_type(orbit, call, words):
         (lambda: dp.run("one-arm", log=3), "log = 3"),
         (lambda: dp.campaign([]), "planned = []"),
         (lambda: dp.campaign("one-arm", over=3), "over = 3"),
-        (lambda: dp.campaign("one-arm", over={"lag": 3}), "over: lag = 3"),
+        (lambda: dp.campaign("one-arm", over={"lag": "x"}), "drive: lag = 'x'"),
+        (lambda: dp.campaign("one-arm", over={"lag": []}), "over: lag has no values"),
         (lambda: dp.campaign("one-arm", first_seed=None), "first_seed = None"),
         (lambda: dp.closed_loop(3), "planned = 3"),
         (lambda: dp.closed_loop("one-arm", options=()), "options = ()"),
@@ -103,6 +104,11 @@ def test_objects_of_the_wrong_type_are_refused_by_name(call, words):
     with pytest.raises(InputError) as refused:
         call()
     assert str(refused.value).startswith(words)
+
+
+def test_one_option_value_needs_no_list():
+    one, listed = (dp.campaign("outer-turn", runs=1, over={"lag": lag}, workers=1) for lag in (0.002, [0.002]))
+    assert one.rows == listed.rows
 
 
 def test_option_values_may_be_an_array():

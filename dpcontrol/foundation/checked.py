@@ -1,0 +1,195 @@
+"""The check of public functions' arguments against their annotations, before anything is computed.
+
+Annotations of public functions may be text, because results' classes are imported when they are needed. A value fits
+the name of a class if its class or one of its bases has this name. Numbers must be finite, and lie within `Bounds` if
+these are annotated. A wrong number of arguments and an unknown keyword remain Python's TypeError.
+"""
+
+import builtins
+import inspect
+import math
+import types
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, wraps
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from dpcontrol.foundation.arguments import allowed_range, shortened
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import suggest
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds of an annotated number: at least `least`, at most `most`, greater than `above`."""
+
+    least: float = -math.inf
+    most: float = math.inf
+    above: float = -math.inf
+
+
+Seed = Annotated[int, Bounds(0, 2**62)]
+Workers = Annotated[int, Bounds(0, 4096)]
+Count = Annotated[int, Bounds(1, 1_000_000)]
+Hit = Annotated[int, Bounds(1, 1000)]
+Index = Annotated[int, Bounds(0, 1_000_000)]
+Positive = Annotated[float, Bounds(above=0)]
+
+_MAKERS: dict[str, str] = {}
+"""Public functions by the name of the class that they return first."""
+
+
+def checked(function: Function) -> Function:
+    """Return a function that raises InputError if an argument does not fit its annotation."""
+    signature = inspect.signature(function)
+    _MAKERS.setdefault(str(signature.return_annotation), function.__name__)
+
+    @cache
+    def hints() -> dict[str, Any]:
+        return get_type_hints(function, {}, _Names({**vars(builtins), **function.__globals__}), include_extras=True)
+
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            if name in hints() and signature.parameters[name].kind is not inspect.Parameter.VAR_KEYWORD:
+                check(name, value, hints()[name])
+        return function(*args, **kwargs)
+
+    return call  # type: ignore[return-value]
+
+
+class _ByName(type):
+    """The type of stand-ins for classes that are not imported."""
+
+    def __instancecheck__(cls, value: object) -> bool:
+        return any(one.__name__ == cls.__name__ for one in type(value).__mro__)
+
+
+class _Names(dict[str, Any]):
+    """The names of a module, with a stand-in for each class that only type checkers import."""
+
+    def __missing__(self, name: str) -> type:
+        return _ByName(name, (), {})
+
+
+def check(name: str, value: Any, hint: Any) -> None:
+    """Raise an error if a value does not fit a type.
+
+    Args:
+        name: of the argument, for the message.
+        value: the argument.
+        hint: the type, as annotations write it.
+
+    Raises:
+        InputError: names the argument, its value and the allowed values.
+    """
+    options = _alternatives(hint)
+    if any(_fits(value, option) for option in options):
+        return
+    # The message on a list concerns the first wrong entry.
+    for option in options:
+        kind, inner = get_origin(option), get_args(option)
+        if kind is Mapping and isinstance(value, Mapping):
+            for key, one in value.items():
+                check(f"{name}: {key}", key, inner[0])
+                check(f"{name}: {key}", one, inner[1])
+        elif kind in (Sequence, Collection, tuple) and is_list(value) and len(value) == _length(option, value):
+            for k, one in enumerate(value):
+                check(name, one, inner[0 if Ellipsis in inner else min(k, len(inner) - 1)])
+    texts = [one for option in options if get_origin(option) is Literal for one in get_args(option)]
+    if isinstance(value, str) and texts and all(isinstance(one, str) for one in texts):
+        raise InputError(f"{name} = {shortened(value)}: {suggest(value, texts)}")
+    words = [word for option in options if (word := _words(option))]
+    raise InputError(f"{name} = {shortened(value)}: must be {' or '.join(dict.fromkeys(words))}")
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    if get_origin(hint) in (Union, types.UnionType):
+        return tuple(one for part in get_args(hint) for one in _alternatives(part))
+    return (hint,)
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    kind, inner = get_origin(hint), get_args(hint)
+    if kind is Annotated:
+        bounds = inner[1]
+        return _fits(value, inner[0]) and bounds.least <= value <= bounds.most and value > bounds.above
+    if kind is Literal:
+        return any(type(value) is type(one) and value == one for one in inner)
+    if kind is Mapping:
+        return isinstance(value, Mapping) and all(
+            _fits_any(one, part) for pair in value.items() for one, part in zip(pair, inner, strict=True)
+        )
+    if kind in (Sequence, Collection, tuple):
+        return is_list(value) and len(value) == _length(hint, value) and all(
+            _fits_any(one, inner[0 if Ellipsis in inner else min(k, len(inner) - 1)]) for k, one in enumerate(value)
+        )  # fmt: skip
+    if kind is np.ndarray:
+        return isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and bool(np.isfinite(value).all())
+    if hint in (float, int):
+        kinds: Any = (Real if hint is float else Integral, bool | np.bool_)
+        return isinstance(value, kinds[0]) and not isinstance(value, kinds[1]) and bool(abs(value) <= _LARGEST)
+    if hint is bool:
+        return isinstance(value, bool | np.bool_)
+    if hint is None or hint is Any or hint is object or isinstance(hint, TypeVar):
+        return value is None or hint is not None
+    kind = kind or hint
+    return callable(value) if kind is Callable else not isinstance(kind, type) or isinstance(value, kind)
+
+
+_LARGEST = 1.7976931348623157e308
+"""The largest double; NaN does not compare as less."""
+
+
+def _fits_any(value: Any, hint: Any) -> bool:
+    return any(_fits(value, option) for option in _alternatives(hint))
+
+
+def is_list(value: Any) -> bool:
+    """Return True if a value has entries without names, and is no text."""
+    return isinstance(value, Collection | np.ndarray) and not isinstance(value, str | bytes | Mapping)
+
+
+def _length(hint: Any, value: Any) -> int:
+    inner = get_args(hint)
+    return len(value) if get_origin(hint) is not tuple or Ellipsis in inner else len(inner)
+
+
+def _words(hint: Any) -> str:
+    kind, inner = get_origin(hint), get_args(hint)
+    if kind is Annotated:
+        above = "" if math.isinf(inner[1].above) else f" above {inner[1].above:g}"
+        return allowed_range(_words(inner[0]), inner[1].least, inner[1].most) + above
+    if kind is Literal:
+        return ", ".join(map(repr, inner))
+    if kind is Mapping:
+        return "values by name"
+    if kind in (Sequence, Collection, tuple):
+        count = "" if kind is not tuple or Ellipsis in inner else f"{len(inner)} values, each "
+        each = " or ".join(filter(None, map(_words, _alternatives(inner[0]))))
+        return f"{count}{each}" if count else f"a list, each entry {each}"
+    plain = {
+        float: "a finite number",
+        int: "a whole number",
+        bool: "True or False",
+        str: "text",
+        None: "",
+        type(None): "",
+    }
+    if hint in plain:
+        return plain[hint]
+    if kind is np.ndarray:
+        return "an array of finite numbers"
+    if kind is Callable:
+        return "a function"
+    if hint is Path:
+        return "the path of a file"
+    name = getattr(hint, "__name__", str(hint))
+    maker = _MAKERS.get(name)
+    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" + (f" (dp.{maker} returns one)" if maker else "")
