@@ -794,7 +794,8 @@ def picture(
     """
     from dpcontrol.judge.of_log import reference_view, run_view
     from dpcontrol.pages.atlas import draw_atlas
-    from dpcontrol.pages.page import draw, save_figure
+    from dpcontrol.pages.layout import save_figure
+    from dpcontrol.pages.page import draw
     from dpcontrol.pages.walks import WalkStory, draw_walk
     from dpcontrol.plans.plan import Plan
     from dpcontrol.references.reference import summarised

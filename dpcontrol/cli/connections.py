@@ -138,8 +138,8 @@ def _family(model: "Model", saddle: str, energies: Range, family: int, picture: 
     with progress_bar(f"family of {saddle}") as progress:
         found = lyapunov_family(model.system, saddle, energies=energies, family=family, progress=progress)
     if picture is not None:
+        from dpcontrol.pages.layout import save_figure
         from dpcontrol.pages.orbits import draw_families
-        from dpcontrol.pages.page import save_figure
 
         save_figure(draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}"), picture)
     document = {**found.document(), "energies": energies, "picture": picture}
@@ -187,8 +187,8 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     with progress_bar("families of rotating orbits") as progress:
         families = rotating_families(orbits, energies, progress=progress)
     if picture is not None:
+        from dpcontrol.pages.layout import save_figure
         from dpcontrol.pages.orbits import draw_rotating_families
-        from dpcontrol.pages.page import save_figure
 
         save_figure(draw_rotating_families(families), picture)
     document = {
@@ -230,7 +230,8 @@ def _sustained(model: "Model", saddle: str, energy: float, family: int, sections
         picture = None
     if picture is not None:
         from dpcontrol.judge.of_log import sustained_view
-        from dpcontrol.pages.page import draw, save_figure
+        from dpcontrol.pages.layout import save_figure
+        from dpcontrol.pages.page import draw
 
         save_figure(draw(sustained_view(orbit, arms.length)), picture)
     document = {**orbit.document(sections), "picture": picture}

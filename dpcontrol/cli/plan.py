@@ -165,11 +165,12 @@ def reference_command(
         document = summary.document()
         if picture is not None:
             from dpcontrol.judge.of_log import reference_view
-            from dpcontrol.pages.page import draw, save_figure
+            from dpcontrol.pages.layout import save_figure
+            from dpcontrol.pages.page import draw
 
             save_figure(draw(reference_view(summary, file)), picture)
         if transitions is not None:
-            from dpcontrol.pages.page import save_figure
+            from dpcontrol.pages.layout import save_figure
             from dpcontrol.pages.transitions import draw_transitions
 
             save_figure(draw_transitions(summary), transitions)

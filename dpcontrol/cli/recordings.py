@@ -142,7 +142,7 @@ def identify_command(
         if picture is not None:
             from dpcontrol.identification.identify import profiles
             from dpcontrol.pages.identification import draw_identification
-            from dpcontrol.pages.page import save_figure
+            from dpcontrol.pages.layout import save_figure
 
             save_figure(draw_identification(found, profiles(found, progress=progress), title=title), picture)
     document = {**found.document(), "file": target, "picture": picture}
@@ -183,7 +183,7 @@ def _design(model: str, picture: Path | None) -> Answer:
         design = design_experiments(start.arms, progress=progress)
         if picture is not None:
             from dpcontrol.pages.identification import draw_design
-            from dpcontrol.pages.page import save_figure
+            from dpcontrol.pages.layout import save_figure
 
             save_figure(draw_design(design, title=start.title), picture)
     document = {**design.document(), "picture": picture}

@@ -237,7 +237,8 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
     from dpcontrol.judge.of_log import run_view
     from dpcontrol.judge.score import REFERENCE_ATTACHMENT, score
     from dpcontrol.logs import read_log
-    from dpcontrol.pages.page import draw, save_figure
+    from dpcontrol.pages.layout import save_figure
+    from dpcontrol.pages.page import draw
     from dpcontrol.pages.series import margins_chart
 
     log = read_log(file)
@@ -259,8 +260,8 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
 
 def _night(folder: Path, picture: Path) -> Answer:
     from dpcontrol.judge.night import read_night
+    from dpcontrol.pages.layout import save_figure
     from dpcontrol.pages.night import draw_night
-    from dpcontrol.pages.page import save_figure
 
     night = read_night(folder)
     save_figure(draw_night(night), picture)
@@ -270,7 +271,7 @@ def _night(folder: Path, picture: Path) -> Answer:
 def _campaign(file: Path, picture: Path) -> Answer:
     from dpcontrol.judge.campaign import campaign_summary
     from dpcontrol.pages.campaign import draw_campaign
-    from dpcontrol.pages.page import save_figure
+    from dpcontrol.pages.layout import save_figure
 
     summary = campaign_summary(file)
     save_figure(draw_campaign(summary), picture)

@@ -611,7 +611,7 @@ def preflight_command(
     as [run] has it, where `dpcontrol commission --write` puts what it measures. The border of a trouble is the value at
     which the itinerary completes half as often. Interrupted or repeated, it goes on where it was.
     """
-    from dpcontrol.pages.page import save_figure
+    from dpcontrol.pages.layout import save_figure
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
     from dpcontrol.runs.preflight import PreflightSettings, preflight

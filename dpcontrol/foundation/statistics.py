@@ -20,6 +20,11 @@ class Share:
     high: float
 
     @property
+    def likely(self) -> bool | None:
+        """True if it is at least 0.9, False if it is less than 0.5, with confidence; None in between."""
+        return True if self.low >= 0.9 else False if self.high < 0.5 else None
+
+    @property
     def rate(self) -> float:
         """The share seen."""
         return self.successes / self.runs if self.runs else float("nan")

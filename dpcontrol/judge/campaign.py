@@ -97,6 +97,11 @@ class CampaignSummary:
         chance = f"{share.rate:.1%} ({share.low:.1%} to {share.high:.1%} with 95 % confidence)"
         return f"{share.successes} of {share.runs} runs completed: {chance}{rest}"
 
+    @property
+    def good(self) -> bool | None:
+        """True if at least nine of ten runs complete, False if less than half do, None in between."""
+        return self.share.likely
+
     def document(self) -> dict[str, Any]:
         """Return the output of `dpcontrol report --json` for a campaign."""
         return {

@@ -218,7 +218,7 @@ class Preflight:
 
         The value is False if less than half do, and None in between.
         """
-        return True if self.share.low >= 0.9 else False if self.share.high < 0.5 else None
+        return self.share.likely
 
     @property
     def status(self) -> str:

@@ -9,18 +9,19 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.gridspec import SubplotSpec
 from matplotlib.patheffects import withStroke
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.pages import style
-from dpcontrol.pages.page import DOTTED, angle_axis, key, new_figure, quiet, quiet_space, wrapped_runs
+from dpcontrol.pages.layout import Page, Panel, Stack, key
+from dpcontrol.pages.panels import angle_axis, quiet, quiet_space, wrapped_runs
 from dpcontrol.pages.rerun_recording import Box, page, reading_lines, recording_to, rr, rrb, summary_view
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, AtlasOrbit, section_axes
 
@@ -171,23 +172,23 @@ def draw_cuts(
         if numbers and c.name in numbers:
             axes.annotate(
                 numbers[c.name], tuple(place), xytext=(5, 5), textcoords="offset points",
-                fontsize=8.5, color=look[c.name], weight="bold", zorder=5,
+                fontsize=style.SMALL, color=look[c.name], weight="bold", zorder=5,
                 path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )  # fmt: skip
     quiet(axes, x=f"{coordinate} on the section" + (" (rad)" if period else ""), y="p / p₀" if period else "momentum")
     if period:
         angle_axis(axes, "x")
     if legend:
-        looks = [
-            (f"unstable tube of {kind.source}", style.UNSTABLE),
-            (f"stable tube of {kind.target}", style.STABLE),
-            ("connections", {"color": style.INK, "marker": "o", "linestyle": ""}),
-            ("crossed backward", {"color": style.CART, "linestyle": (0, (4, 1.6))}),
-        ]
-        key(
-            axes, looks, fontsize=7.5, labelspacing=0.2, loc="lower left", bbox_to_anchor=(-0.02, 0.995),
-            ncols=2, borderaxespad=0.2, handlelength=1.6, columnspacing=0.8, handletextpad=0.4,
-        )  # fmt: skip
+        key(axes, CUT_KEY)
+
+
+CUT_KEY: list[tuple[str, str | dict[str, Any]]] = [
+    ("tube out", style.UNSTABLE),
+    ("tube in", style.STABLE),
+    ("connections", {"color": style.INK, "marker": "o", "linestyle": ""}),
+    ("backward", {"color": style.CART, "linestyle": (0, (4, 1.6))}),
+]
+"""Key of a panel of cuts."""
 
 
 def placed(atlas: Atlas, orbit: AtlasOrbit, winding: Sequence[int] = ()) -> Array:
@@ -209,9 +210,7 @@ def one_of_each(connections: tuple[AtlasConnection, ...]) -> list[AtlasConnectio
     return list(kept.values())
 
 
-def draw_row(
-    figure: Figure,
-    cell: SubplotSpec,
+def row_of(
     atlas: Atlas,
     kind: AtlasKind,
     shown: Sequence[AtlasConnection],
@@ -220,30 +219,30 @@ def draw_row(
     marked: tuple[AtlasConnection, ...] | None = None,
     flat: bool = False,
     share: float = 1.65,
-) -> Axes:
-    """Draw a kind's cuts left and the flights of `shown` right.
-
-    Flights have numbers. Return the axes of the cuts.
+) -> list[Panel | Stack]:
+    """Return a row of panels: a kind's cuts, and the flights of `shown` with their numbers.
 
     Args:
+        atlas: with the kind.
+        kind: of the connections.
+        shown: connections with a panel each.
         numbers: labels by connection name.
         marked: connections on the cuts; all by default.
         flat: True to stack the flights.
         share: width of the flights relative to the cuts.
     """
-    left, right = cell.subgridspec(1, 2, wspace=0.1, width_ratios=[1, share])
-    cuts = figure.add_subplot(left)
-    draw_cuts(cuts, atlas, kind, shown=marked, numbers=numbers)
-    count = max(len(shown), 1)
-    flights = right.subgridspec(*((count, 1) if flat else (1, count)), wspace=0.27, hspace=0.75)
     look = colours(connections_of(atlas, kind) if marked is None else marked)
-    for k, c in enumerate(shown):
-        axes = figure.add_subplot(flights[k, 0] if flat else flights[0, k])
-        draw_flight(axes, atlas, c, look[c.name], labelled=k == 0 or flat)
-        turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in c.winding)
-        title = f"{numbers[c.name]}  {c.transversality_angle:.1f}°, winding [{turns}]"
-        axes.set_title(title, fontsize=9 if count < 5 else 7.5, loc="left", color=look[c.name])
-    return cuts
+
+    def flight(axes: Axes, connection: AtlasConnection, labelled: bool) -> None:
+        draw_flight(axes, atlas, connection, look[connection.name], labelled=labelled)
+        turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in connection.winding)
+        quiet(axes, f"{numbers[connection.name]}  {connection.transversality_angle:.1f}° [{turns}]")
+
+    cuts = Panel(partial(draw_cuts, atlas=atlas, kind=kind, shown=marked, numbers=numbers), 1.0)
+    flights = [partial(flight, connection=c, labelled=k == 0 or flat) for k, c in enumerate(shown)]
+    if flat:
+        return [cuts, Stack(flights, share)]
+    return [cuts, *(Panel(draw, share / max(len(flights), 1)) for draw in flights)]
 
 
 def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: str, *, labelled: bool = True) -> None:
@@ -260,7 +259,9 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
     axes.plot(connection.states[:, 0], connection.states[:, 1], color=colour, linewidth=1.3, zorder=3)
     axes.plot(*connection.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=4)
     angular = bool(np.isfinite(atlas.periods).any())
-    quiet(axes, x="θ₁" if angular else "", y="θ₂" if angular and labelled else "")
+    quiet(axes)
+    axes.set_xlabel("θ₁" if angular else "", fontsize=style.SMALL)
+    axes.set_ylabel("θ₂" if angular and labelled else "", fontsize=style.SMALL)
     if angular:
         angle_axis(axes, "x", step=1.0)
         angle_axis(axes, "y", step=1.0)
@@ -275,7 +276,7 @@ def draw_angles(axes: Axes, atlas: Atlas, connection: AtlasConnection) -> None:
         axes.plot(connection.times, connection.states[:, arm], color=style.arm_colour(arm), linewidth=1.3)
     for time in (-connection.time_out, connection.time_in):
         if np.isfinite(time):
-            axes.axvline(time, color=style.REFERENCE, linewidth=0.9, linestyle=DOTTED)
+            axes.axvline(time, color=style.REFERENCE, linewidth=0.9, linestyle=style.DOTTED)
     quiet(axes)
     axes.margins(x=0)
     angle_axis(axes, "y", step=1.0)
@@ -328,28 +329,36 @@ def draw_atlas(atlas: Atlas) -> Figure:
     It shows tubes, orbits and flights in space, and the cuts of every kind.
     """
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
-    title = f"{atlas.title} at {atlas.energy:g} J: {len(atlas.orbits)} orbits, {len(atlas.connections)} connections"
-    figure = new_figure(16, 8.6, title)
-    wide = 0.42 if kinds else 0.9
-    space = figure.add_axes((0.03, 0.0, wide - 0.03, 0.95), projection="3d")
-    draw_space(space, atlas, atlas.cuts, flights=atlas.connections)
-    looks = [("unstable tubes", style.UNSTABLE), ("stable tubes", style.STABLE), ("cuts", style.CUT)]
-    looks += [("connections", FLIGHT)]
-    orbits = [(f"orbit about {o.name}", {"color": style.saddle_colour(o.saddle), "linewidth": 2.5})
-              for o in atlas.orbits]  # fmt: skip
-    key(figure, [*looks, *orbits], loc="lower left", ncols=3)
-    columns = 1 if len(kinds) < 2 else 2
-    rows = (len(kinds) + columns - 1) // columns
-    for k, kind in enumerate(kinds):
-        row, column = divmod(k, columns)
-        tall, broad = 0.9 / rows, (0.99 - wide) / columns
-        axes = figure.add_axes(
-            (wide + 0.045 + column * broad, 0.94 - (row + 1) * tall + 0.065, broad - 0.05, tall - 0.15)
-        )
-        draw_cuts(axes, atlas, kind)
-        axes.set_title(f"{kind.source} → {kind.target}: {kind.count} at hits {list(kind.hits)}", loc="left",
-                       fontsize=10, pad=27)  # fmt: skip
-    return figure
+    orbits = "1 orbit" if len(atlas.orbits) == 1 else f"{len(atlas.orbits)} orbits"
+    title = f"{atlas.title} at {atlas.energy:g} J: {orbits}, {len(atlas.connections)} connections"
+    page = Page(title)
+    spaces: list[Panel | Stack] = [Panel(partial(_draw_whole, atlas=atlas), space=True)]
+    panels = [partial(_draw_kind, atlas=atlas, kind=kind) for kind in kinds]
+    if len(panels) > 1:
+        spaces.append(Stack(panels[:2]))
+        page.row(*spaces, height=6.4)
+    else:
+        page.row(*spaces, *panels, height=5.2)
+    for first in range(2, len(panels), 2):
+        page.row(*panels[first : first + 2], height=3.2)
+    return page.figure()
+
+
+def _draw_whole(axes: Axes, atlas: Atlas) -> None:
+    draw_space(axes, atlas, atlas.cuts, flights=atlas.connections)
+    looks: list[tuple[str, str | dict[str, Any]]] = [("tubes out", style.UNSTABLE), ("tubes in", style.STABLE)]
+    looks += [("cuts", style.CUT), ("connections", FLIGHT)]
+    key(axes, looks)
+    for k, orbit in enumerate(atlas.orbits):
+        look = {"fontsize": style.SMALL, "color": style.saddle_colour(orbit.saddle), "weight": "bold"}
+        axes.text2D(0.0, 0.04 * k, f"orbit about {orbit.name}", transform=axes.transAxes, **look)  # type: ignore[attr-defined]
+    axes.set_box_aspect(None, zoom=1.1)  # type: ignore[call-arg]
+
+
+def _draw_kind(axes: Axes, atlas: Atlas, kind: AtlasKind) -> None:
+    draw_cuts(axes, atlas, kind)
+    quiet_title = f"{kind.source} → {kind.target}: {kind.count} at hits {list(kind.hits)}"
+    axes.set_title(quiet_title, loc="left")
 
 
 TIMELINE = "time_from_section"

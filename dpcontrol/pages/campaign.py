@@ -1,6 +1,7 @@
 """A campaign's summary on one page. Empty panels, such as failures, are omitted."""
 
 from collections.abc import Sequence
+from functools import partial
 from textwrap import shorten
 
 import numpy as np
@@ -9,47 +10,59 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
-from dpcontrol.judge.campaign import CampaignSummary
+from dpcontrol.judge.campaign import CampaignSummary, Group
 from dpcontrol.pages import style
-from dpcontrol.pages.page import new_figure, quiet
+from dpcontrol.pages.layout import Page, Panel
+from dpcontrol.pages.panels import empty, name_curves, quiet
 
 _TITLES = {"max_cart_position": "Cart's largest distance (mm)", "rms_tracking_error": "Tracking (mrad rms)"}
-_MOST = 28
+_MOST, _APART = 28, 6
+"""Most bars, and most mismatches that are drawn as separate bars."""
 
 
 def draw_campaign(summary: CampaignSummary) -> Figure:
     """Return a campaign's page as a figure."""
-    figure = new_figure(15.0, 9.6, f"Campaign {summary.path.stem}")
-    colour = style.GOOD if summary.share.rate >= 0.5 else style.LIMIT
-    figure.text(0.015, 0.935, summary.status, fontsize=11, color=colour, va="center")
-    failed, levels = bool(summary.failed_symbols or summary.reasons), bool(summary.levels)
-    wide = (0.36 if len(summary.groups) < 2 else 0.30) if levels else 0.70
-    _draw_groups(figure.add_axes((0.22, 0.55, wide, 0.32)), summary)
-    if levels:
-        _draw_levels(figure.add_axes((0.66, 0.55, 0.325, 0.32)), summary)
-    if failed:
-        _draw_symbols(figure.add_axes((0.045, 0.075, 0.27, 0.36)), summary)
-        _draw_reasons(figure.add_axes((0.62, 0.285, 0.365, 0.15)), summary)
-    for k, (name, title) in enumerate(_TITLES.items()):
-        place = (0.37 + 0.32 * k, 0.075, 0.295, 0.13) if failed else (0.045 + 0.49 * k, 0.075, 0.45, 0.34)
-        _spread(figure.add_axes(place), summary, name, title)
-    return figure
+    page = Page(f"Campaign {summary.path.stem}", summary.status, summary.good)
+    groups = min(len(_bars_of(summary)), _MOST)
+    above: list[Panel] = [Panel(partial(_draw_groups, summary=summary), 1.3)]
+    if summary.levels:
+        above.append(Panel(partial(_draw_levels, summary=summary)))
+    page.row(*above, height=max(2.6, 0.8 + 0.21 * groups))
+    if summary.failed_symbols or summary.reasons:
+        failures = [Panel(partial(_draw_symbols, summary=summary)), Panel(partial(_draw_reasons, summary=summary), 1.3)]
+        page.row(*failures, height=2.4)
+    families = max((len(some) for some in summary.spreads.values()), default=1)
+    spreads = [partial(_spread, summary=summary, name=name, title=title) for name, title in _TITLES.items()]
+    return page.row(*spreads, height=1.8 if families < 2 else 1.0 + 0.55 * min(families, len(style.RUNS))).figure()
+
+
+def _bars_of(summary: CampaignSummary) -> list[tuple[Group, str]]:
+    """Return the groups to draw as bars with their labels; few mismatches are kept apart."""
+    families = {level.label for level in summary.levels}
+    if summary.axis == "mismatch" and 0 < len(summary.levels) <= _APART * len(families):
+        return [(level, f"{level.label} · mismatch {level.low:.3g}") for level in summary.levels]
+    # Controllers of one kind of trouble are adjacent.
+    groups = sorted(summary.groups, key=lambda group: (group.names.get("kind", ""), -group.share.rate))
+    return [(group, group.label) for group in groups]
 
 
 def _draw_groups(axes: Axes, summary: CampaignSummary) -> None:
-    # Controllers of one kind of trouble are adjacent.
-    groups = sorted(summary.groups, key=lambda group: (group.names.get("kind", ""), -group.share.rate))[:_MOST]
-    hidden = len(summary.groups) - len(groups)
-    more = f"… and {hidden} groups more" if hidden else ""
+    every = _bars_of(summary)
+    shown = every[:_MOST]
+    more = f"… and {len(every) - len(shown)} groups more" if len(every) > len(shown) else ""
     quiet(axes, "Runs completed; lines: Wilson's 95 % interval", x=more)
-    size = 7.0 if len(groups) > 18 else 8.5
-    for k, (group, colour) in enumerate(zip(groups, _colours(summary, [g.family for g in groups]), strict=True)):
+    colours = _colours(summary, [group.family for group, _ in shown])
+    for k, ((group, _), colour) in enumerate(zip(shown, colours, strict=True)):
         share = group.share
         axes.barh(k, share.rate, color=colour, height=0.62, alpha=0.85)
         axes.plot([share.low, share.high], [k, k], color=style.INK, linewidth=1.4)
-        axes.text(1.02, k, f"{share.successes} of {share.runs}", va="center", fontsize=size, color=style.NOTE)
-    axes.set_yticks(range(len(groups)), [shorten(g.label, 44, placeholder=" …") for g in groups], fontsize=size)
-    axes.set(xlim=(0, 1), ylim=(max(len(groups) - 0.4, 0.6), -0.6))
+        axes.annotate(
+            f"{share.successes} of {share.runs}", (1.0, k), xytext=(5, 0), textcoords="offset points", va="center",
+            fontsize=style.SMALL, color=style.NOTE, annotation_clip=False,
+        )  # fmt: skip
+    labels = [shorten(label, 44, placeholder=" …") for _, label in shown]
+    axes.set_yticks(range(len(shown)), labels, fontsize=style.SMALL)
+    axes.set(xlim=(0, 1), ylim=(max(len(shown) - 0.4, 0.6), -0.6))
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
 
 
@@ -62,11 +75,13 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
     standard = summary.axis == "level"
     text = "level of each kind of trouble" if standard else "mismatch, share of each parameter"
     over = "over the level, of all kinds" if standard else "over the mismatch"
-    quiet(axes, f"Runs completed {over}", x=text)
-    axes.set_ylim(-0.03, 1.03)
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     labels = list(dict.fromkeys(level.label for level in summary.levels))
     shown = labels[: len(style.RUNS)]
+    hidden = f"; first {len(shown)} of {len(labels)} groups" if len(labels) > len(shown) else ""
+    quiet(axes, f"Runs completed {over}{hidden}", x=text)
+    names: list[tuple[float, str, str]] = []
+    axes.set_ylim(-0.03, 1.03)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     reach = max(level.high for level in summary.levels) - min(level.low for level in summary.levels)
     for k, (label, colour) in enumerate(zip(shown, _colours(summary, shown), strict=True)):
         levels = [level for level in summary.levels if level.label == label]
@@ -75,15 +90,13 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
         low, rates, high = np.array([(level.share.low, level.share.rate, level.share.high) for level in levels]).T
         spread = np.maximum([rates - low, high - rates], 0)
         axes.errorbar(x, rates, yerr=spread, color=colour, marker="o", markersize=4.5, linewidth=1.3, capsize=2)
+        names.append((float(rates[-1]), shorten(label, 24, placeholder=" …"), colour))
     if standard:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     else:
         axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     if len(labels) > 1:
-        axes.set_title("colours as on the left", loc="right", fontsize=8.5, color=style.NOTE)
-    if len(labels) > len(shown):
-        axes.text(0.99, 1.01, f"first {len(shown)} of {len(labels)} groups", transform=axes.transAxes, fontsize=8,
-                  ha="right", color=style.NOTE)  # fmt: skip
+        name_curves(axes, names)
 
 
 def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
@@ -114,9 +127,7 @@ def _draw_reasons(axes: Axes, summary: CampaignSummary) -> None:
 
 def _spread(axes: Axes, summary: CampaignSummary, name: str, title: str) -> None:
     if name not in summary.spreads:
-        quiet(axes, title)
-        axes.text(0.5, 0.5, f"the table has no {name}", transform=axes.transAxes, ha="center", color=style.NOTE)
-        axes.set(xticks=[], yticks=[])
+        empty(axes, title, f"the table has no {name}")
         return
     families = dict(list(summary.spreads[name].items())[: len(style.RUNS)])
     every = 1e3 * np.concatenate([values for both in families.values() for values in both])
@@ -136,8 +147,9 @@ def _spread(axes: Axes, summary: CampaignSummary, name: str, title: str) -> None
     for row, ((family, (good, bad)), colour) in enumerate(zip(families.items(), colours, strict=True)):
         _bars(axes, good, bad, edges, colour=colour, row=-row)
         name = shorten(family, 40, placeholder=" …")
-        axes.text(0.99, 0.9 - row, name, transform=axes.get_yaxis_transform(), fontsize=7.5, ha="right", va="top",
-                  color=colour, bbox={"color": "white", "alpha": 0.7, "pad": 1, "linewidth": 0})  # fmt: skip
+        look = {"ha": "right", "va": "top", "fontsize": style.SMALL, "color": colour}
+        box = {"color": style.PAPER, "alpha": 0.7, "pad": 1, "linewidth": 0}
+        axes.text(0.99, 0.9 - row, name, transform=axes.get_yaxis_transform(), bbox=box, **look)
     axes.set(yticks=[-row for row in range(len(families))], yticklabels=[], ylim=(1 - len(families), 1))
 
 

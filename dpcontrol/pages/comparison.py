@@ -5,28 +5,22 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from textwrap import shorten
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.comparison import ComparedRun, RunComparison
 from dpcontrol.pages import rerun_recording, style
-from dpcontrol.pages.page import (
-    draw_chart,
-    draw_film,
-    draw_plane,
-    film_times,
-    mark_times,
-    new_figure,
-    story,
-    story_rows,
-)
+from dpcontrol.pages.charts import draw_chart, draw_plane
+from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
+from dpcontrol.pages.layout import Page, Stack
 from dpcontrol.pages.rerun_recording import rrb
 from dpcontrol.pages.series import Chart, Line, charts, plane, strips
+from dpcontrol.pages.story import story, story_height
 
 
 def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
@@ -36,16 +30,15 @@ def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
     """
     first = comparison.runs[0].view
     every = [charts(run.view) for run in comparison.runs]
-    track = f", track ±{1000 * first.limits[0]:g}" if first.limits else ""
     wanted = [
-        ("angles", f"angle_{arm + 1}", f"Arm {arm + 1}'s angle θ{style.number(arm)} (rad)", f"arm_{arm + 1}/")
-        for arm in range(first.arms)
+        ("angles", f"angle_{arm + 1}", f"Arm {arm + 1}'s angle θ{style.number(arm)}", f"arm_{arm + 1}/")
+        for arm in range(min(first.arms, 2))
     ]
     wanted += [
-        ("cart", "cart", f"Cart position (mm){track}", ""),
-        ("tracking_error", "tracking_error", "Tracking error: largest of the angles (rad)", ""),
-        ("acceleration", "acceleration", "Acceleration applied (m/s²)", "applied"),
-        ("energy", "energy", "Energy of the pendulum (J)", ""),
+        ("cart", "cart", "Cart position", ""),
+        ("tracking_error", "tracking_error", "Tracking error, largest of the angles", ""),
+        ("acceleration", "acceleration", "Acceleration applied", "applied"),
+        ("energy", "energy", "Energy of the pendulum", ""),
         ("nis", "nis", "NIS, means of 50 updates", ""),
     ]
     found = [_chart(comparison, [own.get(source) for own in every], *rest) for source, *rest in wanted]
@@ -75,7 +68,8 @@ def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title
         known,
         key=key,
         title=title,
-        named=title.replace("(mm)", "(m)").split(", track")[0] + (", reference grey" if legend else ""),
+        note="",
+        hint=", reference grey" if legend else "",
         lines=tuple(lines),
         levels=tuple(level for level in known.levels if level.kind == "limit" or key == "energy"),
         cut=(),
@@ -94,10 +88,9 @@ def _home(k: int, run: ComparedRun) -> str:
     return f"{k + 1}_{_plain(run.name)}"
 
 
-_WIDE = 16.0
 _FRAMES = 8
-_STORY, _FILM, _PANEL, _HEAD = 0.95, 1.75, 1.75, 0.95
-"""Heights in inches: of a run's story and film, of a row of panels, and of the title."""
+_PANEL = 1.75
+"""Height of a row of panels, inches."""
 _FILMED = 3
 """Greatest number of runs with films."""
 
@@ -105,33 +98,35 @@ _FILMED = 3
 def draw_comparison(comparison: RunComparison) -> Figure:
     """Return the page of a comparison as a figure."""
     runs = comparison.runs
-    filmed = _FILM if len(runs) <= _FILMED else 0.0
-    tall = _HEAD + len(runs) * (_STORY + filmed + 0.35) + 4 * (_PANEL + 0.5) + 0.35
-    figure = new_figure(_WIDE, tall)
-
-    def write(text: str, x: float, y: float, most: int, **look: Any) -> None:
-        figure.text(x, y / tall, shorten(text, most, placeholder=" …"), va="center", **look)
-
-    write(comparison.title, 0.022, tall - 0.35, 100, fontsize=16, weight="bold", color=style.INK)
-    write(comparison.status, 0.022, tall - 0.68, 190, fontsize=9, color=style.NOTE)
-    top = tall - _HEAD
+    page = Page(comparison.title, comparison.status)
     frames = _frames(comparison)
     for run, colour in zip(runs, style.RUNS, strict=False):
-        write(run.name, 0.022, top - 0.12, 100, fontsize=11, weight="bold", color=colour)
-        write(run.view.verdict, 0.165, top - 0.12, 150, fontsize=9.5, color=style.verdict_colour(run.view.good))
-        if story_rows(run.view, span=comparison.span):
-            height = _STORY - 0.5
-            axes = figure.add_axes((0.062, (top - 0.42 - height) / tall, 0.925, height / tall))
-            story(axes, run.view, span=comparison.span, legend=False)
-        top -= _STORY + 0.2
-        if filmed:
-            axes = figure.add_axes((0.01, (top - filmed) / tall, 0.98, (filmed - 0.05) / tall))
-            draw_film(axes, run.view, frames)
-            axes.set_aspect("equal")
-            top -= filmed
-        top -= 0.15
-    _panels(figure, comparison, top=top - 0.1, tall=tall)
-    return figure
+        page.text(run.name, colour=colour, size=style.HEAD)
+        page.text(run.view.verdict, colour=style.verdict_colour(run.view.good), size=style.TEXT)
+        height = story_height(run.view, span=comparison.span)
+        if height:
+            page.strip(partial(story, view=run.view, span=comparison.span), height=height)
+        if len(runs) <= _FILMED:
+            height = film_height(run.view, frames, width=style.WIDTH)
+            page.strip(partial(draw_film, view=run.view, times=frames), height=height)
+    charts = compared_charts(comparison)
+    half = (len(charts) + 1) // 2
+    columns = [
+        Stack([partial(_draw, chart=chart, comparison=comparison) for chart in some])
+        for some in (charts[:half], charts[half:])
+    ]
+    planes = [partial(_draw_plane, comparison=comparison, arm=arm) for arm in range(min(runs[0].view.arms, 2))]
+    return page.row(*columns, Stack(planes), height=_PANEL * max(half, 3)).figure()
+
+
+def _draw(axes: Axes, chart: Chart, comparison: RunComparison) -> None:
+    draw_chart(axes, chart, comparison.runs[0].view, span=comparison.span)
+    axes.axvline(comparison.moment, color=style.INK, linewidth=1.0, linestyle=style.DOTTED)
+
+
+def _draw_plane(axes: Axes, comparison: RunComparison, arm: int) -> None:
+    planes = [(plane(run.view, arm), style.RUNS[k]) for k, run in enumerate(comparison.runs)]
+    draw_plane(axes, planes, tubes=False)
 
 
 def _frames(comparison: RunComparison) -> Array:
@@ -149,28 +144,6 @@ def _frames(comparison: RunComparison) -> Array:
     half = _FRAMES // 2
     later = film_times(longest, frames=_FRAMES - half)
     return np.sort(np.concatenate([np.linspace(begin, end, half + 1)[1:], later]))
-
-
-def _panels(figure: Figure, comparison: RunComparison, *, top: float, tall: float) -> None:
-    arms = min(comparison.runs[0].view.arms, 2)
-    shown = [chart for chart in compared_charts(comparison) if chart.key not in ("angle_3", "angle_4", "angle_5")]
-    rows = (len(shown) + 1) // 2
-    room = (top - 0.35) / rows
-    for k, chart in enumerate(shown):
-        row, column = k % rows, k // rows
-        height = room - 0.5
-        axes = figure.add_axes(((0.045, 0.372)[column], (top - row * room - room + 0.5) / tall, 0.285, height / tall))
-        draw_chart(axes, chart, comparison.runs[0].view)
-        mark_times(axes, [comparison.moment])
-        axes.set_xlim(*comparison.span)
-        if row == rows - 1 or k == len(shown) - 1:
-            axes.set_xlabel("time on the common clock (s)")
-    half = (top - 0.35) / arms
-    for arm in range(arms):
-        bottom = top - (arm + 1) * half + 0.5
-        axes = figure.add_axes((0.70, bottom / tall, 0.28, (half - 0.5) / tall))
-        planes = [(plane(run.view, arm), style.RUNS[k]) for k, run in enumerate(comparison.runs)]
-        draw_plane(axes, planes, tubes=False)
 
 
 def write_comparison_recording(comparison: RunComparison, path: Path) -> None:

@@ -27,20 +27,20 @@ from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas import (
-    BRANCHES,
     colours,
     connections_of,
     draw_angles,
     draw_cuts,
-    draw_row,
     draw_space,
     kind_of,
     one_of_each,
+    row_of,
     section_place,
 )  # fmt: skip
-from dpcontrol.pages.gallery import Gallery, Page
+from dpcontrol.pages.gallery import Gallery, PaperFigure
+from dpcontrol.pages.layout import Page, Panel, key, save_figure
 from dpcontrol.pages.orbits import draw_families
-from dpcontrol.pages.page import angle_axis, key, new_figure, quiet, save_figure
+from dpcontrol.pages.panels import angle_axis, quiet
 from dpcontrol.pages.paper import (
     cuts_page,
     heteroclinic_orbits_page,
@@ -60,26 +60,17 @@ ENERGY = -0.07
 SADDLE = "down-up"
 
 
-def tubes_page(gallery: Gallery) -> Page:
+def tubes_page(gallery: Gallery) -> PaperFigure:
     """Draw the tubes of Down-Up at -0.07 J and their cuts."""
     atlas = gallery.atlas("lab", ENERGY, (1, 1))
     kind = kind_of(atlas, SADDLE, SADDLE)
     assert kind is not None
-    figure = new_figure(13.5, 5.8, f"The tubes of the Lyapunov orbit about Down-Up at {ENERGY:g} J, and their cuts")
-    space = figure.add_axes((0.06, -0.03, 0.5, 0.98), projection="3d")
+    page = Page(f"The tubes of the Lyapunov orbit about Down-Up at {ENERGY:g} J, and their cuts")
     cuts = [cut for cut in atlas.cuts if (cut.saddle, cut.section.name, cut.hit) == (SADDLE, kind.section, 1)]
-    draw_space(space, atlas, cuts, one_colour=style.INK, steps=(0.25, 1.0))
-    looks = [
-        (f"{'stable' if stable else 'unstable'} tube, {'forward' if branch > 0 else 'backward'} branch", colour)
-        for (stable, branch), colour in BRANCHES.items()
-    ]
-    orbit, cut = {"color": style.INK, "linewidth": 2.5}, {"color": style.CUT, "linewidth": 2}
-    looks += [("Lyapunov orbit", orbit), ("cut on θ₂ = 2πk", cut)]
-    key(space, looks, fontsize=8, loc="upper left", bbox_to_anchor=(-0.22, 0.97))
-    axes = figure.add_axes((0.62, 0.1, 0.37, 0.75))
-    draw_cuts(axes, atlas, kind)
-    return Page(
-        figure,
+    spaces = Panel(partial(_tube_space, atlas=atlas, cuts=cuts), 1.35, space=True)
+    page.row(spaces, partial(draw_cuts, atlas=atlas, kind=kind), height=5.2)
+    return PaperFigure(
+        page.figure(),
         f"Left: trajectories that leave the Lyapunov orbit about Down-Up at {ENERGY:g} J (red) and that approach it "
         "(green) form tubes. The two shades are the tube's branches, one for each sense of the outer arm's "
         "turn. They end on the section with the outer arm straight down. Right: there each tube is a closed "
@@ -91,10 +82,16 @@ def tubes_page(gallery: Gallery) -> Page:
     )
 
 
+def _tube_space(axes: Axes, atlas: Atlas, cuts: list) -> None:
+    draw_space(axes, atlas, cuts, one_colour=style.INK, steps=(0.25, 1.0))
+    orbit, cut = {"color": style.INK, "linewidth": 2.5}, {"color": style.CUT, "linewidth": 2}
+    key(axes, [("tube out", style.UNSTABLE), ("tube in", style.STABLE), ("orbit", orbit), ("cut on θ₂ = 2πk", cut)])
+
+
 _MOST = 5
 
 
-def _low(gallery: Gallery) -> Page:
+def _low(gallery: Gallery) -> PaperFigure:
     return _page(
         gallery.atlas("lab", -0.07, (1, 1)),
         ["down-up"],
@@ -104,7 +101,7 @@ def _low(gallery: Gallery) -> Page:
     )
 
 
-def _high(gallery: Gallery) -> Page:
+def _high(gallery: Gallery) -> PaperFigure:
     return _page(
         gallery.atlas("lab", 0.2, (1, 1)),
         ["down-up", "up-down"],
@@ -114,30 +111,27 @@ def _high(gallery: Gallery) -> Page:
     )
 
 
-def _page(atlas: Atlas, saddles: list[str], lead: str, differs: str) -> Page:
+def _page(atlas: Atlas, saddles: list[str], lead: str, differs: str) -> PaperFigure:
     """Draw the homoclinic connections of saddles, a row for each."""
-    tall = 0.7 + 4.3 * len(saddles)
-    figure = new_figure(14, tall, f"Homoclinic connections at {atlas.energy:g} J (first hits)")
-    grid = figure.add_gridspec(
-        len(saddles), 1, left=0.05, right=0.99, top=1 - 0.95 / tall, bottom=0.5 / tall, hspace=0.32
-    )
+    page = Page(f"Homoclinic connections at {atlas.energy:g} J (first hits)")
     words = []
-    for row, saddle in enumerate(saddles):
+    for saddle in saddles:
         kind = kind_of(atlas, saddle, saddle)
         assert kind is not None
         connections = atlas.between(saddle, saddle)
         kept = one_of_each(connections)[:_MOST]
         # Flights are tall if the outer arm turns, and wide if the inner one does.
         flat = not kept[0].winding[1]
-        draw_row(figure, grid[row, 0], atlas, kind, kept, numbers=numbered(connections, kept), flat=flat)
+        panels = row_of(atlas, kind, kept, numbers=numbered(connections, kept), flat=flat)
+        page.row(*panels, height=1.0 + 0.9 * len(kept) if flat else 3.8)
         symmetric = sum(c.symmetric for c in connections)
         word = "closed" if kind.complete else "open in places"
         words.append(
             f"{saddle}: {kind.count} connections ({symmetric} symmetric, {kind.count - symmetric} in mirror pairs), "
             f"largest residual {max(c.residual for c in connections):.0e}, cuts {word}"
         )
-    return Page(
-        figure,
+    return PaperFigure(
+        page.figure(),
         f"{lead} Left: the cuts of the unstable (red) and stable (green) tube; dots of one colour are one connection "
         "and its mirror images. Right: one flight of each colour, of positive sense, in the plane of the angles, and "
         "the angle between the cuts. Pale curves are its two orbits, the dot its section crossing. "
@@ -160,24 +154,21 @@ HETEROCLINIC_ENERGY = 0.2
 PAIRS = (("down-up", "up-down"), ("up-down", "down-up"))
 
 
-def heteroclinics_page(gallery: Gallery) -> Page:
+def heteroclinics_page(gallery: Gallery) -> PaperFigure:
     """Draw the connections from Down-Up to Up-Down and back at 0.2 J."""
     atlas = gallery.atlas("lab", HETEROCLINIC_ENERGY, (1, 1))
-    figure = new_figure(
-        14, 9.2, f"Heteroclinic connections between Down-Up and Up-Down at {HETEROCLINIC_ENERGY:g} J (first hits)"
-    )
-    grid = figure.add_gridspec(2, 1, left=0.05, right=0.99, top=0.89, bottom=0.06, hspace=0.32)
+    page = Page(f"Heteroclinic connections between Down-Up and Up-Down at {HETEROCLINIC_ENERGY:g} J (first hits)")
     counts = []
     for row, (source, target) in enumerate(PAIRS):
         kind = kind_of(atlas, source, target)
         assert kind is not None
         shown = atlas.between(source, target)[:4]
         numbers = {c.name: "abcdefgh"[4 * row + k] for k, c in enumerate(shown)}
-        cuts = draw_row(figure, grid[row, 0], atlas, kind, shown, numbers=numbers, share=1.75)
-        _zoom(cuts, atlas, kind, (0.03, 0.03) if row == 0 else (0.66, 0.03))
+        cuts, *flights = row_of(atlas, kind, shown, numbers=numbers, share=1.9)
+        page.row(cuts, Panel(partial(_zoom, atlas=atlas, kind=kind), 0.6), *flights, height=3.7)
         counts.append(f"{kind.count} from {source} to {target}")
-    return Page(
-        figure,
+    return PaperFigure(
+        page.figure(),
         "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left, with a part enlarged: the unstable tube "
         "(red) of the source orbit meets the stable tube (green) of the target orbit. Right: the flights "
         "in the plane of the angles, from the source's named position; pale teal is the orbit about Down-Up, pale "
@@ -189,23 +180,25 @@ def heteroclinics_page(gallery: Gallery) -> Page:
     )
 
 
-def _zoom(axes: Axes, atlas: Atlas, kind: AtlasKind, corner: tuple[float, float]) -> None:
-    """Draw the neighbourhood of the connections of positive sense enlarged, in a corner of their panel."""
+def _zoom(axes: Axes, atlas: Atlas, kind: AtlasKind) -> None:
+    """Draw the neighbourhood of the connections of positive sense enlarged."""
     places = np.array([section_place(atlas, c) for c in connections_of(atlas, kind) if c.sense > 0])
     middle, reach = places.mean(axis=0), 1.2 * np.ptp(places, axis=0) + np.array([0.08, 0.05])
-    inset = axes.inset_axes((*corner, 0.31, 0.31))
-    draw_cuts(inset, atlas, kind, legend=False)
-    inset.set(xlim=(middle[0] - reach[0], middle[0] + reach[0]), ylim=(middle[1] - reach[1], middle[1] + reach[1]))
-    inset.set(xlabel="", ylabel="", xticks=[], yticks=[])
-    inset.spines[:].set_visible(True)
-    axes.indicate_inset_zoom(inset, edgecolor=style.CART)
+    draw_cuts(axes, atlas, kind, legend=False)
+    axes.set(xlim=(middle[0] - reach[0], middle[0] + reach[0]), ylim=(middle[1] - reach[1], middle[1] + reach[1]))
+    quiet(axes, "the middle enlarged")
 
 
 _SHOWN = 3
 _TURNS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three times", "three")}
 
 
-def draw_repeated(gallery: Gallery, *, turns: int) -> Page:
+def _angles(axes: Axes, atlas: Atlas, connection: AtlasConnection, name: str) -> None:
+    draw_angles(axes, atlas, connection)
+    axes.set_title(f"{name}: θ₁ blue, θ₂ orange, against time (s)", loc="left")
+
+
+def draw_repeated(gallery: Gallery, *, turns: int) -> PaperFigure:
     """Draw connections of Down-Up that turn the outer arm several times.
 
     The energy is -0.07 J. Their angles are drawn over time.
@@ -223,23 +216,18 @@ def draw_repeated(gallery: Gallery, *, turns: int) -> Page:
     for c in sorted(repeated, key=lambda c: (c.time_in + c.time_out, c.name)):
         lengths.setdefault(round(c.time_in + c.time_out, 4), c)
     kept = list(lengths.values())[:_SHOWN] or [c for c in connections if c.sense > 0][:_SHOWN]
-    figure = new_figure(14, 8.2, f"{title} homoclinic connections of Down-Up at {ENERGY:g} J (hits {list(hits)})")
-    grid = figure.add_gridspec(2, 1, left=0.05, right=0.99, top=0.84, bottom=0.09, hspace=0.3, height_ratios=[1.5, 1])
+    page = Page(f"{title} homoclinic connections of Down-Up at {ENERGY:g} J (hits {list(hits)})")
     names = {c.name: "abc"[k] for k, c in enumerate(kept)}
-    draw_row(figure, grid[0, 0], atlas, kind, kept, numbers=names, marked=tuple(kept))
-    below = grid[1, 0].subgridspec(1, max(len(kept), 1), wspace=0.15)
-    for k, c in enumerate(kept):
-        panel = figure.add_subplot(below[0, k])
-        draw_angles(panel, atlas, c)
-        panel.set_title(f"{names[c.name]}: θ₁ blue, θ₂ orange, against time (s)", fontsize=8.5, loc="left")
+    page.row(*row_of(atlas, kind, kept, numbers=names, marked=tuple(kept)), height=4.4)
+    page.row(*(partial(_angles, atlas=atlas, connection=c, name=names[c.name]) for c in kept), height=2.6)
     windings = {tuple(int(v) for v in np.abs(c.winding)) for c in connections}
     counts = ", ".join(
         f"{sum(tuple(map(abs, c.winding)) == t for c in connections)} of winding ±{list(t)}" for t in sorted(windings)
     )
     resolved = all(atlas.cut(SADDLE, kind.section, hit).resolved for hit in hits)
     torn = " and is drawn as far as it could be resolved: more connections than these exist"
-    return Page(
-        figure,
+    return PaperFigure(
+        page.figure(),
         f"Above, left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at "
         "its first one back. Right: the connections as flights in the plane of the angles, with the "
         f"outer arm turning {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at "
@@ -255,7 +243,7 @@ def draw_repeated(gallery: Gallery, *, turns: int) -> Page:
 _HIGHEST = 0.45
 
 
-def families_page(gallery: Gallery) -> Page:
+def families_page(gallery: Gallery) -> PaperFigure:
     """Draw the families about Down-Up and Up-Down up to 0.45 J."""
     system = gallery.system("lab")
     births = {name: point.energy for name, point in equilibria(system).items() if point.kind.startswith("index-1")}
@@ -276,22 +264,21 @@ _RADIUS = 0.45
 _LENGTH = 3
 
 
-def graph_page(gallery: Gallery) -> Page:
+def graph_page(gallery: Gallery) -> PaperFigure:
     """Draw the graphs at -0.07 and 0.2 J."""
     atlases = [gallery.atlas("lab", energy, (1, 1)) for energy in GRAPH_ENERGIES]
-    figure = new_figure(12, 5.6, "The connection graph: every walk on it is an itinerary")
+    page = Page("The connection graph: every walk on it is an itinerary")
+    page.row(*(Panel(partial(_graph, atlas=atlas), 1 + 0.8 * k) for k, atlas in enumerate(atlases)), height=5.2)
     words = []
-    for k, atlas in enumerate(atlases):
-        axes = figure.add_axes((0.01 + 0.36 * k, 0.02, 0.36 if k == 0 else 0.62, 0.86))
-        _graph(axes, atlas)
+    for atlas in atlases:
         graph = atlas.graph()
         count = sum(1 for node in graph.nodes for _ in walks(graph, node, length=_LENGTH))
         words.append(
             f"at {atlas.energy:g} J: {graph.number_of_nodes()} {'orbit' if len(graph) == 1 else 'orbits'}, "
             f"{graph.number_of_edges()} connections, {count:,} walks of {_LENGTH} symbols"
         )
-    return Page(
-        figure,
+    return PaperFigure(
+        page.figure(),
         "Nodes are Lyapunov orbits, each arrow is one connection: solid for symmetric ones, dashed for one of a "
         "mirror pair. The positive sense is above a node, the negative below. "
         f"There are {'; '.join(words)}. Before each symbol the arms may wobble any number of times.",
@@ -305,7 +292,9 @@ def _graph(axes: Axes, atlas: Atlas) -> None:
     for orbit in atlas.orbits:
         x, y = places[orbit.name]
         axes.add_patch(Circle((x, y), _RADIUS, color=style.saddle_colour(orbit.saddle), zorder=5))
-        axes.text(x, y, orbit.name, ha="center", va="center", color="white", fontsize=8.5, weight="bold", zorder=6)
+        axes.text(
+            x, y, orbit.name, ha="center", va="center", color="white", fontsize=style.SMALL, weight="bold", zorder=6
+        )
         for sign in (1, -1):
             loops = [c for c in atlas.between(orbit.saddle, orbit.saddle) if c.sense == sign]
             loops.sort(key=lambda c: not c.symmetric)
@@ -316,7 +305,7 @@ def _graph(axes: Axes, atlas: Atlas) -> None:
                 top = y + sign * (_RADIUS + 2 * (0.4 + 0.12 * (len(loops) - 1)) + 0.12)
                 turning = "outer" if loops[0].winding[1] else "inner"
                 axes.text(x, top, f"{len(loops)}: {turning} arm {sign:+d} turn", ha="center", va="center",
-                          fontsize=9, color=style.INK)  # fmt: skip
+                          fontsize=style.TEXT, color=style.INK)  # fmt: skip
     for source, target in permutations(places, 2):
         found = atlas.between(source, target)
         for k, c in enumerate(found):
@@ -332,11 +321,18 @@ def _graph(axes: Axes, atlas: Atlas) -> None:
             )  # fmt: skip
         if found:
             side = 1 if places[target][0] > places[source][0] else -1
-            axes.text(1.95, side * 1.28, f"{len(found)}: {source} → {target}", ha="center", fontsize=9, color=style.INK)
+            axes.text(
+                1.95,
+                side * 1.28,
+                f"{len(found)}: {source} → {target}",
+                ha="center",
+                fontsize=style.TEXT,
+                color=style.INK,
+            )
     middle = 3.9 * (len(places) - 1) / 2
     axes.set(xlim=(-1.6, 2 * middle + 1.6), ylim=(-3.0, 3.35), aspect="equal")
     axes.axis("off")
-    axes.text(middle, 3.2, f"{atlas.energy:g} J", ha="center", fontsize=12, color=style.INK)
+    axes.text(middle, 3.2, f"{atlas.energy:g} J", ha="center", fontsize=style.VERDICT, color=style.INK)
 
 
 def _loop(axes: Axes, x: float, y: float, sign: int, size: float, *, dashed: bool, saddle: str) -> None:
@@ -355,16 +351,11 @@ def _loop(axes: Axes, x: float, y: float, sign: int, size: float, *, dashed: boo
 KINDS = (("down-up", "down-up"), ("up-down", "up-down"), ("down-up", "up-down"))
 MARKS = {"saddle-node": "o", "pitchfork": "^", "section-artefact": "D"}
 _BETWEEN, _PAIR = "#c2185b", "#7c858e"
-_EVENTS = {
-    "saddle-node": "saddle-node: two are born",
-    "pitchfork": "pitchfork: one sheds a mirror pair",
-    "section-artefact": "artefact: the section is grazed, no birth",
-}
 _COORDINATES = {"down-up": ("θ₁", "θ₂ = 2πk"), "up-down": ("θ₂", "θ₁ = 2πk"), "between": ("θ₁", "θ₁ = θ₂ + 2πk")}
 _ON_MIRROR = 1e-5  # rad
 
 
-def branches_page(gallery: Gallery) -> Page:
+def branches_page(gallery: Gallery) -> PaperFigure:
     """Draw first-hit connections of the lab pendulum against energy.
 
     They are homoclinics of both saddles and heteroclinics.
@@ -373,26 +364,29 @@ def branches_page(gallery: Gallery) -> Page:
         gallery.branches("lab", source, target, part_of(gallery.progress, k / len(KINDS), (k + 1) / len(KINDS)))
         for k, (source, target) in enumerate(KINDS)
     ]
-    figure = new_figure(15, 8.2, "Connections of the lab pendulum against energy (first hits)")
-    grid = figure.add_gridspec(2, 3, left=0.05, right=0.99, top=0.86, bottom=0.07, hspace=0.2, wspace=0.2)
-    for column, diagram in enumerate(diagrams):
-        coordinate, section = _COORDINATES[diagram.source if diagram.source == diagram.target else "between"]
-        title = f"{_pair(diagram)}: on {section}"
-        angle, momentum = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
-        quiet(angle, title, y=f"{coordinate} (rad)")
-        quiet(momentum, x="energy (J)", y="p / p₀")
-        _branches(angle, diagram, 0)
-        _branches(momentum, diagram, 1)
-        angle_axis(angle, "y")
-        _counts(momentum, diagram)
-    looks: list[tuple[str, dict]] = [
-        ("symmetric (teal, violet)", {"color": style.saddle_colour("down-up"), "lw": 1.8}),
-        ("one of a mirror pair", {"color": _PAIR, "lw": 1.2}),
-        ("between different saddles", {"color": _BETWEEN, "lw": 1.1}),
-        *((_EVENTS[kind], {"color": style.INK, "marker": m, "lw": 0, "mfc": "white"}) for kind, m in MARKS.items()),
-    ]
-    key(figure, looks, loc="upper left", bbox_to_anchor=(0.042, 0.955), ncols=6, columnspacing=1.2)
-    return Page(figure, _caption(diagrams), _differs(diagrams))
+    page = Page("Connections of the lab pendulum against energy (first hits)")
+    page.text(
+        "Thick: symmetric. Thin grey: one of a mirror pair. Magenta: between different saddles. Marks: circles are "
+        "saddle-nodes (two are born), triangles are pitchforks (one sheds a mirror pair), and diamonds are grazes of "
+        "the section (no birth).",
+        size=style.TEXT,
+    )
+    page.row(*(partial(_angle_branches, diagram=diagram) for diagram in diagrams), height=3.1)
+    page.row(*(partial(_momentum_branches, diagram=diagram) for diagram in diagrams), height=3.1)
+    return PaperFigure(page.figure(), _caption(diagrams), _differs(diagrams))
+
+
+def _angle_branches(axes: Axes, diagram: BranchDiagram) -> None:
+    coordinate, section = _COORDINATES[diagram.source if diagram.source == diagram.target else "between"]
+    quiet(axes, f"{_pair(diagram)}: on {section}", y=f"{coordinate} (rad)")
+    _branches(axes, diagram, 0)
+    angle_axis(axes, "y")
+
+
+def _momentum_branches(axes: Axes, diagram: BranchDiagram) -> None:
+    quiet(axes, x="energy (J)", y="p / p₀")
+    _branches(axes, diagram, 1)
+    _counts(axes, diagram)
 
 
 def _branches(axes: Axes, diagram: BranchDiagram, coordinate: int) -> None:
@@ -424,7 +418,12 @@ def _wrapped(points: Array) -> Array:
 def _counts(axes: Axes, diagram: BranchDiagram) -> None:
     """Write along the lower edge the number of connections between consecutive events."""
     shown, last, span = -1, -np.inf, diagram.counts[-1][0] - diagram.counts[0][0]
-    look = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "fontsize": 8, "color": style.CART}
+    look = {
+        "xycoords": ("data", "axes fraction"),
+        "textcoords": "offset points",
+        "fontsize": style.SMALL,
+        "color": style.CART,
+    }
     for energy, count, complete in diagram.counts:
         room = energy - last > 0.05 * span and diagram.counts[-1][0] - energy > 0.1 * span
         if count != shown and room:
@@ -483,7 +482,7 @@ def _differs(diagrams: list[BranchDiagram]) -> str:
     )
 
 
-FIGURES: dict[str, Callable[[Gallery], Page]] = {
+FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
     "energy-landscape": landscape_page,
     "three-body-homoclinics": three_body_homoclinics_page,
     "three-body": three_body_page,

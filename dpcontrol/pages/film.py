@@ -8,9 +8,8 @@ import errno
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
-from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -26,8 +25,9 @@ from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.page import SMALL, key, new_figure, story, story_rows
+from dpcontrol.pages.layout import Page, cropped, key
 from dpcontrol.pages.series import Range, arm_points
+from dpcontrol.pages.story import story, story_height, story_rows
 
 Point = tuple[float, float]
 
@@ -38,8 +38,8 @@ _INCHES, _SCENE = 7.2, 3.7
 _PIXELS = 100
 """Pixels per inch; frames are drawn at twice the size and halved to smooth their lines."""
 _FINE = 2
-_HEAD, _ROW, _FOOT = 0.42, 0.2, 0.42
-_GHOST, _TRACK = "#c3c9d0", "#dfe3e7"
+_HEAD = 0.42
+_GHOST, _TRACK = style.REFERENCE, "#dfe3e7"
 _TRACE, _PIECES = 0.9, 12
 """Duration of the visible tip path, s, and number of shades as it fades."""
 _COLOURS = 96
@@ -84,19 +84,17 @@ class Film:
         The axes are those of the pendulum and of the story, if any.
         """
         view, strips = self.view, story_rows(self.view)
-        below = _FOOT + _ROW * len(strips) if strips else 0.0
-        height = _HEAD + _SCENE + below
-        figure = new_figure(_INCHES, height)
-        figure.set_dpi(_FINE * _PIXELS)
-        look: dict[str, Any] = {"fontsize": 10.5, "weight": "bold", "va": "center", "color": style.INK}
-        figure.text(0.02, 1 - 0.2 / height, shorten(view.title, 78, placeholder=" …"), **look)
-        scene = figure.add_axes((0.0, below / height, 1.0, _SCENE / height))
-        self._draw_scene(scene)
-        strip_axes = None
+        page = Page("", width=_INCHES)
+        page.text(cropped(view.title, style.VERDICT, _INCHES - 1.4), colour=style.INK, size=style.VERDICT)
+        page.strip(self._draw_scene, height=_SCENE)
         if strips:
-            strip_axes = figure.add_axes((0.09, (_FOOT - 0.04) / height, 0.89, _ROW * len(strips) / height))
-            story(strip_axes, view, span=self.stretch, legend=False)
-        return _image(figure), scene, strip_axes
+            strip = partial(story, view=view, span=self.stretch, width=_INCHES)
+            page.strip(strip, height=story_height(view, span=self.stretch))
+        figure = page.figure()
+        figure.set_dpi(_FINE * _PIXELS)
+        image = _image(figure)
+        scene, *others = figure.axes
+        return image, scene, others[0] if others else None
 
     def _extent(self) -> tuple[Range, Range]:
         """Return the range of arms, ghost and cart in the film along x and y, m."""
@@ -121,6 +119,7 @@ class Film:
         middle, level = (left + right) / 2, (low + high) / 2
         axes.set_xlim(middle - half * _INCHES, middle + half * _INCHES)
         axes.set_ylim(level - half * _SCENE, level + half * _SCENE)
+        axes.set_aspect("equal", adjustable="datalim")
         axes.axis("off")
         entries: list[tuple[str, str | dict[str, Any]]] = []
         if view.reference is not None:
@@ -134,7 +133,7 @@ class Film:
             if within:
                 entries.append(("the cart's limit", {"color": style.LIMIT, "linewidth": 1.5}))
         if entries:
-            key(axes, entries, loc="lower left", borderaxespad=0.6)
+            key(axes, entries)
 
     def frame(self, number: int) -> Image.Image:
         """Return a frame, counted from zero."""
@@ -157,7 +156,7 @@ class Film:
             draw.text(middle, "no data", fill=style.MARK, font=_font(), anchor="mm")
             return frame.reduce(_FINE)
         at = self.pivots[row]
-        unit = frame.width / np.ptp(scene.get_xlim())
+        unit = float(np.ptp(scene.transData.transform([(0.0, 0.0), (1.0, 0.0)])[:, 0]))
         thick = 0.055 * reach * unit
 
         def joints(states: Array, pivot: float) -> list[Point]:
@@ -202,7 +201,7 @@ class Film:
 
 @cache
 def _font() -> ImageFont.FreeTypeFont:
-    return ImageFont.truetype(findfont(FontProperties(family="DejaVu Sans")), round(_FINE * _PIXELS * SMALL / 72))
+    return ImageFont.truetype(findfont(FontProperties(family="DejaVu Sans")), round(_FINE * _PIXELS * style.SMALL / 72))
 
 
 def _placed(frame: Image.Image, axes: Axes, x: Any, y: Any) -> list[Point]:
@@ -271,7 +270,7 @@ def write_film(
     if count < 2 or (film.rows < 0).all():
         why = "holds no angles" if count > 1 else f"is shorter than the {1 / RATE:g} s of a frame"
         raise InputError(f"{file}: the motion from {first:g} to {last:g} s {why}; film another log or stretch")
-    size = _INCHES * (_HEAD + _SCENE + _FOOT + 3 * _ROW) * _PIXELS**2
+    size = _INCHES * (_HEAD + _SCENE + 1.2) * _PIXELS**2
     memory = 3e8 + count * size * (kind == ".gif")
     key = f"--film {file.name} of {last - first:.0f} s (--stretch takes a part)"
     announce(Cost(f"{count:,} frames", _SECONDS[kind] * count, memory, key), yes=yes)

@@ -29,7 +29,7 @@ class Gallery:
 
 
 @dataclass(frozen=True)
-class Page:
+class PaperFigure:
     """A figure with its caption and its differences from the paper."""
 
     figure: Figure

@@ -16,17 +16,18 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.parts import installed, part
+from dpcontrol.foundation.rendering import render
 from dpcontrol.judge.run_view import RunView
+from dpcontrol.pages.renderers import record
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from dpcontrol.judge.comparison import RunComparison
     from dpcontrol.walks.atlas import Atlas
 
@@ -261,7 +262,7 @@ def write_recording(shown: Shown, path: Path) -> None:
     Raises:
         InputError: it cannot be written, or the log was removed.
     """
-    _renderers(shown)[0](shown, path)
+    record(shown, path)
 
 
 def write_picture(shown: Shown, path: Path | str) -> Picture:
@@ -272,33 +273,14 @@ def write_picture(shown: Shown, path: Path | str) -> Picture:
     Raises:
         InputError: the file cannot be written.
     """
-    from dpcontrol.pages.page import save_figure
+    from dpcontrol.pages.layout import save_figure
 
     path = Path(path)
-    record, draw = _renderers(shown)
-    reason = picture_of(lambda file: record(shown, file), path, moment=getattr(shown, "moment", 0.0))
+    reason = picture_of(partial(write_recording, shown), path, moment=getattr(shown, "moment", 0.0))
     if reason is None:
         return Picture(path, "viewer", f"{path} shows the Rerun viewer, rendered without a screen.")
-    save_figure(draw(shown), path)
+    save_figure(render(shown), path)
     return Picture(path, "matplotlib", f"{path} was drawn by matplotlib, not by the Rerun viewer: {reason}.")
-
-
-def _renderers(shown: Shown) -> tuple[Callable[[Any, Path], None], Callable[[Any], "Figure"]]:
-    """Return the functions that write the recording and the page.
-
-    Viewer and matplotlib are imported lazily.
-    """
-    if isinstance(shown, RunView):
-        from dpcontrol.pages import page, rerun_recording
-
-        return rerun_recording.write_recording, page.draw
-    if hasattr(shown, "runs"):
-        from dpcontrol.pages import comparison
-
-        return comparison.write_comparison_recording, comparison.draw_comparison
-    from dpcontrol.pages import atlas
-
-    return atlas.write_atlas_recording, atlas.draw_atlas
 
 
 _POLL = 0.1

@@ -6,6 +6,7 @@ are needed, so a picture of an orbit does not load the viewer.
 
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 RENDERERS = {
@@ -21,6 +22,20 @@ RENDERERS = {
 """Functions `draw(result) -> Figure`."""
 PANELS: dict[str, str] = {}
 """Functions `draw(axes, result)`, for results that fit in one panel."""
+
+
+RECORDINGS = {
+    "dpcontrol.judge.run_view.RunView": "rerun_recording:write_recording",
+    "dpcontrol.judge.comparison.RunComparison": "comparison:write_comparison_recording",
+    "dpcontrol.walks.atlas.Atlas": "atlas:write_atlas_recording",
+}
+"""Functions `write(result, path)` of Rerun recordings."""
+
+
+def record(result: object, path: Path) -> None:
+    """Write the Rerun recording of a result."""
+    kind = type(result)
+    renderer(RECORDINGS[f"{kind.__module__}.{kind.__qualname__}"])(result, path)
 
 
 def renderer(place: str) -> Callable[..., Any]:

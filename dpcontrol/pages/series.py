@@ -1,7 +1,7 @@
 """The story of a run for all renderers: charts over time, strips of the planned and flown itinerary, phase planes.
 
 The viewer's recording (`rerun_recording`) and the drawn page (`page`) show the same story. Values are in SI units;
-`scale` converts a chart to a page's unit.
+pages add prefixes.
 """
 
 import math
@@ -26,12 +26,12 @@ NIS_LOST = 10.0
 _MOST = 20_000
 """Number of points of a run in a phase plane."""
 DRIVEN = {
-    ACTUAL: ("plant", "green", style.ARMS[2], 2.6),
-    "command": ("command", "grey", style.REFERENCE, 1.3),
-    "applied": ("applied", "blue", style.ARMS[0], 1.2),
-    "feedforward": ("plan", "orange", style.ARMS[1], 1.4),
+    "feedforward": ("plan", style.REFERENCE, 3.0),
+    "command": ("command", style.COMMAND, 1.0),
+    "applied": ("applied", style.COMMAND, 1.3),
+    ACTUAL: ("plant", style.PLANT, 1.0),
 }
-"""Accelerations in drawing order: name, colour in words, colour, width."""
+"""Accelerations in drawing order: name, colour, width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,13 +85,17 @@ class Chart:
 
     Attributes:
         key: path in a recording; "" for charts only on pages.
-        title: title on a page.
-        named: title in the viewer, which has no legends.
+        title: the quantity.
+        unit: SI unit; "share" is shown in percent, "" is none.
         lines: curves.
         levels: constants.
         cut: (start, end) of each stretch with a limited command, s.
         shown: initial range of values, or None for all.
-        scale: factor from SI units to a page's unit.
+        bound: limit of the cart that the page's title names, or None.
+        used: greatest use of it by a reference, or None for a run.
+        note: rest of the page's title.
+        hint: rest of the viewer's title, which has no keys.
+        prefixed: False if the unit gets no SI prefix.
         half_turns: True if a page ticks the axis in multiples of π.
         log: True for a logarithmic axis.
         legend: True if the viewer shows a legend.
@@ -99,15 +103,39 @@ class Chart:
 
     key: str
     title: str
-    named: str
+    unit: str
     lines: tuple[Line, ...]
     levels: tuple[LevelLine, ...] = ()
     cut: tuple[Range, ...] = ()
     shown: Range | None = None
-    scale: float = 1.0
+    bound: float | None = None
+    used: float | None = None
+    note: str = ""
+    hint: str = ""
+    prefixed: bool = True
     half_turns: bool = False
     log: bool = False
     legend: bool = False
+
+    @property
+    def named(self) -> str:
+        """Title in the viewer."""
+        return f"{self.title}{f' ({self.unit})' if self.unit else ''}{self.hint}"
+
+    def scaled(self) -> tuple[float, str]:
+        """Return the factor from SI units to a page's unit, and the page's title."""
+        parts = [np.abs(self.shown)] if self.shown else [np.abs(line.values) for line in self.lines]
+        finite = [part[np.isfinite(part)] for part in parts]
+        largest = max((float(part.max()) for part in finite if part.size), default=0.0)
+        plain = self.half_turns or self.log or not self.prefixed or not self.unit
+        scale, unit = (1.0, self.unit) if plain else style.prefixed(largest, self.unit)
+        if self.unit == "share":
+            scale, unit = 100.0, "%"
+        bound = ""
+        if self.bound is not None:
+            used = "" if self.used is None else f"{scale * self.used:.3g} of "
+            bound = f", {used}±{scale * self.bound:.4g}{' used' if used else ''}"
+        return 1 / np.pi if self.half_turns else scale, f"{self.title}{f' ({unit})' if unit else ''}{bound}{self.note}"
 
 
 @dataclass(frozen=True)
@@ -166,12 +194,11 @@ def motion_charts(view: RunView) -> tuple[Chart, ...]:
     n = view.arms
     found = [_angles(view), _rates(view)]
     if view.has_cart:
-        lines = _followed(view, "", 2 * n, name="cart", label=view.what, colour=style.CART)
-        title = f"Cart position (mm){_use(view, 0, 1000, 'track ')}"
+        lines = _followed(view, "", 2 * n, name="cart", label=view.what, colour=style.PLANT)
         shown = padded(np.concatenate([line.values for line in lines if line.role != "detail"]))
         levels = _limits(view, 0, side=True)
-        named = f"Cart position (m){_grey(view)}"
-        found.append(Chart("cart", title, named, lines, levels=levels, shown=shown, scale=1000))
+        look = {"levels": levels, "shown": shown, "hint": _grey(view), **_use(view, 0)}
+        found.append(Chart("cart", "Cart position", "m", lines, **look))
     if view.control is not None:
         found.append(_acceleration(view, view.control))
     return tuple(found)
@@ -187,14 +214,14 @@ def check_charts(view: RunView) -> tuple[Chart, ...]:
 
 
 EXTRA_CHARTS = (
-    ("zero_", "zeros", "Encoder zeros", "mrad", 1000.0),
-    ("disturbance_", "disturbances", "Disturbances", "rad/s²", 1.0),
-    ("drive", "drive", "Drive's error", "m/s²", 1.0),
-    ("friction_", "friction", "Friction's errors", "%", 100.0),
-    ("dry_", "dry", "Dry friction not in the model", "% of gravity", 100.0),
-    ("", "parameters", "Model's errors", "%", 100.0),
+    ("zero_", "zeros", "Encoder zeros", "rad"),
+    ("disturbance_", "disturbances", "Disturbances", "rad/s²"),
+    ("drive", "drive", "Drive's error", "m/s²"),
+    ("friction_", "friction", "Friction's errors", "share"),
+    ("dry_", "dry", "Dry friction not in the model, of gravity", "share"),
+    ("", "parameters", "Model's errors", "share"),
 )
-"""Extras that share a chart: beginning of their names, the chart's key and title, unit and scale on a page."""
+"""Extras that share a chart: beginning of their names, the chart's key, title and unit."""
 
 
 def extra_charts(view: RunView) -> tuple[Chart, ...]:
@@ -204,7 +231,7 @@ def extra_charts(view: RunView) -> tuple[Chart, ...]:
     """
     extras, found = view.extras, []
     left = {} if extras is None else dict.fromkeys(extras.names)
-    for begins, key, title, unit, scale in EXTRA_CHARTS:
+    for begins, key, title, unit in EXTRA_CHARTS:
         names = [name for name in left if name.startswith(begins)]
         for name in names:
             del left[name]
@@ -229,9 +256,8 @@ def extra_charts(view: RunView) -> tuple[Chart, ...]:
         every = np.concatenate(reaches)
         known = every[np.isfinite(every)]
         shown = padded(np.quantile(known, [0.01, 0.99])) if known.size else None
-        named = f"{title} ({'share' if unit == '%' else unit.removeprefix('m') if scale == 1000 else unit}), band ±2σ"
-        shape = {"shown": shown, "scale": scale, "legend": True}
-        found.append(Chart(key, f"{title} ({unit}), ±2σ", named, (*lines, *truths), **shape))
+        look = {"shown": shown, "note": ", ±2σ", "hint": ", band ±2σ", "legend": True}
+        found.append(Chart(key, title, unit, (*lines, *truths), **look))
     return tuple(found)
 
 
@@ -242,7 +268,7 @@ def margins_chart(margins: Margins) -> Chart:
     """
     time, least = margins.times + margins.windows / 2, margins.least()
     figures = {name: 1e3 * value if name in ("delay", "lag") else value for name, (value, _) in least.items()}
-    gain, delay, lag = style.ARMS[0], style.ARMS[1], style.ARMS[2]
+    gain, delay, lag = style.SERIES[:3]
     lines = (
         Line(
             "low", "least gain", f"gain {figures['gain_low']:.2g}–{figures['gain_high']:.2g}", time, margins.low, gain
@@ -251,8 +277,7 @@ def margins_chart(margins: Margins) -> Chart:
         Line("delay", "delay", f"delay {figures['delay']:.3g}", time, 1e3 * margins.delay, delay),
         Line("lag", "lag", f"lag {figures['lag']:.3g}", time, 1e3 * margins.lag, lag),
     )
-    title = "Margins (×, ms)"
-    return Chart("", title, title, lines, log=True)
+    return Chart("", "Margins (×, ms)", "", lines, log=True)
 
 
 def charts(view: RunView) -> dict[str, Chart]:
@@ -290,10 +315,10 @@ def _angles(view: RunView) -> Chart:
         label = f"θ{style.number(arm)} {view.what}"
         look = {"name": f"θ{arm + 1}", "label": label, "colour": style.arm_colour(arm), "first": arm == 0}
         lines += _followed(view, f"arm_{arm + 1}/", arm, **look)
-    arms = "arm 1 blue, arm 2 orange" if view.arms == 2 else "one colour for each arm"
-    # An estimate's legend takes the room of the longer title.
-    title = "Angles (rad)" if view.what == "estimate" else "Angles from hanging (rad)"
-    return Chart("angles", title, f"Angles (rad): {arms}{_grey(view)}", tuple(lines), half_turns=True)
+    arms = ": arm 1 blue, arm 2 orange" if view.arms == 2 else ": one colour for each arm"
+    # An estimate's key takes the room of the longer title.
+    title = "Angles" if view.what == "estimate" else "Angles from hanging"
+    return Chart("angles", title, "rad", tuple(lines), half_turns=True, hint=f"{arms}{_grey(view)}")
 
 
 def _rates(view: RunView) -> Chart:
@@ -301,18 +326,14 @@ def _rates(view: RunView) -> Chart:
     for arm in range(view.arms):
         look = {"name": f"ω{arm + 1}", "label": f"ω{style.number(arm)}", "colour": style.arm_colour(arm)}
         lines += _followed(view, f"arm_{arm + 1}/", view.arms + arm, first=False, **look)
-    title = "Rates (rad/s)" + (", by differences" if view.differenced else "")
-    return Chart("rates", title, title, tuple(lines))
+    by = ", by differences" if view.differenced else ""
+    return Chart("rates", "Rates", "rad/s", tuple(lines), note=by, hint=by)
 
 
-def _use(view: RunView, which: int, scale: float, before: str = "") -> str:
-    """Return the title's text on a cart limit: its use by a reference, otherwise its value."""
-    if view.limits is None:
-        return ""
-    bound = scale * view.limits[which]
-    if view.summary is None:
-        return f", {before}±{bound:.4g}"
-    return f": {scale * view.summary.uses[which].largest:.3g} of ±{bound:.4g} used"
+def _use(view: RunView, which: int) -> dict[str, float | None]:
+    """Return one of the cart's limits and its use by a reference, as fields of a chart."""
+    used = None if view.summary is None else view.summary.uses[which].largest
+    return {"bound": None if view.limits is None else view.limits[which], "used": used}
 
 
 def _limits(view: RunView, which: int, *, side: bool = False) -> tuple[LevelLine, ...]:
@@ -331,22 +352,25 @@ def _limits(view: RunView, which: int, *, side: bool = False) -> tuple[LevelLine
 
 def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
     lines = tuple(
-        Line(key, name, name, view.time, control[key], colour, width, role="detail" if key == "command" else "run")
-        for key, (name, _, colour, width) in DRIVEN.items()
+        Line(key, name, name, view.time, control[key], colour, width, role=_role(key))
+        for key, (name, colour, width) in DRIVEN.items()
         if key in control
     )
-    words = ", ".join(f"{name} {hue}" for key, (name, hue, _, _) in DRIVEN.items() if key in control)
-    limit = f"±{view.limits[2]:g} m/s²" if view.limits else "(m/s²)"
-    saturated = control.get("saturated", np.zeros(0)) > 0
     return Chart(
         "acceleration",
-        f"Acceleration (m/s²){_use(view, 2, 1, 'limit ')}",
-        f"Acceleration {limit}: {words}",
+        "Acceleration",
+        "m/s²",
         lines,
         levels=_limits(view, 2),
-        cut=tuple(spans(view.time, saturated)),
+        cut=tuple(spans(view.time, control.get("saturated", np.zeros(0)) > 0)),
         shown=padded(np.concatenate([line.values for line in lines if line.role != "detail"])),
+        hint=f": {', '.join(line.name for line in lines)}",
+        **_use(view, 2),
     )
+
+
+def _role(key: str) -> str:
+    return {"command": "detail", "feedforward": "reference"}.get(key, "run")
 
 
 def _velocity(view: RunView) -> Chart | None:
@@ -354,9 +378,9 @@ def _velocity(view: RunView) -> Chart | None:
     if view.summary is None:
         return None
     values = view.state[:, -1]
-    line = Line("cart", "cart", "", view.time, values, style.CART)
-    title = f"Cart velocity (m/s){_use(view, 1, 1)}"
-    return Chart("velocity", title, title, (line,), levels=_limits(view, 1), shown=padded(values))
+    line = Line("cart", "cart", "", view.time, values, style.PLANT)
+    look = {"levels": _limits(view, 1), "shown": padded(values), **_use(view, 1)}
+    return Chart("velocity", "Cart velocity", "m/s", (line,), **look)
 
 
 def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None = None) -> tuple[Line, ...]:
@@ -371,9 +395,9 @@ def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None =
 def _tracking_error(view: RunView) -> Chart | None:
     if view.reference is None:
         return None
-    title = f"{view.error_name}: {view.what} minus {view.against} (rad)"
     lines = _arm_lines(view, view.state - view.reference, 1.1)
-    return Chart("tracking_error", title, f"{view.error_name} of the angles (rad)", lines)
+    note = f": {view.what} minus {view.against}"
+    return Chart("tracking_error", f"{view.error_name} of the angles", "rad", lines, note=note)
 
 
 def _estimation_error(view: RunView) -> Chart | None:
@@ -388,11 +412,12 @@ def _estimation_error(view: RunView) -> Chart | None:
     most = max((1.6 * float(np.quantile(part, 0.97)) for part in finite if part.size), default=0.0) or 1e-6
     return Chart(
         "estimation_error" if known and reach is not None else "",
-        "Estimation error, lines ±2σ (mrad)" if known else "Estimate's ±2σ (mrad); the truth is not known",
-        "Estimation error of the angles (rad), band ±2σ",
+        "Estimation error of the angles" if known else "Estimate's ±2σ",
+        "rad",
         _arm_lines(view, np.full_like(view.state, np.nan) if error is None else error, 1.0, reach),
         shown=(-most, most),
-        scale=1000,
+        note=", lines ±2σ" if known else "; the truth is not known",
+        hint=", band ±2σ",
     )
 
 
@@ -404,15 +429,16 @@ def _energy(view: RunView) -> Chart | None:
         LevelLine(name.replace("-", "_"), name, value, style.saddle_colour(name), "named")
         for name, value in view.plan.saddle_energies.items()
     )
-    title = "Energy of the pendulum (J)" + (", dashed: the saddles'" if levels else "")
-    line = Line("pendulum", "pendulum", "", view.time, energy, style.INK, 1.1)
+    line = Line("pendulum", "pendulum", "", view.time, energy, style.PLANT, 1.1)
     # The extremes are omitted: they result from the initial error.
     low, high = (float(value) for value in np.nanquantile(energy, [0.005, 0.995]))
     known = view.plan.saddle_energies.values()
     low = max((level for level in known if level <= low), default=low)
     high = min((level for level in known if level >= high), default=high)
     shown = padded(np.array([low, high]))
-    return Chart("energy", title, "Energy and saddles (J)", (line,), levels=levels, shown=shown, legend=True)
+    note = ", dashed: the saddles'" if levels else ""
+    look = {"levels": levels, "shown": shown, "note": note, "hint": " and saddles", "legend": True}
+    return Chart("energy", "Energy of the pendulum", "J", (line,), prefixed=False, **look)
 
 
 def _nis(view: RunView) -> Chart | None:
@@ -422,30 +448,54 @@ def _nis(view: RunView) -> Chart | None:
     time, means = smoothed_nis(view)
     ends = mean_band(view.sensors)
     levels = [
-        LevelLine(name, f"{name} for 95 %", value, style.ARMS[2], "band")
+        LevelLine(name, f"{name} for 95 %", value, style.GOOD, "band")
         for name, value in zip(("least", "greatest"), ends, strict=True)
     ]
     highest = float(np.nanquantile(means, 0.98)) if len(means) else 0.0
     # A lost estimate would compress the rest of the axis.
     lost = highest > NIS_LOST * view.sensors
+    band = f"{ends[0]:.1f} to {ends[1]:.1f}"
     return Chart(
         "nis",
-        f"NIS, means of {MEANS_OF} updates; 95 % belong in {ends[0]:.1f} to {ends[1]:.1f}",
-        f"NIS: means of {MEANS_OF} updates; 95 % belong between the green lines",
-        (Line("mean", f"mean of {MEANS_OF} updates", "", time, means, style.CART, 1.0),),
+        f"NIS, means of {MEANS_OF} updates",
+        "",
+        (Line("mean", f"mean of {MEANS_OF} updates", "", time, means, style.ESTIMATE, 1.0),),
         levels=tuple(levels),
         shown=(0.0, NIS_LOST * view.sensors if lost else max(1.15 * highest, 1.6 * view.sensors)),
         log=lost,
+        note=f"; {nis_reading(view, means)}",
+        hint=f"; 95 % belong in {band}",
     )
+
+
+def nis_reading(view: RunView, means: Array) -> str:
+    """Return the meaning of the NIS means (K,) relative to the band of a consistent estimator.
+
+    The filters assume more noise and larger model errors than they meet, so that a wrong model does not lose the
+    arms. Means below the band are therefore expected. Only means above it show overconfidence.
+    """
+    low, high = mean_band(view.sensors)
+    if not len(means):
+        return "no means"
+    above, below = float((means > high).mean()), float((means < low).mean())
+    if above > _BOLD:
+        return f"{above:.0%} above the 95 % band, which ends at {high:.1f}: the filter is overconfident"
+    if below > _CAUTIOUS:
+        return f"only the band's upper end {high:.1f} counts: the filter is cautious by design, {above:.0%} lie above"
+    return f"95 % belong in {low:.1f} to {high:.1f}, and {1 - above - below:.0%} lie there"
+
+
+_BOLD, _CAUTIOUS = 0.08, 0.2
+"""Shares of the means above and below their 95 % band that are more than chance; 0.025 are expected on each side."""
 
 
 def _mesh(view: RunView) -> Chart | None:
     if view.summary is None:
         return None
     lengths = np.diff(view.summary.reference.mesh)
-    title = f"Mesh: length of {len(lengths)} intervals of {view.summary.reference.method.name} (ms)"
-    line = _stairs(view, lengths, style.arm_colour(2))
-    return Chart("", title, "", (line,), shown=(0.0, 1.15 * float(lengths.max())), scale=1000)
+    title = f"Mesh: length of {len(lengths)} intervals of {view.summary.reference.method.name}"
+    line = _stairs(view, lengths, style.REFERENCE)
+    return Chart("", title, "s", (line,), shown=(0.0, 1.15 * float(lengths.max())))
 
 
 def _node_errors(view: RunView) -> Chart | None:
@@ -459,7 +509,7 @@ def _node_errors(view: RunView) -> Chart | None:
     stored = view.summary.reference.max_error_between_nodes
     known = np.isfinite(stored) and stored > 0
     levels = (LevelLine("", "largest, as stored", stored, style.LIMIT, "named"),) if known else ()
-    return Chart("", title, "", (_stairs(view, shown, style.arm_colour(3)),), levels=levels, log=True)
+    return Chart("", title, "", (_stairs(view, shown, style.REFERENCE),), levels=levels, log=True)
 
 
 def _stairs(view: RunView, values: Array, colour: str) -> Line:

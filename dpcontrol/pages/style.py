@@ -1,19 +1,32 @@
-"""Colours and text shared by recordings, pages and figures."""
+"""The visual standard of all pages, figures, films and recordings: type scale, palette, numbers (see `guide/style.md`).
 
-ARMS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15")
+A colour has one meaning. The roles in `ROLES` remain distinct for people with deuteranopia, protanopia or tritanopia.
+`SERIES` numbers items without a role, such as the runs of a comparison.
+"""
+
+import math
+
+WIDTH = 11.7
+"""Width of a page, inches: A4 in landscape or A3 in portrait. Pages are printed at this size."""
+HEIGHT = 16.5
+"""Greatest height of a page that is printed at its size, inches: A3 in portrait."""
+TITLE, VERDICT, HEAD, TEXT, SMALL = 15.0, 11.0, 9.5, 9.0, 8.0
+"""Type scale in points: title of a page, its verdict, title of a panel, text, and the smallest text."""
+
+PLANT, REFERENCE, ESTIMATE, COMMAND = "#22262b", "#a6adb5", "#d01fab", "#4db8ff"
+"""Motion of the plant, its reference, its estimate, and the command to the drive."""
+ARMS = ("#1a60f7", "#ea8b16", "#009e73", "#cc79a7", "#7d5a00")
 """One colour for each arm, from the pivot outwards, repeated after the fifth."""
-
-CART = "#5b6470"
-REFERENCE = "#9aa3ad"
-INK = "#22262b"
-PALE_INK = "#e8ebee"
-"""Replacement for ink on the viewer's dark plots."""
-NOTE = "#555c64"
-MARK = "#7a828b"
-FAINT = "#c9ced4"
-GRID = "#e6e9ec"
-LIMIT = "#b3261e"
-GOOD = "#1e7a3c"
+UNSTABLE, STABLE, CUT = "#a31928", "#60c480", "#c9b458"
+"""Tubes that lead out of an orbit and into it, and their cuts on a section."""
+PALE_UNSTABLE, PALE_STABLE = "#dda1a6", "#bfe6cb"
+"""Second branches of these tubes."""
+LIMIT, GOOD = "#cc160a", "#228f58"
+"""Limits and failures; completed runs and favourable verdicts."""
+INK, NOTE, MARK, FAINT, GRID, PAPER = "#22262b", "#555c64", "#7a828b", "#c9ced4", "#e6e9ec", "#ffffff"
+"""Neutral colours: text, remarks, marks, areas, grid lines, background."""
+PALE_INK, CART = "#e8ebee", "#5b6470"
+"""Ink on dark backgrounds; the cart's body."""
 MODES = {
     "idle": "#d5d9de",
     "tracking": "#8fbce6",
@@ -21,32 +34,46 @@ MODES = {
     "pulsing": "#f2c46d",
     "saturated": "#e8877f",
     "stopped": "#b9bec5",
-    "aborted": "#b3261e",
+    "aborted": LIMIT,
 }
-
-
+"""Modes of the controller, as areas."""
 SADDLES = {
     "down-down": "#8d96a0",
-    "down-up": "#0f8b8d",
-    "up-down": "#8a4fa3",
+    "down-up": "#124f62",
+    "up-down": "#6310b2",
     "up-up": "#b0851e",
-    "L1": "#0f8b8d",
-    "L2": "#8a4fa3",
+    "L1": "#124f62",
+    "L2": "#6310b2",
     "L3": "#b0851e",
     "inner-rotating": "#9a6b15",
     "outer-rotating": "#c2185b",
 }
-"""Colour of a saddle's or a rotating orbit's items, except the arms."""
-CONNECTIONS = ("#1f6fb4", "#d9640d", "#c2185b", "#9a6b15", "#5b6470", "#6b8e23", "#404751")
-"""Colours of connections, and of saddles without a fixed colour."""
-UNSTABLE, STABLE = "#d4544b", "#3c9c5f"
-PALE_UNSTABLE, PALE_STABLE = "#f0a39d", "#a5d3b4"
-"""Colours of tubes: the usual red for unstable and green for stable ones, pale for the second branch."""
-CUT = "#b0851e"
-"""Colour of the cuts of tubes on their section."""
-RUNS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15", "#c2185b")
-"""Colours of the runs in a comparison."""
+"""Saddles and rotating orbits."""
+ROLES = {
+    "plant": PLANT,
+    "reference": REFERENCE,
+    "estimate": ESTIMATE,
+    "inner arm": ARMS[0],
+    "outer arm": ARMS[1],
+    "tube out": UNSTABLE,
+    "tube in": STABLE,
+    "limit": LIMIT,
+    "completed": GOOD,
+    "down-up": SADDLES["down-up"],
+    "up-down": SADDLES["up-down"],
+}
+"""Colours with a meaning that stays the same on every page and in the viewer."""
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#404751")
+"""Numbered items without a role, such as connections and runs."""
+CONNECTIONS, RUNS = SERIES, SERIES[:6]
+DOTTED, DASHED = (0, (2, 2)), (0, (5, 3))
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
+DARK = {
+    PAPER: "#0d1117", INK: "#e6edf3", NOTE: "#b1bac4", MARK: "#8b949e", FAINT: "#484f58", GRID: "#21262d",
+    UNSTABLE: "#e0566a", SADDLES["down-up"]: "#2f9bb5", SADDLES["up-down"]: "#a371f7", CART: "#8b949e",
+}  # fmt: skip
+"""Colours of the dark variant of a page; the others serve both."""
 
 
 def saddle_colour(saddle: str) -> str:
@@ -83,3 +110,14 @@ def in_pi(half_turns: float, *, digits: int = 3) -> str:
         return "0"
     text = f"{half_turns:.{digits}g}"
     return {"1": "π", "-1": "−π"}.get(text, f"{text}π".replace("-", "−"))
+
+
+def prefixed(largest: float, unit: str) -> tuple[float, str]:
+    """Return the factor and the unit with an SI prefix that suit values up to `largest`.
+
+    >>> prefixed(8.8e-05, "s")
+    (1000000.0, 'µs')
+    """
+    finite = math.isfinite(largest) and largest > 0
+    power = min(max(3 * math.floor(math.log10(largest) / 3), -9), 6) if finite else 0
+    return 10.0**-power, f"{_PREFIXES[power]}{unit}"

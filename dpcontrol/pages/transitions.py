@@ -1,6 +1,7 @@
 """A reference's transfers between equilibria on one page: a square of pictures, from row to column."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,12 +12,13 @@ from matplotlib.patches import Rectangle
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.pages import style
-from dpcontrol.pages.page import new_figure
+from dpcontrol.pages.layout import Page
 from dpcontrol.pages.series import arm_points
 from dpcontrol.references.reference import ReferenceSummary, plan_notes, transitions_in
 
-_WIDE, _NAMES, _HEAD, _EDGE = 13.0, 0.65, 0.95, 0.12
-"""Inches: page, names beside the pictures, header; and the margin."""
+Point = tuple[float, float]
+_NAMES = 0.65
+"""Width of the names beside the pictures, inches."""
 _POSES, _TRACE = 9, 240
 """Number of drawn poses of the arms, and points of their tip's path."""
 _FAINTEST = 0.12
@@ -51,39 +53,49 @@ def draw_transitions(summary: ReferenceSummary) -> Figure:
     for name in names:
         motions[name, name] = 0.0, np.append(notes["saddles"][name]["angles"], 0.0)[None]
     places = np.concatenate([_points(motion, arm_lengths).reshape(-1, 2) for _, motion in motions.values()])
-    reach = sum(arm_lengths)
-    half, high = np.abs(places).max(axis=0) + 0.06 * reach
-    cell = (_WIDE - _NAMES - _EDGE) / len(names)
-    tall = cell * high / half
-    height = _HEAD + tall * len(names) + _EDGE
-    figure = new_figure(_WIDE, height, notes["title"] or notes["itinerary"])
-    caption = (
-        "From each row's equilibrium to each column's: the arms at equal times, later ones darker, the tip's path;\n"
-        "duration, and the cart's greatest distance from its start in the middle. All pictures share one scale."
+    half, high = np.abs(places).max(axis=0) + 0.06 * sum(arm_lengths)
+    cell = (style.WIDTH - _NAMES) / len(names)
+    page = Page(
+        notes["title"] or notes["itinerary"],
+        "From each row's equilibrium to each column's: the arms at equal times, later ones darker, with the tip's "
+        "path. Below each picture: duration, and the cart's greatest distance from its start in the middle.",
     )
-    figure.text(0.015, 1 - 0.42 / height, caption, va="top", fontsize=9.5, color=style.NOTE)
-    for i, source in enumerate(names):
-        bottom = 1 - (_HEAD + (i + 1) * tall) / height
-        beside = {"va": "center", "fontsize": 9.5, "color": style.INK}
-        figure.text(0.015, bottom + tall / height / 2, source.replace("-", "\n"), **beside)
-        for j, target in enumerate(names):
-            left = (_NAMES + j * cell) / _WIDE
-            if i == 0:
-                above = {"ha": "center", "va": "bottom", "fontsize": 9.5, "color": style.INK}
-                figure.text(left + cell / _WIDE / 2, bottom + (tall + 0.04) / height, target, **above)
-            axes = figure.add_axes((left, bottom, cell / _WIDE, tall / height))
-            axes.set(xlim=(-half, half), ylim=(-high, high), xticks=[], yticks=[])
-            for spine in axes.spines.values():
-                spine.set_color(style.FAINT)
-            if source == target:
-                axes.set_facecolor("#f4f6f8")
-            if (source, target) in motions:
-                seconds, motion = motions[source, target]
-                _draw_motion(axes, motion, arm_lengths)
-                if seconds:
-                    text = f"{seconds:.3g} s, {100 * np.abs(motion[:, n]).max():.0f} cm"
-                    axes.text(0.03, 0.04, text, transform=axes.transAxes, fontsize=7.5, color=style.NOTE)
-    return figure
+    for source in names:
+        row = [
+            partial(_cell, motion=motions.get((source, target)), arm_lengths=arm_lengths, box=(half, high),
+                    title=target if source == names[0] else "", name=source if target == names[0] else "")
+            for target in names
+        ]  # fmt: skip
+        page.row(*row, height=cell * high / half + 0.3 + 0.2 * (source == names[0]))
+    return page.figure()
+
+
+def _cell(
+    axes: Axes,
+    motion: tuple[float, Array] | None,
+    arm_lengths: Sequence[float],
+    box: Point,
+    *,
+    title: str,
+    name: str,
+) -> None:
+    """Draw one transfer, with its equilibria's names at the edges of the square."""
+    (half, high), n = box, len(arm_lengths)
+    axes.set(xlim=(-half, half), ylim=(-high, high), xticks=[], yticks=[])
+    axes.set_aspect("equal")
+    for spine in axes.spines.values():
+        spine.set_color(style.FAINT)
+    axes.set_title(title, fontsize=style.HEAD, color=style.INK)
+    axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK)
+    if motion is None:
+        return
+    seconds, states = motion
+    _draw_motion(axes, states, arm_lengths)
+    if seconds:
+        text = f"{seconds:.3g} s, {100 * np.abs(states[:, n]).max():.0f} cm"
+        axes.set_xlabel(text, fontsize=style.SMALL, color=style.NOTE, labelpad=2)
+    else:
+        axes.set_facecolor("#f4f6f8")
 
 
 def _points(motion: Array, arm_lengths: Sequence[float]) -> Array:

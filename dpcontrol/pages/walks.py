@@ -5,10 +5,8 @@ number of wraps. In space and in the plane the orbit is coloured by time.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from textwrap import wrap
-from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -21,17 +19,14 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import PlanView, RunView, Stay
 from dpcontrol.orbits.manifold import OrbitCurve
-from dpcontrol.pages import page, style
-from dpcontrol.pages.page import (
-    badge,
-    draw_chart,
-    frame_position,
-    mark_times,
-    new_figure,
-    quiet,
-    wrapped_runs,
-)
+from dpcontrol.pages import style
+from dpcontrol.pages.charts import draw_chart
+from dpcontrol.pages.filmstrip import draw_film, film_height, frame_position
+from dpcontrol.pages.layout import Page, Panel, Stack
+from dpcontrol.pages.panels import badge, mark_times, quiet, quiet_space, wrapped_runs
 from dpcontrol.pages.series import Chart, LevelLine, Line
+from dpcontrol.pages.story import story as draw_story
+from dpcontrol.pages.story import story_height
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
@@ -170,7 +165,7 @@ class WalkStory:
             for k, name in zip(range(self.states.shape[1] // 2), names, strict=False)
         )
         title = "Angles from hanging, whole turns counted" if self.has_angles else "Position"
-        return Chart("", title, title, lines, half_turns=self.has_angles)
+        return Chart("", title, "", lines, half_turns=self.has_angles)
 
     def nearness(self) -> Chart:
         """Return the distances between the orbit and the periodic orbits."""
@@ -181,7 +176,7 @@ class WalkStory:
         )  # fmt: skip
         title = "Distance from the periodic orbits (scaled)"
         level = LevelLine("", "wobbles are counted below", NEAR, style.MARK, "named")
-        return Chart("", title, title, lines, levels=(level,), log=True)
+        return Chart("", title, "", lines, levels=(level,), log=True)
 
 
 def symbol_text(connection: Connection) -> str:
@@ -250,14 +245,14 @@ def space(axes: Axes, story: WalkStory) -> None:
     if len(points) <= NAMED:
         for members in _together(points):
             text = ", ".join(str(k + 1) for k in members)
-            axes.text(*points[members[0]], f"  {text}", fontsize=8.5, weight="bold", color=style.INK, zorder=9)  # type: ignore[call-arg]
-    page.quiet_space(axes, angular=story.has_angles)
+            axes.text(*points[members[0]], f"  {text}", fontsize=style.SMALL, weight="bold", color=style.INK, zorder=9)  # type: ignore[call-arg]
+    quiet_space(axes, angular=story.has_angles)
     axes.set_box_aspect((1, 1, 0.85), zoom=1.06)  # type: ignore[attr-defined]
     if not story.has_angles:
         axes.locator_params(nbins=4)
     how = ", angles with whole turns counted" if lifted else ", angles modulo 2π"
     how = how if story.has_angles else " and its first rate"
-    axes.set_title(f"The orbit{how}; dark to light: time", loc="left", fontsize=10, color=style.INK, y=1.0)
+    axes.set_title(f"The orbit{how}; dark to light: time", loc="left")
 
 
 def _pieces(points: Array) -> list[Array]:
@@ -329,7 +324,7 @@ def plane(axes: Axes, story: WalkStory) -> None:
         axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
         centre = curve.orbit.centre
         axes.plot(*centre[:2], "+", color=style.INK, markersize=8)
-        axes.annotate(f" {saddle}", (float(centre[0]), float(centre[1])), fontsize=9, color=style.INK)
+        axes.annotate(f" {saddle}", (float(centre[0]), float(centre[1])), fontsize=style.SMALL, color=style.INK)
     colours = TIME(story.times[:-1] / story.orbit.duration)
     axes.add_collection(LineCollection(_pieces(story.states[:, :2]), colors=colours, linewidths=1.2, zorder=3))
     axes.autoscale_view()
@@ -339,12 +334,8 @@ def plane(axes: Axes, story: WalkStory) -> None:
     quiet(axes, "The orbit in the plane; dark to light: time", x="x", y="y")
 
 
-_WIDTH = 16.0
-_HEAD, _STRIP = 0.85, 0.95  # inches above the film: title, and symbols over time
-_BODY = 6.6  # inches below the film at least
-_SPACE = 4.5  # inches for the orbit in space at least
-_LINE = 0.19  # inches of the list's lines
-_LISTED = 16  # symbols in the list; beyond that the numbers over time must do
+_LISTED = 16
+"""Most symbols in the list; beyond that the numbers over time must do."""
 FILM_SYMBOLS = 48
 
 
@@ -353,47 +344,39 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
 
     The arm_lengths (n,) are in m, or None for a system without arms and film.
     """
-    story = WalkStory(orbit, arm_lengths)
-    view = story.view(model)
-    filmed = [] if arm_lengths is None else _film_rows(story, view)
-    listed = 0.35 + _LINE * (min(len(view.symbols), _LISTED) + 1)
-    body = max(_BODY, listed + _SPACE)
-    height = _HEAD + _STRIP + sum(tall for _, _, tall in filmed) + body
-    figure = new_figure(_WIDTH, height)
-    figure.text(0.022, 1 - 0.32 / height, view.title, fontsize=17, weight="bold", color=style.INK, va="center")
-    verdict = "\n".join(wrap(view.verdict, 200, max_lines=2, placeholder=" …"))
-    figure.text(0.022, 1 - 0.68 / height, verdict, fontsize=9.5, color=style.NOTE, va="center")
-    page.story(figure.add_axes((0.062, 1 - (_HEAD + 0.42) / height, 0.925, 0.2 / height)), view)
-    top = height - _HEAD - _STRIP
-    for first, times, tall in filmed:
+    walk = WalkStory(orbit, arm_lengths)
+    view = walk.view(model)
+    page = Page(view.title, view.verdict)
+    page.strip(partial(draw_story, view=view), height=story_height(view))
+    across = film_shape(len(orbit.symbol_times))[1]
+    for first, times, height in [] if arm_lengths is None else _film_rows(walk, view):
+        film = Panel(partial(_film, view=view, first=first, times=times), len(times))
         # A last row with fewer symbols is shorter in proportion.
-        wide = 0.98 * times.size / filmed[0][1].size
-        axes = figure.add_axes((0.01, (top - tall) / height, wide, tall / height))
-        page.draw_film(axes, view, times.ravel())
-        for k in range(len(times)):
-            badge(axes, first + k + 1, frame_position(view, k * times.shape[1]) - 0.3 * sum(view.arm_lengths),
-                  axes.get_ylim()[1])  # fmt: skip
-        top -= tall
-    share = body / height
+        rest = [Panel(_nothing, across - len(times))] if len(times) < across else []
+        page.row(film, *rest, height=height)
+    charts = [partial(_chart, chart=chart, view=view, orbit=orbit) for chart in (walk.coordinates(), walk.nearness())]
+    plain = [] if walk.arm_lengths is not None else [Panel(partial(plane, story=walk), share=2.6)]
+    shown = Stack([Panel(partial(space, story=walk), share=3.9, space=True), *plain], share=0.75)
+    page.row(Stack(charts), shown, height=4.4 + 2.6 * len(plain))
+    heading = ("", "symbol", "at (s)" if walk.has_angles else "at", "connection")
+    return page.table(_list(walk, view), heading=heading).figure()
 
-    def box(left: float, bottom: float, width: float, tall: float) -> tuple[float, float, float, float]:
-        return left, bottom * share, width, tall * share
 
-    for chart, bottom in ((story.coordinates(), 0.54), (story.nearness(), 0.075)):
-        axes = figure.add_axes(box(0.045, bottom, 0.555, 0.38))
-        draw_chart(axes, chart, view)
-        axes.set_xlim(0.0, orbit.duration)
-        axes.set_xlabel("time (s)" if story.has_angles else "time")
-        mark_times(axes, list(orbit.symbol_times))
-    tall = listed / body
-    if arm_lengths is None:
-        rest = (0.97 - tall) / 2
-        space(figure.add_axes(box(0.63, tall + rest, 0.36, rest), projection="3d"), story)
-        plane(figure.add_axes(box(0.66, tall + 0.06, 0.32, rest - 0.12)), story)
-    else:
-        space(figure.add_axes(box(0.62, tall, 0.38, 0.97 - tall), projection="3d"), story)
-    _list(figure.add_axes(box(0.622, 0.02, 0.37, tall - 0.03)), story, view)
-    return figure
+def _nothing(axes: Axes) -> None:
+    axes.axis("off")
+
+
+def _film(axes: Axes, view: RunView, first: int, times: NDArray[np.float64]) -> None:
+    draw_film(axes, view, times.ravel())
+    reach = sum(view.arm_lengths)
+    for k in range(len(times)):
+        badge(axes, first + k + 1, frame_position(view, k * times.shape[1]) - 0.6 * reach, axes.get_ylim()[1])
+
+
+def _chart(axes: Axes, chart: Chart, view: RunView, orbit: ShadowingOrbit) -> None:
+    draw_chart(axes, chart, view)
+    axes.set_xlim(0.0, orbit.duration)
+    mark_times(axes, list(orbit.symbol_times))
 
 
 def film_shape(count: int) -> tuple[int, int, int]:
@@ -420,29 +403,18 @@ def _film_rows(story: WalkStory, view: RunView) -> list[tuple[int, NDArray[np.fl
     rows = []
     for first in range(0, len(every), across):
         times = every[first : first + across]
-        wide = 0.98 * _WIDTH * len(times) / across
-        rows.append((first, times, page.film_height(view, times.ravel(), width=wide) + 0.1))
+        wide = style.WIDTH * len(times) / across
+        rows.append((first, times, film_height(view, times.ravel(), width=wide) + 0.15))
     return rows
 
 
-def _list(axes: Axes, story: WalkStory, view: RunView) -> None:
-    """Write each symbol's description and its connection's name."""
-    axes.axis("off")
-    chain = story.orbit.connections
-    shown = len(chain) if len(chain) <= _LISTED else _LISTED - 1
-    rows = min(len(chain), _LISTED) + 1
-    places = (0.05, 0.475, 0.57)
-
-    def write(row: int, words: tuple[str, ...], sizes: tuple[float, ...], **look: Any) -> None:
-        for place, text, size in zip(places, words, sizes, strict=False):
-            y = 1 - (row + 0.5) / rows
-            axes.text(place, y, text, fontsize=size, color=style.INK, va="center_baseline", **look)
-
-    write(0, ("symbol", "at (s)" if story.has_angles else "at", "connection"), (9, 9, 9), weight="bold")
-    for k, (connection, (_, at, _)) in enumerate(zip(chain[:shown], view.symbols[:shown], strict=True)):
-        badge(axes, k + 1, 0.02, 1 - (k + 1.5) / rows, size=6.5)
-        write(k + 1, (symbol_words(connection), f"{at:.3f}", connection.name), (8.2, 8.2, 7.4))
-    if shown < len(chain):
-        write(rows - 1, (f"… and {len(chain) - shown} more",), (8.2,))
-    axes.set_xlim(0, 1)
-    axes.set_ylim(0, 1)
+def _list(walk: WalkStory, view: RunView) -> list[tuple[str, ...]]:
+    """Return each symbol's number, description and time, and its connection's name."""
+    chain = walk.orbit.connections
+    rows = [
+        (str(k + 1), symbol_words(connection), f"{at:.3f}", connection.name)
+        for k, (connection, (_, at, _)) in enumerate(zip(chain, view.symbols, strict=True))
+    ]
+    if len(rows) > _LISTED:
+        rows = [*rows[: _LISTED - 1], ("", f"… and {len(rows) - _LISTED + 1} more", "", "")]
+    return rows

@@ -1,6 +1,7 @@
 """Colour wheels: the images of each point inside a tube's cut at every return to the section."""
 
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,8 +12,9 @@ from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.rotating import RotatingOrbit, rotating_orbits
 from dpcontrol.pages import style
-from dpcontrol.pages.gallery import IDENTIFIED, Gallery, Page
-from dpcontrol.pages.page import angle_axis, new_figure, quiet
+from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
+from dpcontrol.pages.layout import Page, Panel
+from dpcontrol.pages.panels import angle_axis, quiet
 from dpcontrol.tubes.cut import section_points, tube_cut
 from dpcontrol.tubes.interior import InteriorSettings, Outline, Returns, TubeInterior, inside, tube_interior
 
@@ -27,55 +29,62 @@ def draw_interior(interior: TubeInterior, periodic: tuple[RotatingOrbit, ...] = 
         periodic: orbits to mark at their crossings and to draw at the right in the arms' phase planes.
     """
     returns, orbit = interior.forward.arrived.shape[1], interior.orbit
-    figure = new_figure(
-        3.5 * (returns + 1) + (3.3 if periodic else 0), 7.9,
+    both = (interior.forward, interior.backward)
+    arrived = np.concatenate([r.points[r.arrived] for r in both] + [o.vertices for o in interior.outlines])
+    wide, high = 1.08 * np.abs(arrived).max(axis=0)
+    box = min(np.pi, float(wide)), float(high)
+    page = Page(
         f"Inside {'both tubes' if periodic else 'the unstable tube'} of {orbit.saddle} at {orbit.energy:g} J "
         f"(branch {interior.branch:+d}), cut on {interior.section.name}"
-    )  # fmt: skip
-    width = float(figure.get_figwidth())
-    panels = figure.subplots(
-        2, returns + 1, sharex=True, sharey=True,
-        gridspec_kw={"left": 0.7 / width, "right": (3.45 * (returns + 1) + 0.3) / width, "top": 0.83, "bottom": 0.08,
-                     "wspace": 0.06, "hspace": 0.24},
-    )  # fmt: skip
+    )
+    page.text(
+        "Hue: angle about the innermost point at the start; saturation: closeness to the cut. Pale dots cross the "
+        "section against the start's direction. Dark red: cut of the unstable tube. Green: of the stable tube. Pale: "
+        "cuts crossed against the start's direction." + (" Star: periodic orbit." if periodic else ""),
+        size=style.TEXT,
+    )
+    for row, (word, run) in enumerate((("forward", interior.forward), ("backward", interior.backward))):
+        panels: list[Panel] = [
+            Panel(partial(_returns, interior=interior, run=run, k=k, word=word, box=box, periodic=periodic))
+            for k in range(returns + 1)
+        ]
+        if periodic:
+            panels.append(Panel(partial(_periodic, arm=row, periodic=periodic)))
+        page.row(*panels, height=3.2)
+    return page.figure()
+
+
+def _returns(
+    axes: Axes,
+    interior: TubeInterior,
+    run: Returns,
+    k: int,
+    *,
+    word: str,
+    box: tuple[float, float],
+    periodic: tuple[RotatingOrbit, ...],
+) -> None:
+    """Draw the points at the start, k = 0, or at their k-th return."""
     saturation = 0.12 + 0.88 * np.clip(interior.radius, 0, 1)
     hue = interior.angle / (2 * np.pi)
     colours = hsv_to_rgb(np.column_stack([hue, saturation, np.full(len(hue), 0.93)]))
     direction = next(o.direction for o in interior.outlines if o.branch == interior.branch and not o.stable)
     size = _marker(interior)
-    for row, (word, run) in enumerate((("forward", interior.forward), ("backward", interior.backward))):
-        for k, axes in enumerate(panels[row]):
-            quiet(axes, f"start: {len(hue)} points", x="q (rad)" if row else "", y="" if k else "p / p₀", size=9)
-            axes.grid(False)
-            _outlines(axes, interior.outlines, direction)
-            if k == 0:
-                q = (interior.points[:, 0] + np.pi) % (2 * np.pi) - np.pi
-                axes.scatter(q, interior.points[:, 1], s=size, c=colours, marker="s", linewidths=0)
-                continue
-            for way, opacity in ((-direction, 0.3), (direction, 1.0)):
-                here = run.arrived[:, k - 1] & (run.direction[:, k - 1] == way)
-                points = run.points[here, k - 1]
-                axes.scatter(*points.T, s=0.5 * size, c=colours[here], alpha=opacity, linewidths=0)
-            axes.set_title(_returned(run, k, word), loc="left", fontsize=9)
-    system = orbit.system
+    title = _returned(run, k, word) if k else f"start: {len(hue)} points"
+    quiet(axes, title, x="q (rad)" if word == "backward" else "", y="" if k else "p / p₀")
+    axes.grid(False)
+    _outlines(axes, interior.outlines, direction)
+    if k == 0:
+        q = (interior.points[:, 0] + np.pi) % (2 * np.pi) - np.pi
+        axes.scatter(q, interior.points[:, 1], s=size, c=colours, marker="s", linewidths=0)
+    for way, opacity in ((-direction, 0.3), (direction, 1.0)) if k else ():
+        here = run.arrived[:, k - 1] & (run.direction[:, k - 1] == way)
+        points = run.points[here, k - 1]
+        axes.scatter(*points.T, s=0.5 * size, c=colours[here], alpha=opacity, linewidths=0)
     for one in periodic:
-        q, p = section_points(system, interior.section, one.state)
-        for axes in panels.flat:
-            axes.plot((q + np.pi) % (2 * np.pi) - np.pi, p, "*", color=style.INK, markersize=9, mec="white", zorder=6)
-    if periodic:
-        _periodic(figure, panels, periodic)
-    both = (interior.forward, interior.backward)
-    arrived = np.concatenate([r.points[r.arrived] for r in both] + [o.vertices for o in interior.outlines])
-    wide, high = 1.08 * np.abs(arrived).max(axis=0)
-    panels[0, 0].set(xlim=(-min(np.pi, wide), min(np.pi, wide)), ylim=(-high, high))
-    figure.text(
-        0.7 / width, 0.925,
-        "Hue: angle about the innermost point at the start; saturation: closeness to the cut. Pale dots cross the "
-        "section against the start's direction.\nRed: cut of the unstable tube. Green: of the stable tube. Pale: "
-        "cuts crossed against the start's direction." + (" Star: periodic orbit." if periodic else ""),
-        fontsize=9, color=style.CART, va="center",
-    )  # fmt: skip
-    return figure
+        q, p = section_points(interior.orbit.system, interior.section, one.state)
+        axes.plot((q + np.pi) % (2 * np.pi) - np.pi, p, "*", color=style.INK, markersize=9, mec="white", zorder=6)
+    axes.set(xlim=(-box[0], box[0]), ylim=(-box[1], box[1]))
 
 
 def _marker(interior: TubeInterior) -> float:
@@ -102,23 +111,19 @@ def _returned(run: Returns, k: int, word: str) -> str:
     stable = np.count_nonzero(run.in_stable[arrived, k - 1]) / count
     unstable = np.count_nonzero(run.in_unstable[arrived, k - 1]) / count
     missing = np.count_nonzero(~arrived)
-    text = f"return {k} {word}\n{unstable:.0%} in unstable, {stable:.0%} in stable cuts"
+    text = f"return {k} {word}: {unstable:.0%} in unstable, {stable:.0%} in stable cuts"
     return text + (f", {missing} do not return" if missing else "")
 
 
-def _periodic(figure: Figure, panels: np.ndarray, periodic: tuple[RotatingOrbit, ...]) -> None:
-    """Draw orbits in the phase planes of both arms, to the right of the other panels."""
-    width = float(figure.get_figwidth())
-    left = (3.45 * panels.shape[1] + 0.3) / width + 0.75 / width
-    for arm in (0, 1):
-        axes = figure.add_axes((left, 0.08 if arm else 0.51, 1 - left - 0.15 / width, 0.32))
-        for one in periodic:
-            states = one.system.propagator.sample(one.state, np.linspace(0.0, one.period, 400))
-            axes.plot(states[:, arm], states[:, 2 + arm], color=style.arm_colour(arm), linewidth=1.5)
-        number = style.number(arm)
-        title = f"periodic orbit, {periodic[0].period:.3f} s" if len(periodic) == 1 else "periodic orbits"
-        quiet(axes, "" if arm else title, x=f"θ{number} (rad)", y=f"ω{number} (rad/s)", size=9)
-        angle_axis(axes, "x")
+def _periodic(axes: Axes, arm: int, periodic: tuple[RotatingOrbit, ...]) -> None:
+    """Draw orbits in the phase plane of an arm."""
+    for one in periodic:
+        states = one.system.propagator.sample(one.state, np.linspace(0.0, one.period, 400))
+        axes.plot(states[:, arm], states[:, 2 + arm], color=style.arm_colour(arm), linewidth=1.5)
+    number = style.number(arm)
+    title = f"periodic orbit, {periodic[0].period:.3f} s" if len(periodic) == 1 else "periodic orbits"
+    quiet(axes, "" if arm else title, x=f"θ{number} (rad)", y=f"ω{number} (rad/s)")
+    angle_axis(axes, "x")
 
 
 WHEEL_ENERGIES = {"down-up": -0.06985, "up-down": 0.2}
@@ -178,7 +183,7 @@ def kept_inside(interior: TubeInterior, arm: int) -> tuple[RotatingOrbit, ...]:
     return tuple(kept)
 
 
-def wheels_page(gallery: Gallery, *, saddle: str) -> Page:
+def wheels_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
     """Draw the returns of the inside of a saddle's unstable tube.
 
     There are three each way. Periodic orbits inside are marked.
@@ -202,7 +207,7 @@ def wheels_page(gallery: Gallery, *, saddle: str) -> Page:
         if stays
         else "No symmetric periodic orbit was found inside both tubes"
     )
-    return Page(
+    return PaperFigure(
         draw_interior(interior, stays),
         f"The grid covers the inside of both the unstable and the stable tube of {saddle} at {energy:g} J. It is "
         "coloured like a wheel at the unstable tube's first cut, and followed to each "

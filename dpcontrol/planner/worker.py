@@ -103,7 +103,7 @@ def _seeds(report: Reporter, *, text: str) -> dict[str, Any]:
 
 
 def _page(report: Reporter, *, log: str) -> None:
-    from dpcontrol.pages.page import save_figure
+    from dpcontrol.pages.layout import save_figure
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "page.png"

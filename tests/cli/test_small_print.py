@@ -8,7 +8,7 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.pages.page import new_figure, save_figure
+from dpcontrol.pages.layout import new_figure, save_figure
 
 
 @pytest.fixture(autouse=True)

@@ -114,9 +114,10 @@ def test_a_users_text_steers_no_progress_bar(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_half_a_formula_in_a_title_is_drawn_as_text(folder: Path) -> None:
-    from dpcontrol.pages.page import new_figure, save_figure
+    from dpcontrol.pages.layout import new_figure, save_figure
 
-    figure = new_figure(4, 3, r"costs $5 \frac{$ and more")
+    figure = new_figure(4, 3)
+    figure.suptitle(r"costs $5 \frac{$ and more")
     figure.add_subplot().semilogy([1e-3, 1.0])
     save_figure(figure, folder / "page.png")
     assert (folder / "page.png").stat().st_size > 1000
@@ -201,7 +202,7 @@ def test_a_log_whose_time_runs_backward_is_no_recording(folder: Path) -> None:
 def test_a_picture_whose_curves_reach_too_far_is_refused_in_a_sentence(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    from dpcontrol.pages.page import new_figure, save_figure
+    from dpcontrol.pages.layout import new_figure, save_figure
 
     figure = new_figure(4, 3)
 

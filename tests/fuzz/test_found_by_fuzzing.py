@@ -13,7 +13,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.replay import filter_settings
 from dpcontrol.judge.score import score
 from dpcontrol.logs import LogWriter, read_log
-from dpcontrol.pages.page import new_figure, save_figure
+from dpcontrol.pages.layout import new_figure, save_figure
 from dpcontrol.references.reference import load_reference, save_reference
 
 REST = 'model = "lab"\nstart = "hold"\nhold = "down-down"\nseconds = 0.5\n[controller]\nkind = "lqr"\n'
@@ -124,7 +124,8 @@ def test_an_output_without_a_name_is_refused(name: str) -> None:
 
 
 def test_control_characters_in_a_title_are_drawn_as_text(recwarn: pytest.WarningsRecorder) -> None:
-    figure = new_figure(3, 2, title="\x1b[31mred")
+    figure = new_figure(3, 2)
+    figure.suptitle("\x1b[31mred")
     save_figure(figure, Path("out.png"))
     assert not [str(one.message) for one in recwarn if "\x1b" in str(one.message) or "Glyph" in str(one.message)]
 

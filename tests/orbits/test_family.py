@@ -14,8 +14,8 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.family import FamilySettings, lyapunov_family
 from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit
+from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.orbits import draw_families
-from dpcontrol.pages.page import save_figure
 from dpcontrol.plans.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS
 

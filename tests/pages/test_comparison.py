@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from synthetic_run import synthetic_run, view_of
 from test_recording import bare_log
 
@@ -88,7 +89,7 @@ def test_the_page_of_a_pair_names_both_runs_and_draws_each_in_every_panel(
     pair: list[RunView],
 ) -> None:
     figure = draw_comparison(compare(pair))
-    texts = [text.get_text() for text in figure.texts]
+    texts = [text.get_text() for text in figure.findobj(Text)]
     assert {"first", "second"} <= set(texts)
     for axes in figure.axes:
         title = axes.get_title(loc="left")

@@ -22,7 +22,7 @@ from dpcontrol.pages.atlas import (
 )
 from dpcontrol.pages.figures import FIGURES, draw_figures
 from dpcontrol.pages.gallery import Gallery
-from dpcontrol.pages.page import wrapped_runs
+from dpcontrol.pages.panels import wrapped_runs
 from dpcontrol.pages.picture import viewer_program, write_picture
 from dpcontrol.pages.style import in_pi
 from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, make_atlas, make_branches

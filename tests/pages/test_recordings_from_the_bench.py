@@ -14,7 +14,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.run_view import series_of
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
-from dpcontrol.pages.page import curve, draw
+from dpcontrol.pages.charts import curve
+from dpcontrol.pages.page import draw
 from dpcontrol.pages.rerun_recording import write_recording
 from dpcontrol.pages.series import mode_spans
 

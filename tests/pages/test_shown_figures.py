@@ -14,14 +14,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from dpcontrol.pages.page import new_figure
+from dpcontrol.pages.layout import new_figure
 
 
 @pytest.fixture
 def page() -> Figure:
     """A figure as every page begins."""
-    figure = new_figure(4.0, 2.0, "costs 3$ and 4$")
-    figure.add_axes((0.1, 0.1, 0.8, 0.7)).plot([0, 1])
+    figure = new_figure(4.0, 2.0)
+    figure.suptitle("costs 3$ and 4$")
+    figure.add_subplot().plot([0, 1])
     return figure
 
 

@@ -11,7 +11,8 @@ from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.run_view import PlanView, series_of
 from dpcontrol.judge.score import Score
 from dpcontrol.logs import LogWriter, read_log, recover
-from dpcontrol.pages.page import draw, film_times
+from dpcontrol.pages.filmstrip import film_times
+from dpcontrol.pages.page import draw
 from dpcontrol.recordings.recording import REPLAYED
 
 

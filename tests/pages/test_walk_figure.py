@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.pages.page import save_figure
+from dpcontrol.pages import style
+from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.walks import (
     FILM_SYMBOLS,
     LIFTED_TURNS,
@@ -57,11 +59,7 @@ def drawn(orbit: ShadowingOrbit) -> Figure:
 
 def words(figure: Figure) -> str:
     """Return all that is written on a page."""
-    parts = [text.get_text() for text in figure.texts]
-    for axes in figure.axes:
-        parts += [text.get_text() for text in axes.texts] + [axes.get_title(loc="left")]
-    title = figure.get_suptitle()
-    return "\n".join([title, *parts])
+    return " ".join(" ".join(text.get_text() for text in figure.findobj(Text)).split())
 
 
 def panel(figure: Figure, title: str) -> Axes:
@@ -185,7 +183,7 @@ def test_walks_of_any_length_are_drawn(length: int, tmp_path: Path) -> None:
     save_figure(draw_walk(orbit, arm_lengths=load_model("lab").arms.length, model="lab"), file)
     content = file.read_bytes()
     assert content.startswith(b"\x89PNG\r\n\x1a\n")
-    assert struct.unpack(">II", content[16:24])[0] == 1760
+    assert struct.unpack(">II", content[16:24])[0] == round(150 * style.WIDTH)
     assert len(content) > LEAST_BYTES
 
 

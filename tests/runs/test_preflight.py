@@ -14,7 +14,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.preflight import HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.pages.page import save_figure
+from dpcontrol.pages.layout import save_figure
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.plans.run_options import RunOptions

@@ -9,7 +9,7 @@ from dpcontrol.dynamics.system import momentum_scale
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.pages.page import save_figure
+from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.wheels import draw_interior
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.cut import CutSettings, section_points, tube_cut

@@ -1,0 +1,129 @@
+"""A filmstrip: the arms on their cart at several times, beside one another."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.judge.run_view import RunView
+from dpcontrol.pages import style
+from dpcontrol.pages.series import Range, arm_points
+
+_FRAME_STEP = 2.12
+"""Distance between the film's frames, in lengths of all arms: enough for two stretched towards one another."""
+_TRACE = 0.25
+"""Longest visible path of the tip, s."""
+
+
+def draw_film(axes: Axes, view: RunView, times: Array) -> None:
+    """Draw the arms at several times (K,) s.
+
+    The reference is grey behind them. The tip's path begins at the last frame.
+
+    Times outside the motion are skipped.
+    """
+    state, arms, reach = view.state, view.arms, sum(view.arm_lengths)
+    horizontal, vertical = film_extent(view, times)
+    axes.set(xlim=horizontal, ylim=vertical)
+    pivot, width, tip = view.pivot, 0.05 * reach, style.arm_colour(arms - 1)
+    rows = film_rows(view, times)
+    for i, (time, row) in enumerate(zip(times, rows, strict=True)):
+        at = frame_position(view, i)
+        if not view.time[0] <= time <= view.time[-1]:
+            look = {"ha": "center", "va": "center", "fontsize": style.SMALL, "color": style.MARK}
+            axes.text(at, 0, f"no data at\n{time:.2f} s", **look)
+            continue
+        if view.has_cart:
+            axes.plot([at - 0.98 * reach, at + 0.98 * reach], [0, 0], color=style.FAINT, linewidth=2.5, zorder=1)
+            axes.add_patch(Rectangle((at - 0.13 * reach, -width), 0.26 * reach, 2 * width, color=style.CART, zorder=2))
+        before = max(1, round((_TRACE if i else 0.1) * view.rate_hz))
+        since = max(rows[i - 1] if i else 0, row - before)
+        points = arm_points(state[since : row + 1, :arms], view.arm_lengths)
+        points[..., 0] += at + (pivot[since : row + 1] - pivot[row])[:, None]
+        last = points[-1]
+        axes.plot(*points[:, -1].T, color=tip, alpha=0.3, linewidth=1.3)
+        for arm in range(arms):
+            look: dict[str, Any] = {"color": style.arm_colour(arm), "linewidth": 2.6, "solid_capstyle": "round"}
+            axes.plot(*last[arm : arm + 2].T, **look, zorder=3)
+        axes.plot(*last[:-1].T, "o", color=style.INK, markersize=3.2, zorder=4)
+        axes.plot(*last[-1], "o", color=tip, markersize=5.5, zorder=4)
+        if view.reference is not None:
+            ghost = arm_points(view.reference[row : row + 1, :arms], view.arm_lengths)[0]
+            shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)
+            look = {"color": style.REFERENCE, "linewidth": 6.5, "solid_capstyle": "round", "zorder": 2.5}
+            axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
+        cart = f"\ncart {round(1000 * float(pivot[row])):+d} mm" if np.isfinite(pivot[row]) else "\nlost"
+        text = f"{view.time[row]:.2f} s{cart if view.has_cart else ''}"
+        look = {"ha": "center", "va": "top", "fontsize": style.SMALL, "color": style.NOTE, "linespacing": 1.25}
+        axes.text(at, vertical[0] + 0.46 * reach, text, **look)
+    axes.set_aspect("equal")
+    axes.axis("off")
+
+
+def frame_position(view: RunView, frame: int) -> float:
+    """Return the drawn position of the pivot of a frame, m."""
+    return frame * _FRAME_STEP * sum(view.arm_lengths)
+
+
+def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
+    """Return the x and y limits in m for `draw_film`.
+
+    Vertically they cover the arms in its frames.
+    """
+    reach, before = sum(view.arm_lengths), round(_TRACE * view.rate_hz)
+    rows = np.unique(np.add.outer(film_rows(view, times), np.arange(-before, 1)).clip(0))
+    shown = [view.state] if view.reference is None else [view.state, view.reference]
+    both = np.concatenate([states[rows, : view.arms] for states in shown])
+    heights = arm_points(both[np.isfinite(both).all(axis=1)], view.arm_lengths)[..., 1].ravel()
+    heights = np.append(heights, 0.0)
+    low, high = min(float(heights.min()), -0.2 * reach), max(float(heights.max()), 0.1 * reach)
+    step = _FRAME_STEP * reach
+    return (-0.53 * step, (len(times) - 0.47) * step), (low - 0.62 * reach, high + 0.1 * reach)
+
+
+def film_height(view: RunView, times: Array, *, width: float) -> float:
+    """Return the height of a film of this width at equal scales."""
+    (left, right), (low, high) = film_extent(view, times)
+    return width * (high - low) / (right - left)
+
+
+def film_rows(view: RunView, times: Array) -> NDArray[np.int64]:
+    """Return the ticks shown in the film."""
+    return np.searchsorted(view.time, times).clip(0, len(view.time) - 1)
+
+
+def film_times(view: RunView, *, frames: int, until: float = np.inf) -> Array:
+    """Return (frames,) times for a filmstrip.
+
+    They are distributed among the symbols' crossings, otherwise evenly.
+
+    On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. For a run
+    that failed, the last quarter of the frames covers its end. `until` is the latest time, s.
+    """
+    time = view.time[view.time <= until]
+    if view.good is False and frames > 3 and time[-1] > time[0]:
+        last = frames // 4
+        # A run that ended at once gets no more than its share.
+        length = min(0.2 * last, (time[-1] - time[0]) * last / frames)
+        ending = np.linspace(time[-1] - length, time[-1], last + 1)
+        before = film_times(replace(view, good=None), frames=frames - last, until=ending[0])
+        return np.concatenate([before, ending[1:]])
+    moments = np.array([done or planned for _, planned, done in view.symbols])
+    moments = moments[(moments >= time[0]) & (moments <= time[-1])] if len(moments) else moments
+    if not len(moments):
+        return np.linspace(time[0], time[-1], frames)
+    moments = moments[np.linspace(0, len(moments) - 1, min(len(moments), frames)).astype(int)]
+    half = 0.33 * 2 * np.pi * np.sqrt(sum(view.arm_lengths) / 9.81)
+    parts = []
+    for i, moment in enumerate(moments):
+        share = frames // len(moments) + (i < frames % len(moments))
+        parts.append(
+            moment + half * np.linspace(-1, 1, share)
+            if share > 2
+            else np.linspace(moment - half / 2, moment, share + 1)[1:]
+        )
+    return np.sort(np.clip(np.concatenate(parts), time[0], time[-1]))

@@ -1,0 +1,367 @@
+"""The layout engine of all pages: rows of panels, strips and tables below a title and a verdict.
+
+    Page("Outer turn", "completed", good=True).row(angles, rates).strip(modes).table(rows).figure()
+
+A panel is a function that draws on given axes. The engine sizes and aligns panels by matplotlib's constrained layout,
+wraps titles to the width of their panel, and places keys below them. No page chooses coordinates.
+"""
+
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
+from matplotlib.textpath import TextPath
+
+from dpcontrol.foundation.errors import InputError, printable
+from dpcontrol.foundation.files import whole_file
+from dpcontrol.pages import style
+from dpcontrol.pages.panels import DIRECT
+
+Draw = Callable[[Any], None]
+_DPI = 150
+_LINE = 1.35
+"""Distance of two lines, in heights of their text."""
+_EDGE = 0.12
+"""Free edge of a page and gap between panels, inches."""
+_COLOURED = ("color", "facecolor", "edgecolor", "markerfacecolor", "markeredgecolor")
+_KEY = "key of the engine"
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A function that draws on axes.
+
+    `share` is its width in a row or height in a stack, relative to its neighbours; `space` demands three dimensions.
+    """
+
+    draw: Draw
+    share: float = 1.0
+    space: bool = False
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Panels below one another, with aligned sides."""
+
+    panels: Sequence[Panel | Draw]
+    share: float = 1.0
+
+
+Item = Panel | Stack | Draw
+
+
+@dataclass
+class Page:
+    """A page in preparation.
+
+    Attributes:
+        title: title at the top.
+        verdict: the result in a sentence, below the title.
+        good: True for a favourable verdict, False for an unfavourable one; decides its colour.
+        about: short text at the right of the title, such as the file of origin.
+        width: in inches.
+    """
+
+    title: str
+    verdict: str = ""
+    good: bool | None = None
+    about: str = ""
+    width: float = style.WIDTH
+    _rows: list[tuple[float, Callable[[SubFigure], None]]] = field(default_factory=list)
+
+    def row(self, *items: Item, height: float) -> "Page":
+        """Add panels beside one another, of a height in inches."""
+        if items:
+            self._rows.append((height, lambda part: _row(part, items)))
+        return self
+
+    def strip(self, draw: Draw, *, height: float) -> "Page":
+        """Add one panel as wide as the page, without frame."""
+        return self.row(Panel(draw), height=height)
+
+    def table(self, rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), height: float = 0.0) -> "Page":
+        """Add a table of texts, below an optional heading."""
+        lines = max(len(rows) + bool(heading), 1)
+        return self.row(table(rows, heading=heading), height=height or 2 * _EDGE + lines * _height(style.TEXT))
+
+    def text(self, text: str, *, colour: str = style.NOTE, size: float = style.SMALL) -> "Page":
+        """Add a paragraph, wrapped to the width of the page; an empty one adds nothing."""
+        lines = [part for line in text.splitlines() for part in wrapped(line, size, self.width - 2 * _EDGE)]
+        if lines:
+            height = len(lines) * _height(size) + 0.5 * _EDGE
+
+            def write(part: SubFigure) -> None:
+                place = 0.5 * _EDGE / self.width, 1 - 0.25 * _EDGE / height
+                part.text(*place, "\n".join(lines), fontsize=size, color=colour, va="top", linespacing=_LINE)
+
+            self._rows.append((height, write))
+        return self
+
+    def figure(self, *, dark: bool = False) -> Figure:
+        """Return the page as a figure.
+
+        Args:
+            dark: True for the dark variant, False by default.
+        """
+        head = Page(self.title, width=self.width)
+        head.text(self.title, colour=style.INK, size=style.TITLE)
+        head.text(self.verdict, colour=style.verdict_colour(self.good), size=style.VERDICT)
+        rows = [*head._rows, *self._rows]
+        heights = [height for height, _ in rows]
+        figure = new_figure(self.width, sum(heights) + _EDGE)
+        # The last part is the page's lower edge.
+        parts = figure.subfigures(len(rows) + 1, 1, squeeze=False, height_ratios=[*heights, _EDGE])[:, 0]
+        for part, (_, draw) in zip(parts, rows, strict=False):
+            part.set_facecolor("none")
+            draw(part)
+        if self.title:
+            parts[0].texts[0].set_weight("bold")
+        if self.about and self.title:
+            look: dict[str, Any] = {"fontsize": style.SMALL, "color": style.MARK}
+            used = text_width(self.title, 1.1 * style.TITLE) + text_width(self.about, style.SMALL) + 4 * _EDGE
+            if used < self.width:
+                parts[0].text(1 - _EDGE / self.width, 0.5, self.about, ha="right", va="center", **look)
+        settle(figure)
+        if dark:
+            darken(figure)
+        return figure
+
+
+def _height(size: float) -> float:
+    """Return the height of a line of text, inches."""
+    return _LINE * size / 72
+
+
+def _panel(item: Panel | Draw) -> Panel:
+    return item if isinstance(item, Panel) else Panel(item)
+
+
+def _row(part: SubFigure, items: Sequence[Item]) -> None:
+    shares = [getattr(item, "share", 1.0) for item in items]
+    if any(isinstance(item, Stack) for item in items):
+        columns = part.subfigures(1, len(items), squeeze=False, width_ratios=shares)[0]
+        for column, item in zip(columns, items, strict=True):
+            column.set_facecolor("none")
+            _grid(column, item.panels if isinstance(item, Stack) else [item], across=False)
+    else:
+        _grid(part, [item for item in items if not isinstance(item, Stack)], across=True)
+
+
+def _grid(part: SubFigure, items: Sequence[Panel | Draw], *, across: bool) -> None:
+    panels = [_panel(item) for item in items]
+    shares = [panel.share for panel in panels]
+    shape = (1, len(panels)) if across else (len(panels), 1)
+    grid = part.add_gridspec(*shape, **{"width_ratios" if across else "height_ratios": shares})
+    for k, panel in enumerate(panels):
+        place = grid[(0, k) if across else (k, 0)]
+        panel.draw(part.add_subplot(place, projection="3d" if panel.space else None))
+
+
+def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: str = "") -> Draw:
+    """Return a panel with a table of texts; columns are as wide as their longest text."""
+
+    def draw(axes: Axes) -> None:
+        axes.axis("off")
+        axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK)
+        every = [heading, *rows] if heading else list(rows)
+        widths = [max(text_width(text, style.TEXT) for text in column) for column in zip(*every, strict=True)]
+        at = 0.0
+        for column, width in enumerate(widths):
+            for row, texts in enumerate(every):
+                head = bool(heading) and row == 0
+                axes.annotate(
+                    texts[column], (0, 1), xycoords="axes fraction", xytext=(72 * at, -72 * row * _height(style.TEXT)),
+                    textcoords="offset points", va="top", fontsize=style.SMALL if head else style.TEXT,
+                    color=style.NOTE if head or column == 0 else style.INK, annotation_clip=False,
+                ).set_in_layout(False)  # fmt: skip
+            at += width + 0.25
+
+    return draw
+
+
+def list_panel(rows: Sequence[Sequence[str]], *, heading: Sequence[str], title: str) -> Panel:
+    """Return a table with a title, as a panel whose share is its height in inches."""
+    height = (len(rows) + 1) * _height(style.TEXT) + 2 * _height(style.HEAD) + _EDGE
+    return Panel(table(rows, heading=heading, title=title), share=height)
+
+
+class ShownFigure(Figure):
+    """A figure displayed by notebook cells, and elsewhere by `show`.
+
+    pyplot does not manage it: a figure that pyplot manages appears a second time at the end of a notebook's cell.
+    """
+
+    def _repr_png_(self) -> bytes:
+        _literal_texts(self)
+        picture = BytesIO()
+        self.savefig(picture, format="png")
+        return picture.getvalue()
+
+    def show(self, warn: bool = True) -> None:
+        """Display the figure once, in a notebook or a window.
+
+        Outside notebooks the window blocks until it is closed.
+
+        `warn` has no effect; pyplot warns if its backend has no windows.
+        """
+        shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+        if hasattr(shell, "kernel"):
+            sys.modules["IPython"].display.display(self)
+            return
+        from matplotlib import pyplot
+
+        _literal_texts(self)
+        # The window is created for a figure of pyplot and then shows this one.
+        canvas = pyplot.figure(figsize=self.get_size_inches()).canvas
+        canvas.figure = self
+        self.set_canvas(canvas)
+        pyplot.show()
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a width and a height in inches."""
+    figure = ShownFigure(figsize=(width, height), dpi=_DPI, facecolor=style.PAPER, layout="constrained")
+    figure.get_layout_engine().set(w_pad=_EDGE / 2, h_pad=_EDGE / 2, wspace=0.02, hspace=0.02)  # type: ignore[union-attr]
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _literal_texts(figure: Figure) -> None:
+    """Draw texts literally: a dollar sign begins no formula, and control characters are written out."""
+    for text in figure.findobj(Text):
+        # The tick labels of a logarithmic axis are formulas of matplotlib.
+        if isinstance(text, Text) and "$" in text.get_text() and "\\mathdefault" not in text.get_text():
+            text.set_parse_math(False)
+        if isinstance(text, Text):
+            text.set_text(printable(text.get_text()))
+
+
+def save_figure(figure: Figure, path: Path | str) -> None:
+    """Write a figure as PNG or PDF, by the name's suffix.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    path = Path(path)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("png", "pdf"):
+        raise InputError(f"{path}: a picture is a .png or .pdf file; choose a name that ends so")
+    _literal_texts(figure)
+    with whole_file(path, suffix=f".{kind}") as temporary:
+        try:
+            figure.savefig(temporary, format=kind)
+        except OverflowError as error:
+            raise InputError(
+                f"cannot draw {path}: its curves reach too far ({error}); look for time that runs backward or jumps"
+            ) from error
+
+
+@cache
+def text_width(text: str, size: float) -> float:
+    """Return the width of a line of text of a size in points, inches."""
+    if not text.strip():
+        return 0.0
+    literal = printable(text).replace("$", r"\$")
+    return float(TextPath((0, 0), literal, prop=FontProperties(size=size)).get_extents().x1) / 72
+
+
+def wrapped(text: str, size: float, width: float) -> list[str]:
+    """Return a text of a size in points as lines within a width in inches."""
+    if text_width(text, size) <= width:
+        return [text] if text else []
+    return wrap(text, max(8, int(len(text) * width / text_width(text, size)) - 1))
+
+
+def cropped(text: str, size: float, width: float) -> str:
+    """Return a text of a size in points, cut to a width in inches."""
+    if text_width(text, size) <= width:
+        return text
+    return text[: max(1, int(len(text) * width / text_width(text, size)) - 2)].rstrip() + " …"
+
+
+def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]]) -> None:
+    """Add a key below the title of a panel.
+
+    Entries are labels with a colour or a line style. More than four are refused: label these curves directly.
+    """
+    handles = []
+    for label, given in entries:
+        look: dict[str, Any] = {"color": given} if isinstance(given, str) else given
+        handles.append(Line2D([], [], label=label, **look))
+    if len(handles) > MOST_IN_KEY:
+        raise ValueError(f"{len(handles)} entries are too many for a key: label them directly")
+    if handles:
+        axes.legend(
+            handles=handles, fontsize=style.SMALL, frameon=False, ncols=len(handles), loc="lower left",
+            bbox_to_anchor=(0.0, 1.0), borderpad=0.0, borderaxespad=0.25, handlelength=1.3, handletextpad=0.4,
+            columnspacing=1.2,
+        ).set_gid(_KEY)  # fmt: skip
+
+
+MOST_IN_KEY = 4
+"""Greatest number of entries of a key."""
+
+
+def settle(figure: Figure) -> None:
+    """Wrap titles to the widths of their panels, move them above keys, and move apart direct labels."""
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        inches = axes.get_window_extent().width / figure.dpi
+        title, legend, pad = axes.get_title(loc="left"), axes.get_legend(), 4.0
+        if legend is not None and legend.get_gid() == _KEY:
+            wide = legend.get_window_extent().width / figure.dpi
+            if text_width(title, style.HEAD) + wide + 0.15 < inches:
+                legend.set_loc("lower right")
+                legend.set_bbox_to_anchor((1.0, 1.0), transform=axes.transAxes)
+            else:
+                pad += style.SMALL * _LINE + 2
+        if title:
+            lines = wrapped(title, style.HEAD, max(inches, 0.8)) if axes.name != "3d" else [title]
+            axes.set_title("\n".join(lines), loc="left", fontsize=style.HEAD, color=style.INK, pad=pad)
+        _spread(axes, [text for text in axes.texts if text.get_gid() == DIRECT])
+
+
+def _spread(axes: Axes, labels: list[Any]) -> None:
+    """Move direct labels up so that they do not overlap, and down from the panel's upper edge."""
+    step = _height(style.SMALL) * axes.get_figure(root=True).dpi  # type: ignore[union-attr]
+    low, high = axes.transAxes.transform([(0, 0), (0, 1)])[:, 1]
+    heights = [float(axes.transData.transform((0, label.xy[1]))[1]) for label in labels]
+    places = np.array([min(max(height, low), high) for height in heights])
+    order = np.argsort(places)
+    for before, after in pairwise(order):
+        places[after] = max(places[after], places[before] + step)
+    if len(order) and places[order[-1]] > high:
+        places[order[-1]] = high
+        for after, before in pairwise(order[::-1]):
+            places[before] = min(places[before], places[after] - step)
+    for label, place in zip(labels, places, strict=True):
+        label.xycoords, label.xy = "axes fraction", (1.0, (place - low) / (high - low))
+
+
+def darken(figure: Figure) -> None:
+    """Turn a page into its dark variant for README pictures: neutral and dark colours are replaced."""
+    for artist in figure.findobj():
+        for name in _COLOURED:
+            get, put = getattr(artist, f"get_{name}", None), getattr(artist, f"set_{name}", None)
+            if get is None or put is None:
+                continue
+            try:
+                replaced = style.DARK.get(to_hex(get()))
+            except (TypeError, ValueError):
+                continue
+            if replaced:
+                put(replaced)

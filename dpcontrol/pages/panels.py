@@ -1,0 +1,127 @@
+"""Parts of panels that every page shares: frames, axes in units of π, badges, marks, direct labels."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import FuncFormatter, MultipleLocator
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.pages import style
+
+
+def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "") -> None:
+    """Set a panel's title, axis labels, and plain frame and grid."""
+    if title:
+        axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK, pad=4)
+    axes.set_xlabel(x, fontsize=style.SMALL, color=style.NOTE, labelpad=1)
+    axes.set_ylabel(y, fontsize=style.SMALL, color=style.NOTE, labelpad=1)
+    axes.tick_params(labelsize=style.SMALL, colors=style.NOTE, length=2.5)
+    axes.tick_params(which="minor", labelsize=style.SMALL)
+    axes.grid(color=style.GRID, linewidth=0.7)
+    axes.set_axisbelow(True)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(style.FAINT)
+
+
+def bare(axes: Axes, title: str = "") -> None:
+    """Leave a panel without frame and ticks."""
+    axes.axis("off")
+    axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK, pad=4)
+
+
+def empty(axes: Axes, title: str, text: str) -> None:
+    """Write in a panel why it shows nothing."""
+    bare(axes, title)
+    axes.text(0.0, 0.9, text, transform=axes.transAxes, va="top", fontsize=style.TEXT, color=style.NOTE)
+
+
+def quiet_space(axes: Axes, *, angular: bool, steps: tuple[float, float] = (1.0, 1.0)) -> None:
+    """Label the axes of a panel in space.
+
+    They are (first coordinate, second, first rate), with ticks every `steps` half turns.
+    """
+    for which, label, step in zip("xy", ("θ₁ (rad)", "θ₂ (rad)") if angular else ("x", "y"), steps, strict=True):
+        getattr(axes, f"set_{which}label")(label, fontsize=style.SMALL)
+        if angular:
+            angle_axis(axes, which, step=step)
+    axes.set_zlabel("ω₁ (rad/s)" if angular else "x rate", fontsize=style.SMALL)  # type: ignore[attr-defined]
+    axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
+    axes.tick_params(labelsize=style.SMALL, colors=style.CART)
+
+
+def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
+    """Tick the "x" or "y" axis in multiples of π.
+
+    The step is `step` of them or adapted to the data.
+    """
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    if step is None:
+        low, high = axis.get_view_interval()
+        span = (high - low) / np.pi
+        step = next((s for s in (0.05, 0.1, 0.25, 0.5, 1.0, 2.0) if span / s <= 5), 4.0)
+    axis.set_major_locator(MultipleLocator(step * np.pi))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: style.in_pi(value / np.pi)))
+
+
+def label_in_pi(axis: Axis) -> None:
+    """Label an axis of half turns with enough digits.
+
+    The digits distinguish its ends.
+    """
+
+    def text(value: float, _: object) -> str:
+        low, high = axis.get_view_interval()
+        largest = max(abs(low), abs(high))
+        finest = np.log10(largest / (high - low)) if high > low else 0.0
+        return style.in_pi(value, digits=3 + max(0, int(np.ceil(finest))))
+
+    axis.set_major_formatter(FuncFormatter(text))
+
+
+def mark_times(axes: Axes, moments: list[float]) -> None:
+    """Mark moments (s) with a dotted line."""
+    for moment in moments:
+        axes.axvline(moment, color=style.MARK, linewidth=0.9, linestyle=style.DOTTED, zorder=1.5)
+
+
+def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SMALL) -> None:
+    """Put a symbol's number, white on a dark disc."""
+    axes.text(
+        x, y, str(number), ha="center", va="center_baseline", fontsize=size, color="white", zorder=6, clip_on=False,
+        bbox={"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
+    )  # fmt: skip
+
+
+def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
+    """Return a curve (K, D) as runs within one period about zero.
+
+    It is split at the bounds.
+
+    `periods` is (D,), None or zero for coordinates without a period.
+    """
+    lengths = np.array([period or 0.0 for period in periods])
+    turns = np.rint(curve / np.where(lengths, lengths, np.inf))
+    breaks = np.flatnonzero((np.diff(turns, axis=0) != 0).any(axis=1)) + 1
+    runs = []
+    for start, end in zip(np.r_[0, breaks], np.r_[breaks, len(curve)], strict=True):
+        # One point beyond each end extends runs to the frame.
+        low, high = max(start - 1, 0), min(end + 1, len(curve))
+        runs.append(curve[low:high] - turns[start] * lengths)
+    return [run for run in runs if len(run) > 1]
+
+
+def name_curves(axes: Axes, names: list[tuple[float, str, str]]) -> None:
+    """Label curves directly at the right end of a panel, in place of a key.
+
+    Each name has the height of its curve's end in data, its text and its colour. The layout engine moves apart labels
+    that would overlap.
+    """
+    for height, text, colour in names:
+        axes.annotate(
+            text, (1.0, height), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
+            va="center", fontsize=style.SMALL, color=colour, annotation_clip=False,
+        ).set_gid(DIRECT)  # fmt: skip
+
+
+DIRECT = "direct label"

@@ -1,0 +1,107 @@
+"""The story of a run over time: planned and flown stays, symbols, and the controller's modes, as strips."""
+
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+
+from dpcontrol.judge.run_view import RunView
+from dpcontrol.pages import style
+from dpcontrol.pages.layout import text_width
+from dpcontrol.pages.panels import badge
+from dpcontrol.pages.series import Range, Span, Strip, strips
+
+_TALL = 0.84
+_WRONG = {"facecolor": "#f7d9d6", "edgecolor": style.LIMIT, "hatch": "xxxx"}
+_BETWEEN = {"facecolor": "#eceef0", "edgecolor": style.FAINT, "hatch": "////"}
+_ROW = 0.24
+_AROUND = 0.62
+
+
+def story_rows(view: RunView, *, span: Range | None = None) -> list[Strip]:
+    """Return the rows of the story, from the top."""
+    return [strip for strip in strips(view, until=None if span is None else span[1]) if strip.name]
+
+
+def story_height(view: RunView, *, span: Range | None = None) -> float:
+    """Return the height of a story, inches; 0 without rows."""
+    rows = story_rows(view, span=span)
+    return _AROUND + _ROW * len(rows) if rows else 0.0
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """The time range of a story, s, and the time that a length in inches takes."""
+
+    begin: float
+    end: float
+    second: float
+
+    def width(self, text: str) -> float:
+        """Return the time that a text takes, s."""
+        return (text_width(text, style.SMALL) + 0.08) * self.second
+
+
+def story(axes: Axes, view: RunView, *, span: Range | None = None, width: float = style.WIDTH) -> None:
+    """Draw planned stays, decoded stays and modes over time.
+
+    `span` is the time range to show, s; by default that of the motion and its plan. `width` is the panel's, inches.
+    """
+    rows = story_rows(view, span=span)
+    begin, end = span or view.span
+    clock = _Clock(begin, end, (end - begin) / (width - 1.2))
+    for place, strip in enumerate(reversed(rows)):
+        taken = begin
+        for part in strip.spans:
+            taken = _part(axes, part, place, view, clock, taken=taken, mode=strip.name == "controller")
+    _numbers(axes, view, [strip.name for strip in rows], clock)
+    axes.set_xlim(begin, end)
+    axes.set_ylim(-0.08, len(rows) + 0.02)
+    axes.set_yticks([place + _TALL / 2 for place in range(len(rows))], [strip.name for strip in reversed(rows)])
+    axes.tick_params(labelsize=style.SMALL, colors=style.NOTE, length=2.5)
+    axes.tick_params(axis="y", length=0)
+    unit = " (s)" if view.arm_lengths else ""
+    axes.set_xlabel(f"time{unit}", fontsize=style.SMALL, color=style.NOTE, loc="left", labelpad=0)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side == "bottom")
+        spine.set_color(style.FAINT)
+
+
+def _part(axes: Axes, part: Span, place: int, view: RunView, clock: _Clock, *, taken: float, mode: bool) -> float:
+    """Draw a span of a strip, with its text if there is room; return the end of the last text, s."""
+    # A mode of one tick, as at an end, is widened to remain visible.
+    width = max(part.last - part.first, (0.06 if part.kind == "mode" else 0.04) * clock.second)
+    first = part.last - width if part.kind == "mode" else part.first
+    look = {"astray": _WRONG, "transfer": _BETWEEN, "ended": _BETWEEN}.get(part.kind, {"facecolor": part.colour})
+    axes.broken_barh([(first, width)], (place, _TALL), linewidth=0, **look)  # type: ignore[arg-type]
+    text = "" if part.kind == "ended" and mode else part.text
+    text = f"the run ended at {part.first:.2f} s" if part.kind == "ended" and not mode else text
+    marked = any(part.first <= at <= part.last for at, _ in view.plan.symbols)
+    wide = clock.width(text)
+    if not text or (part.kind in ("transfer", "stay", "astray") and marked) or width < wide:
+        return taken
+    colour = {"stay": style.PAPER, "astray": style.LIMIT, "mode": style.INK}.get(part.kind, style.NOTE)
+    box = None if part.kind in ("stay", "mode") else {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+    axes.text(
+        first + width / 2, place + _TALL / 2, text, ha="center", va="center_baseline", fontsize=style.SMALL,
+        color=colour, bbox=box, clip_on=True, zorder=4,
+    )  # fmt: skip
+    return first + width / 2 + wide / 2
+
+
+def _numbers(axes: Axes, view: RunView, rows: list[str], clock: _Clock) -> None:
+    """Number the symbols at their planned and actual times, and name them above if there is room."""
+    free, last = clock.begin, -1e9
+    for i, (name, planned, done) in enumerate(view.symbols):
+        for row, moment in ((rows[0], planned), ("done", done)):
+            if row in rows and moment is not None and clock.begin <= moment <= clock.end:
+                place = len(rows) - 1 - rows.index(row)
+                axes.plot([moment, moment], [place, place + _TALL], color=style.INK, linewidth=1.4, zorder=4.5)
+                if row == rows[0] and moment - last > 0.2 * clock.second:
+                    badge(axes, i + 1, moment, place + _TALL / 2)
+                    last = moment
+        half = clock.width(name) / 2
+        left = min(max(planned - half, clock.begin), clock.end - 2 * half)
+        if left > free and clock.begin <= planned <= clock.end:
+            look = {"ha": "center", "va": "bottom", "fontsize": style.SMALL, "color": style.INK}
+            axes.text(left + half, len(rows) - 0.02, name, **look)  # type: ignore[arg-type]
+            free = left + 2 * half
