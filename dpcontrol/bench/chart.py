@@ -32,15 +32,32 @@ from typing import Any, ClassVar
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
+from dpcontrol.foundation.units import quantity
 
 ALLOWED = 0.2
 """Largest distance of a default from the front, with a reason."""
 AGREES = 0.25
 """Tolerance between measured and predicted borders, as a share."""
 READING_LINES = 3
+LEADING = 3
+"""Diagrams on a chart's first page; its appendix has the others."""
 _MOST_PROBES = 60
 _SHOWN = 90
 """Characters of a message shown in a table; the JSON holds all."""
+
+
+def unit_of(label: str) -> str:
+    """Return the unit after the last comma of an axis label, or ""."""
+    unit = label.rpartition(", ")[2] if ", " in label else ""
+    return unit if unit in UNITS else ""
+
+
+def name_of(label: str) -> str:
+    """Return an axis label without its unit."""
+    return label.rpartition(", ")[0] if unit_of(label) else label
+
+
+UNITS = ("s", "m", "rad", "J", "m/s²", "m²/s³", "1/(N m s)", "N m s")
 
 
 @dataclass(frozen=True)
@@ -175,6 +192,33 @@ class Panel:
     def standing(self, point: Point) -> str:
         """Return the position of a point in words."""
         return "on the front" if point in self.front else f"{self.off_front(point):.0%} off the front"
+
+    def finding(self) -> str:
+        """Return the diagram's result in one sentence: the first default beside the best other method."""
+        if not self.defaults:
+            best = min(self.points, key=lambda p: (self._error(p), p.seconds))
+            return f"{best.name} has the smallest error, {self._shown(best)}"
+        ours = self.defaults[0]
+        others = [(p, e) for p, e in self._running if p.method != ours.method]
+        as_good = [p for p, e in others if e <= self._error(ours)]
+        if not others:
+            return f"{ours.name}: {self._shown(ours)}"
+        if as_good:
+            other = min(as_good, key=lambda p: p.seconds)
+            ratio = other.seconds / ours.seconds
+            times = f"{ratio:.2g} times" if ratio >= 1 else f"{ratio:.0%} of"
+            if not self.timed:
+                return f"{other.name} does as well as {ours.name} with {times} the {name_of(self.x_label)}"
+            link = "but takes" if ratio >= 1 else "and takes"
+            return f"{other.name} does as well as {ours.name}, {link} {times} its time"
+        return f"{ours.name} has the smallest error, {self._shown(ours)}"
+
+    def _shown(self, point: Point) -> str:
+        """Return the error of a point with its unit."""
+        unit = unit_of(self.y_label)
+        if not self.log_y:
+            return f"{point.error:.0%}"
+        return quantity(point.error, unit) if unit else f"{max(point.error, self.floor):.1e}"
 
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each default off the front without reason.
@@ -348,6 +392,17 @@ class EdgeMap:
     log_x: bool = True
     agrees: float = AGREES
 
+    def finding(self) -> str:
+        """Return the map's result in one sentence: the range of its borders, and how well theory predicts them."""
+        measured = [b.measured for b in self.borders if b.measured is not None]
+        if not measured:
+            return f"no line {self.far}"
+        unit = unit_of(self.y_label)
+        low, high = (quantity(y, unit) for y in (min(measured), max(measured)))
+        between = f"at {low}" if low == high else f"from {low} to {high}"
+        off = [b.off for b in self.borders if b.off is not None]
+        return f"the border is {between}" + (f"; theory is within {max(off):.0%}" if off else "")
+
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each border with a fault.
 
@@ -384,10 +439,74 @@ class EdgeMap:
 
 
 @dataclass(frozen=True)
+class Search:
+    """All tries of one way to search, over several tasks.
+
+    Attributes:
+        method: its name.
+        tries: number of tries.
+        found: tries that found a solution.
+        good: tries whose solution is as cheap as the default's.
+        seconds: processor time of all tries, s.
+        default: True for the package's choice.
+    """
+
+    method: str
+    tries: int
+    found: int
+    good: int
+    seconds: float
+    default: bool = False
+
+    @property
+    def seconds_to_good(self) -> float:
+        """Processor time to one good solution, s; infinite if there was none."""
+        return self.seconds / self.good if self.good else math.inf
+
+
+@dataclass(frozen=True)
+class Searches:
+    """A diagram of success rates and costs: for each way to search, the share of tries that find a solution.
+
+    Attributes:
+        good: description of a good solution.
+    """
+
+    title: str
+    searches: tuple[Search, ...]
+    good: str
+
+    def finding(self) -> str:
+        """Return the result in one sentence: the default beside the best other search."""
+        ours = next(s for s in self.searches if s.default)
+        other = min((s for s in self.searches if not s.default), key=lambda s: (s.seconds_to_good, -s.found))
+        rate, cost = f"{ours.good / ours.tries:.0%}", quantity(ours.seconds_to_good, "s")
+        best = f"the best other search, {other.method},"
+        ending = (
+            f"takes {quantity(other.seconds_to_good, 's')} for one as cheap" if other.good else "finds none as cheap"
+        )
+        return f"{ours.method.capitalize()}, {rate} of tries find the flight, in {cost} each; {best} {ending}"
+
+    def table(self) -> ChartTable:
+        """Return the searches as a table."""
+        rows = tuple(
+            (s.method, str(s.tries), f"{s.found / s.tries:.0%}", f"{s.good / s.tries:.0%}",
+             quantity(s.seconds_to_good, "s") if s.good else "-")
+            for s in self.searches
+        )  # fmt: skip
+        return ChartTable(self.title, ("search", "tries", "find a flight", self.good, "time to one of these"), rows)
+
+    def document(self) -> dict[str, Any]:
+        """Return the diagram as JSON data."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
 class ChartPage:
     """A page of `dpcontrol bench`.
 
-    It has a name for command line and files, a title, three reading hints, the choice and its diagrams.
+    It has a name for command line and files, a title, three reading hints, the choice and its diagrams. If it has a
+    lead, its first picture shows the lead alone.
 
     `PARTS` is the diagrams' name in JSON.
 
@@ -402,10 +521,24 @@ class ChartPage:
     reading: tuple[str, str, str]
     chosen: str
     parts: tuple[Any, ...]
+    lead: Searches | None = None
 
     def __post_init__(self) -> None:
         if len(self.reading) != READING_LINES:
             raise ValueError(f"{self.name}: {len(self.reading)} lines on how to read it; write {READING_LINES}")
+
+    @property
+    def diagrams(self) -> tuple[Any, ...]:
+        """All diagrams, the leading one first."""
+        return self.parts if self.lead is None else (self.lead, *self.parts)
+
+    @property
+    def pages(self) -> dict[str, tuple[Any, ...]]:
+        """The diagrams of each picture, by the end of its file's name: the leading ones, then the appendix."""
+        pages = {"": self.parts[:LEADING], "-more": self.parts[LEADING:]}
+        if self.lead is not None:
+            pages = {"": (self.lead,), "-more": self.parts}
+        return {end: parts for end, parts in pages.items() if parts}
 
     @property
     def complaints(self) -> tuple[str, ...]:
@@ -415,7 +548,9 @@ class ChartPage:
     def document(self) -> dict[str, Any]:
         """Return the page as JSON data."""
         head = {name: getattr(self, name) for name in ("name", "title", "reading", "chosen", "complaints")}
-        return {**head, self.PARTS: [part.document() for part in self.parts]}
+        findings = [f"{part.title}: {part.finding()}" for part in self.diagrams]
+        lead = {} if self.lead is None else {"lead": self.lead.document()}
+        return {**head, "findings": findings, **lead, self.PARTS: [part.document() for part in self.parts]}
 
 
 @dataclass(frozen=True)

@@ -225,7 +225,7 @@ def _pair(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str]
 
     They show the error, and the share of failures at the large mismatch.
     """
-    found, x = measured(task, made, seeds=seeds, default=default), "s per tick, filter and law"
+    found, x = measured(task, made, seeds=seeds, default=default), "time of a tick, filter and law, s"
     failed = tuple(replace(p, error=1 - p.others["success"]) for p in found.points)
     return (
         found.titled(f"{task.title}: error", x, _ERROR, why=why),
@@ -423,7 +423,9 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
         tried.append(Alternative("differences", label, partial(differences, rates, joints[0], joints[1], cutoff)))
         judged["differences", label] = derivative_trial(cutoff, swings, counts=counts)
     found = compare(tried, lambda one, _: judged[one.method, one.setting])
-    return found.titled(f"{counts} counts per turn", "s per tick", "rms error of the arms' state (scaled)", why=_WHY)
+    return found.titled(
+        f"{counts} counts per turn", "time of a tick, s", "rms error of the arms' state (scaled)", why=_WHY
+    )
 
 
 def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: int) -> Judged:

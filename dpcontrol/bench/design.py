@@ -196,7 +196,7 @@ def three_body_panel(*, quick: bool) -> Panel:
 
 T = TypeVar("T")
 
-TIME = "time, s per second of motion"
+TIME = "time for a second of motion, s"
 
 CROSSING_ENERGY = 0.2
 FINEST = ("radau-10", 0.03)

@@ -1015,7 +1015,7 @@ def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
         for name, title, label in (
             ("gain_low", "Too little of a command", "share that the drive gives"),
             ("gain_high", "Too much of a command", "factor that the drive gives"),
-            ("delay", "Further delay", "s"), ("lag", "Further lag", "s"),
+            ("delay", "Further delay", "delay, s"), ("lag", "Further lag", "lag, s"),
         )
     ]  # fmt: skip
     return EdgeChart(

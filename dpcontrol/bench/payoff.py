@@ -34,7 +34,18 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BarycentricInterpolator
 
-from dpcontrol.bench.chart import AT_ONCE, Border, Missing, Panel, Point, PrecisionChart, find_border, half_of
+from dpcontrol.bench.chart import (
+    AT_ONCE,
+    Border,
+    Missing,
+    Panel,
+    Point,
+    PrecisionChart,
+    Search,
+    Searches,
+    find_border,
+    half_of,
+)
 from dpcontrol.bench.chart import Attempt as Answer
 from dpcontrol.bench.control import held
 from dpcontrol.bench.homotopy import by_homotopy
@@ -772,6 +783,7 @@ def page(results: dict[str, list[Any]]) -> PrecisionChart:
             "Walks of more turns follow in the last diagrams. All flights are computed again by scipy alone.",
         ),
         chosen=verdict(flights, walks, fronts),
+        lead=searches_of(flights),
     )  # fmt: skip
 
 
@@ -831,6 +843,19 @@ def _methods(found: Sequence[Compared]) -> list[str]:
     return list(dict.fromkeys(name for one in found for name, *_ in one.tries))
 
 
+def searches_of(flights: Sequence[Compared]) -> Searches:
+    """Return the success of every method over all flights, the best first."""
+    found = []
+    for method in _methods(flights):
+        tallies = [_tallied(one, method) for one in flights]
+        tries, solved, good, seconds = (
+            sum(t[key] for t in tallies) for key in ("tries", "converged", "as_cheap", "seconds_in_all")
+        )
+        found.append(Search(method, int(tries), int(solved), int(good), seconds, default=method == TUBES))
+    found.sort(key=lambda s: (s.seconds_to_good, -s.found / s.tries))
+    return Searches("Flights between the same states in the same time", tuple(found), "as cheap as along tubes")
+
+
 def success_panel(flights: Sequence[Compared]) -> Panel:
     """Return the diagram of failing tries against time.
 
@@ -846,9 +871,14 @@ def success_panel(flights: Sequence[Compared]) -> Panel:
                       default=method == TUBES, note=f"{tally['converged']:g} of {tally['tries']:g} tries")
             )  # fmt: skip
     return Panel(
-        "Same ends, same time: success", "s of one core for a try", "share of tries that find no flight", tuple(points),
-        log_y=False, judged=False, timed=False,
-    )  # fmt: skip
+        "Same ends, same time: success",
+        "time of a try on one core, s",
+        "share of tries that find no flight",
+        tuple(points),
+        log_y=False,
+        judged=False,
+        timed=False,
+    )
 
 
 def effort_panel(flights: Sequence[Compared]) -> Panel:
@@ -869,7 +899,7 @@ def effort_panel(flights: Sequence[Compared]) -> Panel:
                       default=method == TUBES, note=note, others=tally | numbers(best))
             )  # fmt: skip
     return Panel(
-        "Same ends, same time: best flight", "s of one core for all tries", "∫u², times that along tubes",
+        "Same ends, same time: best flight", "time of all tries on one core, s", "∫u², times that along tubes",
         tuple(points), missing=tuple(missing), judged=False, timed=False,
     )  # fmt: skip
 
@@ -938,7 +968,7 @@ def walk_panels(walks: Sequence[Compared]) -> tuple[Panel, ...]:
                 missing.append(Missing(method, one.name, f"none of {tally['tries']:g} tries found a flight"))
     more: dict[str, Any] = {"judged": False, "timed": False}
     return (
-        Panel("Longer walks: time", "turns of the outer arm", "s of one core to a flight", tuple(times),
+        Panel("Longer walks: time", "turns of the outer arm", "time to a flight on one core, s", tuple(times),
               missing=tuple(missing), **more),
         Panel("Longer walks: success", "turns of the outer arm", "share of tries that find no flight", tuple(shares),
               log_y=False, **more),

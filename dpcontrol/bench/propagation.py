@@ -169,7 +169,7 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     chaotic = compared(tried, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
     drifts = tuple(replace(p, error=p.others["drift"]) for p in chaotic.points)
     progress("propagation: tick", 0.8)
-    title, label = f"chaotic swing, {swing.duration:.0f} s", "time, s per trajectory"
+    title, label = f"chaotic swing, {swing.duration:.0f} s", "time of a trajectory, s"
     return PrecisionChart(
         name="propagation",
         title="Propagation: time against error",
@@ -409,7 +409,7 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]
 
     ticks = compare(tried, judge, rounds=9 if quick else 25)
     alone, together = (
-        ticks.titled(f"a tick of 1 ms, {what}", "time, s per tick", "error, scaled", floor=TICK_ROUNDING,
+        ticks.titled(f"a tick of 1 ms, {what}", "time of a tick, s", "error, scaled", floor=TICK_ROUNDING,
                     points=tuple(p for p in ticks.points if ("at once" in p.method) is many))
         for what, many in (("one run", False), (f"{LANES} runs", True))
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Draw charts: each to NAME.png, and to NAME.json with its points, machine, versions and commit.
+"""Draw charts: each to NAME.png, an appendix to NAME-more.png, and NAME.json with points, machine and versions.
 
 A chart can be compared with an earlier drawing: methods keep their order on each front, defaults their quality.
 
@@ -17,14 +17,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from itertools import combinations, pairwise
+from itertools import combinations
 from pathlib import Path
-from textwrap import fill
 from typing import Any
-
-import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
 
 from dpcontrol.bench.chart import (
     ALLOWED,
@@ -33,21 +28,18 @@ from dpcontrol.bench.chart import (
     GROUPS,
     SPREAD,
     ChartPage,
-    EdgeMap,
     Panel,
     Point,
-    PrecisionChart,
     check_names,
 )
+from dpcontrol.bench.drawing import figure
 from dpcontrol.bench.measure import one_core
-from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file, write_whole
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
-from dpcontrol.pages.style import FAINT, INK, LIMIT, REFERENCE, STABLE
 
 
 @dataclass(frozen=True)
@@ -55,7 +47,7 @@ class DrawnChart:
     """A finished chart, its files, and its duration in seconds."""
 
     chart: ChartPage
-    picture: Path
+    pictures: tuple[Path, ...]
     data: Path
     seconds: float
 
@@ -125,16 +117,18 @@ def _named(name: str, progress: Progress) -> Progress:
 def draw_chart(
     name: str, *, folder: Path, made_with: Mapping[str, Any], progress: Progress = no_progress
 ) -> DrawnChart:
-    """Make one chart and write its picture and data to `folder`."""
+    """Make one chart and write its pictures and data to `folder`."""
     began = time.perf_counter()
     chart = CHARTS[name](made_with["quick"], progress)
     seconds = time.perf_counter() - began
-    picture, data = Path(folder) / f"{chart.name}.png", Path(folder) / f"{chart.name}.json"
-    with whole_file(picture, suffix=".png") as temporary:
-        figure(chart).savefig(temporary, format="png")
+    pictures = {Path(folder) / f"{chart.name}{end}.png": parts for end, parts in chart.pages.items()}
+    for picture, parts in pictures.items():
+        with whole_file(picture, suffix=".png") as temporary:
+            figure(chart, parts).savefig(temporary, format="png")
+    data = Path(folder) / f"{chart.name}.json"
     document = {**chart.document(), "seconds": seconds, **made_with}
     write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-    return DrawnChart(chart, picture, data, seconds)
+    return DrawnChart(chart, tuple(pictures), data, seconds)
 
 
 def machine() -> dict[str, Any]:
@@ -253,206 +247,3 @@ def _defaults(before: Sequence[Panel], after: Sequence[Panel]) -> Iterator[tuple
         for now in panel.defaults:
             if (panel.title, now.name) in known:
                 yield panel, known[panel.title, now.name], now
-
-
-MARKS = "osD^v<>Pph*X8d"
-COLOURS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15", "#c2185b", "#0f8b8d", "#5b6470")
-FLOOR = 1e-17
-"""Drawn position of an error of exactly zero."""
-WIDTH, HEIGHT = 6.4, 5.6
-_FEW, _MANY = 6.0, 100.0
-"""Ranges of a logarithmic axis: below the first 1, 2, 5 give too few labels, from the second on powers are enough."""
-_FOR_LEGEND = 0.3
-"""Free share of a map's height above its contents."""
-
-
-def figure(page: ChartPage) -> Figure:
-    """Return a page's picture with its diagrams side by side.
-
-    Each method has one colour and mark throughout.
-    """
-    columns = 2 if len(page.parts) == 4 and isinstance(page, PrecisionChart) else min(len(page.parts), 3)
-    rows = -(-len(page.parts) // columns)
-    picture = Figure(figsize=(WIDTH * columns, HEIGHT * rows + 1.0), layout="constrained", dpi=110)
-    picture.suptitle(page.title, fontsize=13, color=INK)
-    panels = page.parts if isinstance(page, PrecisionChart) else ()
-    methods = list(dict.fromkeys(p.method for panel in panels for p in panel.points))
-    looks = {m: (MARKS[k % len(MARKS)], COLOURS[k % len(COLOURS)]) for k, m in enumerate(methods)}
-    axes = picture.subplots(rows, columns, squeeze=False).ravel()
-    for axis, part in zip(axes, page.parts, strict=False):
-        axis.margins(0.12, 0.08)
-        if isinstance(part, Panel):
-            _draw_panel(axis, part, looks)
-        else:
-            _draw_map(axis, part)
-        axis.set_title(part.title, fontsize=10, color=INK)
-        axis.set_xlabel(part.x_label)
-        axis.set_ylabel(part.y_label)
-    for axis in axes[len(page.parts) :]:
-        axis.set_visible(False)
-    text = [fill(line, int(WIDTH * columns * 13)) for line in page.reading]
-    picture.supxlabel("\n".join(text), fontsize=9, color=INK, x=0.01, ha="left")
-    if panels:
-        # The space for labels is known once the axes have their positions.
-        picture.draw_without_rendering()
-        for axis, panel in zip(axes, panels, strict=False):
-            _label_settings(axis, panel, looks)
-    return picture
-
-
-def _draw_map(axis: Any, one: EdgeMap) -> None:
-    for works, mark, colour, label in ((True, "o", STABLE, one.near), (False, "x", LIMIT, one.far)):
-        shown = [(b.x, t.y) for b in one.borders for t in b.trials if t.works is works]
-        axis.plot([x for x, _ in shown], [y for _, y in shown], mark, color=colour, markersize=5, label=label)
-    for places, style in (
-        ([(b.x, b.measured) for b in one.borders if b.measured is not None],
-         {"marker": "_", "linestyle": "-", "color": INK, "markersize": 16, "label": "measured border"}),
-        ([(b.x, b.predicted) for b in one.borders if b.predicted is not None],
-         {"marker": "D", "linestyle": "--", "color": REFERENCE, "markersize": 7, "markerfacecolor": "none",
-          "markeredgecolor": INK, "label": fill(f"predicted: {one.theory}", 60)}),
-    ):  # fmt: skip
-        if places:
-            axis.plot(*zip(*places, strict=True), linewidth=1.2, **style)
-    if one.log_x and all(b.x > 0 for b in one.borders):
-        axis.set_xscale("log")
-    axis.set_yscale("log")
-    names = {b.x: b.line for b in sorted(one.borders, key=lambda b: b.x)}
-    # Numbered positions show the lines' names.
-    named = not one.log_x and list(names) == list(range(len(names)))
-    labels = list(names.values()) if named else [f"{x:.4g}" for x in names]
-    axis.set_xticks(list(names), labels, fontsize=8, rotation=20 if named else 0)
-    axis.xaxis.set_minor_locator(NullLocator())
-    low, high = axis.get_ylim()
-    axis.set_ylim(low, high * (high / low) ** _FOR_LEGEND)
-    # Most borders span less than a decade, so its parts are labelled too.
-    _readable_ticks(axis.yaxis, many=10 * _MANY)
-    axis.legend(fontsize=7, loc="upper left", framealpha=0.85)
-
-
-def _height(panel: Panel, error: float) -> float:
-    return max(error, panel.floor, FLOOR) if panel.log_y else error
-
-
-def _draw_panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
-    for method in dict.fromkeys(p.method for p in panel.points):
-        mark, colour = looks[method]
-        points = sorted((p for p in panel.points if p.method == method), key=lambda p: p.seconds)
-        hollow = any(p.outside or p.stored for p in points)
-        axis.plot(
-            [p.seconds for p in points], [_height(panel, p.error) for p in points], mark, color=colour, markersize=6,
-            markerfacecolor="white" if hollow else colour, label=method, zorder=3,
-        )  # fmt: skip
-    front = panel.front
-    axis.plot(
-        [p.seconds for p in front], [_height(panel, p.error) for p in front], color=FAINT, linewidth=4, zorder=1,
-        drawstyle="steps-post", label="front",
-    )  # fmt: skip
-    for p in panel.defaults:
-        axis.plot(p.seconds, _height(panel, p.error), "o", markersize=_RING, markerfacecolor="none", color=LIMIT,
-                  zorder=4)  # fmt: skip
-    if panel.defaults:
-        standing = "; ".join(dict.fromkeys(panel.standing(p) for p in panel.defaults))
-        label = fill(f"default: {standing}", 30) if panel.judged else "default"
-        axis.plot([], [], "o", markersize=9, markerfacecolor="none", color=LIMIT, label=label)
-    axis.set_xscale("log")
-    if panel.log_y:
-        axis.set_yscale("log")
-    axis.grid(True, which="major", color=FAINT, linewidth=0.5)
-    _readable_ticks(axis.xaxis)
-    if panel.log_y:
-        _readable_ticks(axis.yaxis)
-    else:
-        _share_axis(axis, max(p.error for p in panel.points))
-    axis.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-
-
-def _share_axis(axis: Any, most: float) -> None:
-    """Show shares from zero to one on an axis.
-
-    If the maximum is at most a tenth, show slightly more than it.
-    """
-    top = 1.0 if most > 0.15 or most == 0 else 1.2 * most
-    # The axis starts slightly below zero to show whole marks; labels start at zero.
-    axis.set_ylim(-0.05 * top, 1.05 * top)
-    axis.set_yticks([tick for tick in MaxNLocator(6).tick_values(0.0, top) if 0 <= tick <= 1.001 * top])
-    axis.yaxis.set_major_formatter(PercentFormatter(1.0))
-
-
-_RING, _LABEL, _CLEAR = 15.0, 8.0, 10.0
-"""Diameter of a ring, height of a label's letters, and width of a mark, in points."""
-_AWAY = np.array([0.0, 6.0, 12.0, 20.0, 30.0, 42.0, 60.0])
-"""Tried distances between mark and label, in points; from `_LED` on a line connects them."""
-_LED = 10.0
-_ALONG = np.linspace(0.3, 0.8, 8)
-"""Tested points of the line from a mark to its label, as shares of its length."""
-_SIDES = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1)])
-
-
-def _label_settings(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
-    """Write each setting beside its mark.
-
-    The place has the least overlap with marks, rings, the front and other labels.
-    """
-    unit = axis.figure.dpi / 72
-    renderer = axis.figure._get_renderer()
-
-    def pixels(points: Sequence[Point]) -> Array:
-        return axis.transData.transform([(p.seconds, _height(panel, p.error)) for p in points])
-
-    spots, front = pixels(panel.points), pixels(panel.front)
-    clear = [unit * (_RING + 2 if p.default else _CLEAR) for p in panel.points]
-    taken = [_box(spot, size) for spot, size in zip(spots, clear, strict=True)]
-    labels: list[Array] = []
-    for one, other in pairwise(front):
-        corner = np.array([other[0], one[1]])
-        taken += [_box((a + b) / 2, np.abs(b - a) + 4 * unit) for a, b in ((one, corner), (corner, other))]
-    for p, spot, size in zip(panel.points, spots, clear, strict=True):
-        if not p.setting:
-            continue
-        look = {"textcoords": "offset points", "xy": (p.seconds, _height(panel, p.error)), "in_layout": False}
-        colour = looks[p.method][1]
-        text = axis.annotate(p.setting, xytext=(0, 0), fontsize=_LABEL, color=colour, ha="center", va="center", **look)
-        extent = np.array([*text.get_window_extent(renderer).size])
-        away = np.repeat(_AWAY, len(_SIDES))
-        offsets = np.tile(_SIDES, (len(_AWAY), 1)) * (size / 2 + unit * away[:, None] + extent / 2)
-        boxes = np.array([_box(spot + offset, extent) for offset in offsets])
-        outside = extent.prod() - _common(boxes, axis.bbox.extents)
-        # A line to a label must not cross other labels, and conversely.
-        dots = np.array([[_box(spot + share * offset, 3 * unit) for share in _ALONG] for offset in offsets])
-        crossed = sum(_common(dots.reshape(-1, 4), label).reshape(len(offsets), -1).sum(axis=1) for label in labels)
-        covered = sum(_common(boxes, other) for other in taken)
-        cost = 10 * (covered + outside) + away + crossed * (away >= _LED)
-        best = int(np.argmin(cost))
-        text.set_position(offsets[best] / unit)
-        labels.append(boxes[best])
-        taken.append(boxes[best])
-        if away[best] >= _LED:
-            line = {"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
-            nearest = np.clip(0.0, offsets[best] - extent / 2, offsets[best] + extent / 2)
-            axis.annotate("", xytext=nearest / unit, arrowprops=line, **look)
-
-
-def _box(middle: Array, size: Array | float) -> Array:
-    """Return left, bottom, right and top."""
-    return np.concatenate([middle - np.divide(size, 2), middle + np.divide(size, 2)])
-
-
-def _common(boxes: Array, other: Array) -> Array:
-    """Return the overlap areas of boxes (K, 4) with another."""
-    return np.clip(np.minimum(boxes[:, 2:], other[2:]) - np.maximum(boxes[:, :2], other[:2]), 0, None).prod(axis=1)
-
-
-def _readable_ticks(axis: Any, many: float = _MANY) -> None:
-    """Thin labels of a logarithmic axis.
-
-    Powers of ten remain, with 1, 2, 5 on short ranges, otherwise a few round numbers.
-    """
-    low, high = axis.get_view_interval()
-    axis.set_minor_formatter(NullFormatter())
-    if high / low >= many:
-        return
-    few = high / low < _FEW
-    axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if few else LogLocator(subs=(1.0, 2.0, 5.0)))
-    if few:
-        axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))

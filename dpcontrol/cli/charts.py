@@ -123,7 +123,7 @@ def bench_command(
         status += "; " + ("; ".join(changed) or f"the order on each front is that in {against}")
         status += "; " + ("; ".join(lost) or "no default became slower or less accurate")
         complaints += changed + lost
-    files = [{"file": d.picture, "data": d.data, "seconds": d.seconds} for d in drawn]
+    files = [{"file": d.pictures[0], "files": d.pictures, "data": d.data, "seconds": d.seconds} for d in drawn]
     document = {
         "charts": [{**d.chart.document(), **file} for d, file in zip(drawn, files, strict=True)],
         "status": status,
@@ -134,9 +134,11 @@ def bench_command(
 
 def _text(drawn: "Sequence[DrawnChart]") -> Iterator[str | TextTable]:
     for d in drawn:
-        yield str(d.picture)
-        for table in (part.table() for part in d.chart.parts):
+        yield from map(str, d.pictures)
+        for part in d.chart.diagrams:
+            table = part.table()
             yield TextTable(table.title, table.columns, table.rows)
+            yield f"  {part.finding()}"
             yield from (f"  {note}" for note in table.notes)
         yield from (f"  {line}" for line in d.chart.reading)
         yield fill(f"Chosen: {d.chart.chosen}", 110, initial_indent="  ", subsequent_indent="  ")

@@ -90,13 +90,13 @@ def _energies(plan: "Plan", picture: Path) -> "PrecisionChart":
     """Return the chart of a plan's effort over energies, drawn to a picture."""
     with progress_bar("energies") as progress:
         progress("loading", 0.0)
+        from dpcontrol.bench.drawing import figure
         from dpcontrol.bench.energies import energies_chart
-        from dpcontrol.bench.run import figure
         from dpcontrol.foundation.files import whole_file
 
         chart = energies_chart(plan.itinerary, progress)
         with whole_file(picture, suffix=".png") as temporary:
-            figure(chart).savefig(temporary, format="png")
+            figure(chart, chart.parts).savefig(temporary, format="png")
     return chart
 
 

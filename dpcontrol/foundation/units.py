@@ -1,5 +1,6 @@
 """Numbers that look as if they were given in another unit: remarked on if unusual, refused if impossible."""
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -22,6 +23,19 @@ OTHER_UNITS: dict[str, dict[str, float]] = {
 """Units in which a number of the first unit may have been given by mistake, and their sizes."""
 _IMPOSSIBLE = 1000.0
 """Times the largest usual value: beyond this a number is refused."""
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a number with its unit and an SI prefix.
+
+    >>> quantity(8.8e-05, "s")
+    '88 µs'
+    """
+    if not unit or unit[0] not in "smrJN" or "²" in unit or not value or not math.isfinite(value):
+        return f"{value:.3g} {unit}".rstrip()
+    power = min(max(3 * math.floor(math.log10(abs(value)) / 3), -9), 6)
+    prefix = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}[power]
+    return f"{value / 10.0**power:.3g} {prefix}{unit}"
 
 
 class Usual(NamedTuple):

@@ -101,7 +101,7 @@ def one_chart(monkeypatch):
 
 def test_a_chart_becomes_a_picture_and_its_data(one_chart, tmp_path):
     (drawn,) = draw_charts([], tmp_path, quick=True)
-    assert drawn.picture.read_bytes().startswith(b"\x89PNG")
+    assert drawn.pictures[0].read_bytes().startswith(b"\x89PNG")
     data = json.loads(drawn.data.read_text())
     assert [p["seconds"] for p in data["panels"][0]["points"]] == [1e-3, 1e-4]
     assert data["panels"][0]["front"] == ["m, 1", "m, 0"]
@@ -159,5 +159,5 @@ def test_maps_are_drawn_at_once_and_come_back_in_the_order_they_were_asked_for(t
     asked = ["edges-walks", "edges-propagation"]
     drawn = draw_charts(asked, tmp_path, quick=True)
     assert [d.chart.name for d in drawn] == asked
-    assert all(d.picture.read_bytes().startswith(b"\x89PNG") for d in drawn)
+    assert all(d.pictures[0].read_bytes().startswith(b"\x89PNG") for d in drawn)
     assert [json.loads(d.data.read_text())["name"] for d in drawn] == asked

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from dpcontrol.bench.chart import AGREES, GROUPS, Attempt, Border, EdgeChart, EdgeMap, check_names, find_border, half_of
-from dpcontrol.bench.run import figure
+from dpcontrol.bench.drawing import figure
 from dpcontrol.foundation.errors import InputError
 
 BORDER = 0.37
@@ -83,7 +83,7 @@ def test_a_chart_of_maps_is_json_and_a_picture(tmp_path):
     borders = json.loads(text)["maps"][0]["borders"]
     assert borders[0]["measured"] == pytest.approx(BORDER, rel=0.1)
     assert borders[1]["measured"] is None
-    figure(chart).savefig(tmp_path / "map.png")
+    figure(chart, chart.parts).savefig(tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 1000
     assert len(chart.parts[0].table().rows) == 2
 
