@@ -16,10 +16,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from dpcontrol.bench.chart import LEADING, ChartPage, EdgeMap, Panel, Point, Searches, name_of, unit_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.units import quantity
-from dpcontrol.pages.style import FAINT, INK, LIMIT, REFERENCE, STABLE
+from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, SERIES
 
 MARKS = "osD^v<>Pph*X8d"
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7d5a00", "#56b4e9", "#404751")
 FLOOR = 1e-17
 """Drawn position of an error of exactly zero."""
 WIDTH, HEIGHT = 6.4, 5.6
@@ -43,7 +42,7 @@ def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
     picture.suptitle(page.title, fontsize=14, color=INK, x=0.01, ha="left")
     panels = [part for part in parts if isinstance(part, Panel)]
     methods = list(dict.fromkeys(p.method for panel in panels for p in panel.points))
-    looks = {m: (MARKS[k % len(MARKS)], COLOURS[k % len(COLOURS)]) for k, m in enumerate(methods)}
+    looks = {m: (MARKS[k % len(MARKS)], SERIES[k % len(SERIES)]) for k, m in enumerate(methods)}
     shared = _share_heights(parts)
     axes = picture.subplots(rows, columns, squeeze=False, sharey=shared).ravel()
     for axis in axes[len(parts) :]:
@@ -80,7 +79,7 @@ def _searches_figure(page: ChartPage, lead: Searches) -> Figure:
     picture.suptitle(fill(lead.finding(), 88), fontsize=13, fontweight="bold", color=INK, x=0.01, ha="left")
     rates, times = picture.subplots(1, 2, sharey=True, width_ratios=(3, 2))
     for k, s in enumerate(lead.searches):
-        colour = STABLE if s.default else REFERENCE
+        colour = SERIES[0] if s.default else MARK
         rates.barh(k, s.found / s.tries, color=FAINT, height=0.62)
         rates.barh(k, s.good / s.tries, color=colour, height=0.62)
         rates.text(1.01, k, f"{s.good / s.tries:.0%} of {s.tries}", va="center", fontsize=9, color=INK)
@@ -113,14 +112,14 @@ def _draw_map(axis: Any, one: EdgeMap) -> None:
     names = {b.x: b.line for b in sorted(one.borders, key=lambda b: b.x)}
     # Numbered positions show the lines' names.
     named = not one.log_x and list(names) == list(range(len(names)))
-    for works, mark, colour, label in ((True, "o", STABLE, one.near), (False, "x", LIMIT, one.far)):
+    for works, mark, colour, label in ((True, "o", GOOD, one.near), (False, "x", LIMIT, one.far)):
         shown = [(b.x, t.y) for b in one.borders for t in b.trials if t.works is works]
         axis.plot([x for x, _ in shown], [y for _, y in shown], mark, color=colour, markersize=5, label=label)
     for places, style in (
         ([(b.x, b.measured) for b in one.borders if b.measured is not None],
          {"marker": "_", "linestyle": "-", "color": INK, "markersize": 16, "label": "measured border"}),
         ([(b.x, b.predicted) for b in one.borders if b.predicted is not None],
-         {"marker": "D", "linestyle": "--", "color": REFERENCE, "markersize": 7, "markerfacecolor": "none",
+         {"marker": "D", "linestyle": "--", "color": MARK, "markersize": 7, "markerfacecolor": "none",
           "markeredgecolor": INK, "label": fill(f"predicted: {one.theory}", 60)}),
     ):  # fmt: skip
         if places:

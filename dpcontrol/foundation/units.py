@@ -25,17 +25,29 @@ _IMPOSSIBLE = 1000.0
 """Times the largest usual value: beyond this a number is refused."""
 
 
+_PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
+
+
+def prefixed(largest: float, unit: str) -> tuple[float, str]:
+    """Return the factor and the unit with an SI prefix that suit values up to `largest`.
+
+    >>> prefixed(8.8e-05, "s")
+    (1000000.0, 'µs')
+    """
+    finite = math.isfinite(largest) and largest > 0
+    power = min(max(3 * math.floor(math.log10(largest) / 3), -9), 6) if finite else 0
+    return 10.0**-power, f"{_PREFIXES[power]}{unit}"
+
+
 def quantity(value: float, unit: str) -> str:
-    """Return a number with its unit and an SI prefix.
+    """Return a number with its unit and an SI prefix; squared units have none.
 
     >>> quantity(8.8e-05, "s")
     '88 µs'
     """
-    if not unit or unit[0] not in "smrJN" or "²" in unit or not value or not math.isfinite(value):
-        return f"{value:.3g} {unit}".rstrip()
-    power = min(max(3 * math.floor(math.log10(abs(value)) / 3), -9), 6)
-    prefix = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}[power]
-    return f"{value / 10.0**power:.3g} {prefix}{unit}"
+    plain = not unit or "²" in unit or not unit[0].isalpha()
+    factor, shown = (1.0, unit) if plain else prefixed(abs(value), unit)
+    return f"{value * factor:.3g} {shown}".rstrip()
 
 
 class Usual(NamedTuple):

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from dpcontrol.foundation.units import prefixed
 from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, STOPPED, UNKNOWN, Night
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel
@@ -129,7 +130,7 @@ def _draw_drift(axes: Axes, night: Night, title: str, names: Sequence[str]) -> N
     courses = [night.course(name) for name in names]
     angles = names[0].startswith("zero_")
     largest = max(float(np.abs(values - values[0]).max()) for _, values in courses)
-    scale, unit = style.prefixed(largest, "rad") if angles else (100.0, "%")
+    scale, unit = prefixed(largest, "rad") if angles else (100.0, "%")
     quiet(axes, f"{title} ({unit})", x="hours")
     ends = []
     for k, (name, (hours, values)) in enumerate(zip(names, courses, strict=True)):

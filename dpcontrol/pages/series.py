@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.estimator_settings import MEANS_OF, mean_band, means_of
 from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.units import prefixed
 from dpcontrol.judge.run_view import ACTUAL, RunView, Stay, clean
 from dpcontrol.logs import LAP, RESUME, RETURN, START, Mode
 from dpcontrol.pages import style
@@ -128,7 +129,7 @@ class Chart:
         finite = [part[np.isfinite(part)] for part in parts]
         largest = max((float(part.max()) for part in finite if part.size), default=0.0)
         plain = self.half_turns or self.log or not self.prefixed or not self.unit
-        scale, unit = (1.0, self.unit) if plain else style.prefixed(largest, self.unit)
+        scale, unit = (1.0, self.unit) if plain else prefixed(largest, self.unit)
         if self.unit == "share":
             scale, unit = 100.0, "%"
         bound = ""

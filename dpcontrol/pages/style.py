@@ -4,8 +4,6 @@ A colour has one meaning. The roles in `ROLES` remain distinct for people with d
 `SERIES` numbers items without a role, such as the runs of a comparison.
 """
 
-import math
-
 WIDTH = 11.7
 """Width of a page, inches: A4 in landscape or A3 in portrait. Pages are printed at this size."""
 HEIGHT = 16.5
@@ -68,7 +66,6 @@ SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#40
 CONNECTIONS, RUNS = SERIES, SERIES[:6]
 DOTTED, DASHED = (0, (2, 2)), (0, (5, 3))
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-_PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 DARK = {
     PAPER: "#0d1117", INK: "#e6edf3", NOTE: "#b1bac4", MARK: "#8b949e", FAINT: "#484f58", GRID: "#21262d",
     UNSTABLE: "#e0566a", SADDLES["down-up"]: "#2f9bb5", SADDLES["up-down"]: "#a371f7", CART: "#8b949e",
@@ -110,14 +107,3 @@ def in_pi(half_turns: float, *, digits: int = 3) -> str:
         return "0"
     text = f"{half_turns:.{digits}g}"
     return {"1": "π", "-1": "−π"}.get(text, f"{text}π".replace("-", "−"))
-
-
-def prefixed(largest: float, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit with an SI prefix that suit values up to `largest`.
-
-    >>> prefixed(8.8e-05, "s")
-    (1000000.0, 'µs')
-    """
-    finite = math.isfinite(largest) and largest > 0
-    power = min(max(3 * math.floor(math.log10(largest) / 3), -9), 6) if finite else 0
-    return 10.0**-power, f"{_PREFIXES[power]}{unit}"
