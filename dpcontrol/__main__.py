@@ -21,9 +21,9 @@ def main() -> None:
     # The command line's own imports take a while; nothing is begun before they are done.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _ended_at_once)
-    from dpcontrol.foundation.interrupts import end_by_force_where_deaf, interrupt_taken
+    from dpcontrol.foundation.interrupts import confirm_interrupt, kill_if_unresponsive
 
-    end_by_force_where_deaf()
+    kill_if_unresponsive()
     from dpcontrol.cli.main import main as run
 
     try:
@@ -36,7 +36,7 @@ def main() -> None:
         # The work is done and its exit code known, however long the interpreter takes to end.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        interrupt_taken()
+        confirm_interrupt()
         # Python takes an interrupt in a text that it ran, as of a dataclass, for one that nobody caught, until it runs
         # another.
         exec("")

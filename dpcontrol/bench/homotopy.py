@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.interrupts import heeding_interrupts
+from dpcontrol.foundation.interrupts import catching_interrupts
 from dpcontrol.references.problem import ReferenceProblem, state_scale
 
 
@@ -65,7 +65,7 @@ def by_homotopy(problem: ReferenceProblem, settings: HomotopySettings | None = N
     guess = np.hstack([problem.guess_at(times), np.zeros((count, 2))]) / np.array(scale).ravel()
     found = np.concatenate([guess.ravel(), np.zeros((1 + n) * count)])
     for value in settings.prices:
-        with heeding_interrupts():
+        with catching_interrupts():
             found = np.array(solver(x0=found, p=value, lbx=bounds[0], ubx=bounds[1], lbg=0, ubg=0)["x"]).ravel()
     rows = found[: nx * count].reshape(count, nx) * np.array(scale).ravel()
     return rows, found[nx * count : (nx + 1) * count], h

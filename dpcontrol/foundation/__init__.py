@@ -1,1 +1,1 @@
-"""What every package stands on: errors, files written whole, checked TOML tables."""
+"""Errors, files, caches, processes and checked tables for every package."""

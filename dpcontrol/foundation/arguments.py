@@ -1,4 +1,4 @@
-"""Arguments of Python functions, checked at the edge: a wrong one is refused in a sentence."""
+"""Checks of arguments in the Python interface."""
 
 import math
 import os
@@ -14,7 +14,7 @@ def number(name: str, value: Any, *, least: float = -math.inf, most: float = mat
     """Return a finite number within bounds as a float.
 
     Raises:
-        InputError: it is no number, not finite, or out of bounds.
+        InputError: the value is not a number, not finite, or out of bounds.
     """
     try:
         given = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
@@ -29,7 +29,7 @@ def whole(name: str, value: Any, *, least: int, most: int) -> int:
     """Return a whole number within bounds.
 
     Raises:
-        InputError: it is none, or out of bounds.
+        InputError: the value is not a whole number, or out of bounds.
     """
     real = isinstance(value, Real) and not isinstance(value, bool)
     given: Any = value
@@ -39,21 +39,21 @@ def whole(name: str, value: Any, *, least: int, most: int) -> int:
 
 
 def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
-    """Return so many finite numbers.
+    """Return `count` finite numbers.
 
     Raises:
-        InputError: they are not so many, or one is none.
+        InputError: the count is wrong, or an entry is not a finite number.
     """
     if isinstance(values, str) or not isinstance(values, Sequence) or len(values) != count:
-        raise InputError(f"{name} = {shortened(values)}: give {count} numbers")
+        raise InputError(f"{name} = {shortened(values)}: must be {count} finite numbers")
     return tuple(number(name, value) for value in values)
 
 
 def path(name: str, value: Any) -> str:
-    """Return a path of a file as text.
+    """Return the path of a file as text.
 
     Raises:
-        InputError: it is no path.
+        InputError: the value is not a path.
     """
     if not isinstance(value, str | os.PathLike) or isinstance(os.fspath(value), bytes):
         raise InputError(f"{name} = {shortened(value)}: must be the path of a file, as text or a pathlib.Path")
@@ -61,19 +61,19 @@ def path(name: str, value: Any) -> str:
 
 
 def place(name: str, value: Any) -> Path | None:
-    """Return a path of a file or folder, or None for none.
+    """Return the path of a file or folder, or None.
 
     Raises:
-        InputError: it is neither.
+        InputError: the value is neither a path nor None.
     """
     return None if value is None else Path(path(name, value))
 
 
 def instance(name: str, value: Any, kinds: type | tuple[type, ...], what: str) -> Any:
-    """Return a value that is of one of these kinds; what: their description.
+    """Return the value if it has one of these types; `what` describes them in the error.
 
     Raises:
-        InputError: it is of another kind.
+        InputError: the value has another type.
     """
     if not isinstance(value, kinds):
         raise InputError(f"{name} = {shortened(value)}: must be {what}")
@@ -87,10 +87,10 @@ def allowed_range(kind: str, least: float, most: float) -> str:
 
 
 def shortened(value: Any) -> str:
-    """Return how a value is written, cut where it is long."""
+    """Return the repr of a value, shortened if it is long."""
     try:
         text = repr(value)
     except ValueError:
-        # Python writes no whole number of more than 4,300 digits.
+        # Python cannot print whole numbers of more than 4,300 digits.
         return "a number of thousands of digits"
     return text if len(text) <= 40 else f"{text[:40]}…"

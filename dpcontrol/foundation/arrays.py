@@ -1,9 +1,9 @@
-"""Arrays by what they hold; their shapes stand in docstrings, beside what they are."""
+"""Array types by element; docstrings give shapes and meaning."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""Of real numbers."""
+"""Array of floats."""
 Flags = NDArray[np.bool_]
-"""Of truths."""
+"""Array of booleans."""

@@ -1,13 +1,14 @@
-"""Where results are kept by the content they were made from: settings, parameters, and the code itself.
+"""Result cache, keyed by the content that results depend on: settings, parameters and code.
 
-Folder: $DPCONTROL_CACHE, else $XDG_CACHE_HOME/dpcontrol, else ~/.cache/dpcontrol; in it one folder for each kind.
+The folder is $DPCONTROL_CACHE, else $XDG_CACHE_HOME/dpcontrol, else ~/.cache/dpcontrol. It has one subfolder for each
+kind of result.
 
 Each file ends in a seal, the SHA-256 digest of its name and content. A file whose seal does not match (damaged, edited,
-renamed) counts as absent. The seal stands last, where readers of .npz files pass over it. If the cache is not readable
-or not writable, results are recomputed every time, and one remark gives the reason.
+renamed) counts as absent. Readers of .npz files ignore the seal, since it comes last. If the cache is not readable or
+not writable, results are recomputed every time, and one remark gives the reason.
 
-heyoka keeps the machine code of its integrators in a database. It lies in the same folder under `COMPILER`, and is
-listed and deleted with the rest.
+heyoka stores the machine code of its integrators in a database. The database is in the same folder under `COMPILER`. It
+is listed and deleted together with the results.
 """
 
 import hashlib
@@ -27,44 +28,50 @@ from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import content_hash, write_whole
 
 VARIABLE = "DPCONTROL_CACHE"
-"""Names the folder."""
+"""Environment variable with the folder."""
 KINDS = {
     "plans": ".npz", "transfers": ".npz", "atlases": ".npz", "branches": ".json", "preflights": ".json",
     "machine-code": ".bin",
 }  # fmt: skip
-"""What is kept, each kind in files of one suffix."""
+"""Kinds of results, each with one file suffix."""
 COMPILER = "heyoka"
-"""Folder of heyoka's own database."""
+"""Folder of heyoka's database."""
 _COMPILER_FILES = re.compile(r"^cache\.db(-wal|-shm|-journal)?$")
 """Names that heyoka and SQLite give to its files."""
 _OURS = re.compile(rf"-[0-9a-f]{{16}}({'|'.join(map(re.escape, sorted(set(KINDS.values()))))})(\..+)?$")
-"""How names of the cache's files end; those half written go on."""
+"""Suffixes of the cache's files; partly written files have further characters."""
 _SEAL = b"\nsha256:"
 _SEALED = len(_SEAL) + 64
 
-# Patterns that begin with plain text are found in a third of the time.
+# Patterns that start with literal text match in a third of the time.
 _FROM = re.compile(rb"from (dpcontrol[\w.]*) import (\([^)]*\)|[^\n]*)")
 _IMPORT = re.compile(rb"import (dpcontrol[\w.]*)")
 _WORD = re.compile(rb"\w+")
 
 
 def cache_root() -> Path:
-    """Return the cache's folder; it need not exist."""
+    """Return the cache's folder, which may not exist yet."""
     chosen, base = os.environ.get(VARIABLE), os.environ.get("XDG_CACHE_HOME")
     folder = chosen or str(Path(base or "~/.cache") / "dpcontrol")
-    # A shell does not expand "~" within quotes. Without a home folder the name stays as it is.
+    # A shell does not expand "~" within quotes. Without a home folder, the name is used unchanged.
     return Path(os.path.expanduser(folder))
 
 
 def cache_file(kind: str, name: str, key: str) -> Path:
-    """Return where a result of one of the `KINDS` is kept; key: 16 hexadecimal digits that identify its content."""
-    # The name is for people: of any length and with any signs, it stays one part of a path.
+    """Return the path for a result of one of the `KINDS`.
+
+    Args:
+        kind: one of the `KINDS`.
+        name: readable part of the file name.
+        key: 16 hexadecimal digits that identify the content.
+    """
+    # The name is for readers. It remains a single path component, whatever its length and characters.
     shown = re.sub(r"[^\w.+-]", "_", name)[:40]
     return cache_root() / kind / f"{shown}-{key}{KINDS[kind]}"
 
 
 def kept(file: Path) -> bytes | None:
-    """Return the content that was kept under this name; None where there is none, or not the one that was kept."""
+    """Return the content stored under this name; None if it is missing or damaged."""
     try:
         content = file.read_bytes()
     except OSError:
@@ -73,7 +80,7 @@ def kept(file: Path) -> bytes | None:
 
 
 def keep(file: Path, content: bytes) -> None:
-    """Keep content under a name of `cache_file`. If the cache is not writable, make one remark and go on."""
+    """Store content under a name of `cache_file`; if the cache is not writable, issue a remark."""
     try:
         write_whole(file, content + _seal(file, content))
     except InputError as error:
@@ -81,7 +88,10 @@ def keep(file: Path, content: bytes) -> None:
 
 
 def compiler_folder() -> Path | None:
-    """Return the folder of heyoka's database, which need not exist. If it is not writable, remark and return None."""
+    """Return the folder of heyoka's database, which may not exist yet.
+
+    If the folder is not writable, issue a remark and return None.
+    """
     folder = cache_root() / COMPILER
     there = folder
     try:
@@ -95,7 +105,7 @@ def compiler_folder() -> Path | None:
 
 
 def unusable(reason: str) -> None:
-    """Remark that results cannot be kept, and why."""
+    """Issue a remark that results cannot be cached, with the reason."""
     remark(
         f"the cache {cache_root()} cannot be used ({reason}), so slow results are computed every time; "
         f"set {VARIABLE} to a writable folder, or free some space"
@@ -108,7 +118,7 @@ def _seal(file: Path, content: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class CacheContents:
-    """What the cache holds, or held before it was emptied: of each kind the number of entries and their bytes."""
+    """Number of entries and bytes of each kind in the cache, before it was emptied if so."""
 
     folder: Path
     kinds: dict[str, tuple[int, int]]
@@ -116,17 +126,17 @@ class CacheContents:
 
     @property
     def entries(self) -> int:
-        """How many files there are."""
+        """Number of files."""
         return sum(count for count, _ in self.kinds.values())
 
     @property
     def bytes(self) -> int:
-        """How large they are together."""
+        """Total size, bytes."""
         return sum(size for _, size in self.kinds.values())
 
     @property
     def sentence(self) -> str:
-        """What is in it, and where."""
+        """The contents and the folder, in one sentence."""
         count = "1 entry" if self.entries == 1 else f"{self.entries} entries"
         what = f"{count}, {self.bytes / 1e6:.1f} MB"
         return f"emptied {self.folder}: {what}" if self.emptied else f"{self.folder} holds {what}"
@@ -135,17 +145,19 @@ class CacheContents:
         return f"<cache: {self.sentence}>"
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol cache --json` prints."""
+        """Return the output of `dpcontrol cache --json`."""
         kinds = {kind: {"entries": count, "bytes": size} for kind, (count, size) in self.kinds.items()}
         return {"folder": self.folder, "variable": VARIABLE, "entries": self.entries, "bytes": self.bytes,
                 "kinds": kinds, "emptied": self.emptied, "status": self.sentence}  # fmt: skip
 
 
 def cache_contents(*, clear: bool = False) -> CacheContents:
-    """Return what the cache holds, and delete it if asked: its own files alone, whatever else the folder is for.
+    """Return the contents of the cache, and delete its own files if `clear` is set.
+
+    Other files in the folder are kept.
 
     Raises:
-        InputError: a file cannot be deleted, or a folder not read.
+        InputError: a file cannot be deleted, or a folder cannot be read.
     """
     root = cache_root()
     kinds: dict[str, tuple[int, int]] = {}
@@ -155,13 +167,16 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
             sizes = [size for file in files if (size := _size(file, clear=clear)) is not None]
             kinds[kind] = (len(sizes), sum(sizes))
     except OSError as error:
-        what = f"cannot {'empty' if clear else 'look into'} the cache: {error.filename}: {error.strerror}"
-        raise InputError(f"{what}; check who may read and write there, or set {VARIABLE} to another folder") from error
+        what = f"cannot {'empty' if clear else 'read'} the cache: {error.filename}: {error.strerror}"
+        raise InputError(f"{what}; check its permissions, or set {VARIABLE} to another folder") from error
     return CacheContents(root, kinds, clear)
 
 
 def _size(file: Path, *, clear: bool) -> int | None:
-    """Return a file's size in bytes, and delete it if asked; None where another process has deleted it meanwhile."""
+    """Return a file's size in bytes, and delete it if `clear` is set.
+
+    Returns None if another process has already deleted the file.
+    """
     with suppress(FileNotFoundError):
         size = file.stat().st_size
         if clear:
@@ -177,18 +192,22 @@ def _files(folder: Path, names: re.Pattern[str]) -> Iterator[Path]:
 
 @cache
 def code_hash(module: str, root: Path | None = None) -> str:
-    """Return what identifies the code of a module and of all it imports, so that newer code never takes older results.
+    """Return a hash of the code of a module and its imports.
 
-    root: the package's folder, if not that of the running one.
+    Results of older code are then never used by newer code.
+
+    Args:
+        module: name of the module.
+        root: the package's folder, default that of the running one.
     """
     sources = module_sources(module, root)
     return content_hash(*(part for name in sorted(sources) for part in (name, sources[name])))
 
 
 def module_sources(module: str, root: Path | None = None) -> dict[str, bytes]:
-    """Return the source of a module of this package and of all that it imports from it, anywhere, by name.
+    """Return the source of a module of this package and of all its imports, by name.
 
-    The statements are read, not run: imports within functions and for types alone count too.
+    The statements are parsed, not executed. Imports within functions and for type checking count too.
     """
     root = Path(dpcontrol.__file__).parent if root is None else root
     sources: dict[str, bytes] = {}
@@ -213,7 +232,7 @@ def module_sources(module: str, root: Path | None = None) -> dict[str, bytes]:
 
 
 def _file(root: Path, name: str) -> Path | None:
-    """Return the file of a module or package; none of other names, nor of the root, which only lists the others."""
+    """Return the file of a module or package, or None for other names and for the root package."""
     path = root.joinpath(*name.split(".")[1:])
     if path == root:
         return None
@@ -221,7 +240,7 @@ def _file(root: Path, name: str) -> Path | None:
 
 
 def commit() -> str:
-    """Return the commit of the checkout that this package runs from, or "" for an installed one."""
+    """Return the commit of the checkout that this package runs from, or "" if it is installed."""
     root = Path(dpcontrol.__file__).parent.parent
     if not (root / ".git").exists():
         return ""

@@ -1,13 +1,13 @@
-"""Ctrl-C and SIGTERM: a KeyboardInterrupt, and another one where the first was swallowed.
+"""Reliable KeyboardInterrupt for Ctrl-C and SIGTERM, even if other code suppresses it.
 
-Other code may take an interrupt for its own, make another error of it, or return as if it had merely failed, and the
-program goes on. So a timer looks again, until what runs the command line has caught the interrupt: where nothing on the
-stack is being cleaned up for it, it was lost, and is raised anew. However a verb ends that was interrupted, it counts
-as interrupted; so does a call of compiled code in `heeding_interrupts`.
+Other code may catch an interrupt, turn it into another error, or return as if it had merely failed. The program would
+then continue. A timer therefore checks until the command line has caught the interrupt. If no code on the stack is
+cleaning up after it, the interrupt was lost and is raised again. A verb that was interrupted counts as interrupted,
+however it ends. So does a call of compiled code in `catching_interrupts`.
 
-None of this runs while compiled code holds the interpreter, as casadi does for tens of seconds where it derives a large
-program. So the program is watched by a process of its own, which is told of a signal by Python's handler in C, and of
-the answer by the one in Python; where that does not come, it ends the program.
+Python handlers do not run while compiled code holds the interpreter. casadi does this for tens of seconds when it
+derives a large program. A separate process therefore watches the program. Python's C handler notifies it of a signal,
+and the Python handler confirms it. If the confirmation does not arrive, the watching process kills the program.
 """
 
 import os
@@ -20,86 +20,86 @@ from contextlib import contextmanager, redirect_stderr, suppress
 from types import FrameType
 from typing import Any
 
-_AGAIN = 0.2  # s; clean-up that is under way is not disturbed, however long it takes
+_AGAIN = 0.2  # s; clean-up in progress is not disturbed, however long it takes
 _raised: list[int] = []
-"""Signals for which KeyboardInterrupt was raised and not yet answered: SIGINT, SIGTERM, and the timer's."""
-_PATIENCE = 0.7  # s; in which the interpreter takes an interrupt, else the program is ended by force
-_TAKEN = b"\0"
+"""Signals for which KeyboardInterrupt was raised and not yet handled: SIGINT, SIGTERM, and the timer's."""
+_PATIENCE = 0.7  # s; time limit for the interpreter to handle an interrupt before the program is killed
+_CONFIRMED = b"\0"
 _BY_FORCE = b"dpcontrol: interrupted, by force, in a computation that could not stop; what was finished is kept\n"
 _watcher: list[int] = []
-"""Where the process that watches this one is told that an interrupt is taken; empty where none watches."""
+"""Pipes to the watching process for confirmations; empty without one."""
 
 
-def end_by_force_where_deaf() -> None:
-    """Have this process killed where it does not take an interrupt at once; to be called before threads exist.
+def kill_if_unresponsive() -> None:
+    """Start a process that kills this one if it does not handle an interrupt in time.
 
-    It ends by SIGKILL then: whoever writes files writes them beside their place first, and workers end with their
-    parent.
+    Call this before any thread exists. The program then ends by SIGKILL. Files remain whole, because they are written
+    under temporary names, and workers end with their parent.
     """
     if not hasattr(os, "fork"):
         return
-    heard, told = os.pipe()
+    received, confirmations = os.pipe()
     program = os.getpid()
     try:
         child = os.fork()
     except OSError:
-        os.close(heard)
-        os.close(told)
+        os.close(received)
+        os.close(confirmations)
         return
     if child == 0:
         try:
-            os.close(told)
-            _watch(heard, program)
+            os.close(confirmations)
+            _watch(received, program)
         finally:
             os._exit(0)
-    os.close(heard)
-    os.set_blocking(told, False)
-    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
-    _watcher.append(told)
+    os.close(received)
+    os.set_blocking(confirmations, False)
+    signal.set_wakeup_fd(confirmations, warn_on_full_buffer=False)
+    _watcher.append(confirmations)
 
 
-def _watch(heard: int, program: int) -> None:
-    """Kill a program that was sent an interrupt and did not take it in time, until it has ended."""
+def _watch(received: int, program: int) -> None:
+    """Kill a program that received an interrupt and did not handle it in time."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    # Whoever reads the program's output waits for nothing else.
+    # A reader of the program's output must not have to wait for this process.
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
-    while last := os.read(heard, 4096):
+    while last := os.read(received, 4096):
         while last[-1] in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
-            if not select.select([heard], [], [], _PATIENCE)[0]:
+            if not select.select([received], [], [], _PATIENCE)[0]:
                 os.write(2, _BY_FORCE)
                 os.kill(program, signal.SIGKILL)
                 return
-            if not (last := os.read(heard, 4096)):
+            if not (last := os.read(received, 4096)):
                 return
 
 
-def interrupt_taken() -> None:
-    """Tell the process that watches this one, if any, that an interrupt is taken."""
-    for told in _watcher:
+def confirm_interrupt() -> None:
+    """Confirm to the watching process, if any, that an interrupt was handled."""
+    for confirmations in _watcher:
         with suppress(OSError):
-            os.write(told, _TAKEN)
+            os.write(confirmations, _CONFIRMED)
 
 
 @contextmanager
 def interrupts() -> Iterator[None]:
-    """Have Ctrl-C and SIGTERM raise KeyboardInterrupt in the block until it ends, whatever else the block ends with.
+    """Raise KeyboardInterrupt for Ctrl-C and SIGTERM in the block, however the block ends.
 
-    Only the main thread may set handlers; called from another, Python's own stay.
+    Only the main thread can set handlers. In other threads, Python's handlers remain.
     """
     insists = hasattr(signal, "setitimer")
 
     def interrupted(number: int, frame: FrameType | None) -> None:
-        interrupt_taken()
+        confirm_interrupt()
         _raised.append(number)
         if insists:
             signal.setitimer(signal.ITIMER_REAL, _AGAIN)
         raise KeyboardInterrupt
 
-    def looked_again(number: int, frame: FrameType | None) -> None:
-        interrupt_taken()
+    def check_again(number: int, frame: FrameType | None) -> None:
+        confirm_interrupt()
         if not insists:
             return
         signal.setitimer(signal.ITIMER_REAL, _AGAIN)
@@ -113,26 +113,26 @@ def interrupts() -> Iterator[None]:
     _raised.clear()
     signal.signal(signal.SIGINT, interrupted)
     on_terminate = signal.signal(signal.SIGTERM, interrupted)
-    before = signal.signal(signal.SIGALRM, looked_again) if insists else None
+    before = signal.signal(signal.SIGALRM, check_again) if insists else None
     try:
-        # Imports report an interrupt as an error of their own, and a search as one that did not converge.
-        with _meant_by_all_errors(0):
+        # Imports turn an interrupt into another error, and searches into a failure to converge.
+        with _replacing_errors(0):
             yield
     finally:
         signal.signal(signal.SIGTERM, on_terminate)
         if insists:
-            # Whatever still comes sets no alarm: nobody would hear it, and it would end the program.
+            # Further signals must not set the timer, which would end the program without a handler.
             insists = False
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
 
 
 @contextmanager
-def heeding_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt at the end of the block where Ctrl-C was pressed in it, however the block ends.
+def catching_interrupts() -> Iterator[None]:
+    """Raise KeyboardInterrupt at the end of the block if Ctrl-C was pressed in it.
 
-    For compiled code that takes Ctrl-C for its own and returns as if it had failed; what it has to say about an
-    interrupt on stderr is left out. It serves programs without `interrupts`, too.
+    For compiled code that catches Ctrl-C and returns as if it had failed. Its output on stderr about the interrupt is
+    suppressed. This also works in programs without `interrupts`.
     """
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(before):
@@ -146,27 +146,27 @@ def heeding_interrupts() -> Iterator[None]:
 
     signal.signal(signal.SIGINT, interrupted)
     try:
-        with _meant_by_all_errors(known), redirect_stderr(_QuietOnceInterrupted(sys.stderr, known)):
+        with _replacing_errors(known), redirect_stderr(_SilencedStream(sys.stderr, known)):
             yield
     finally:
         signal.signal(signal.SIGINT, before)
 
 
 def terminated() -> bool:
-    """Return whether the interrupt that ended the block of `interrupts` was a SIGTERM."""
+    """True if a SIGTERM interrupted the block of `interrupts`."""
     return signal.SIGTERM in _raised
 
 
 def forget_interrupts() -> None:
-    """Take the interrupts so far as answered, where Ctrl-C is how a verb is ended in good order."""
+    """Treat interrupts so far as handled, for verbs that Ctrl-C ends normally."""
     _raised.clear()
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 @contextmanager
-def _meant_by_all_errors(known: int) -> Iterator[None]:
-    """Raise KeyboardInterrupt in place of whatever the block ends with, where more than `known` were raised."""
+def _replacing_errors(known: int) -> Iterator[None]:
+    """Raise KeyboardInterrupt instead of any other error if there are more than `known` interrupts."""
     try:
         yield
     except BaseException as error:
@@ -178,7 +178,7 @@ def _meant_by_all_errors(known: int) -> Iterator[None]:
 
 
 def _under_way() -> bool:
-    """Tell whether an interrupt, or what came of it, is being handled on the stack."""
+    """True if an interrupt, or an error caused by it, is being handled on the stack."""
     error = sys.exception()
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
@@ -187,8 +187,8 @@ def _under_way() -> bool:
     return False
 
 
-class _QuietOnceInterrupted:
-    """A stream that says nothing more once another interrupt is raised; in all else the stream that it is of."""
+class _SilencedStream:
+    """A stream that drops its output once another interrupt is raised."""
 
     def __init__(self, stream: Any, known: int) -> None:
         self._stream, self._known = stream, known

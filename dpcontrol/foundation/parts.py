@@ -1,8 +1,8 @@
-"""Packages that an installation may lack: imported when they are needed, with one sentence where they are missing.
+"""Optional packages: imported on first use, with an install hint if they are missing.
 
-    hy = Later("heyoka")        # nothing is imported before something of it is asked for
+    hy = Later("heyoka")        # imports the package on first use
 
-A system for which a package is not made, and an installation without an extra, does all that does not need it.
+On systems without a package, or installations without an extra, everything that does not need it works.
 """
 
 import importlib
@@ -16,15 +16,15 @@ from dpcontrol import __version__
 from dpcontrol.foundation.errors import PartMissing
 
 _NEEDED = {
-    "heyoka": "orbits, tubes and new plans need heyoka, which pip has for Linux alone; install it by `conda install -c "
-    "conda-forge heyoka.py`, or take a plan that was saved where heyoka is by `dpcontrol plan NAME --out FILE.npz`",
+    "heyoka": "orbits, tubes and new plans need heyoka, which pip installs only on Linux; install it by `conda install "
+    "-c conda-forge heyoka.py`, or use a plan saved elsewhere by `dpcontrol plan NAME --out FILE.npz`",
     "matio": "MATLAB 7.3 files and MATLAB objects need mat-io; install it by `pip install 'dpcontrol[matlab]'`, or "
     "save the recording in MATLAB as version 7",
     "rosbags": "ROS bags and MCAP files need rosbags; install it by `pip install 'dpcontrol[bags]'`, or save CSV",
     "pyarrow": "Parquet tables, as campaigns write them, need pyarrow; install it by `pip install 'dpcontrol[tables]'`",
     "flint": "proofs need python-flint; install it by `pip install 'dpcontrol[proof]'`",
-    "rerun": "the viewer and its recordings need rerun-sdk; install it by `pip install 'dpcontrol[viewer]'`, or have "
-    "matplotlib draw with --picture FILE.png",
+    "rerun": "the viewer and its recordings need rerun-sdk; install it by `pip install 'dpcontrol[viewer]'`, or draw "
+    "with matplotlib by --picture FILE.png",
 }
 _NEEDED["h5py"] = _NEEDED["matio"]
 for _name in ("starlette", "uvicorn", "websockets"):
@@ -32,10 +32,10 @@ for _name in ("starlette", "uvicorn", "websockets"):
 
 
 def part(name: str) -> Any:
-    """Return a package.
+    """Import and return a package.
 
     Raises:
-        PartMissing: it cannot be imported.
+        PartMissing: the package cannot be imported.
     """
     try:
         return importlib.import_module(name)
@@ -44,15 +44,19 @@ def part(name: str) -> Any:
 
 
 def installed(name: str) -> bool:
-    """Tell whether a package is installed, without importing it."""
+    """True if a package is installed; does not import it."""
     return find_spec(name) is not None
 
 
 class Later:
-    """A package that is imported on first use; prepare: called with the package before anything else uses it.
+    """A package that is imported on first use.
+
+    Args:
+        name: name of the package.
+        prepare: called with the package before its first use.
 
     Raises:
-        PartMissing: on use, if the package cannot be imported.
+        PartMissing: on first use, if the package cannot be imported.
     """
 
     def __init__(self, name: str, prepare: Callable[[Any], None] | None = None) -> None:
@@ -64,7 +68,7 @@ class Later:
             prepare, self._prepare = self._prepare, None
             prepare(package)
         value = getattr(package, name)
-        # Found without this function from now on.
+        # Later look-ups bypass this function.
         setattr(self, name, value)
         return value
 
@@ -76,7 +80,7 @@ _DISTRIBUTIONS = (
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of dpcontrol, Python, the system and the packages; "" for one that is not installed."""
+    """Return the versions of dpcontrol, Python, the system and the packages; "" if not installed."""
     found = {"dpcontrol": __version__, "python": platform.python_version(), "system": platform.platform()}
     for name in _DISTRIBUTIONS:
         try:

@@ -1,7 +1,7 @@
-"""Work done in several processes of this machine, or on a Dask cluster; finished pieces come back in any order.
+"""Parallel work in processes of this machine or on a Dask cluster.
 
-A process that dies takes its piece along; processes are made anew and the piece is done again. Where the one that
-started them dies, they end.
+Results arrive in any order. If a process dies, new processes are started and its piece is repeated. If the parent
+process dies, its workers end.
 """
 
 import multiprocessing
@@ -25,24 +25,30 @@ Piece = TypeVar("Piece")
 Done = TypeVar("Done")
 
 ATTEMPTS = 4
-"""How often a piece is begun before its processes' deaths count as its own fault."""
+"""Attempts at a piece before the deaths of its processes end the work."""
 
 
 def processors() -> int:
-    """Return the number of processors this process may use."""
+    """Return the number of processors available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def in_processes(
     function: Callable[[Piece], Done], pieces: Sequence[Piece], workers: int, *, remedy: str
 ) -> Iterator[tuple[Piece, Done]]:
-    """Yield each piece with what `function`, a module's own, returns of it, from `workers` processes.
+    """Yield each piece with its result, computed by `workers` processes.
 
-    In this process, one after the other, where one worker or one piece is all there is. Where the caller is interrupted
-    or takes no more, processes under way are ended.
+    With one worker or one piece, everything runs in this process. If the caller is interrupted or stops iterating,
+    running processes are ended.
+
+    Args:
+        function: function of a module, which computes the result of a piece.
+        pieces: arguments of the function.
+        workers: number of processes.
+        remedy: end of the error message.
 
     Raises:
-        GoalMissed: a piece's process died again and again; `remedy` ends the sentence.
+        GoalMissed: the process of a piece died repeatedly.
     """
     if workers == 1 or len(pieces) == 1:
         for piece in pieces:
@@ -52,7 +58,7 @@ def in_processes(
     for _ in range(ATTEMPTS):
         done: set[int] = set()
         others = set(multiprocessing.active_children())
-        # Forked processes would share heyoka's and casadi's threads in an unknown state.
+        # Forked processes would share the threads of heyoka and casadi in an unknown state.
         context = multiprocessing.get_context("spawn")
         pool = ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent)
         try:
@@ -74,14 +80,16 @@ def in_processes(
             raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-    raise GoalMissed(f"workers died {ATTEMPTS} times, with {len(left)} jobs undone; is there enough memory? {remedy}")
+    raise GoalMissed(
+        f"workers died {ATTEMPTS} times, with {len(left)} unfinished jobs; is there enough memory? {remedy}"
+    )
 
 
 def end_with_parent() -> None:
-    """End this process, started by `multiprocessing`, as soon as the one that started it has ended, however it did.
+    """End this process as soon as the parent that started it by `multiprocessing` has ended.
 
-    A thread waits for it: compiled code lets threads run, and the kernel's own death signal is Linux's alone and comes
-    when the parent's thread ends.
+    A thread waits for the parent, since compiled code does not block threads. The kernel's death signal exists only on
+    Linux and is sent when the parent's thread ends.
     """
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -95,12 +103,12 @@ def _exit_after(sentinel: int) -> None:
 
 @contextmanager
 def ignoring_interrupts() -> Iterator[None]:
-    """Delay Ctrl-C until the block ends; processes started in it ignore it, as it is for the one that started them."""
+    """Delay Ctrl-C until the block ends; processes started in the block ignore it."""
     noted: list[int] = []
-    # Windows has no masks; the handler alone delays it there.
+    # Windows has no signal masks; there, the handler alone delays Ctrl-C.
     masks = hasattr(signal, "pthread_sigmask")
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else ()
-    # Another thread may still be given the signal, and the main one would leave a process half started.
+    # Another thread could receive the signal, and a process could be left half started.
     in_main = threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGINT, lambda number, _: noted.append(number)) if in_main else None
     try:
@@ -114,16 +122,16 @@ def ignoring_interrupts() -> Iterator[None]:
         signal.raise_signal(signal.SIGINT)
 
 
-ANSWERS_WITHIN = "10s"
-"""How long a cluster may take to answer."""
-BACK_WITHIN = 120.0
-"""s: how long a scheduler that was lost may take to be there again, with workers."""
+RESPONSE_TIME = "10s"
+"""Time limit for a cluster's response."""
+RETURN_TIME = 120.0
+"""Time limit for a lost scheduler to return with workers, s."""
 MOST_SUBMITTED = 512
-"""Jobs that a cluster is given at once: each carries its plan, and their number has no bound."""
+"""Maximum number of jobs submitted at once; each carries its plan."""
 
 
 class Keyed(Protocol):
-    """What can be told apart by a key of all that it depends on."""
+    """A job that is identified by a key of everything it depends on."""
 
     @property
     def key(self) -> str:
@@ -135,13 +143,18 @@ Job = TypeVar("Job", bound=Keyed)
 
 
 def on_cluster(function: Callable[[Job], Done], jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, Done]]:
-    """Yield each job with what `function`, a module's own, returns of it, from the Dask cluster at `address`.
+    """Yield each job with its result, computed by the Dask cluster at `address`.
 
-    Where the scheduler is lost, its jobs are given to the one that answers there next.
+    If the scheduler is lost, its jobs are submitted to the next one at this address.
+
+    Args:
+        function: function of a module, which computes the result of a job.
+        jobs: arguments of the function.
+        address: address of the scheduler.
 
     Raises:
-        InputError: distributed is not installed, nothing answers there, or the cluster has no workers.
-        GoalMissed: a job's workers died again and again, or the scheduler did, or did not come back.
+        InputError: distributed is not installed, no scheduler responds, or the cluster has no workers.
+        GoalMissed: the workers of a job or the scheduler died repeatedly, or the scheduler did not return.
     """
     left = {job.key: job for job in jobs}
     for attempt in range(ATTEMPTS):
@@ -151,13 +164,13 @@ def on_cluster(function: Callable[[Job], Done], jobs: Sequence[Job], address: st
                 yield job, done
             return
     raise GoalMissed(
-        f"--scheduler {address}: the scheduler was lost {ATTEMPTS} times, with {len(left)} jobs undone; finished jobs "
-        "are kept: see what ends it, and run the same command again"
+        f"--scheduler {address}: the scheduler was lost {ATTEMPTS} times, with {len(left)} unfinished jobs; finished "
+        "jobs are kept, so find the cause and run the same command again"
     )
 
 
 def _client(address: str, *, again: bool) -> "Client":
-    """Return a client of the cluster; again: it answered before, and is given time to come back."""
+    """Return a client of the cluster; with `again`, wait for its scheduler to return."""
     try:
         from distributed import Client
     except ImportError as error:
@@ -165,17 +178,17 @@ def _client(address: str, *, again: bool) -> "Client":
             f"--scheduler {address}: the package distributed is not installed; pip install 'dpcontrol[cluster]'"
         ) from error
     try:
-        client = Client(address, timeout=BACK_WITHIN if again else ANSWERS_WITHIN)
+        client = Client(address, timeout=RETURN_TIME if again else RESPONSE_TIME)
         if again:
-            client.wait_for_workers(1, timeout=BACK_WITHIN)
+            client.wait_for_workers(1, timeout=RETURN_TIME)
     except (OSError, TimeoutError, ValueError) as error:
         if again:
             raise GoalMissed(
-                f"--scheduler {address}: the scheduler was lost, and did not come back with workers; finished jobs are "
-                "kept: start it again, and run the same command again"
+                f"--scheduler {address}: the scheduler was lost and did not return with workers; finished jobs are "
+                "kept, so start it again and run the same command again"
             ) from error
         raise InputError(
-            f"--scheduler {address}: no Dask scheduler answers there; start one with `dask scheduler`"
+            f"--scheduler {address}: no Dask scheduler responds there; start one with `dask scheduler`"
         ) from error
     if not client.scheduler_info()["workers"]:
         client.close()
@@ -184,11 +197,11 @@ def _client(address: str, *, again: bool) -> "Client":
 
 
 def _submitted(function: Callable[[Job], Done], jobs: Sequence[Job], client: "Client") -> Iterator[tuple[Job, Done]]:
-    """Yield jobs and what came of them as the cluster finishes them.
+    """Yield jobs with their results as the cluster finishes them.
 
     Raises:
         CancelledError, OSError: the scheduler was lost.
-        GoalMissed: a job's workers died again and again.
+        GoalMissed: the workers of a job died repeatedly.
     """
     from distributed import KilledWorker, as_completed
 
@@ -207,7 +220,7 @@ def _submitted(function: Callable[[Job], Done], jobs: Sequence[Job], client: "Cl
             done = future.result()
         except KilledWorker as error:
             raise GoalMissed(
-                f"the cluster's workers died again and again on one job ({error}); finished jobs are kept"
+                f"the cluster's workers died repeatedly on one job ({error}); finished jobs are kept"
             ) from error
         yield running.pop(future), done
         more = submitted(1)

@@ -1,7 +1,7 @@
-"""What long work will take, said before it is begun, and how far it is: a function that is called as it goes on.
+"""Progress reports of long work, and its predicted cost before it starts.
 
-Costs are predicted from measured rates and are good to a factor of three; more than a stated limit is refused unless it
-is asked for by name.
+Costs are predicted from measured rates, within a factor of three. Work beyond a limit is rejected unless the user
+confirms it.
 """
 
 import sys
@@ -14,11 +14,11 @@ from typing import Literal
 from dpcontrol.foundation.errors import InputError, printable, remark
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done and how much of it is done (0 to 1)."""
+"""Function that receives the current task and its completed fraction (0 to 1)."""
 
 
 Reporting = Progress | Literal[True] | None
-"""Where progress goes: a function, True for a bar on stderr, None for a line on stderr every twenty seconds."""
+"""Progress output: a function, True for a bar on stderr, None for a line on stderr every twenty seconds."""
 
 
 def no_progress(what: str, done: float) -> None:
@@ -26,7 +26,7 @@ def no_progress(what: str, done: float) -> None:
 
 
 def part_of(progress: Progress, low: float, high: float) -> Progress:
-    """Return a progress that reports into the part of another from `low` to `high`."""
+    """Return a progress function that maps 0 to 1 to the range from `low` to `high`."""
 
     def report(what: str, done: float) -> None:
         progress(what, low + (high - low) * done)
@@ -36,9 +36,9 @@ def part_of(progress: Progress, low: float, high: float) -> Progress:
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Progress]:
-    """Show a progress bar on stderr while the block runs; yields the function to report to.
+    """Show a progress bar on stderr during the block, and yield its progress function.
 
-    Where stderr is no terminal, a line is written every twenty seconds, and one at the end.
+    If stderr is not a terminal, a line is written every twenty seconds, and one at the end.
     """
     if not sys.stderr.isatty():
         yield lines(label)
@@ -60,11 +60,11 @@ def progress_bar(label: str) -> Iterator[Progress]:
 
 
 _LINE = 20.0
-"""s between lines of progress."""
+"""Interval between lines of progress, s."""
 
 
 def lines(label: str) -> Progress:
-    """Return a progress that writes a line to stderr every twenty seconds, and nothing about work that takes less."""
+    """Return a progress function that writes a line to stderr every twenty seconds."""
     began = last = time.monotonic()
 
     def report(what: str, done: float) -> None:
@@ -78,16 +78,16 @@ def lines(label: str) -> Progress:
 
 
 MOST_SECONDS, MOST_BYTES = 3600.0, 4e9
-"""What is begun without being asked for by name."""
+"""Maximum cost of work that starts without confirmation."""
 NEVER_SECONDS, NEVER_BYTES = 1e8, 1e13
-"""What no one means to begin: to be asked for by name is not advised there."""
-SAID_FROM = 60.0
-"""s; work that takes longer is announced."""
+"""Cost beyond which the message does not suggest confirmation."""
+ANNOUNCED_FROM = 60.0
+"""Duration beyond which work is announced, s."""
 
 
 @contextmanager
 def reporting(progress: Reporting, label: str) -> Iterator[Progress]:
-    """Yield the function that takes progress, with a bar of this label if one is asked for."""
+    """Yield the progress function, with a labelled bar if requested."""
     if progress is True:
         with progress_bar(label) as report:
             yield report
@@ -97,9 +97,13 @@ def reporting(progress: Reporting, label: str) -> Iterator[Progress]:
 
 @dataclass(frozen=True)
 class Cost:
-    """What work will take: how much of it there is, in words, its time in s and its memory in bytes.
+    """Predicted cost of work.
 
-    key: the setting that makes it long, as the user gave it.
+    Attributes:
+        key: setting that makes the work long, as the user wrote it.
+        work: amount of work, in words.
+        seconds: time, s.
+        memory: memory, bytes.
     """
 
     work: str
@@ -109,22 +113,22 @@ class Cost:
 
     @property
     def sentence(self) -> str:
-        """What it will take."""
+        """The predicted cost in one sentence."""
         return f"{self.key}: {self.work} will take about {_time(self.seconds)} and {_size(self.memory)} of memory"
 
 
 def announce(cost: Cost, *, yes: bool) -> None:
-    """Say what work will take, where that is more than a minute, and refuse what is beyond the limits unless `yes`.
+    """Announce work of more than a minute, and reject work beyond the limits unless `yes`.
 
     Raises:
-        InputError: it is beyond the limits; says what it will take, and what is allowed.
+        InputError: the work is beyond the limits.
     """
     if not yes and (cost.seconds > MOST_SECONDS or cost.memory > MOST_BYTES):
-        allowed = f"{_time(MOST_SECONDS)} and {_size(MOST_BYTES)} are begun unasked"
+        allowed = f"{_time(MOST_SECONDS)} and {_size(MOST_BYTES)}"
         beyond_all = cost.seconds > NEVER_SECONDS or cost.memory > NEVER_BYTES
-        remedy = "ask for less" if beyond_all else "ask for less, or give --yes (yes=True in Python)"
-        raise InputError(f"{cost.sentence}, and {allowed}; {remedy}")
-    if cost.seconds > SAID_FROM:
+        remedy = "reduce the work" if beyond_all else "reduce the work, or add --yes (yes=True in Python)"
+        raise InputError(f"{cost.sentence}; the limit is {allowed}: {remedy}")
+    if cost.seconds > ANNOUNCED_FROM:
         remark(cost.sentence)
 
 

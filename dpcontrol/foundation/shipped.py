@@ -1,7 +1,7 @@
-"""Models, itineraries and mappings that come with the package, and those of the working folder, by name.
+"""Shipped models, itineraries and mappings, and those of the working folder, by name.
 
-Models and itineraries are found by path, in the working folder, then among those shipped: an installed wheel carries
-them in `dpcontrol/data`; a checkout has them beside the package.
+Models and itineraries are searched by path, in the working folder, then among those shipped. An installed wheel
+contains them in `dpcontrol/data`; in a checkout they are beside the package.
 """
 
 from contextlib import suppress
@@ -13,43 +13,43 @@ from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.settings import nearest
 
 MAPPINGS = Path(dpcontrol.__file__).parent / "recordings" / "mappings"
-"""The folder of the mappings that recordings are imported by."""
+"""Folder of the mappings for importing recordings."""
 
 
 def mappings() -> list[str]:
-    """Return the names of the mappings that can be given without a path."""
+    """Return the names of mappings that need no path."""
     return sorted(file.stem for file in MAPPINGS.glob("*.toml"))
 
 
 def folders(kind: str) -> tuple[Path, Path]:
-    """Return where "models" or "itineraries" are: in the working folder, and shipped, in a wheel or a checkout."""
+    """Return the folders of "models" or "itineraries": the working folder's and the shipped one."""
     package = Path(dpcontrol.__file__).parent
     inside = package / "data" / kind
     return Path(kind), inside if inside.is_dir() else package.parent / kind
 
 
 def known(kind: str) -> list[str]:
-    """Return the names that can be given without a path."""
+    """Return the names that need no path."""
     names: set[str] = set()
     for folder in folders(kind):
-        # A folder that may not be read names nothing.
+        # A folder that is not readable adds no names.
         with suppress(OSError):
             names |= {file.stem for file in folder.glob("*.toml")}
     return sorted(names)
 
 
 def find(kind: str, name: str) -> Path:
-    """Return the TOML file of a model or an itinerary given by name or path.
+    """Return the TOML file of a model or an itinerary by name or path.
 
     Raises:
-        InputError: there is none; lists the known names and the nearest one.
+        InputError: the file does not exist; the message lists the known names and the nearest one.
     """
     given, names = Path(name), known(kind)
     is_path = given.suffix == ".toml" or given.name != name
     if is_path:
         checked_source(given)
     for file in [given] if is_path else [folder / f"{name}.toml" for folder in folders(kind)]:
-        # A name that no file can have is an error of its own.
+        # A name that is not valid as a file name causes its own error.
         with suppress(OSError, ValueError):
             if file.is_file():
                 return file
@@ -58,4 +58,4 @@ def find(kind: str, name: str) -> Path:
     close = nearest(name, names)
     hint = f"did you mean {close!r}? " if close else ""
     singular = {"models": "model", "itineraries": "itinerary"}[kind]
-    raise InputError(f"there is no {singular} named {name!r}; {hint}known: {', '.join(names)}; a path works too")
+    raise InputError(f"there is no {singular} named {name!r}; {hint}known: {', '.join(names)}, or give a path")

@@ -1,4 +1,4 @@
-"""How sure a campaign's counts are: Wilson's interval for a share, McNemar's exact test for pairs.
+"""Uncertainty of campaign counts: Wilson's interval and McNemar's exact test for pairs.
 
 Sources: Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927); McNemar, Note on
 the sampling error of the difference between correlated proportions, Psychometrika 12 (1947).
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 @dataclass(frozen=True)
 class Share:
-    """`successes` of `runs`, and the 95 % interval of the share behind them."""
+    """`successes` of `runs`, and the 95 % interval of the underlying share."""
 
     successes: int
     runs: int
@@ -26,15 +26,15 @@ class Share:
 
     @property
     def rate(self) -> float:
-        """The share seen."""
+        """The observed share."""
         return self.successes / self.runs if self.runs else float("nan")
 
 
 def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
-    """Return the share with Wilson's interval; without runs nothing is known, and the interval is 0 to 1."""
+    """Return the share with Wilson's interval, which is 0 to 1 without runs."""
     if not runs:
         return Share(0, 0, 0.0, 1.0)
-    # scipy.stats takes half a second to import.
+    # Importing scipy.stats takes half a second.
     from scipy.stats import binomtest
 
     interval = binomtest(successes, runs).proportion_ci(confidence, method="wilson")
@@ -43,7 +43,7 @@ def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Two controllers on the same seeds: how often only the one succeeded, only the other, and McNemar's p."""
+    """Two controllers on the same seeds: successes of only one of them, and McNemar's p."""
 
     pairs: int
     only_first: int
@@ -52,10 +52,10 @@ class Pairing:
 
 
 def paired(first: ArrayLike, second: ArrayLike) -> Pairing:
-    """Compare outcomes (K,) of the same seeds, true for success.
+    """Compare outcomes (K,) of the same seeds; True is success.
 
     Raises:
-        ValueError: the outcomes are not of the same seeds.
+        ValueError: the numbers of outcomes differ.
     """
     one, two = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
     if one.shape != two.shape:

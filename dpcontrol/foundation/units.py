@@ -1,4 +1,4 @@
-"""Numbers that look as if they were given in another unit: remarked on if unusual, refused if impossible."""
+"""Detection of numbers in the wrong unit: unusual values cause a remark, impossible ones an error."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -20,9 +20,9 @@ OTHER_UNITS: dict[str, dict[str, float]] = {
     "Hz": {"kHz": 1e3},
     "N m s": {"mN m s": 1e-3},
 }
-"""Units in which a number of the first unit may have been given by mistake, and their sizes."""
+"""Units that are often confused with the first one, and their sizes in it."""
 _IMPOSSIBLE = 1000.0
-"""Times the largest usual value: beyond this a number is refused."""
+"""Multiple of the largest usual value beyond which a number is rejected."""
 
 
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
@@ -51,14 +51,14 @@ def quantity(value: float, unit: str) -> str:
 
 
 class Usual(NamedTuple):
-    """The least and the largest value that a key has on ordinary benches, and its unit. Zero is always usual."""
+    """Usual range of a key on ordinary benches, and its unit. Zero is always usual."""
 
     least: float
     most: float
     unit: str
 
     def oddities(self, key: str, values: Sequence[float]) -> Iterator[str]:
-        """Yield a sentence on each value out of the usual range, with the unit in which it would be usual.
+        """Yield a sentence on each unusual value, with the unit in which it would be usual.
 
         Raises:
             InputError: a value is impossible.
@@ -76,7 +76,9 @@ class Usual(NamedTuple):
             if fitting:
                 text += f"; is it given in {' or in '.join(fitting)}?"
             elif not impossible:
-                text += "; is that meant?"
+                text += "; check the value"
             if impossible:
-                raise InputError(text if fitting else f"{text}; no bench has it: give it in {self.unit or 'its unit'}")
+                raise InputError(
+                    text if fitting else f"{text}, which is impossible; give it in {self.unit or 'its unit'}"
+                )
             yield text

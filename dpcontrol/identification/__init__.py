@@ -1,1 +1,1 @@
-"""Models from recordings: fit, statistics, design, replay."""
+"""Models from recordings: fits, their statistics, experiment design and replay."""

@@ -1,35 +1,35 @@
-"""Ratios, encoder zeros and starts that explain measured swings: multiple shooting with a robust loss.
+"""Fit of parameter ratios, encoder zeros and initial states to swings, by robust multiple shooting.
 
     min Σ ρ(y_k - θ(t_k; x_j, p) - z),   x_{j+1} = φ(x_j, p) from window to window,   p_i ≥ 0 for friction
     ρ(e) = ½e² for |e| ≤ d, else d(|e| - ½d)        (Huber)
 
-by Gauss-Newton steps on all windows' starts x_j at once: linearised, the later starts follow from each swing's first
-one and from (p, z), x_j = N_j (x_0, p, z) + d_j with the gaps between windows in d_j, so that a swing adds a small
-dense block; the first starts are eliminated from it in turn. With
-windows of half a second a poor first guess, or a chaotic swing, does no harm.
+Gauss-Newton steps update the starts x_j of all windows at once. After linearisation, the later starts follow from the
+first start of each swing and from (p, z): x_j = N_j (x_0, p, z) + d_j. Here d_j contains the gaps between windows. Each
+swing therefore adds a small dense block, from which its first start is eliminated. With windows of half a second, the
+fit tolerates a poor first guess and chaotic swings.
 
-Swings fly from many starts at once, with their sensitivities to start and parameters:
+Many swings are integrated at once, with their sensitivities to start and parameters:
 
     x_{k+1} = F(x_k, p; u),    S_{k+1} = ∂F/∂x S_k + [0  ∂F/∂p],    S = [∂x/∂x_0  ∂x/∂p]
 
-F is one classical Runge-Kutta step (order 4), p the ratios of `dpcontrol.dynamics.chain`; the cart is clamped or
-follows an acceleration. It is compiled once in a process, for as many swings as the processor's vectors hold.
+F is one classical Runge-Kutta step (order 4), and p are the ratios of `dpcontrol.dynamics.chain`. The cart is clamped
+or follows a given acceleration. F is compiled once per process, for as many swings as fit in the processor's vectors.
 
 Sources: Bock, Kostina, Schlöder, Numerical methods for parameter estimation in nonlinear differential algebraic
-equations (2007); Albersmeyer, Diehl, The lifted Newton method (2010); Huber, Robust statistics (1981), section 7.8;
+equations (2007). Albersmeyer, Diehl, The lifted Newton method (2010). Huber, Robust statistics (1981), section 7.8.
 Hairer, Nørsett, Wanner, Solving ordinary differential equations I (1993), section I.14.
 
-*Design*: which recordings would reveal most about a model, of free swings from rest and swings that the cart's motion
-drives.
+*Design* finds the most informative recordings for a model, among free swings from rest and swings driven by the cart.
 
     I = 1/σ² (J_pᵀJ_p - J_pᵀJ_x (J_xᵀJ_x)⁻¹ J_xᵀJ_p),     digits = ½ log₁₀(det I) / f          (D-optimality)
 
-J_p: slopes of all sampled angles over the logarithms of the f ratios in use; J_x: over start and encoder zeros, which
-each recording has to itself; σ: one encoder's rounding. 10^-digits is the geometric mean of the relative standard
-errors that independent rounding alone would leave: real ones are larger, but rank alike. Swings that magnify a small
-error of their start manyfold promise most and keep least; they are marked as not usable.
+J_p are the derivatives of all sampled angles with respect to the logarithms of the f ratios in use. J_x are those with
+respect to start and encoder zeros, which differ between recordings. σ is the rounding of one encoder. 10^-digits is the
+geometric mean of the relative standard errors due to independent rounding alone. Real errors are larger, but the
+ranking is similar. Swings that greatly amplify an error of their start appear the most informative but are unreliable,
+so they are marked as not usable.
 
-Sources: Atkinson, Donev, Tobias, Optimum experimental designs, with SAS (2007), chapter 10; Swevers et al., Optimal
+Sources: Atkinson, Donev, Tobias, Optimum experimental designs, with SAS (2007), chapter 10. Swevers et al., Optimal
 robot excitation and identification (1997).
 """
 
@@ -62,13 +62,13 @@ from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.recordings.recording import smoothed_derivative
 
 LONGEST_STEP = 2e-3
-"""s. Steps of 1 ms are off by 1e-7 rad at the rig's rates, most of it where Coulomb friction changes sides."""
+"""Integration step, s. Steps of 1 ms err by 1e-7 rad at the rig's rates, mostly at sign changes of Coulomb friction."""
 
 
 class Swings:
-    """Swings of `arms`: their count, gravity and laws of friction; the parameters' values are given with each call.
+    """Integrator for swings of arms with the count, gravity and friction laws of `arms`.
 
-    Not to be shared between threads.
+    Each call sets the values of the parameters. An instance must not be shared between threads.
     """
 
     def __init__(self, arms: ArmChainParameters) -> None:
@@ -86,10 +86,15 @@ class Swings:
         accelerations: Array | float = 0.0,
         velocities: Array | float = 0.0,
     ) -> tuple[Array, Array]:
-        """Return states (W, K, N) and sensitivities (W, K, N, N+m) at `samples` = K times from each start (W, N).
+        """Return states (W, K, N) and sensitivities (W, K, N, N+m) from each start.
 
-        parameters (m,) ratios; period (W,) s between samples; accelerations (W, K) m/s² of the cart, held from each
-        sample to the next, and velocities (W, K) m/s at it.
+        Args:
+            starts: initial states (W, N).
+            parameters: ratios (m,).
+            period: sampling periods (W,), s.
+            samples: number of samples K.
+            accelerations: cart accelerations (W, K), m/s², constant between samples.
+            velocities: cart velocities (W, K) at the samples, m/s.
         """
         w, n, m = len(starts), self.states, self.parameters
         size = n + n * (n + m)
@@ -115,7 +120,7 @@ class Swings:
 
 
 def _nominal(arms: ArmChainParameters) -> ArmChainParameters:
-    """Return arms that stand for all of the same count, gravity, laws of friction and smoothing."""
+    """Return arms that represent all with the same count, gravity, friction laws and smoothing."""
     one = (1.0,) * arms.count
     names = ("mass", "centre_of_mass", "length", "inertia", "viscous", *arms.friction)
     return replace(arms, **dict.fromkeys(names, one))
@@ -123,7 +128,7 @@ def _nominal(arms: ArmChainParameters) -> ArmChainParameters:
 
 @cache
 def _compiled(arms: ArmChainParameters) -> Compiled:
-    """Return (x, vec S, p, (h, u, v)) -> (x, vec S) one step later; compiling takes longer than most fits."""
+    """Return the compiled step (x, vec S, p, (h, u, v)) -> (x, vec S); compiling takes longer than most fits."""
     n, m = 2 * arms.count, len(ratio_names(arms))
     rate = equations_of(arms, Level.CART).function()
     x, p, drive = ca.SX.sym("x", n), ca.SX.sym("p", m), ca.SX.sym("drive", 3)
@@ -145,25 +150,27 @@ _GAP_WEIGHT = 1e3
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """K measured samples of one uninterrupted swing: angles (K, n) rad, absolute from hanging; period s between them.
-
-    group: of swings that share their encoders' zeros. accelerations (K,) m/s² and velocities (K,) m/s of the cart, or
-    None where it was clamped.
-    """
+    """K measured samples of one uninterrupted swing."""
 
     angles: Array
+    """Absolute angles (K, n) from hanging, rad."""
     period: float
+    """Sampling period, s."""
     group: int = 0
+    """Index of the swings that share their encoders' zeros."""
     accelerations: Array | None = None
+    """Of the cart (K,), m/s², or None if it is clamped."""
     velocities: Array | None = None
+    """Of the cart (K,), m/s, or None."""
 
 
 class Windows:
-    """All swings cut into windows of about `length` s, flown together.
+    """All swings, cut into windows of about `length` s and integrated together.
 
     Attributes:
-        of_swing: the windows of each swing, by number.
-        first, last: rows of its swing at which each window begins and ends.
+        of_swing: windows of each swing, by number.
+        first: row of its swing at which each window begins.
+        last: row of its swing at which each window ends.
     """
 
     def __init__(self, swings: list[Swing], model: Swings, length: float) -> None:
@@ -191,7 +198,7 @@ class Windows:
                         self.drive[row, w, : rows.stop - rows.start] = values[rows]
 
     def guess(self) -> Array:
-        """Return starts (W, 2n) from the measured angles, rates by a local polynomial."""
+        """Return starts (W, 2n) from the measured angles, with rates by a local polynomial."""
         starts = []
         for swing, windows in zip(self.swings, self.of_swing, strict=True):
             rates = smoothed_derivative(swing.angles, swing.period)
@@ -199,9 +206,12 @@ class Windows:
         return np.array(starts)
 
     def linearised(self, starts: Array, values: Array, where: NDArray[np.intp]) -> "Linearised":
-        """Fly all windows from `starts` (W, 2n), and chain their slopes along each swing.
+        """Integrate all windows from `starts` (W, 2n) and chain their derivatives along each swing.
 
-        values: of all parameters, then of the zeros; where (f,): which of them are unknown.
+        Args:
+            starts: initial states (W, 2n) of the windows.
+            values: values of all parameters, then of the zeros.
+            where: indices (f,) of the unknown ones.
         """
         model = self.model
         n, m, arms = model.states, model.parameters, model.arms.count
@@ -240,10 +250,11 @@ class Windows:
 
 
 class _Chain(NamedTuple):
-    """Of one swing of K samples: residuals (K, n), and `reduced` (K, n) by what the gaps between windows explain.
+    """Linearisation of one swing of K samples.
 
-    slope (K, n, 2n+f): of the prediction over the swing's first start and the f unknowns; how each window's start
-    follows from these: nodes (2n, 2n+f) and offsets (2n,).
+    `residuals` (K, n) minus the effect of the gaps between windows are `reduced` (K, n). `slope` (K, n, 2n+f) is the
+    derivative of the prediction with respect to the first start and the f unknowns. Each window's start depends on
+    these through `nodes` (2n, 2n+f) and `offsets` (2n,).
     """
 
     residual: Array
@@ -255,7 +266,13 @@ class _Chain(NamedTuple):
 
 @dataclass(eq=False)
 class Linearised:
-    """All swings linearised. gaps, gap: between windows, their sum and the largest; finite: whether all numbers are."""
+    """All swings linearised.
+
+    Attributes:
+        gaps: sum of the gaps between windows.
+        gap: the largest of them.
+        finite: True if all numbers are finite.
+    """
 
     swings: list[_Chain]
     gaps: float
@@ -263,13 +280,13 @@ class Linearised:
     finite: bool
 
     def loss(self, threshold: float) -> float:
-        """Return the sum of the residuals' losses."""
+        """Return the loss of the residuals."""
         sizes = np.abs(np.concatenate([one.residual.ravel() for one in self.swings]))
         bent = np.minimum(sizes, threshold)
         return float((bent * (sizes - bent / 2)).sum())
 
     def merit(self, threshold: float) -> float:
-        """Return what a step must lessen: the loss and the gaps."""
+        """Return the merit function of a step: loss plus gaps."""
         scale = threshold if np.isfinite(threshold) else 1e-3
         return self.loss(threshold) / scale**2 + _GAP_WEIGHT * self.gaps / scale
 
@@ -280,47 +297,49 @@ _HALVINGS = 8
 
 @dataclass(frozen=True)
 class FitSettings(Settings, table="fit"):
-    """window s: length of a shooting window. robust: where the loss turns from square to straight, in standard
-    deviations of the bulk; 0 for squares alone. bend rad: where it turns, if it is to be held there rather than found.
-    least_scale rad: the bulk is taken as no narrower; half a count or so.
-    tolerance: share of the loss by which the last step may still lessen it.
-    """
+    """Settings of the fit."""
 
     window: float = setting(0.5, above=0, unit="s")
+    """Length of a shooting window, s."""
     robust: float = setting(3.0, least=0)
+    """Residual at which the loss becomes linear, in standard deviations of the bulk; 0 for least squares."""
     bend: float = setting(0.0, least=0, unit="rad")
+    """Fixed residual at which the loss becomes linear, rad."""
     least_scale: float = setting(1e-4, above=0, unit="rad")
+    """Minimum standard deviation of the bulk, rad, about half a count."""
     iterations: int = setting(40, least=1)
     tolerance: float = setting(1e-7, above=0)
+    """Relative decrease of the loss below which the fit has converged."""
 
 
 @dataclass(frozen=True, eq=False)
 class SwingFit:
-    """Ratios (m,) and zeros (groups, n) rad that were found, and what is left.
-
-    residuals: of each swing (K, n), rad, measured less predicted. information: of the free unknowns (see `unknowns`),
-    with the starts eliminated; scores: of each swing (K, f), each sample's part of the gradient, starts eliminated.
-    unknowns: indices of the free ones among (p, z raveled). bend rad: where the loss turned straight. window_starts
-    (W, 2n). converged, status: a sentence; gap: the largest between windows.
-    """
+    """Fitted ratios (m,) and zeros (groups, n), rad, with residuals and information."""
 
     parameters: Array
     zeros: Array
     residuals: list[Array]
+    """Measured minus predicted angles (K, n) of each swing, rad."""
     information: Array
+    """Information matrix of the free unknowns, with the starts eliminated."""
     scores: list[Array]
+    """Gradient (K, f) of each sample for each swing, with the starts eliminated."""
     unknowns: NDArray[np.intp]
+    """Indices of the free unknowns among (p, z raveled)."""
     loss: float
     bend: float
+    """Residual at which the loss became linear, rad."""
     window_starts: Array
+    """Initial states (W, 2n)."""
     gap: float
+    """Largest gap between windows."""
     iterations: int
     converged: bool
     status: str
 
     @property
     def rms(self) -> Array:
-        """Root mean square of each swing's residuals over its angles (S,), rad."""
+        """Root mean square residual of each swing (S,) over its angles, rad."""
         return np.array([np.sqrt((r**2).mean()) for r in self.residuals])
 
 
@@ -335,16 +354,21 @@ def fit_swings(
     settings: FitSettings,
     near: Array | None = None,
 ) -> SwingFit:
-    """Fit the swings' starts, and those of the parameters (m,) that are `free` (m,), and the zeros if asked.
+    """Fit the swings' starts, the free parameters, and the zeros if requested.
 
-    parameters and zeros (groups, n) are the first guess, or what is held; near (W, 2n): that of the windows' starts, in
-    place of the measured angles. Coefficients of friction stay at zero or above.
+    Coefficients of friction remain non-negative.
+
+    Args:
+        parameters: first guess or fixed values (m,).
+        zeros: first guess or fixed values (groups, n), rad.
+        free: free parameters (m,).
+        near: first guess (W, 2n) of the windows' starts, default the measured angles.
 
     Raises:
         InputError: a swing is too short.
     """
     if any(len(s.angles) < 8 for s in swings):
-        raise InputError("a swing of fewer than 8 samples determines nothing; leave it out")
+        raise InputError("a swing has fewer than 8 samples, which is too short for a fit; omit it")
     cut = Windows(swings, model, settings.window)
     m, arms = model.parameters, model.arms.count
     unknown = np.concatenate([free, np.full(zeros.size, free_zeros)])
@@ -363,7 +387,7 @@ def fit_swings(
             threshold = _threshold(now, settings)
         normal = _normal(now, threshold)
         if not np.isfinite(normal.scaled).all():
-            status = "errors grow so much along a swing that its start determines nothing; cut the swings shorter"
+            status = "errors grow too much along a swing to determine its start; cut the swings shorter"
             break
         step, firsts = _step(normal, values[where], lower[where])
         better, share = None, 1.0
@@ -383,7 +407,7 @@ def fit_swings(
             share /= 2
         if better is None:
             converged = now.gap < 1e-6
-            status = "" if converged else "no step lessened the misfit; check units, signs and the starting model"
+            status = "" if converged else "no step reduced the misfit; check units, signs and the starting model"
             break
         gained = 1 - better.merit(threshold) / max(now.merit(threshold), 1e-300)
         now, starts, values = better, new_starts, np.maximum(new_values, lower)
@@ -391,7 +415,7 @@ def fit_swings(
             converged = True
             break
     if not converged and not status:
-        status = f"still improving after {settings.iterations} steps; allow more, or start from a nearer model"
+        status = f"still improving after {settings.iterations} steps; increase the limit, or start from a better model"
     normal = _normal(now, threshold)
     return SwingFit(
         parameters=values[:m],
@@ -430,12 +454,12 @@ class _Normal:
 
     @property
     def scale(self) -> Array:
-        """What each unknown (f,) is measured in."""
+        """Scale of each unknown (f,)."""
         return 1 / np.sqrt(np.maximum(np.diag(self.reduced), 1e-300))
 
     @property
     def scaled(self) -> Array:
-        """The reduced matrix (f, f) with ones on its diagonal; not finite where rounding has left nothing of it."""
+        """The reduced matrix (f, f) with a unit diagonal; not finite if rounding dominates it."""
         with np.errstate(over="ignore", invalid="ignore"):
             vectors = self.reduced * self.scale[:, None] * self.scale
             return (vectors + vectors.T) / 2
@@ -460,7 +484,7 @@ def _normal(now: Linearised, threshold: float) -> _Normal:
 
 
 def _step(normal: _Normal, values: Array, lower: Array) -> tuple[Array, list[Array]]:
-    """Return the change of the unknowns (f,), none below its bound, and of each swing's start (2n,)."""
+    """Return the bounded change of the unknowns (f,), and the change (2n,) of each swing's start."""
     f = len(values)
     step = np.zeros(f)
     if f:
@@ -476,7 +500,7 @@ def _step(normal: _Normal, values: Array, lower: Array) -> tuple[Array, list[Arr
 
 
 def _scores(one: _Chain, mixed: Array, threshold: float) -> Array:
-    """Return each sample's part (K, f) of the loss's gradient by the unknowns, the start following them."""
+    """Return each sample's gradient (K, f) of the loss by the unknowns, with the start eliminated."""
     n = len(mixed)
     along = one.slope[..., n:] - one.slope[..., :n] @ mixed
     return np.einsum("kaf,ka->kf", along, np.clip(one.residual, -threshold, threshold))
@@ -488,26 +512,32 @@ _CHAOTIC = 20.0
 
 @dataclass(frozen=True)
 class DesignSettings(Settings, table="design"):
-    """What is compared. seconds: of each recording; period s: between samples; counts: of the encoders, per turn.
-
-    steps: of each angle's grid over half a turn; amplitudes m/s² and frequencies Hz: of the cart's sine; track m: half
-    its length.
-    """
+    """Experiments to compare."""
 
     seconds: float = setting(2.667, above=0, unit="s")
+    """Duration of each recording, s."""
     period: float = setting(4e-3, above=0, unit="s")
+    """Sampling period, s."""
     counts: int = setting(40_000, least=1)
+    """Encoder counts per turn."""
     steps: int = setting(9, least=2)
+    """Grid points of each angle over half a turn."""
     amplitudes: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
+    """Of the cart's sine, m/s²."""
     frequencies: tuple[float, ...] = (0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 1.8, 2.1, 2.5, 3.0)
+    """Of the cart's sine, Hz."""
     track: float = setting(0.4, above=0, unit="m")
+    """Half length of the track, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One recording: kind "swing" from rest at angles (n,) rad, or "cart": hanging, the cart's acceleration a sine.
+    """One recording: "swing" from rest at angles (n,) rad, or "cart" with a sinusoidal acceleration.
 
-    information: digits; amplification: how much an error of the start may grow; matrix (f, f): its information.
+    Attributes:
+        information: digits of information.
+        amplification: growth of an error of the start.
+        matrix: information matrix (f, f).
     """
 
     kind: str
@@ -521,15 +551,15 @@ class Experiment:
 
     @property
     def text(self) -> str:
-        """Say what to do."""
+        """Return an instruction for the experiment."""
         if self.kind == "swing":
-            return "let go at " + ", ".join(f"{np.degrees(a):.0f}°" for a in self.angles)
-        return f"cart's acceleration a sine of {self.amplitude:g} m/s², {self.frequency:g} Hz"
+            return "release at " + ", ".join(f"{np.degrees(a):.0f}°" for a in self.angles)
+        return f"sinusoidal cart acceleration of {self.amplitude:g} m/s² at {self.frequency:g} Hz"
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Experiments compared for the ratios `names` (f,) of a model."""
+    """Comparison of experiments for the ratios `names` (f,) of a model."""
 
     names: tuple[str, ...]
     experiments: tuple[Experiment, ...]
@@ -541,13 +571,13 @@ class Design:
         return sorted((e for e in self.experiments if e.usable), key=lambda e: -e.information)
 
     def best_pair(self) -> tuple[Experiment, Experiment]:
-        """Return the most informative experiment and the one that adds most to it (it may be the same again)."""
+        """Return the most informative experiment and the best one to add, possibly the same."""
         ranked = self.ranked()
         first = ranked[0]
         return first, max(ranked, key=lambda e: digits(first.matrix + e.matrix))
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol identify --design --json` prints."""
+        """Return the output of `dpcontrol identify --design --json`."""
         experiment = ("kind", "angles", "amplitude", "frequency", "information", "amplification", "usable")
         return {
             "unknowns": list(self.names),
@@ -558,7 +588,7 @@ class Design:
 
 
 def digits(matrix: Array) -> float:
-    """Return ½ log₁₀ det / f of an information matrix (f, f), -inf where it is singular."""
+    """Return ½ log₁₀ det / f of an information matrix (f, f), -inf if it is singular."""
     sign, logarithm = np.linalg.slogdet(matrix)
     return float(logarithm / np.log(10) / 2 / len(matrix)) if sign > 0 else -np.inf
 
@@ -566,7 +596,7 @@ def digits(matrix: Array) -> float:
 def design_experiments(
     arms: ArmChainParameters, *, settings: DesignSettings | None = None, progress: Progress = no_progress
 ) -> Design:
-    """Compare free swings over a grid of angles, and sines of the cart's acceleration, for what they reveal of `arms`.
+    """Compare free swings over a grid of angles, and sines of the cart, as experiments.
 
     Raises:
         InputError: no experiment is usable.
@@ -576,7 +606,7 @@ def design_experiments(
     values = base_ratios(arms)
     used = np.flatnonzero(values)
     half = np.linspace(-np.pi, np.pi, 2 * settings.steps + 1)[1:-1]
-    # A swing's mirror image reveals the same, so the first angle is taken as positive; at rest upright nothing moves.
+    # A mirrored swing gives the same information, so the first angle is positive. Upright arms at rest do not move.
     grid = [a for a in product(half[half > -1e-9], *[half] * (n - 1)) if np.abs(a).max() > 1e-9]
     sines = list(product(settings.amplitudes, settings.frequencies))
     times = np.arange(round(settings.seconds / settings.period) + 1) * settings.period
@@ -614,22 +644,23 @@ def design_experiments(
         experiments.append(Experiment(kind, turns, amplitude, frequency, information, growth, usable, matrix))
     usable = sum(e.usable for e in experiments)
     if not usable:
-        raise InputError("no experiment is usable: none determines the arms' ratios; check the model's friction")
+        raise InputError("no experiment is usable, since none determines the arms' ratios; check the model's friction")
     left_out = [ratio_names(arms)[k] for k in range(len(values)) if k not in used]
-    without = f"; without those that are zero: {', '.join(left_out)}" if left_out else ""
+    without = f"; zero ratios are not fitted: {', '.join(left_out)}" if left_out else ""
     return Design(
         names=tuple(ratio_names(arms)[k] for k in used),
         experiments=tuple(experiments),
         settings=settings,
-        status=f"{usable} of {len(experiments)} experiments usable: an error of the start grows less than "
+        status=f"{usable} of {len(experiments)} experiments are usable: an error of the start grows less than "
         f"{_CHAOTIC:g}-fold, and the cart stays on its track{without}",
     )
 
 
 def _information(slopes: Array, values: Array, used: NDArray[np.intp], counts: int) -> tuple[Array, float]:
-    """Return the information (f, f) on the logarithms of the ratios in use, and how an error of the start grows.
+    """Return the information (f, f) on the logarithms of the ratios in use, and the growth of errors.
 
-    slopes (K, n, 2n+m) of the angles over start and ratios.
+    Args:
+        slopes: derivatives (K, n, 2n+m) of the angles by start and ratios.
     """
     samples, arms, _ = slopes.shape
     sigma = 2 * np.pi / counts / np.sqrt(12)
@@ -640,6 +671,6 @@ def _information(slopes: Array, values: Array, used: NDArray[np.intp], counts: i
     zeros = np.broadcast_to(np.eye(arms), (samples, arms, arms))
     own = np.concatenate([of_start, zeros], axis=2).reshape(samples * arms, -1)
     shared = slopes[:, :, 2 * arms :][:, :, used].reshape(samples * arms, -1) * values[used]
-    # Least squares against the recording's own unknowns leaves what only the shared ones explain.
+    # Projection onto the complement of the recording's own unknowns.
     rest = shared - own @ np.linalg.lstsq(own, shared, rcond=1e-10)[0]
     return rest.T @ rest / sigma**2, growth

@@ -1,26 +1,26 @@
-"""Which arms swung so: base-parameter ratios, friction laws and encoder zeros from recordings.
+"""Identification of base-parameter ratios, friction laws and encoder zeros from recordings.
 
-Long segments are cut into equal ones, and every third is left out. Each candidate (friction viscous; with Coulomb; with
-the air's drag; with both; the encoders' zeros free or not) is fitted to the others and predicts those left out from a
-fitted start over their whole length. The one of fewest unknowns whose mean squared error is within one standard error
-of the least is taken.
+Long segments are cut into equal ones, and every third is held out. The candidates combine viscous friction with Coulomb
+friction, air drag, both or neither, and free or fixed encoder zeros. Each is fitted to the remaining segments. It then
+predicts the held-out ones over their whole length, from a fitted start. The choice is the candidate with the fewest
+unknowns whose mean squared error is within one standard error of the least.
 
-How well the numbers are known, and which cannot be distinguished:
+The covariance shows the accuracy of the numbers and which of them cannot be distinguished:
 
     Cov = H⁻¹ (b/(b-f) Σ_blocks g gᵀ) H⁻¹,     H = Σ w J̃ᵀJ̃,   g = Σ_block J̃ᵀ ψ(e)
 
-J̃: slopes of the predicted angles over the unknowns, each swing's start following them; ψ: the residuals as the robust
-loss counts them. Neighbouring residuals are alike (rounding of slow motion, what the model leaves out), so they are
-summed over blocks several times as long as they stay alike; b blocks, f unknowns. Taking each sample as independent
-would give errors too small by that factor's root.
+J̃ are the derivatives of the predicted angles by the unknowns, with each swing's start eliminated. ψ are the residuals
+as weighted by the robust loss. Neighbouring residuals are correlated, because of rounding in slow motion and effects
+that the model omits. They are therefore summed over blocks several times longer than their correlation time, with b
+blocks and f unknowns. Treating samples as independent would underestimate errors by the square root of that length.
 
-Profiles show the least misfit with one number held off its best value and the others fitted again. Where a profile is
-the parabola that the linearised fit promises, the standard error describes the number; where it is flat, or stops at a
-bound, the recordings do not determine it.
+Profiles show the least misfit with one number fixed off its best value and the others fitted again. If a profile
+matches the parabola of the linearised fit, the standard error describes the number. If it is flat, or ends at a bound,
+the recordings do not determine the number.
 
-Sources: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 7.10, for the choice; White,
-Maximum likelihood estimation of misspecified models (1982); Cameron, Miller, A practitioner's guide to cluster-robust
-inference (2015), section II; Raue et al., Structural and practical identifiability analysis of partially observed
+Sources: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 7.10, for the choice. White,
+Maximum likelihood estimation of misspecified models (1982). Cameron, Miller, A practitioner's guide to cluster-robust
+inference (2015), section II. Raue et al., Structural and practical identifiability analysis of partially observed
 dynamical models (2009).
 """
 
@@ -51,17 +51,19 @@ from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, f
 from dpcontrol.recordings.recording import Recording, cart_motion
 
 LONGEST, LONGEST_DRIVEN = 4.0, 1.0
-"""s: of pieces, and of those on a moving cart. About a saddle errors grow e⁸-fold in a second; over four seconds
-rounding leaves nothing of what a start determines."""
+"""Length of pieces with the cart clamped and moving, s.
+
+Near a saddle, errors grow e⁸-fold in a second. Over four seconds, rounding hides the effect of the start.
+"""
 _STILL = 1e-3
 _MOST_LOST = 5
-"""Readings in a row that may be missing."""
+"""Maximum number of consecutive missing readings."""
 _NEAR = 20
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A segment as it was used: running index over all logs, log, first time s, length s, used or left out, rms rad."""
+    """A segment as used: running index, log, first time s, length s, used or held out, rms rad."""
 
     index: int
     log: str
@@ -72,61 +74,63 @@ class Segment:
 
 
 _FEWEST = 10
-"""Samples of a piece that a swing is fitted to."""
+"""Minimum samples of a piece for a fit."""
 _MOST_TURNED = 1e6
-"""rad: more is no angle of an arm."""
+"""Upper bound of plausible angles, rad."""
 
 
 def cut_into_swings(
     recordings: Sequence[Recording], arms: int, longest: float | None
 ) -> tuple[list[Swing], list[Segment]]:
-    """Return the recordings' segments as swings, long ones cut into equal pieces, and what they are.
+    """Return the recordings' segments as swings, with long ones cut into equal pieces.
 
     Raises:
-        InputError: a recording has another number of arms, hardly moves, or lacks more than a few readings in a row.
+        InputError: a recording has another number of arms, hardly moves, or has a long gap.
     """
     swings: list[Swing] = []
     about: list[Segment] = []
     for group, recording in enumerate(recordings):
         if recording.arms != arms:
             raise InputError(
-                f"{recording.name} is of {recording.arms} arms, the model has {arms}; give a model of as many"
+                f"{recording.name} has {recording.arms} arms, the model has {arms}; use a model with the same number"
             )
         for part in recording.split():
             cart = cart_motion(part)
             most = longest or (LONGEST if cart is None else LONGEST_DRIVEN)
             if part.dt * _FEWEST > most:
                 raise InputError(
-                    f"{recording.name} has a sample every {part.dt:g} s, and swings are followed for {most:g} s at a "
-                    "time: too few to fit; record faster"
+                    f"{recording.name} has a sample every {part.dt:g} s, but swings are fitted in pieces of "
+                    f"{most:g} s, which is too few samples; record faster"
                 )
             pieces = max(int(np.ceil((len(part.time) - 1) * part.dt / most)), 1)
             edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
             filled = _filled(part)
             if (largest := float(np.abs(filled).max(initial=0.0))) > _MOST_TURNED:
                 raise InputError(
-                    f"{part.name}: an angle of {largest:.3g} rad at {part.time[0]:.6g} s or later is beyond any swing; "
-                    "import the recording again with the unit of its angles"
+                    f"{part.name}: an angle of {largest:.3g} rad at {part.time[0]:.6g} s or later is not plausible; "
+                    "import the recording again with the correct unit of angles"
                 )
             for a, b in pairwise(edges):
-                # Turns counted before a segment say nothing about it.
+                # Turns counted before a segment are irrelevant.
                 angles = filled[a:b] - 2 * np.pi * np.rint(filled[a] / (2 * np.pi))
                 driven = () if cart is None else (cart.acceleration[a:b], cart.velocity[a:b])
                 swings.append(Swing(angles, part.dt, group, *driven))
                 seconds = float((b - a - 1) * part.dt)
                 about.append(Segment(len(about), recording.name, float(part.time[a]), seconds, True, np.nan))
     if not swings:
-        raise InputError("the recordings hold no segment; import them again")
+        raise InputError("the recordings contain no segment; import them again")
     if max(float(np.ptp(s.angles, axis=0).max()) for s in swings) < _STILL:
-        raise InputError(f"no angle moves by more than {_STILL:g} rad: nothing to identify; record free swings")
+        raise InputError(
+            f"no angle moves by more than {_STILL:g} rad: there is nothing to identify; record free swings"
+        )
     return swings, about
 
 
 def _filled(part: Recording) -> Array:
-    """Return the angles (K, n), single missing ones between their neighbours.
+    """Return the angles (K, n), with short gaps interpolated.
 
     Raises:
-        InputError: too many in a row are missing.
+        InputError: too many consecutive readings are missing.
     """
     lost = np.asarray(~np.isfinite(part.angles).all(axis=1))
     if not lost.any():
@@ -137,11 +141,11 @@ def _filled(part: Recording) -> Array:
         longest = int(gaps.argmax())
         at = part.time[known[longest - 1] + 1 if longest else 0]
         raise InputError(
-            f"{part.name}: {gaps.max()} readings in a row are missing at {at:.6g} s; identify from a recording without"
+            f"{part.name}: {gaps.max()} readings in a row are missing at {at:.6g} s; use a recording without gaps"
         )
     angles = np.stack([np.interp(np.arange(len(lost)), known, column) for column in part.angles[known].T], axis=1)
     for rows, near in ((np.arange(known[0]), known[:_NEAR]), (np.arange(known[-1] + 1, len(lost)), known[-_NEAR:])):
-        # Beyond the ends a parabola through the nearest: two rounded ones tell no slope.
+        # Beyond the ends, a parabola through the nearest samples: two rounded ones give no slope.
         curve = np.polynomial.polynomial.polyfit(near - near[0], part.angles[near], min(2, len(near) - 1))
         angles[rows] = np.polynomial.polynomial.polyval(rows - near[0], curve).T
     return angles
@@ -152,19 +156,19 @@ _LEAST_BLOCK = 10
 _BLOCKS_PER_UNKNOWN = 4
 _UNSEEN = 1e-10
 ALIKE = 0.95
-"""Correlation from which two numbers count as indistinguishable."""
+"""Correlation beyond which two numbers are indistinguishable."""
 
 
 def correlation_time(residuals: Sequence[Array]) -> float:
-    """Return over how many samples residuals (K, n) stay alike: their integrated autocorrelation time, at least 1.
+    """Return the integrated autocorrelation time of residuals (K, n), in samples, at least 1.
 
-    Summed until the autocorrelation first falls below 0.05, pooled over swings and angles.
+    The sum ends when the autocorrelation, pooled over swings and angles, first falls below 0.05.
     """
     longest = min(len(r) for r in residuals)
     power = np.zeros(longest)
     for residual in residuals:
         for column in residual.T:
-            # Padded to twice the length, the transform does not wrap around.
+            # Zero padding to twice the length prevents wrap-around.
             spectrum = np.abs(np.fft.rfft(column, 2 * len(column))) ** 2
             power += np.fft.irfft(spectrum)[:longest]
     if power[0] <= 0:
@@ -178,8 +182,8 @@ def correlation_time(residuals: Sequence[Array]) -> float:
 def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the covariance (f, f) of the fit's unknowns and their standard errors (f,).
 
-    bound (f,): which lie on a bound. They are taken as held there for the others' sake, and have no variance; their own
-    standard errors are those that they would have without it.
+    Unknowns at a bound, `bound` (f,), count as fixed for the others and have no variance. Their own standard errors
+    ignore the bound.
     """
     covariance = np.zeros((len(bound), len(bound)))
     covariance[np.ix_(~bound, ~bound)] = _covariance(fit, ~bound)
@@ -188,11 +192,11 @@ def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array
 
 
 def _covariance(fit: SwingFit, among: NDArray[np.bool_]) -> Array:
-    """Return the covariance of the unknowns that are `among`, the others held; what the data do not see: infinite."""
+    """Return the covariance of the unknowns in `among` with the others fixed; infinite if undetermined."""
     information, f = fit.information[np.ix_(among, among)], int(among.sum())
     lengths = [len(s) for s in fit.scores]
     block = max(int(_BLOCK_TIMES * correlation_time(fit.residuals)), _LEAST_BLOCK)
-    # More unknowns than blocks would make the sum singular, and every error zero somewhere.
+    # With more unknowns than blocks, the sum would be singular and some errors zero.
     block = max(min(block, sum(lengths) // max(_BLOCKS_PER_UNKNOWN * f, 1)), 1)
     sums: list[Array] = []
     for score in fit.scores:
@@ -215,16 +219,19 @@ def _covariance(fit: SwingFit, among: NDArray[np.bool_]) -> Array:
 def undetermined_of(
     names: Sequence[str], values: Array, errors: Array, *, covariance: Array, friction: NDArray[np.bool_]
 ) -> list[str]:
-    """Return sentences on numbers (f,) that the data leave open, and on pairs that they cannot distinguish.
+    """Return sentences on undetermined numbers (f,) and indistinguishable pairs.
 
-    friction (f,): which are coefficients of friction.
+    Args:
+        friction: True for coefficients of friction (f,).
     """
     sentences: list[str] = []
     for k, name in enumerate(names):
         if not np.isfinite(errors[k]):
-            sentences.append(f"{name}: these swings do not depend on it, or only together with another")
+            sentences.append(f"{name}: these swings do not depend on it, or only in combination with another number")
         elif friction[k] and abs(values[k]) < 2 * errors[k]:
-            sentences.append(f"{name}: {values[k]:.3g} ± {errors[k]:.2g} (standard error) may as well be zero")
+            sentences.append(
+                f"{name}: {values[k]:.3g} ± {errors[k]:.2g} (standard error) is not distinguishable from zero"
+            )
     with np.errstate(invalid="ignore"):
         correlation = correlation_of(covariance)
     for i, j in np.argwhere(np.tril(np.abs(correlation) >= ALIKE, -1)):
@@ -232,21 +239,21 @@ def undetermined_of(
         factor = np.sqrt((1 + abs(alike)) / max(1 - abs(alike), 1e-12))
         kind = "sum" if alike < 0 else "difference"
         sentences.append(
-            f"{names[j]} and {names[i]} apart (correlation {alike:+.3f}): their {kind}, each over its standard "
-            f"error, is known {factor:.0f} times better than what is across it"
+            f"{names[j]} and {names[i]} are not distinguishable (correlation {alike:+.3f}): their {kind}, each over "
+            f"its standard error, is determined {factor:.0f} times better than the orthogonal combination"
         )
     return sentences
 
 
 def correlation_of(covariance: Array) -> Array:
-    """Return the correlation matrix (f, f), zero for what has no variance or is not determined."""
+    """Return the correlation matrix (f, f), zero for numbers without variance or undetermined."""
     deviations = np.sqrt(np.diag(covariance))
     scale = np.where((deviations > 0) & np.isfinite(deviations), deviations, np.inf)
     return covariance / np.outer(scale, scale)
 
 
 _ROUNDING = 1e-9
-"""Relative, of mean squares: a law whose coefficient came out as zero predicts the same but for rounding."""
+"""Relative tolerance of mean squares: a law with a zero coefficient predicts the same except for rounding."""
 LAWS: tuple[tuple[Friction, ...], ...] = (
     (),
     (Friction.COULOMB,),
@@ -257,15 +264,16 @@ LAWS: tuple[tuple[Friction, ...], ...] = (
 
 @dataclass(frozen=True)
 class IdentificationSettings(Settings, table="identify"):
-    """zeros: "free", "none", or "chosen" by the error on what was left out. left_out: one segment of so many, the last
-    of each. longest s: a longer segment is cut into equal ones; None: 4 s, but 1 s where the cart moved, as in runs,
-    which stay near saddles. laws: the sets of laws besides the viscous one to try.
-    """
+    """Settings of the identification."""
 
     zeros: str = setting("chosen", choices=("free", "none", "chosen"))
+    """"free", "none", or "chosen" by the held-out error."""
     left_out: int = setting(3, least=2)
+    """One in so many segments is held out."""
     longest: float | None = setting(None, above=0, unit="s")
+    """Maximum segment length, s; None for 4 s, or 1 s if the cart moved, since runs stay near saddles."""
     laws: tuple[tuple[Friction, ...], ...] = LAWS
+    """Sets of friction laws to try in addition to the viscous one."""
     fit: FitSettings = field(default_factory=FitSettings)
 
     def _check_together(self) -> None:
@@ -276,7 +284,7 @@ class IdentificationSettings(Settings, table="identify"):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A set of terms: fitted, and its rms (L,) in rad on each segment left out."""
+    """A set of terms, its fit, and the rms error (L,) in rad on each held-out segment."""
 
     laws: tuple[Friction, ...]
     zeros: bool
@@ -286,39 +294,42 @@ class Candidate:
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Names of its terms."""
+        """Names of the terms."""
         return ("viscous", *(law.value for law in self.laws), *(("zeros",) if self.zeros else ()))
 
     @property
     def left_out_rms(self) -> float:
-        """Root of the mean squared error over all segments left out, rad."""
+        """Root mean squared error over all held-out segments, rad."""
         return float(np.sqrt((self.left_out**2).mean()))
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What was identified.
-
-    arms: the nearest to the starting model's with the identified ratios. names, values, errors (f,): of the ratios,
-    then of the encoders' zeros where free (rad, each recording's own); covariance (f, f), none where a value lies on
-    its bound. zeros (recordings, n) rad: shown less true. undetermined: sentences. candidates, chosen: index of one.
-    started_at: rms (L,) rad of the starting model on the segments left out. swings, residuals (K, n) rad: of each
-    segment.
-    """
+    """Result of an identification."""
 
     arms: ArmChainParameters
+    """Arms nearest to the starting model that have the identified ratios."""
     names: tuple[str, ...]
+    """Names (f,) of the ratios, then of free zeros of each recording."""
     values: Array
+    """Values (f,), zeros in rad."""
     errors: Array
+    """Standard errors (f,)."""
     covariance: Array
+    """Covariance (f, f), zero for values at a bound."""
     zeros: Array
+    """Shown minus true angles (recordings, n), rad."""
     undetermined: tuple[str, ...]
+    """Sentences on undetermined numbers."""
     candidates: tuple[Candidate, ...]
     chosen: int
+    """Index of the chosen candidate."""
     started_at: Array
+    """Rms error (L,) of the starting model on the held-out segments, rad."""
     segments: tuple[Segment, ...]
     swings: tuple[Swing, ...]
     residuals: tuple[Array, ...]
+    """Residuals (K, n) of each segment, rad."""
     status: str
 
     def __repr__(self) -> str:
@@ -326,16 +337,16 @@ class Identification:
 
     @property
     def friction_terms(self) -> tuple[str, ...]:
-        """Laws of friction that were chosen."""
+        """Chosen friction laws."""
         return tuple(term for term in self.candidates[self.chosen].terms if term != "zeros")
 
     @property
     def correlation(self) -> Array:
-        """Correlation matrix (f, f), zero for what lies on a bound or is not determined."""
+        """Correlation matrix (f, f), zero for numbers at a bound or undetermined."""
         return correlation_of(self.covariance)
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol identify --json` prints, the file's name apart."""
+        """Return the output of `dpcontrol identify --json`, except the file name."""
         segment = ("index", "used", "rms", "log", "start", "seconds")
         return {
             "parameters": {
@@ -367,18 +378,24 @@ def identify(
     settings: IdentificationSettings | None = None,
     progress: Progress = no_progress,
 ) -> Identification:
-    """Identify arms from recordings, starting from those of a model.
+    """Identify arms from recordings, starting from a model.
+
+    Args:
+        recordings: recordings of the same arms.
+        start: arms of the starting model.
+        settings: settings of the identification.
+        progress: receiver of progress reports.
 
     Raises:
-        InputError: the recordings are of another pendulum, too short or too few.
-        GoalMissed: no candidate could be fitted; the sentence says why.
+        InputError: the recordings show another pendulum, or are too short or too few.
+        GoalMissed: no candidate could be fitted.
     """
     settings = settings or IdentificationSettings()
     swings, about = cut_into_swings(recordings, start.count, settings.longest)
     used = np.array([k % settings.left_out != settings.left_out - 1 for k in range(len(swings))])
     if used.all():
         raise InputError(
-            f"{len(swings)} segments: one in {settings.left_out} is left out to choose the laws by; give at "
+            f"{len(swings)} segments: one in {settings.left_out} is held out for the choice of laws; give at "
             f"least {settings.left_out}"
         )
     fitted, left_out = ([swings[k] for k in np.flatnonzero(which)] for which in (used, ~used))
@@ -424,8 +441,8 @@ def identify(
         covariance=covariance,
         zeros=best.fit.zeros,
         undetermined=(
-            f"{unit_name(arms.count)} itself: masses, inertias and friction may all grow in proportion and the arms "
-            "swing the same; only ratios to it are known",
+            f"{unit_name(arms.count)} itself: if masses, inertias and friction all grow in proportion, the arms "
+            "swing the same; only ratios to it are identifiable",
             *undetermined_of(names, values, errors, covariance=covariance, friction=rubbing),
         ),
         candidates=tuple(candidates),
@@ -442,10 +459,10 @@ def identify(
 
 
 def choose(candidates: Sequence[Candidate]) -> int:
-    """Return the index of the one with fewest unknowns whose mean squared error is within one standard error of best.
+    """Return the index of the simplest candidate within one standard error of the best.
 
-    The standard error is that of the best one's mean over the segments left out. Of equally many unknowns the better.
-    What differs by rounding alone is as good.
+    The standard error is that of the best candidate's mean over the held-out segments. Among candidates with equally
+    many unknowns, the better one is chosen. Differences due to rounding are ignored.
     """
     squares = [c.left_out**2 for c in candidates]
     best = min(squares, key=lambda s: float(s.mean()))
@@ -479,7 +496,7 @@ def _fitted(
 
 
 def _predicted(model: Swings, swings: list[Swing], parameters: Array, zeros: Array, settings: FitSettings) -> SwingFit:
-    """Return the swings' starts fitted by least squares with ratios (m,) and zeros (groups, n) held."""
+    """Return the swings' starts by least squares, with ratios (m,) and zeros (groups, n) fixed."""
     return fit_swings(
         model,
         swings,
@@ -496,7 +513,7 @@ _AT = (-3.0, -1.5, 1.5, 3.0)
 
 @dataclass(frozen=True, eq=False)
 class LossProfile:
-    """Of one unknown: values (K,), the share (K,) by which the loss rises, and what the linearised fit promises."""
+    """Profile of one unknown: values (K,), relative rise of the loss (K,), and its linearised prediction."""
 
     name: str
     best: float
@@ -507,7 +524,7 @@ class LossProfile:
 
 
 def profiles(found: Identification, *, progress: Progress = no_progress) -> tuple[LossProfile, ...]:
-    """Return the profile of each unknown within three standard errors, by fitting the others again."""
+    """Return the profile of each unknown within three standard errors, with the others fitted again."""
     fit = found.candidates[found.chosen].fit
     settings = FitSettings(bend=fit.bend, tolerance=1e-5)
     model = Swings(found.arms)
@@ -516,7 +533,7 @@ def profiles(found: Identification, *, progress: Progress = no_progress) -> tupl
     inside = np.diag(found.covariance) > 0
     information = np.where(np.outer(inside, inside), fit.information, 0.0)
     information[~inside, ~inside] = np.diag(fit.information)[~inside]
-    # What lies on a bound has the standard error, and the curve, that it would have without it.
+    # A number at a bound has the standard error and curve of the unbounded fit.
     curvature = np.where(
         inside,
         1 / np.diag(np.linalg.pinv(information, hermitian=True)),
@@ -542,7 +559,7 @@ def profiles(found: Identification, *, progress: Progress = no_progress) -> tupl
                 parameters=held[:m],
                 zeros=held[m:].reshape(fit.zeros.shape),
                 free=free,
-                # A zero is held together with the others of its kind: they hardly mix.
+                # A zero is fixed together with the other zeros, with which it is hardly correlated.
                 free_zeros=len(fit.unknowns) > m and index < m,
                 settings=settings,
                 near=fit.window_starts,

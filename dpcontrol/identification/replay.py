@@ -1,26 +1,26 @@
-"""What a model would have done where a recording says what the bench did, and what an estimator makes of the angles.
+"""Comparison of a recording with a model's prediction and with an estimator.
 
-Three predictions, each compared with the measured angles: over whole segments from the initial state that fits best;
-one sample and `ahead` samples from the estimate. Where the cart moved, its motion is the input. Angles are taken less
-the encoders' zeros, where the model gives them, and predictions are given as the encoders would show them; as a log,
-the prediction is the reference.
+Three predictions are compared with the measured angles. One covers whole segments from the best-fitting initial state.
+The others predict one sample and `ahead` samples from the estimate. If the cart moved, its motion is the input. The
+encoders' zeros are subtracted from the angles if the model has them. Predictions are given as the encoders would show
+them. In the log, the prediction is the reference.
 
 The initial states of all stretches are fitted at once:
 
     minimise over x_0:  Σ_k |θ(t_k; x_0) - θ_k|²    for each stretch    (Levenberg–Marquardt; ∂θ/∂x_0 by differences)
 
-Every stretch and every perturbed copy of it is one lane of the same compiled step, so fifteen fits cost what one does.
+Each stretch and each perturbed copy is one lane of the same compiled step, so fifteen fits cost as much as one.
 
-The estimator sees angles alone, as means of a few samples, corrected for the motion within them; its NIS has a
-chi-square distribution with as many degrees of freedom as angles if model and noise are as stated:
+The estimator receives only angles, as means of a few samples, corrected for the motion between them. If model and noise
+are correct, its NIS has a chi-square distribution with one degree of freedom per angle:
 
     z = mean θ - ½ mean(τ²) θ̈(x̂),      R = R_encoder / M        (samples at times τ about their middle, over M ms)
 
-One sample of a real encoder is not Gaussian: it sticks when the arm turns back and jumps by whole counts, so the
-95 % band of a single sample's NIS holds four fifths of them. Means of ten come close to Gaussian, and what a mean
-misses of a curved motion is known from the model.
+A single sample of a real encoder is not Gaussian. It is constant when the arm turns back, and jumps by whole counts.
+The 95 % band of single-sample NIS therefore contains only four fifths of the values. Means of ten samples are nearly
+Gaussian. The model gives the correction for a curved motion.
 
-Sources: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.4.2, 10.3;
+Sources: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.4.2, 10.3.
 Nocedal & Wright, Numerical Optimization (2006), section 10.3.
 """
 
@@ -56,18 +56,20 @@ from dpcontrol.recordings.recording import (
 )
 
 _DIFFERENCE = 1e-6
-"""rad and rad/s: of the derivatives; errors of 1e-12 · e^(λt) leave six digits after a few Lyapunov times."""
+"""Differences for derivatives, rad and rad/s; errors of 1e-12 · e^(λt) leave six digits after a few Lyapunov times."""
 _ITERATIONS = 25
 _ENOUGH = 1e-6
-"""Relative gain in the sum of squares below which a fit has ended."""
+"""Relative decrease in the sum of squares below which a fit has converged."""
 _GUESS_SECONDS = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class CartDrive:
-    """How the carts of C stretches move: velocities (C,) m/s at first, accelerations (K, C) m/s² held between samples.
+    """Cart motion of C stretches; its position does not affect the arms.
 
-    The arms do not feel where a cart is.
+    Attributes:
+        velocities: initial velocities (C,), m/s.
+        accelerations: accelerations (K, C), m/s², constant between samples.
     """
 
     velocities: Array
@@ -75,9 +77,14 @@ class CartDrive:
 
 
 class FreeMotion:
-    """Arms on a pivot that rests or is moved, sampled every `period` s, for many motions at once.
+    """Arms on a fixed or moving pivot, sampled every `period` s, for many motions at once.
 
-    moving: whether the pivot is on a cart; then `paths` is given its motion. Not to be shared between threads.
+    An instance must not be shared between threads.
+
+    Args:
+        arms: the model.
+        period: sampling period, s.
+        moving: True if the pivot is on a cart, whose motion `paths` receives.
     """
 
     def __init__(self, arms: ArmChainParameters, *, period: float, moving: bool = False) -> None:
@@ -88,9 +95,12 @@ class FreeMotion:
         self._base = arms.base()
 
     def paths(self, states: Array, samples: int, cart: CartDrive | None = None) -> Array:
-        """Return the arms' states (samples, N, S) that follow from `states` (N, S), the first included.
+        """Return the arms' states (samples, N, S) that follow from `states` (N, S), inclusive.
 
-        cart: for each lane, or for each of C stretches with S a multiple of C.
+        Args:
+            states: initial states.
+            samples: number of samples.
+            cart: motion for each lane, or for each of C stretches if S is a multiple of C.
         """
         size, lanes = states.shape
         inputs = np.zeros((self._step.size_in, lanes))
@@ -116,7 +126,7 @@ class FreeMotion:
 
 
 def first_guess(angles: Array, period: float) -> Array:
-    """Return the state (2n,) at the first of `angles` (K, n): a parabola through the first 20 ms that are known."""
+    """Return an initial state (2n,) from a parabola through the first valid 20 ms of `angles` (K, n)."""
     count = int(np.clip(round(_GUESS_SECONDS / period), 5, len(angles)))
     rows = np.flatnonzero(np.isfinite(angles).all(axis=1))[:count]
     if not len(rows):
@@ -127,7 +137,7 @@ def first_guess(angles: Array, period: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FittedPath:
-    """The motion nearest to a stretch: states (K, 2n); residual (n,) rad rms of each angle; status, a sentence."""
+    """Motion nearest to a stretch: states (K, 2n), residual (n,) rad rms per angle, and status."""
 
     states: Array
     residual: Array
@@ -136,7 +146,7 @@ class FittedPath:
 
     @property
     def rms(self) -> float:
-        """Root mean square over all angles, rad."""
+        """Root mean square residual over all angles, rad."""
         return float(np.sqrt(np.mean(np.square(self.residual))))
 
 
@@ -147,12 +157,16 @@ def fit_initial_states(
     *,
     progress: Progress = no_progress,
 ) -> list[FittedPath]:
-    """Return for each stretch of angles (K, n), nan where one is missing, the motion that follows it best.
+    """Return the best-fitting motion for each stretch of angles (K, n).
 
-    carts: of each stretch the velocities (K,) m/s and accelerations (K,) m/s² of its cart, where the pivot is moved.
+    If the model cannot follow a stretch, for example because it is too long, the status reports it. The path is then
+    the best one found.
 
-    A stretch over which the motion cannot be followed, for it is longer than the model predicts, has a status that
-    says so; its path is the best that was found.
+    Args:
+        motion: motion of the model.
+        stretches: angles (K, n) of each stretch, rad; missing ones are NaN.
+        carts: velocities (K,) m/s and accelerations (K,) m/s² of the cart for each stretch, if it moved.
+        progress: receiver of progress reports.
     """
     n, count = motion.arms, len(stretches)
     size, longest = 2 * n, max(len(angles) for angles in stretches)
@@ -189,14 +203,14 @@ def fit_initial_states(
         following = motion.paths(tried, longest, cart)
         lower = _cost(following, measured, inside)
         better = lower < cost
-        # From an infinite cost any finite one is better, and no end.
+        # Any finite cost is an improvement on an infinite one, but not a convergence.
         gained = np.where(np.isfinite(cost), cost, np.inf) - np.where(np.isfinite(lower), lower, 0.0)
         ended |= better & (gained <= _ENOUGH * cost) & np.isfinite(cost)
         states = np.where(better, tried, states)
         path = np.where(better, following, path)
         cost = np.where(better, lower, cost)
         damping = np.clip(np.where(better, damping / 10, damping * 10), 1e-12, 1e9)
-        # Even the shortest step gains nothing: this is the minimum.
+        # Even the shortest step gives no improvement, so this is the minimum.
         ended |= ~better & (damping >= 1e3)
         if ended.all():
             break
@@ -212,19 +226,19 @@ def _cost(path: Array, measured: Array, inside: Array) -> Array:
 def _fitted(path: Array, angles: Array, converged: bool) -> FittedPath:
     known = np.isfinite(angles).all(axis=1)
     if not known.any():
-        return FittedPath(path.copy(), np.zeros(angles.shape[1]), False, "it holds no reading")
+        return FittedPath(path.copy(), np.zeros(angles.shape[1]), False, "it contains no reading")
     residual = np.sqrt(np.mean(np.square((path[:, : angles.shape[1]] - angles)[known]), axis=0))
-    lost = "no initial state was found that the model follows the angles from: shorten the span, or identify the model"
-    return FittedPath(path.copy(), residual, converged, "the initial state is fitted" if converged else lost)
+    lost = "no initial state was found from which the model follows the angles; shorten the span, or identify the model"
+    return FittedPath(path.copy(), residual, converged, "the initial state was fitted" if converged else lost)
 
 
 _INDEPENDENT = 1e-3
-"""s: an arm that swings passes several counts in this time, so that roundings this far apart are independent."""
+"""Interval between samples with independent rounding, s; a swinging arm passes several counts in it."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedEstimate:
-    """States (K, 2n) and their standard deviations, for each sample; nis (K,), nan but where a mean ends."""
+    """States (K, 2n) and standard deviations at each sample; nis (K,), NaN except at the end of a mean."""
 
     states: Array
     sigmas: Array
@@ -241,16 +255,15 @@ def estimate_recording(
     mean_over: float,
     progress: Progress = no_progress,
 ) -> RecordedEstimate:
-    """Run an estimator over each segment of a recording, starting afresh in each.
+    """Run an estimator over each segment of a recording, restarting in each.
 
     Args:
         recording: angles in segments.
         arms: the model.
-        carts: how the cart moved in each segment, where it did; empty: clamped.
         filters: kind and process noise of the estimator.
-        counts: of an encoder per turn.
-        mean_over: s of each mean; samples less than a millisecond apart share their rounding and count as one.
-        progress: called with how far it is.
+        carts: cart motion of each segment; empty if clamped.
+        counts: encoder counts per turn.
+        mean_over: duration of each mean, s; samples within a millisecond share their rounding and count as one.
 
     Raises:
         InputError: a segment is shorter than a mean.
@@ -265,11 +278,11 @@ def estimate_recording(
     estimator = make_estimator(filters, model, noise=noise)
 
     def change(state: Array, drive: Array) -> Array:
-        """Return how the arms' state (2n,) changes while the cart has a velocity and an acceleration."""
+        """Return the derivative of the arms' state (2n,) for the cart's velocity and acceleration."""
         whole = np.concatenate([state, [0.0, drive[0]]])
         return np.asarray(rate(whole, drive[1], arms.base())).ravel()[: 2 * n]
 
-    # The cart's own measurement says nothing of the arms: its motion is given, and a clamped one stands still.
+    # The cart's measurement adds nothing about the arms, since its motion is an input.
     present = np.array([True] * n + [False])
     times: Array = np.asarray((np.arange(mean_of) - (mean_of - 1) / 2) * recording.dt, dtype=np.float64)
     out = RecordedEstimate(np.zeros((total, 2 * n)), np.zeros((total, 2 * n)), np.full(total, np.nan))
@@ -298,7 +311,7 @@ def estimate_recording(
                 moved = float(between[k - 1]) if k else 0.0
                 expected = estimate.state if not k else estimator.ahead(estimate, [moved])
                 bend = change(np.asarray(expected[: 2 * n]), drives[k])[n:] * np.mean(times**2) / 2
-                # A mean that lacks a sample is not of this time, and is left out.
+                # A mean with missing samples has another centre in time, so it is skipped.
                 known = bool(np.isfinite(means[k]).all())
                 measured = np.concatenate([means[k] - bend if known else np.zeros(n), [0.0]])
                 if k:
@@ -314,7 +327,7 @@ def estimate_recording(
         except ArithmeticError as error:
             raise GoalMissed(f"the estimator broke down at {recording.time[rows.start]:.6g} s: {error}") from error
         for row in range(rows.stop, end):
-            # Too few for a mean.
+            # Too few samples for a mean.
             state = out.states[row - 1]
             halfway = state + recording.dt / 2 * change(state, drives[-1])
             out.states[row] = state + recording.dt * change(halfway, drives[-1])
@@ -330,86 +343,92 @@ def _nearby(state: Array, acceleration: Array, times: Array) -> Array:
 
 
 def _between_means(acceleration: Array, mean_of: int, blocks: int) -> Array:
-    """Return the mean accelerations m/s² from the middle of each mean of `mean_of` samples to that of the next."""
+    """Return the mean accelerations, m/s², between the middles of successive means."""
     total = np.concatenate([[0.0], np.cumsum(acceleration)])
-    # A middle between two samples stands half a sample on.
+    # A middle between two samples is half a sample later.
     middles = mean_of * np.arange(blocks) + (mean_of - 1) / 2
     return np.diff(np.interp(middles, np.arange(len(total)), total)) / mean_of
 
 
 _SETTLED = 0.1
-"""s of a segment in which the estimator may still find the rates: left out of what is said of it."""
+"""Initial time of a segment that is excluded from statistics while the estimator finds the rates, s."""
 _STARTS = 2000
 _MEAN_OVER, _SPAN = (0.015, 0.0), (5.0, 0.5)
-"""s: with the cart clamped, and where it moved."""
+"""Default duration of a mean with the cart clamped and moving, s."""
 _FLOOR = 0.015
-"""rad/s/√s: process noise of the rates besides the share of the accelerations, chosen with it."""
+"""Process noise of the rates, rad/s/√s, in addition to the share of the accelerations and tuned with it."""
 _CART_FLOOR = 1e-5
-"""m/s/√s: of a cart that is clamped, or whose own motion is the input; more would move the arms as well."""
+"""Process noise of a cart with known motion, m/s/√s; a larger value would affect the arms."""
 
 
 @dataclass(frozen=True)
 class ReplaySettings(Settings, table="replay"):
-    """counts: of an encoder per turn, the stated noise; mean_over s: of each mean that the estimator is given;
-    ahead: samples of the longer prediction; span s: the longest stretch that is predicted in one piece, longer segments
-    are cut into equal parts.
+    """Settings of a replay.
 
-    None: 15 ms and 5 s with the cart clamped. Where it moved single samples, for a command changes within a mean, and
-    half a second, for near a saddle errors grow fiftyfold in that time.
+    None selects 15 ms and 5 s with the cart clamped. With a moving cart it selects single samples, since commands
+    change within a mean, and half a second, since errors near a saddle grow fiftyfold in that time.
     """
 
     counts: int = setting(40_000, least=1)
+    """Encoder counts per turn, which set the noise."""
     mean_over: float | None = setting(None, least=0, most=0.02, unit="s")
+    """Duration of each mean for the estimator, s."""
     ahead: int = setting(100, least=1, most=100_000, unit="samples")
+    """Samples of the longer prediction."""
     span: float | None = setting(None, least=0.05, most=1000, unit="s")
+    """Longest stretch that is predicted in one piece, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """A recording of K samples beside what a model says of it.
-
-    predicted and estimated (K, 2n): the arms' states, the angles as the encoders would show them; sigmas (K, 2n): the
-    estimate's standard deviations; carts: how the cart moved in each segment, empty where it was clamped; nis (K,), nan
-    where no mean of samples ends. stretches: (segment, first, end) rows of each predicted stretch, fits one for each.
-    ahead: {samples: (n,) rad rms of each angle} from the estimate. rates_rms (n,) rad/s: estimate against the recorded
-    rates, or None. nis_inside_95: share of the settled NIS in its two-sided 95 % band; nis_below_95: below its 95 %
-    quantile; nis_means: of its means, None where there is none.
-    """
+    """A recording of K samples and the model's predictions for it."""
 
     recording: Recording
     predicted: Array
+    """States (K, 2n) of the arms, angles as the encoders would show them."""
     estimated: Array
+    """Estimated states (K, 2n)."""
     sigmas: Array
+    """Standard deviations (K, 2n) of the estimate."""
     nis: Array
+    """NIS (K,), NaN except at the end of a mean."""
     carts: tuple[CartMotion, ...]
+    """Cart motion of each segment; empty if clamped."""
     stretches: tuple[tuple[int, int, int], ...]
+    """Rows (segment, first, end) of each predicted stretch."""
     fits: tuple[FittedPath, ...]
+    """Fit of each stretch."""
     ahead: dict[int, Array]
+    """Rms errors {samples: (n,)} of predictions from the estimate, rad."""
     rates_rms: Array | None
+    """Rms difference (n,) between estimated and recorded rates, rad/s, or None."""
     nis_inside_95: float
+    """Share of the settled NIS in its two-sided 95 % band."""
     nis_below_95: float
+    """Share below the 95 % quantile."""
     nis_means: NisMeans | None = None
+    """Mean of the NIS, None if there is none."""
 
     def summary(self, model: str) -> str:
-        """Return a sentence: how well this model predicts, and whether the estimator agrees with it."""
+        """Return a sentence on the model's prediction errors and the estimator's consistency."""
         rms = sorted(1e3 * fit.rms for fit in self.fits)
         seconds = max(end - first for _, first, end in self.stretches) * self.recording.dt
         whole = len(self.nis) * self.recording.dt
         means = "" if self.nis_means is None else f", {self.nis_means.sentence}"
         return (
             f"{whole:.4g} s predicted by {model}, {seconds:.3g} s from each fitted start: {np.median(rms):.3g} mrad "
-            f"rms in the median, {rms[-1]:.3g} at worst; NIS {self.nis_inside_95:.1%} in its band{means}"
+            f"median rms, {rms[-1]:.3g} at worst; NIS {self.nis_inside_95:.1%} in its band{means}"
         )
 
     @property
     def cart(self) -> str:
-        """Return what the cart's acceleration was taken from, or "" where it was clamped."""
+        """Return the source of the cart's acceleration, or "" if it was clamped."""
         if not self.carts:
             return ""
         commanded = sum(cart.commanded for cart in self.carts)
         if not commanded:
             return "its recorded position" + (
-                "; the command does not explain it" if self.recording.command is not None else ""
+                ", which the command does not explain" if self.recording.command is not None else ""
             )
         if commanded == len(self.carts):
             return "the command" + ("" if self.recording.cart is None else ", which explains its position")
@@ -417,7 +436,7 @@ class Replay:
 
     @property
     def status(self) -> str:
-        """Return a sentence: how many stretches the model could follow."""
+        """Return a sentence on the number of stretches that the model could follow."""
         lost = [stretch for stretch, fit in zip(self.stretches, self.fits, strict=True) if not fit.converged]
         if not lost:
             return f"predicted {len(self.fits)} stretches"
@@ -427,7 +446,7 @@ class Replay:
 
     @property
     def stretch_errors(self) -> list[dict[str, Any]]:
-        """What the prediction of each stretch is off: rms in rad, of each angle and of all."""
+        """Prediction error of each stretch: rms in rad, of each angle and of all."""
         rows: list[dict[str, Any]] = []
         for (index, first, _), fit in zip(self.stretches, self.fits, strict=True):
             own = {f"rms_angle_{i + 1}": float(value) for i, value in enumerate(fit.residual)}
@@ -436,7 +455,7 @@ class Replay:
         return rows
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol replay --json` prints, the log's and the model's names apart."""
+        """Return the output of `dpcontrol replay --json`, except the names of log and model."""
         return {
             "segments": self.stretch_errors,
             **picked(self, "nis_inside_95", "nis_below_95", "rates_rms", "cart", "status"),
@@ -446,20 +465,20 @@ class Replay:
 
 
 def filter_settings(name: str, *, model_error: float = 0.003) -> EstimatorSettings:
-    """Return the settings of a kind of estimator whose model's accelerations are right to the share `model_error`.
+    """Return the settings of an estimator for a given relative error of the model's accelerations.
 
-    The defaults, and that of `mean_over`, were chosen on two thirds of the rig's recording with its identified model:
-    of those whose share of the NIS in its band is within 0.2 % of the greatest, the shortest means. The share is 90.7 %
-    there and 90.2 % on the third left out, EKF and UKF alike; most of what is above the band is where the inner joint
-    is slow.
+    The defaults, including that of `mean_over`, were tuned on two thirds of the rig's recording with its identified
+    model. They have the shortest means whose share of NIS in the band is within 0.2 % of the maximum. The share is 90.7
+    % there and 90.2 % on the held-out third, for EKF and UKF. Most values above the band occur while the inner joint is
+    slow.
 
     Raises:
-        InputError: there is no such kind, or the share is negative.
+        InputError: the kind is unknown, or the relative error is negative.
     """
     if name not in ESTIMATORS:
-        raise InputError(f"--estimator {name}: there is no such estimator; {suggest(name, ESTIMATORS)}")
-    # Zeros belong to the model: estimated here, they would absorb its errors. The cart's motion is given: in a run's
-    # filter it is a drive that may do otherwise.
+        raise InputError(f"--estimator {name}: unknown estimator; {suggest(name, ESTIMATORS)}")
+    # Zeros belong to the model: if estimated here, they would absorb its errors. The cart's motion is an input,
+    # unlike in a run's filter, which models the drive.
     return replace(
         ESTIMATORS[name](), parameter_error=model_error, rate_noise=_FLOOR, cart_noise=_CART_FLOOR, augment=()
     )
@@ -474,18 +493,18 @@ def replay_recording(
     zeros: Sequence[float] = (),
     progress: Progress = no_progress,
 ) -> Replay:
-    """Predict a recording by a model, its cart clamped or moved as it was recorded, and run an estimator over it.
+    """Compare a recording with a model's prediction, and run an estimator over it.
 
     Args:
         recording: angles in segments.
-        arms: the model, of as many arms.
-        filters: the estimator's settings.
+        arms: the model, with the same number of arms.
+        filters: settings of the estimator.
         settings: noise and spans.
-        zeros: what the recorded absolute angles show where the true ones are zero, rad; all zero if empty.
-        progress: called with how far it is.
+        zeros: recorded absolute angles at true zero, rad; all zero if empty.
+        progress: receiver of progress reports.
 
     Raises:
-        InputError: the model has another number of arms, or the cart moved in some of the segments only.
+        InputError: the model has another number of arms, or the cart moved in only some segments.
         GoalMissed: the estimator's covariance broke down.
     """
     settings = settings or ReplaySettings()
@@ -541,31 +560,31 @@ def replay_recording(
 
 
 def _carts(recording: Recording) -> tuple[CartMotion, ...]:
-    """Return how the cart moved in each segment; empty where it was clamped.
+    """Return the cart motion of each segment; empty if clamped.
 
     Raises:
-        InputError: it moved in some only.
+        InputError: the cart moved in only some segments.
     """
     found = [cart_motion(part) for part in recording.split()]
     moved = tuple(cart for cart in found if cart is not None)
     if moved and len(moved) < len(found):
         still = next(k for k, cart in enumerate(found) if cart is None)
         raise InputError(
-            f"{recording.source}: the cart moves in some segments and stands in others, as in segment {still}; "
-            "import them apart"
+            f"{recording.source}: the cart moves in some segments but not in others, such as segment {still}; "
+            "import them separately"
         )
     return moved
 
 
 def driven(recording: Recording, carts: tuple[CartMotion, ...]) -> tuple[Array, Array]:
-    """Return the cart's velocity and acceleration (K,) over all segments, zero where it was clamped."""
+    """Return the cart's velocity and acceleration (K,) over all segments, zero if clamped."""
     if not carts:
         return np.zeros(len(recording.time)), np.zeros(len(recording.time))
     return np.concatenate([c.velocity for c in carts]), np.concatenate([c.acceleration for c in carts])
 
 
 def _stretches(recording: Recording, span: float) -> tuple[tuple[int, int, int], ...]:
-    """Return (segment, first, end) of the stretches that are predicted in one piece; together they are all samples."""
+    """Return (segment, first, end) of the stretches predicted in one piece, which cover all samples."""
     found = []
     for index, (first, end) in enumerate(recording.segments):
         parts = int(np.ceil((end - first) * recording.dt / span))
@@ -583,11 +602,11 @@ def _ahead(
     velocity: Array,
     acceleration: Array,
 ) -> Array:
-    """Return the rms error (n,) rad of angles predicted `samples` ahead from the estimate; nan where none fits."""
+    """Return the rms error (n,) rad of angles predicted `samples` ahead; NaN if no interval fits."""
     inside = np.zeros(len(settled), dtype=bool)
     for first, end in recording.segments:
         inside[first : max(first, end - samples)] = True
-    # Where a mean ends, the estimate has seen all samples before and none after.
+    # At the end of a mean, the estimate includes all samples up to it and none after.
     rows = np.flatnonzero(inside & settled & np.isfinite(found.nis))
     rows = rows[:: max(1, len(rows) // _STARTS)]
     if not len(rows):
@@ -601,9 +620,9 @@ def _ahead(
 
 
 def write_replay(result: Replay, path: Path | str, *, model: str, model_text: str, force: bool = False) -> Path:
-    """Write measured angles with the estimate and, as the reference, the prediction; return the log's path.
+    """Write measured angles, the estimate, and the prediction as reference; return the log's path.
 
-    Where the cart moved, estimate and prediction hold its motion as the input that it was.
+    If the cart moved, its motion is the input of both estimate and prediction.
 
     Raises:
         InputError: the file cannot be written.

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.interrupts import heeding_interrupts
+from dpcontrol.foundation.interrupts import catching_interrupts
 from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import (
     ANGLE_SCALE,
@@ -360,7 +360,7 @@ def solve(
     low, high = program.bounds()
     x0 = np.clip(program.start(), low, high)
     low_g, high_g = np.concatenate(program.low_g), np.concatenate(program.high_g)
-    with heeding_interrupts():
+    with catching_interrupts():
         out = solver(x0=x0, lbx=low, ubx=high, lbg=low_g, ubg=high_g)
     found = np.array(out["x"]).ravel()
     residuals = np.array(out["g"]).ravel()

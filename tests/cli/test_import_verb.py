@@ -121,7 +121,7 @@ def test_what_cannot_be_replayed_is_refused_with_the_reason() -> None:
     for options, said in (
         (["logs/swing.mcap", "--model", "triple"], "has 2 arms and the model 3"),
         (["logs/swing.mcap", "--model", "three-body"], "no arms"),
-        (["logs/swing.mcap", "--estimator", "kalman"], "there is no such estimator"),
+        (["logs/swing.mcap", "--estimator", "kalman"], "unknown estimator"),
         (["logs/swing.mcap", "--counts", "0"], "counts = 0"),
         (["swing.mat"], "swing.mat"),
     ):

@@ -14,7 +14,7 @@ from command_line import dpcontrol
 
 from dpcontrol.cli import main as program
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.interrupts import heeding_interrupts
+from dpcontrol.foundation.interrupts import catching_interrupts
 
 EARLY = """
 import os, signal, sys
@@ -200,7 +200,7 @@ def test_an_interrupted_optimisation_says_nothing_and_does_not_count_as_failed(
     square, x = Interrupting(), ca.MX.sym("x")
     options = {"print_time": False, "error_on_fail": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
     solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": square(x)}, options)
-    with pytest.raises(KeyboardInterrupt), heeding_interrupts():
+    with pytest.raises(KeyboardInterrupt), catching_interrupts():
         solver(x0=1.0)
     assert capsys.readouterr().err == ""
 
@@ -212,7 +212,7 @@ def test_an_interrupt_raised_again_is_heeded_by_the_optimisation_that_it_meets(m
     def solving() -> None:
         with suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-        with heeding_interrupts(), suppress(KeyboardInterrupt):
+        with catching_interrupts(), suppress(KeyboardInterrupt):
             time.sleep(60)
         went_on.append(True)
 

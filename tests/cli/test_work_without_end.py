@@ -40,7 +40,7 @@ def test_endless_work_is_refused_before_it_is_begun(call: tuple[str, ...], key: 
     assert ended.code == 2
     assert ended.message.startswith(f"dpcontrol: {key}")
     assert "will take about" in ended.message
-    assert "60 minutes and 4 GB are begun unasked; ask for less" in ended.message
+    assert "the limit is 60 minutes and 4 GB: reduce the work" in ended.message
 
 
 @pytest.mark.parametrize("verb", ["plan", "run", "campaign", "rig"])
@@ -70,7 +70,7 @@ def test_a_campaign_of_too_many_cases_or_runs_is_refused() -> None:
 def test_a_campaign_of_a_thousand_cases_says_what_it_takes_and_is_refused_beyond_an_hour(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of 100 runs each: 41 minutes on two processors, which is begun; of 200 it is more than is begun unasked."""
+    """Of 100 runs each: 41 minutes on two processors, below the limit; 200 runs need more."""
 
     def begun(*_: object, **__: object) -> None:
         raise GoalMissed("begun")
@@ -86,11 +86,11 @@ def test_a_campaign_of_a_thousand_cases_says_what_it_takes_and_is_refused_beyond
 def test_an_atlas_says_what_it_takes_and_is_refused_likewise(monkeypatch: pytest.MonkeyPatch) -> None:
     model = load_model("lab")
     monkeypatch.setattr("dpcontrol.walks.edges._SEARCHED", 1e4)
-    with pytest.raises(InputError, match=r"hits up to 2,2: up to 2 searches will take about .* ask for less"):
+    with pytest.raises(InputError, match=r"hits up to 2,2: up to 2 searches will take about .* reduce the work"):
         dp.atlas(model, energy=-0.07, fresh=True)
     ended = dpcontrol("atlas", "lab", "--energy", "-0.07", "--fresh")
     assert ended.code == 2
-    assert "begun unasked; ask for less, or give --yes" in ended.message
+    assert "reduce the work, or add --yes" in ended.message
 
     def begun(*_: object, **__: object) -> None:
         raise GoalMissed("begun")
@@ -106,18 +106,18 @@ def test_charts_say_what_they_take_and_are_refused_likewise(monkeypatch: pytest.
     ended = dpcontrol("bench", "--out", str(tmp_path / "charts"))
     assert ended.code == 2
     assert ended.message.startswith(f"dpcontrol: bench: {len(CHARTS)} charts will take about ")
-    assert "60 minutes and 4 GB are begun unasked; ask for less, or give --yes" in ended.message
+    assert "the limit is 60 minutes and 4 GB: reduce the work, or add --yes" in ended.message
     assert not list(tmp_path.iterdir())
 
 
 def test_python_refuses_likewise_and_names_its_keyword() -> None:
     model = load_model("lab")
-    with pytest.raises(InputError, match=r"samples.*will take about.*ask for less"):
+    with pytest.raises(InputError, match=r"samples.*will take about.*reduce the work"):
         dp.find_bifurcations(model, "down-up", "down-up", energies=(-0.11, -0.09), samples=10**9)
     found = dp.graph(model, energy=-0.07)
-    with pytest.raises(InputError, match=r"wraps.*will take about.*ask for less"):
+    with pytest.raises(InputError, match=r"wraps.*will take about.*reduce the work"):
         dp.shadow(found, ["down-up +", "down-up +"], wraps=[500_000])
-    with pytest.raises(InputError, match=r"swings = 1000000000.*will take about.*ask for less"):
+    with pytest.raises(InputError, match=r"swings = 1000000000.*will take about.*reduce the work"):
         dp.swings(model, count=10**9)
 
 

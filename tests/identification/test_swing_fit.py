@@ -155,7 +155,7 @@ def test_impossible_motion_is_not_reported_as_explained(model: Swings, exact: li
     fit = fitted(model, doubled, RATIOS, FitSettings(iterations=15))
     assert not fit.converged or fit.rms.min() > 0.01
     if not fit.converged:
-        assert "starting model" in fit.status or "nearer model" in fit.status
+        assert "starting model" in fit.status or "better model" in fit.status
 
 
 def test_too_few_steps_are_reported(model: Swings, exact: list[Swing]) -> None:

@@ -303,7 +303,7 @@ def test_jobs_left_by_a_lost_scheduler_go_to_the_one_that_answers_next(
         assert [job.seeds[0] for job, _ in done] == [0, 1, 2, 3, 4, 5]
         assert asked == [[0, 1, 2, 3, 4, 5], [1, 2, 3, 4, 5]]
     else:
-        with pytest.raises(GoalMissed, match="lost 4 times, with 2 jobs undone; finished jobs are kept"):
+        with pytest.raises(GoalMissed, match="lost 4 times, with 2 unfinished jobs; finished jobs are kept"):
             list(done)
 
 
@@ -404,8 +404,8 @@ def test_nobody_answers_at_the_schedulers_address(
     turn: Itinerary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed", reason="the package distributed is not installed")
-    monkeypatch.setattr(processes, "ANSWERS_WITHIN", "1s")
-    with pytest.raises(InputError, match="no Dask scheduler answers"):
+    monkeypatch.setattr(processes, "RESPONSE_TIME", "1s")
+    with pytest.raises(InputError, match="no Dask scheduler responds"):
         campaign(turn, tmp_path / "nobody.parquet", scheduler="tcp://127.0.0.1:1")
 
 
