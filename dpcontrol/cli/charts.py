@@ -1,7 +1,6 @@
 """The verbs that draw: figures, bench."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cache
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -41,17 +40,9 @@ def figures_command(
         progress("loading", 0.0)
         from dpcontrol.foundation.files import picked
         from dpcontrol.pages.figures import CAPTIONS, draw_figures
-        from dpcontrol.pages.gallery import Gallery
-        from dpcontrol.plans.atlas import AtlasSettings, make_atlas, make_branches
-        from dpcontrol.plans.model import load_model
+        from dpcontrol.pages.gallery import cached_gallery
 
-        model = cache(load_model)
-        gallery = Gallery(
-            system=lambda name: model(name).system,
-            atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
-            branches=lambda name, source, target, report: make_branches(model(name), source, target, progress=report),
-        )
-        drawn = draw_figures(names, gallery, out, progress=progress)
+        drawn = draw_figures(names, cached_gallery(), out, progress=progress)
     document = {
         "figures": [{**picked(d, "file", "name", "caption", "differs", "seconds")} for d in drawn],
         "captions": out / CAPTIONS,

@@ -190,20 +190,13 @@ def _walk(
 
 def _check(file: Path) -> Answer:
     """Check a certificate's file."""
-    import json
+    from dpcontrol.proofs.check import check_file
 
-    from dpcontrol.foundation.files import checked_source
-    from dpcontrol.proofs.check import Rejected, check
-
-    try:
-        content = json.loads(checked_source(file).read_text(encoding="utf-8"))
-        with progress_bar("check") as progress:
-            shown = check(content, progress)
-    except (Rejected, ValueError, RecursionError) as error:
-        status = f"rejected: the certificate does not prove its statement: {error}"
-        return Answer({"proved": False, "status": status}, [status], status)
-    document = {"proved": True, "status": shown, "statement": content["statement"]}
-    return Answer(document, [str(content["statement"]), f"  checked: {shown}"])
+    with progress_bar("check") as progress:
+        found = check_file(file, progress)
+    if not found.proved:
+        return Answer({"proved": False, "status": found.status}, [found.status], found.status)
+    return Answer(found._asdict(), [str(found.statement), f"  checked: {found.status}"])
 
 
 def _answer(proof: "Proof", out: Path | None) -> Answer:

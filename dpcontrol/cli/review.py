@@ -136,14 +136,14 @@ def review_command(
     no renderer is installed the picture is drawn by matplotlib, and the message says so. A film shows the arms on their
     cart, the reference's ghost, the tip's path and the itinerary.
     """
-    from dpcontrol.pages.picture import view_in_window, write_picture, write_recording
+    from dpcontrol.pages.picture import opened, view_in_window, write_picture, write_recording
 
     first = files[0]
     if stretch is not None and film is None:
         raise InputError("--stretch is that of a film: give --film FILE.gif as well")
     with progress_bar("review") as progress:
         progress("reading", 0.05)
-        shown = _opened(files, align)
+        shown = opened(files, symbol=align)
         document: dict[str, Any] = {"log": first, "recording": None, "picture": None, "film": None, "status": "done"}
         if len(files) > 1:
             document |= {"logs": files, "aligned": shown.status}
@@ -173,31 +173,6 @@ def _filmed(shown: Any, file: Path, stretch: tuple[float, float] | None, *, yes:
     if not isinstance(shown, RunView):
         raise InputError(f"{file}: a film shows one motion: give one log, recording or reference")
     return write_film(shown, file, stretch=stretch, yes=yes, progress=progress)
-
-
-def _opened(files: tuple[Path, ...], symbol: int) -> Any:
-    """Return what is to be seen: the view of a run or a reference, an atlas, or a comparison of several runs."""
-    from dpcontrol.foundation.files import archive_format, is_archive
-    from dpcontrol.judge.of_log import read_reference_view, run_view
-    from dpcontrol.logs import read_log
-    from dpcontrol.references.reference import FORMAT as REFERENCE
-
-    first, *others = files
-    if others:
-        from dpcontrol.judge.comparison import compare
-
-        if other := next((file for file in files if file.suffix.lower() == ".npz"), None):
-            raise InputError(
-                f"{other} is not a log: several files can be compared only if all are logs; review it alone"
-            )
-        return compare([run_view(read_log(file)) for file in files], symbol=symbol)
-    if archive_format(first) == REFERENCE:
-        return read_reference_view(first)
-    if is_archive(first):
-        from dpcontrol.plans.atlas import load_atlas
-
-        return load_atlas(first)
-    return run_view(read_log(first))
 
 
 @verb("report", example="dpcontrol report logs/outer-turn-0.mcap --picture outer-turn.pdf")

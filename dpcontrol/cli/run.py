@@ -5,7 +5,7 @@ campaign, preflight.
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -350,36 +350,21 @@ def rig_command(
     reached from other computers, loops need the bench's key.
     """
     from dpcontrol.plans.itinerary import load_itinerary
-    from dpcontrol.plans.plan import make_plan
-    from dpcontrol.rig.bench import BenchServerSettings, UdpBench, checked_faults
-    from dpcontrol.rig.packets import checked_host, shared_key
-    from dpcontrol.runs.run import bench_recipe, hanging_recipe
+    from dpcontrol.rig.bench import BenchServerSettings
+    from dpcontrol.runs.example_bench import BenchAddress, example_bench
 
-    key = shared_key(key_file)
-    checked_host(host, port, key=key, insecure=insecure)
     server = BenchServerSettings(watchdog=watchdog, real_time=real_time)
+    at = BenchAddress(host, port, key_file, insecure, server)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
-    faults = checked_faults(fault, scene.model.arms.count)
-    if hanging:
-        recipe = hanging_recipe(scene, faults=faults)
-    else:
-        with progress_bar("rig") as progress:
-            plan = make_plan(scene, progress=progress, yes=yes)
-        recipe = replace(bench_recipe(plan), faults=faults)
-    recipe.rehearse()
-    arms = recipe.parameters.count
 
     def report(text: str) -> None:
         say(f"dpcontrol: {text}")
 
-    with UdpBench(
-        recipe.rig, arms=arms, ticks=recipe.all_ticks, period=recipe.period, host=host, port=port, key=key,
-        insecure=insecure, settings=server, say=report,
-    ) as bench:  # fmt: skip
+    with progress_bar("rig") as progress:
+        served = example_bench(scene, at, hanging=hanging, faults=fault, say=report, yes=yes, progress=progress)
+    with served as bench:
         try:
-            address = f"udp://{bench.address[0]}:{bench.address[1]}"
-            document = {"address": address, "rate": recipe.settings.rate, "arms": arms, "ticks": recipe.all_ticks}
-            show(Answer(document, [f"bench for {scene.name} at {address}"]))
+            show(Answer(bench.document(), [f"bench for {scene.name} at {bench.url}"]))
             # Whoever reads this through a pipe waits for it.
             sys.stdout.flush()
             bench.serve(runs=runs)

@@ -1,6 +1,5 @@
 """The verbs to start with: demo, model, guide, cache."""
 
-import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,9 +21,7 @@ from dpcontrol.cli.verbs import (
     table,
     verb,
 )  # fmt: skip
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import part_of, progress_bar
-from dpcontrol.foundation.settings import suggest
 
 if TYPE_CHECKING:
     from dpcontrol.orbits.lyapunov import Equilibrium
@@ -120,28 +117,18 @@ def model_command(
     return Answer(document, [*_text(loaded, points), *written])
 
 
-GUIDE = Path(__file__).parents[1] / "guide"
-"""The folder of the guide's pages; its README.md lists them in reading order."""
-
-
-def topics() -> dict[str, str]:
-    """Return the pages of the guide in reading order, with a line about each."""
-    index = (GUIDE / "README.md").read_text(encoding="utf-8")
-    return dict(re.findall(r"^- \[([\w-]+)\]\(\1\.md\): (.+)$", index, re.MULTILINE))
-
-
 @verb("guide", example="dpcontrol guide start", note="`dpcontrol guide` lists the pages in reading order.")
 def guide_command(*, topic: str | None = argument()) -> Answer:
     """Read a page of the guide, or list its pages."""
+    from dpcontrol.foundation.guide import page, topics
+
     pages = topics()
     document = {"topics": [{"topic": name, "about": about} for name, about in pages.items()]}
     if topic is None:
         width = max(map(len, pages))
         lines = [f"  {name:{width}}  {about}" for name, about in pages.items()]
         return Answer(document, ["The guide, in reading order:", *lines, "", "`dpcontrol guide TOPIC` shows a page."])
-    if topic not in pages:
-        raise InputError(f"the guide has no page {topic!r}; {suggest(topic, pages)}")
-    text = (GUIDE / f"{topic}.md").read_text(encoding="utf-8")
+    text = page(topic)
     return Answer({"topic": topic, "text": text, **document}, [Markdown(text)])
 
 

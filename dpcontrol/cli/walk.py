@@ -209,16 +209,11 @@ def walk_command(
 
 def _changes(model: "Model", symbols: "Sequence[Symbol]", begin: float, end: float, progress: Progress) -> Answer:
     """Show where symbols come to stand for other connections from one energy to another."""
-    from dpcontrol.foundation.progress import part_of
-    from dpcontrol.walks.following import SymbolBranches
+    from dpcontrol.walks.following import symbol_changes
 
     if begin == end or not math.isfinite(end):
         raise InputError(f"--compare {end:g}: must be a finite energy other than --energy {begin:g}")
-    texts = list({s.text: s for symbol in symbols for s in symbol.simple if s.name is None}.values())
-    found = []
-    for k, symbol in enumerate(texts):
-        part = part_of(progress, k / len(texts), (k + 1) / len(texts))
-        found += SymbolBranches(model.system, symbol).changes(begin, end, progress=part)
+    found = symbol_changes(model.system, symbols, (begin, end), progress=progress)
     span = model.system.worded(f"between {begin:g} and {end:g} J")
     status = f"{len(found)} changes of what symbols stand for {span}"
     document = {"symbol_changes": [one.document() for one in found], "energies": (begin, end), "status": status}

@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 from matplotlib.figure import Figure
 
 from dpcontrol.bifurcations.bifurcations import BranchDiagram
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.plans.atlas import AtlasSettings, make_atlas, make_branches
+from dpcontrol.plans.model import load_model
 from dpcontrol.walks.atlas import Atlas
 
 
@@ -26,6 +29,16 @@ class Gallery:
     atlas: Callable[[str, float, tuple[int, int] | None], Atlas]
     branches: Callable[[str, str, str, Progress], BranchDiagram]
     progress: Progress = no_progress
+
+
+def cached_gallery() -> Gallery:
+    """Return the gallery whose data is computed on first use and kept in the cache."""
+    model = cache(load_model)
+    return Gallery(
+        system=lambda name: model(name).system,
+        atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
+        branches=lambda name, source, target, report: make_branches(model(name), source, target, progress=report),
+    )
 
 
 @dataclass(frozen=True)

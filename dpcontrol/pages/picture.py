@@ -14,18 +14,21 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.files import archive_format, is_archive, write_whole
 from dpcontrol.foundation.parts import installed, part
 from dpcontrol.foundation.rendering import render
+from dpcontrol.judge.of_log import read_reference_view, run_view
 from dpcontrol.judge.run_view import RunView
+from dpcontrol.logs import read_log
 from dpcontrol.pages.renderers import record
+from dpcontrol.references.reference import FORMAT as REFERENCE
 
 if TYPE_CHECKING:
     from dpcontrol.judge.comparison import RunComparison
@@ -254,6 +257,34 @@ class Picture:
 
 Shown: TypeAlias = "RunView | RunComparison | Atlas"
 """Objects to review: a run or a reference, several runs, an atlas."""
+
+
+def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
+    """Return the view of one or more files.
+
+    Args:
+        files: a log, a reference or an atlas; or several logs, which are compared.
+        symbol: number of the symbol at which several logs are aligned, from 1.
+
+    Raises:
+        InputError: a file is missing or damaged, or one of several files is not a log.
+    """
+    first, *others = files
+    if others:
+        from dpcontrol.judge.comparison import compare
+
+        if other := next((file for file in files if file.suffix.lower() == ".npz"), None):
+            raise InputError(
+                f"{other} is not a log: several files can be compared only if all are logs; review it alone"
+            )
+        return compare([run_view(read_log(file)) for file in files], symbol=symbol)
+    if archive_format(first) == REFERENCE:
+        return read_reference_view(first)
+    if is_archive(first):
+        from dpcontrol.plans.atlas import load_atlas
+
+        return load_atlas(first)
+    return run_view(read_log(first))
 
 
 def write_recording(shown: Shown, path: Path) -> None:

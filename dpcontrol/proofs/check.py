@@ -22,10 +22,12 @@ import json
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import reduce
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.progress import Progress, no_progress
 
 FORMAT = "dpcontrol proof 1"
@@ -188,6 +190,28 @@ def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> s
             return _checked(_Pendulum(flint, certificate["system"]), certificate, progress)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise Rejected(f"a value is missing or is not a number ({type(error).__name__}: {error})") from error
+
+
+class CertificateCheck(NamedTuple):
+    """The verdict on a certificate's file: the proved statement, or the step that fails."""
+
+    proved: bool
+    status: str
+    statement: str | None
+
+
+def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck:
+    """Check the certificate in a file.
+
+    Raises:
+        InputError: the file is missing or unreadable.
+        PartMissing: python-flint is not installed.
+    """
+    try:
+        content = json.loads(checked_source(file).read_text(encoding="utf-8"))
+        return CertificateCheck(True, check(content, progress), str(content["statement"]))
+    except (Rejected, ValueError, RecursionError) as error:
+        return CertificateCheck(False, f"rejected: the certificate does not prove its statement: {error}", None)
 
 
 def _checked(own: _Pendulum, data: Mapping[str, Any], progress: Progress) -> str:

@@ -230,6 +230,18 @@ class UdpBench:
         self.record: BenchRecord | None = None
         """Of the last run."""
 
+    @property
+    def url(self) -> str:
+        """Address for loops, `udp://HOST:PORT`."""
+        return f"udp://{self.address[0]}:{self.address[1]}"
+
+    def document(self) -> dict[str, Any]:
+        """Return the fields that `dpcontrol rig --json` prints."""
+        return {"address": self.url, "rate": 1 / self._period, "arms": self._arms, "ticks": self._ticks}
+
+    def __repr__(self) -> str:
+        return f"<bench at {self.url}>"
+
     def __enter__(self) -> "UdpBench":
         return self
 

@@ -5,7 +5,7 @@ symbol may select another motion beyond some energy. Connections are followed by
 the selection changes is located by bisection.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -19,7 +19,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import fields_of
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.tubes.connections import Connection, find_connections, mirrored, orbits_between
 from dpcontrol.walks.symbols import Symbol, choose
 
@@ -169,3 +169,25 @@ def _images(connection: Connection) -> tuple[Connection, ...]:
     """Return a connection and its mirror image; sweeps find only one."""
     own = connection.orbit.start.manifold.half_turn is not None
     return (connection, mirrored(connection)) if own else (connection,)
+
+
+def symbol_changes(
+    system: System, symbols: Sequence[Symbol], energies: tuple[float, float], *, progress: Progress = no_progress
+) -> tuple[SymbolChange, ...]:
+    """Return the energies at which the symbols of a walk select another connection.
+
+    Args:
+        system: dynamical system.
+        symbols: symbols of a walk; each is followed once, and names of connections are skipped.
+        energies: first and last energy, J.
+        progress: called with a label and the completed share.
+
+    Raises:
+        InputError: a symbol cannot be followed, or its connections are missing at the first energy.
+    """
+    texts = list({s.text: s for symbol in symbols for s in symbol.simple if s.name is None}.values())
+    found: list[SymbolChange] = []
+    for k, symbol in enumerate(texts):
+        part = part_of(progress, k / len(texts), (k + 1) / len(texts))
+        found += SymbolBranches(system, symbol).changes(*energies, progress=part)
+    return tuple(found)

@@ -9,7 +9,7 @@ from click.shell_completion import BashComplete, FishComplete, ShellComplete, Zs
 from command_line import dpcontrol
 
 from dpcontrol.cli.main import VERBS, cli
-from dpcontrol.cli.start import GUIDE
+from dpcontrol.foundation.guide import GUIDE
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS
 from dpcontrol.rig.bench import FAULTS
 
