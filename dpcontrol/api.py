@@ -36,26 +36,50 @@ from dpcontrol.references.problem import Limits, ReferenceSettings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from dpcontrol.bench.chart import PrecisionChart
+    from dpcontrol.bench.run import DrawnChart
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
     from dpcontrol.control.export import ControllerSource
     from dpcontrol.foundation.cache import CacheContents
+    from dpcontrol.identification.fit import Design
     from dpcontrol.identification.identify import Identification
-    from dpcontrol.orbits.lyapunov import LyapunovOrbit
+    from dpcontrol.identification.replay import Replay
+    from dpcontrol.identification.replay import ReplaySettings as ReplaySettings
+    from dpcontrol.judge.campaign import CampaignSummary
+    from dpcontrol.judge.comparison import RunComparison
+    from dpcontrol.judge.night import Night
+    from dpcontrol.logs import LogSummary, Recovery
+    from dpcontrol.orbits.family import LyapunovFamily
+    from dpcontrol.orbits.lyapunov import Equilibrium, LyapunovOrbit
+    from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
+    from dpcontrol.pages.figures import Drawn
     from dpcontrol.planner.server import Planner
     from dpcontrol.plans.plan import Plan
+    from dpcontrol.proofs.check import CertificateCheck
     from dpcontrol.proofs.prove import Proof, ProofSettings
     from dpcontrol.recordings.recording import Recording
+    from dpcontrol.references.sustained import SustainedOrbit
+    from dpcontrol.rig.bench import UdpBench
+    from dpcontrol.rig.commissioning import Commissioning
     from dpcontrol.runs.campaign import Campaign
+    from dpcontrol.runs.campaign import CampaignSettings as CampaignSettings
     from dpcontrol.runs.closed_loop import ClosedLoop
+    from dpcontrol.runs.example_bench import BenchAddress as BenchAddress
+    from dpcontrol.runs.night import NightSettings as NightSettings
     from dpcontrol.runs.polish import Polished
-    from dpcontrol.runs.run import Run
-    from dpcontrol.tubes.connections import ConnectionSearch
+    from dpcontrol.runs.run import Repeat, RigLink, Run
+    from dpcontrol.shooting.extended import ExtendedOrbit
+    from dpcontrol.tubes.connections import Connection, ConnectionSearch
     from dpcontrol.tubes.symmetric import SymmetricSearch
     from dpcontrol.walks.atlas import Atlas
     from dpcontrol.walks.edges import Edges
+    from dpcontrol.walks.following import SymbolChange
     from dpcontrol.walks.shadowing import ShadowingOrbit
+    from dpcontrol.walks.walks import WalkRequest
 
 Place = Path | str
+NotNegative = Annotated[float, Bounds(0)]
+_ARMS = {"inner": 1, "outer": 2}
 _SWEPT, _SWEPT_BYTES = 2.0, 1e6
 """What each energy of a sweep for bifurcations takes, in s and bytes, for each crossing of the section."""
 
@@ -258,7 +282,7 @@ def atlas(
 @checked
 def shadow(
     found: "Edges | ConnectionSearch | Sequence[ConnectionSearch] | SymmetricSearch",
-    walk: Sequence[str],
+    walk: "Sequence[str] | WalkRequest",
     *,
     wraps: Sequence[Index] | None = None,
     lead_in: Index = 2,
@@ -283,13 +307,20 @@ def shadow(
     from dpcontrol.tubes.symmetric import SymmetricSearch
     from dpcontrol.walks.edges import Edges
     from dpcontrol.walks.shadowing import WalkSolver
-    from dpcontrol.walks.walks import resolve, symmetric_walk, walks_cost
+    from dpcontrol.walks.walks import WalkRequest, resolve, solved, symmetric_walk, walks_cost
 
     if isinstance(found, SymmetricSearch):
+        if isinstance(walk, WalkRequest):
+            raise InputError("walk: drawn walks belong to graphs; for three arms give one symbol")
         return symmetric_walk(walk, found, lead_in=lead_in, lead_out=lead_out)
     searches = [found] if isinstance(found, ConnectionSearch) else found
     edges = searches if isinstance(searches, Edges) else _edges(searches)
     solver = WalkSolver(edges.known)
+    if isinstance(walk, WalkRequest):
+        (answer,) = solved([walk], solver)
+        if answer.orbit is None:
+            raise GoalMissed(answer.status)
+        return answer.orbit
     key = "wraps" if wraps else "walk"
     announce(walks_cost(1, symbols=len(walk), wraps=sum(wraps or ()), solve=True, key=key), yes=yes)
     chain = resolve(walk, edges)
@@ -849,6 +880,850 @@ def cache(*, clear: bool = False) -> "CacheContents":
     from dpcontrol.foundation.cache import cache_contents
 
     return cache_contents(clear=clear)
+
+
+@checked
+def equilibria(model: Model | System | str) -> "dict[str, Equilibrium]":
+    """Return a model's equilibria by name, with energies and eigenvalues.
+
+    Args:
+        model: model or system.
+
+    Returns:
+        Equilibria by name; energies in J, eigenvalues in 1/s, each with pivot and cart at rest.
+
+    >>> [name for name, one in dp.equilibria(lab).items() if one.kind == "index-1 saddle"]
+    ['down-up', 'up-down']
+    """
+    from dpcontrol.orbits.lyapunov import equilibria as found_in
+
+    return found_in(_system(model))
+
+
+@checked
+def family(
+    model: Model | System | str,
+    saddle: str,
+    *,
+    energies: tuple[float, float],
+    family: Index = 0,
+    progress: Reporting = None,
+) -> "LyapunovFamily":
+    """Follow a family of Lyapunov orbits between two energies.
+
+    Args:
+        model: model or system.
+        saddle: saddle that the orbits surround, such as "down-up".
+        energies: lowest and highest energy, J.
+        family: which of the saddle's families, slowest first; by default 0.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        The members in order of energy, and the reason for each end.
+
+    Raises:
+        InputError: an unknown saddle or family, or no member within the energies.
+
+    >>> found = dp.family(lab, "down-up", energies=(-0.08, -0.07))
+    >>> found.converged, len(found.members) > 1
+    (True, True)
+    """
+    from dpcontrol.orbits.family import lyapunov_family
+
+    with reporting(progress, f"family of {saddle}") as report:
+        return lyapunov_family(_system(model), saddle, energies=energies, family=family, progress=report)
+
+
+@checked
+def rotating_orbits(
+    model: Model | System | str, arm: Literal["inner", "outer"], *, energy: float
+) -> "tuple[RotatingOrbit, ...]":
+    """Find the symmetric orbits that turn one arm over.
+
+    Args:
+        model: model or system of two arms.
+        arm: arm that turns, counter-clockwise.
+        energy: energy, J.
+
+    Returns:
+        Orbits, slowest first. Each has a reflection that turns backward.
+
+    Raises:
+        InputError: the system has no two arms.
+
+    >>> len(dp.rotating_orbits(lab, "outer", energy=0.3))
+    5
+    """
+    from dpcontrol.orbits.rotating import rotating_orbits as found_in
+
+    return found_in(_system(model), _ARMS[arm], energy)
+
+
+@checked
+def rotating_families(
+    model: Model | System | str,
+    arm: Literal["inner", "outer"],
+    *,
+    energies: tuple[float, float],
+    progress: Reporting = None,
+) -> "tuple[RotatingFamily, ...]":
+    """Follow the families of orbits that turn one arm over.
+
+    Args:
+        model: model or system of two arms.
+        arm: arm that turns, counter-clockwise.
+        energies: lowest and highest energy, J; families start from the orbits at their mean.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        Families with folds and changes of stability; empty if there is no orbit at the mean energy.
+
+    Raises:
+        InputError: the system has no two arms.
+
+    >>> families = dp.rotating_families(lab, "outer", energies=(0.29, 0.31))
+    >>> all(one.converged for one in families)
+    True
+    """
+    from dpcontrol.orbits.rotating import rotating_families as followed
+
+    orbits = rotating_orbits(model, arm, energy=sum(energies) / 2)
+    with reporting(progress, "families of rotating orbits") as report:
+        return followed(orbits, energies, progress=report)
+
+
+@checked
+def sustained_orbit(
+    orbit: "LyapunovOrbit", *, limits: Limits | None = None, progress: Reporting = None
+) -> "SustainedOrbit":
+    """Return the periodic orbit that the cart sustains against friction.
+
+    Args:
+        orbit: Lyapunov orbit of a model of arms; the result has its energy at phase 0.
+        limits: limits of the cart; by default those of itineraries.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        The orbit with the least effort; use it only if it `converged`.
+
+    Raises:
+        InputError: the orbit's system has no arms.
+        GoalMissed: the Lyapunov orbit did not converge.
+
+    >>> dp.sustained_orbit(orbit).converged
+    True
+    """
+    from dpcontrol.references.sustained import sustained_orbit as sustained
+
+    _found(orbit.converged, f"the orbit about {orbit.saddle}", orbit.status)
+    with reporting(progress, f"sustained orbit about {orbit.saddle}") as report:
+        return sustained(orbit, model_of(orbit.system).arms, limits=limits, progress=report)
+
+
+@checked
+def refine(
+    found: "Connection | ShadowingOrbit", *, energy: Decimal | Fraction | float | None = None
+) -> "ExtendedOrbit":
+    """Refine a connection or a walk's orbit in 113-bit arithmetic.
+
+    Args:
+        found: connection, or orbit of a walk.
+        energy: exact energy, J; by default the shortest decimal that reads as the orbit's.
+
+    Returns:
+        The orbit with decimal digits beyond double precision; use it only if it `converged`.
+
+    Raises:
+        GoalMissed: a periodic orbit cannot be refined, or the machine has no 113-bit floating-point type.
+
+    >>> float(dp.refine(found.connections[0]).residual) < 1e-25
+    True
+    """
+    from dpcontrol.shooting.extended import refine as refined
+    from dpcontrol.tubes.connections import Connection
+
+    source = found.source if isinstance(found, Connection) else found.connections[0].source
+    exact = model_of(source.system).exact_parameters if isinstance(source.system, ModelSystem) else None
+    height = Decimal(repr(float(source.energy if energy is None else energy)))
+    if isinstance(energy, Decimal | Fraction):
+        height = energy
+    solution = found.solution if isinstance(found, Connection) else found.shot.solution
+    return refined(solution, energy=height, parameters=exact)
+
+
+@checked
+def count_walks(graph: "Edges", length: Count, *, source: str | None = None, target: str | None = None) -> int:
+    """Return the number of walks with some number of symbols.
+
+    Args:
+        graph: connection graph.
+        length: symbols of a walk, at least 1.
+        source: saddle at which walks begin; by default any.
+        target: saddle at which walks end; by default any.
+
+    Returns:
+        The exact count, a whole number of any size.
+
+    Raises:
+        InputError: a length below 1, or a saddle without an orbit.
+
+    >>> dp.count_walks(dp.graph(lab, energy=-0.07), 3)
+    512
+    """
+    from dpcontrol.walks.walks import count_walks as counted
+
+    return counted(graph, length, source=source, target=target)
+
+
+@checked
+def list_walks(
+    graph: "Edges", length: Count, *, source: str | None = None, target: str | None = None, periodic: bool = False
+) -> tuple[tuple[str, ...], ...]:
+    """List all walks with some number of symbols.
+
+    Args:
+        graph: connection graph.
+        length: symbols of a walk, at least 1.
+        source: saddle at which walks begin; by default any.
+        target: saddle at which walks end; by default any.
+        periodic: only walks that close; by default all.
+
+    Returns:
+        Walks as names of connections, each of which `shadow` accepts.
+
+    Raises:
+        InputError: a length below 1, a saddle without an orbit, or more than 100,000 walks.
+
+    >>> len(dp.list_walks(dp.graph(lab, energy=-0.07), 2))
+    64
+    """
+    from dpcontrol.walks.walks import LISTED, all_walks, is_closed
+
+    total = count_walks(graph, length, source=source, target=target)
+    if total > LISTED:
+        raise InputError(f"length = {length}: there are {total:,} such walks, and {LISTED:,} can be listed; draw some")
+    chains = all_walks(graph, length, source=source, target=target)
+    return tuple(tuple(c.name for c in chain) for chain in chains if not periodic or is_closed(chain))
+
+
+@checked
+def random_walks(
+    graph: "Edges",
+    count: Count,
+    *,
+    lengths: tuple[Count, Count] = (1, 8),
+    extra_wraps: tuple[Index, Index] = (0, 0),
+    periodic: bool = False,
+    seed: Seed = 0,
+) -> "tuple[WalkRequest, ...]":
+    """Draw walks, each of one length with equal probability.
+
+    Args:
+        graph: connection graph.
+        count: number of walks.
+        lengths: fewest and most symbols of a walk; by default 1 and 8.
+        extra_wraps: range of wraps beyond the fewest that suffice at each stop; by default none.
+        periodic: only walks that close; by default any.
+        seed: seed of the random numbers; by default 0.
+
+    Returns:
+        Walks that `shadow` accepts.
+
+    Raises:
+        InputError: a range that is not ascending, or no such walk.
+
+    >>> graph = dp.graph(lab, energy=-0.07)
+    >>> [len(walk.chain) for walk in dp.random_walks(graph, 3, lengths=(2, 2))]
+    [2, 2, 2]
+    """
+    from dpcontrol.walks.walks import drawn_requests, walks_cost
+
+    wraps = max(extra_wraps) * max(lengths)
+    announce(walks_cost(count, symbols=max(lengths), wraps=wraps, solve=False, key=f"count = {count}"), yes=False)
+    return tuple(
+        drawn_requests(graph, count, lengths=lengths, extra=extra_wraps, seed=seed, periodic=periodic, leads=(2, 2))
+    )
+
+
+@checked
+def shortest_walk(graph: "Edges", stops: Sequence[str]) -> tuple[str, ...]:
+    """Return the shortest walk that visits saddles in order.
+
+    Args:
+        graph: connection graph.
+        stops: saddles, at least two; a repeated one gives a homoclinic connection.
+
+    Returns:
+        The walk as names of connections, which `shadow` accepts.
+
+    Raises:
+        InputError: fewer than two stops, an unknown saddle, or no walk between them.
+
+    >>> len(dp.shortest_walk(dp.graph(lab, energy=-0.07), ["down-up", "down-up"]))
+    1
+    """
+    from dpcontrol.walks.walks import through
+
+    return tuple(c.name for c in through(stops, graph))
+
+
+@checked
+def symbol_changes(
+    model: Model | System | str, symbols: Sequence[str], *, energies: tuple[float, float], progress: Reporting = None
+) -> "tuple[SymbolChange, ...]":
+    """Find the energies at which symbols select other connections.
+
+    Args:
+        model: model or system.
+        symbols: symbols of a walk, such as "down-up +".
+        energies: first and last energy, J.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        Changes in order of energy, each with the names before and after.
+
+    Raises:
+        InputError: a symbol cannot be followed in energy, or both energies are equal.
+
+    >>> dp.symbol_changes(lab, ["down-up +"], energies=(-0.07, -0.069))
+    ()
+    """
+    from dpcontrol.walks.following import symbol_changes as changes
+    from dpcontrol.walks.symbols import parse_walk
+    from dpcontrol.walks.walks import vertex_names
+
+    if energies[0] == energies[1]:
+        raise InputError(f"energies = {energies}: must be two different energies")
+    system = _system(model)
+    with reporting(progress, "symbols over energies") as report:
+        return changes(system, parse_walk(symbols, vertex_names(system)), energies, progress=report)
+
+
+@checked
+def check_proof(file: Place, *, progress: Reporting = None) -> "CertificateCheck":
+    """Check the certificate of a proof by independent code.
+
+    Args:
+        file: certificate, as `dpcontrol prove --out` writes it.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        The verdict: the proved statement, or the step that fails.
+
+    Raises:
+        InputError: the file is missing or unreadable.
+        PartMissing: the extra `proof` is not installed.
+
+    >>> dp.check_proof(certificate_file).proved
+    True
+    """
+    from dpcontrol.foundation.parts import part
+    from dpcontrol.proofs.check import check_file
+
+    part("flint")
+    with reporting(progress, "check") as report:
+        return check_file(Path(file), report)
+
+
+@checked
+def explore_energies(
+    planned: "Plan | str", *, picture: Place | None = None, progress: Reporting = None
+) -> "PrecisionChart":
+    """Compare the effort of one walk over energies.
+
+    Args:
+        planned: plan, or name or path of an itinerary, with a single walk.
+        picture: PNG to draw; by default none.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        The chart; `chosen` compares the itinerary's energy with the best one.
+
+    Raises:
+        InputError: the itinerary has several parts, or the picture cannot be written.
+        GoalMissed: the itinerary's energy cannot be planned, or no run completes.
+
+    >>> dp.explore_energies("outer-turn").name  # doctest: +SKIP
+    'outer-turn-energies'
+    """
+    from dpcontrol.bench.energies import energies_chart
+    from dpcontrol.plans.itinerary import load_itinerary
+
+    itinerary = load_itinerary(planned) if isinstance(planned, str) else planned.itinerary
+    with reporting(progress, "energies") as report:
+        chart = energies_chart(itinerary, report)
+    if picture is not None:
+        from dpcontrol.bench.drawing import save_chart
+
+        save_chart(chart, Path(picture))
+    return chart
+
+
+@checked
+def rig_link(
+    address: str = "udp", *, key_file: Place | None = None, insecure: bool = False, real_time: bool = False
+) -> "RigLink":
+    """Return the link to a bench, for runs on it.
+
+    Args:
+        address: udp://HOST:PORT, or by default "udp" for an example bench in another process.
+        key_file: file with the key that bench and loop share; by default the environment's DPCONTROL_RIG_KEY.
+        insecure: accept a bench on another computer without a key; by default not.
+        real_time: request priority over all ordinary work; by default not.
+
+    Raises:
+        InputError: the address is malformed, or the key is unreadable.
+
+    >>> dp.rig_link("udp://127.0.0.1:47000").address
+    'udp://127.0.0.1:47000'
+    """
+    from dpcontrol.runs.run import rig_link as linked
+
+    found = linked(
+        address, key_file=None if key_file is None else Path(key_file), insecure=insecure, real_time=real_time
+    )
+    assert found is not None
+    return found
+
+
+@checked
+def start_bench(
+    itinerary: str,
+    *,
+    seed: Seed = 0,
+    options: RunOptions | None = None,
+    hanging: bool = False,
+    faults: Sequence[str] = (),
+    at: "BenchAddress | None" = None,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> "UdpBench":
+    """Start an example bench in real time for loops over UDP.
+
+    Args:
+        itinerary: name or path of the itinerary whose arms and cart are simulated.
+        seed: seed of the random numbers on the bench; by default 0.
+        options: settings that replace the itinerary's.
+        hanging: begin with hanging arms, for `commission`; by default where the itinerary begins.
+        faults: wiring mistakes for practice, such as "encoder-2-reversed"; by default none.
+        at: host, port, key and watchdog; by default any free port of this computer.
+        yes: accept any duration of planning.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        The bench, a context manager; `url` is its address, and `serve(runs=1)` serves a run.
+
+    Raises:
+        InputError: an unknown fault, the port is taken, or other computers can reach it without a key.
+
+    >>> with dp.start_bench("outer-turn", hanging=True) as bench:
+    ...     bench.url
+    'udp://127.0.0.1:...'
+    """
+    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.runs.example_bench import BenchAddress, example_bench
+
+    scene = load_itinerary(itinerary).with_run(_options(options), seed=seed)
+    with reporting(progress, "rig") as report:
+        where = BenchAddress() if at is None else at
+        return example_bench(scene, where, hanging=hanging, faults=faults, say=remark, yes=yes, progress=report)
+
+
+@checked
+def commission(
+    itinerary: str,
+    *,
+    rig: "RigLink | str | None" = None,
+    seed: Seed = 0,
+    options: RunOptions | None = None,
+    faults: Sequence[str] = (),
+    switches: NotNegative = 0.0,
+    write: bool = False,
+    progress: Reporting = None,
+) -> "Commissioning":
+    """Check a rig before its first run, and measure its delay and lag.
+
+    Args:
+        itinerary: name or path of the itinerary.
+        rig: address or link of the rig; by default the example bench in simulated time.
+        seed: seed of the random numbers on the example bench; by default 0.
+        options: settings of the example bench that replace the itinerary's.
+        faults: wiring mistakes of the example bench; by default none.
+        switches: distance in m to creep to either side until limit switches answer; by default 0, none.
+        write: write measured values into the itinerary's [run] if nothing blocks; by default not.
+        progress: called with each step.
+
+    Returns:
+        Findings with remedies, and measured values as `changes`.
+
+    Raises:
+        InputError: no bench answers, it needs a key or has other arms, or the file cannot be written.
+
+    >>> dp.commission("outer-turn", faults=["encoder-2-reversed"]).wrong[0].step
+    'encoders'
+    """
+    from dpcontrol.foundation.files import write_whole
+    from dpcontrol.plans.itinerary import load_itinerary
+    from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text
+
+    scene, chosen = load_itinerary(itinerary), _options(options)
+    link = rig_link(rig) if isinstance(rig, str) else rig
+    if link is not None and link.address != OWN_BENCH and (faults or chosen.given()):
+        raise InputError(f"rig = {link.address}: faults and options are those of the example bench; omit them")
+    if write:
+        # A file that cannot be changed is reported before the cart moves.
+        measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
+    with reporting(progress, "commission") as report:
+        found = commission_rig(
+            scene,
+            link,
+            practice=scene.with_run(chosen, seed=seed),
+            faults=faults,
+            switches=switches,
+            tell=lambda text: report(text, 0.0),
+        )
+    if write and found.changes:
+        write_whole(*measured_text(scene, found.changes))
+    return found
+
+
+@checked
+def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting = None) -> "Repeat":
+    """Repeat a run from its log, and compare all messages.
+
+    Args:
+        log: log of a simulated run.
+        out: log to write.
+        force: replace the log of another run there.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        Score of the repetition, and the comparison of its messages.
+
+    Raises:
+        InputError: the log is damaged, is of a rig, or is the same file as `out`.
+        GoalMissed: no controller exists for its reference.
+
+    >>> dp.repeat(log, log.with_name("again.mcap")).comparison.difference is None
+    True
+    """
+    from dpcontrol.runs.run import repeat_run
+
+    with reporting(progress, "run") as report:
+        return repeat_run(Path(log), Path(out), force=force, progress=report)
+
+
+@checked
+def open_night(folder: Place) -> "Night":
+    """Open the folder of a long run.
+
+    Args:
+        folder: folder that `ClosedLoop.night` or `dpcontrol run --hours` wrote.
+
+    Returns:
+        Uptime, falls and their causes, repetitions and drifts.
+
+    Raises:
+        InputError: the folder has no long run, or a file is damaged.
+
+    >>> dp.open_night(night_folder).falls
+    ()
+    """
+    from dpcontrol.judge.night import read_night
+
+    return read_night(Path(folder))
+
+
+@checked
+def open_campaign(file: Place) -> "CampaignSummary":
+    """Open the table of a campaign.
+
+    Args:
+        file: Parquet table that `campaign` wrote.
+
+    Returns:
+        Shares of completed runs by group with 95 % intervals, and reasons of failure.
+
+    Raises:
+        InputError: the file is missing, or is not a campaign's table.
+
+    >>> dp.open_campaign(campaign_file).runs
+    4
+    """
+    from dpcontrol.judge.campaign import campaign_summary
+
+    return campaign_summary(Path(file))
+
+
+@checked
+def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> "RunComparison":
+    """Align several logged runs at one symbol.
+
+    Args:
+        logs: logs of pendulums with the same number of arms.
+        align: number of the symbol at whose crossing the runs are aligned; by default 1.
+
+    Returns:
+        The runs on one clock, with a picture of them all.
+
+    Raises:
+        InputError: a log is missing or damaged, the arms differ, or no run has this symbol.
+
+    >>> len(dp.compare_logs([log, log]).runs)
+    2
+    """
+    from dpcontrol.judge.comparison import compare
+    from dpcontrol.judge.of_log import run_view
+    from dpcontrol.logs import read_log
+
+    return compare([run_view(read_log(Path(log))) for log in logs], symbol=align)
+
+
+@checked
+def review(files: Place | Sequence[Place], *, align: Count = 1, save: Place | None = None) -> Path:
+    """Open logs, an atlas or a reference in the Rerun viewer.
+
+    Args:
+        files: a log, an atlas, a reference, or several logs.
+        align: number of the symbol at which several logs are aligned; by default 1.
+        save: Rerun recording (.rrd) to write instead; by default the viewer opens.
+
+    Returns:
+        The recording.
+
+    Raises:
+        InputError: a file is missing or damaged, or there is no display.
+        PartMissing: the extra `viewer` is not installed.
+
+    >>> dp.review(log, save=log.with_suffix(".rrd")).name
+    'turn.rrd'
+    """
+    from dpcontrol.pages.picture import opened, view_in_window, write_recording
+
+    given = [files] if isinstance(files, str | Path) else files
+    paths = [Path(one) for one in given]
+    shown = opened(paths, symbol=align)
+    if save is None:
+        return view_in_window(shown, paths[0].stem)
+    write_recording(shown, Path(save))
+    return Path(save)
+
+
+@checked
+def log_summary(file: Place) -> "LogSummary":
+    """Return the content of a log after checking it.
+
+    Args:
+        file: log.
+
+    Returns:
+        Topics with types, units and rates (Hz), duration (s), metadata and attachments.
+
+    Raises:
+        InputError: the file is missing, cut, damaged or not a log.
+
+    >>> dp.log_summary(log).joints
+    ('arm_1', 'arm_2', 'cart')
+    """
+    from dpcontrol.logs import summarise
+
+    return summarise(Path(file))
+
+
+@checked
+def recover_log(
+    file: Place, out: Place | None = None, *, force: bool = False, progress: Reporting = None
+) -> "Recovery":
+    """Rebuild a log that is cut or damaged.
+
+    Args:
+        file: damaged log, which is kept.
+        out: new log; by default a free name beside it.
+        force: replace any log at `out`.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        Recovered ticks, and a sentence on the losses.
+
+    Raises:
+        InputError: the file holds nothing that can be recovered, or the new log cannot be written.
+
+    >>> dp.recover_log(log).lost
+    ''
+    """
+    from dpcontrol.logs import recover
+
+    with reporting(progress, "recover") as report:
+        return recover(Path(file), None if out is None else Path(out), force=force, progress=report)
+
+
+@checked
+def write_recording(recording: "Recording", file: Place, *, force: bool = False) -> Path:
+    """Write a recording as a log.
+
+    Args:
+        recording: recording of a bench, or simulated swings.
+        file: log to write (.mcap).
+        force: replace any log there; by default only one with the same origin.
+
+    Returns:
+        The log.
+
+    Raises:
+        InputError: another log is there, or the file cannot be written.
+
+    >>> dp.write_recording(dp.swings(lab, count=1), log.with_name("swings.mcap")).name
+    'swings.mcap'
+    """
+    from dpcontrol.recordings.recording import write_recording as written
+
+    return written(recording, Path(file), force=force)
+
+
+@checked
+def design_experiments(model: Model | str, *, progress: Reporting = None) -> "Design":
+    """Compare swings by their information on the model's parameters.
+
+    Args:
+        model: model of arms.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        Experiments by information, and the best pair.
+
+    Raises:
+        InputError: the model has no arms, or no experiment is usable.
+
+    >>> len(dp.design_experiments(lab).best_pair())
+    2
+    """
+    from dpcontrol.identification.fit import design_experiments as design
+
+    with reporting(progress, "design") as report:
+        return design(_model(model).arms, progress=report)
+
+
+@checked
+def replay(
+    recording: "Recording",
+    *,
+    model: Model | str,
+    estimator: Literal["ekf", "ukf"] = "ekf",
+    model_error: NotNegative = 0.003,
+    settings: "ReplaySettings | None" = None,
+    out: Place | None = None,
+    force: bool = False,
+    progress: Reporting = None,
+) -> "Replay":
+    """Predict a recording by a model, and estimate its states.
+
+    Args:
+        recording: recording of a bench.
+        model: model that predicts; its encoder zeros are subtracted.
+        estimator: "ekf", by default, or "ukf".
+        model_error: relative error of the model's accelerations; by default 0.003.
+        settings: encoder counts, means, samples ahead and span.
+        out: log of measurement and prediction to write; by default none.
+        force: replace any log there.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        Prediction, estimate and their errors.
+
+    Raises:
+        InputError: the recording does not fit the model, or an unknown estimator.
+
+    >>> len(dp.replay(dp.swings(lab, count=2), model=lab).fits)
+    2
+    """
+    from dpcontrol.identification.replay import filter_settings, replay_recording, write_replay
+    from dpcontrol.recordings.checks import contradiction
+
+    model, filters = _model(model), filter_settings(estimator, model_error=model_error)
+    with reporting(progress, "replay") as report:
+        found = replay_recording(recording, model.arms, filters, settings, zeros=model.encoder_zeros, progress=report)
+    if out is not None:
+        write_replay(found, Path(out), model=model.name, model_text=model.text, force=force)
+    if against := contradiction(recording, model.arms, model=model.name):
+        remark(f"{recording.name}: {against}")
+    return found
+
+
+@checked
+def draw_figures(
+    names: Sequence[str] = (), *, folder: Place = "figures", progress: Reporting = None
+) -> "tuple[Drawn, ...]":
+    """Draw computational figures of the paper with captions.
+
+    Args:
+        names: figures, such as "tubes"; by default all.
+        folder: folder for the PNGs and captions.json; by default "figures".
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        For each figure its file, its caption, and its difference from the paper's.
+
+    Raises:
+        InputError: an unknown figure, or the folder is not writable.
+
+    >>> [one.name for one in dp.draw_figures(["energy-landscape"], folder=log.parent)]
+    ['energy-landscape']
+    """
+    from dpcontrol.pages.figures import draw_figures as drawn
+    from dpcontrol.pages.gallery import cached_gallery
+
+    with reporting(progress, "figures") as report:
+        return drawn(names, cached_gallery(), Path(folder), progress=report)
+
+
+@checked
+def draw_charts(
+    names: Sequence[str] = (),
+    *,
+    folder: Place = "charts",
+    quick: bool = False,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> "tuple[DrawnChart, ...]":
+    """Chart speed against accuracy, and limits of methods.
+
+    Args:
+        names: charts, such as "propagation"; by default all.
+        folder: folder for each chart's PNG and JSON; by default "charts".
+        quick: less of the same work; by default all of it.
+        yes: accept any duration.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        For each chart its points, complaints and files.
+
+    Raises:
+        InputError: an unknown chart, too much work, or the folder is not writable.
+
+    >>> dp.draw_charts(["edges-walks"], quick=True)  # doctest: +SKIP
+    """
+    from dpcontrol.bench.run import draw_charts as drawn
+
+    with reporting(progress, "bench") as report:
+        return drawn(names, Path(folder), quick=quick, yes=yes, progress=report)
+
+
+@checked
+def read_guide(topic: str = "README") -> str:
+    """Return a page of the guide as Markdown.
+
+    Args:
+        topic: page, such as "tubes"; by default the list of pages.
+
+    Raises:
+        InputError: the guide has no such page.
+
+    >>> dp.read_guide("tubes").splitlines()[0]
+    '# ...'
+    """
+    from dpcontrol.foundation.guide import GUIDE, page
+
+    return (GUIDE / "README.md").read_text(encoding="utf-8") if topic == "README" else page(topic)
 
 
 def _model(model: Model | str) -> Model:

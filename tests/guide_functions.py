@@ -1,26 +1,20 @@
 """The guide's list of functions, from their docstrings: `python tests/guide_functions.py` updates it."""
 
-import doctest
 import inspect
 from pathlib import Path
 
 import dpcontrol as dp
-from dpcontrol import api
 
 PAGE = Path(__file__).parents[1] / "dpcontrol" / "guide" / "python.md"
-FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(api, name))]
+FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(dp, name))]
 
 
 def listed() -> str:
-    """Return one line and one example of each function, in Markdown."""
-    return "\n".join(_entry(name) for name in FUNCTIONS)
-
-
-def _entry(name: str) -> str:
-    text = inspect.getdoc(getattr(api, name)) or ""
-    (first, *_), examples = text.splitlines(), doctest.DocTestParser().get_examples(text)
-    shown = "".join(f">>> {one.source}{one.want}" for one in examples)
-    return f"`dp.{name}`: {first}\n\n```pycon\n{shown}```\n"
+    """Return one line about each function, as a list in Markdown."""
+    return (
+        "\n".join(f"- `dp.{name}`: {(inspect.getdoc(getattr(dp, name)) or '').splitlines()[0]}" for name in FUNCTIONS)
+        + "\n"
+    )
 
 
 def with_functions(page: str) -> str:

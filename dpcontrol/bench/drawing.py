@@ -6,6 +6,7 @@ beside the marks on the front and the defaults. Axes have units with SI prefixes
 
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 from textwrap import fill
 from typing import Any
 
@@ -15,6 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from dpcontrol.bench.chart import LEADING, ChartPage, EdgeMap, Panel, Point, Searches, name_of, unit_of
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.units import quantity
 from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, SERIES
 
@@ -26,6 +28,16 @@ LEGEND = 2
 """Methods in a legend; with more, each has its name beside a mark."""
 _FEW, _MANY = 6.0, 100.0
 """Ranges of a logarithmic axis: below the first 1, 2, 5 give too few labels, from the second on powers are enough."""
+
+
+def save_chart(page: ChartPage, picture: Path, parts: Sequence[Any] | None = None) -> None:
+    """Draw some of a chart's diagrams, by default all, to a PNG.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    with whole_file(picture, suffix=".png") as temporary:
+        figure(page, page.parts if parts is None else parts).savefig(temporary, format="png")
 
 
 def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:

@@ -32,11 +32,11 @@ from dpcontrol.bench.chart import (
     Point,
     check_names,
 )
-from dpcontrol.bench.drawing import figure
+from dpcontrol.bench.drawing import save_chart
 from dpcontrol.bench.measure import one_core
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import whole_file, write_whole
+from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
@@ -123,8 +123,7 @@ def draw_chart(
     seconds = time.perf_counter() - began
     pictures = {Path(folder) / f"{chart.name}{end}.png": parts for end, parts in chart.pages.items()}
     for picture, parts in pictures.items():
-        with whole_file(picture, suffix=".png") as temporary:
-            figure(chart, parts).savefig(temporary, format="png")
+        save_chart(chart, picture, parts)
     data = Path(folder) / f"{chart.name}.json"
     document = {**chart.document(), "seconds": seconds, **made_with}
     write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")

@@ -67,7 +67,7 @@ COMPLETERS: dict[tuple[str, str], Completer] = {
     },
     ("", "itinerary"): completing(_found("foundation.shipped", "known", "itineraries"), files=True),
     ("", "mapping"): completing(_found("foundation.shipped", "mappings"), files=True),
-    ("", "topic"): completing(_found("cli.start", "topics")),
+    ("", "topic"): completing(_found("foundation.guide", "topics")),
     ("", "fault"): completing(_found("rig.bench", "FAULTS")),
     ("", "over"): completing(_found("plans.run_options", "settings_to_vary")),
     ("figures", "names"): completing(_found("cli.charts", "FIGURES")),

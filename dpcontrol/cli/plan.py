@@ -8,10 +8,8 @@ import click
 
 from dpcontrol.cli.verbs import WORK, YES, Answer, TextTable, argument, drawn_to, file_option, option, say, table, verb
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
-    from dpcontrol.bench.chart import PrecisionChart
     from dpcontrol.plans.plan import Plan
     from dpcontrol.runs.polish import Polished
 
@@ -80,24 +78,10 @@ def plan_command(
     if found is not None:
         text.append(f"  margins          {found.status}")
     if explore_energy is not None and not missed:
-        chart = _energies(plan, explore_energy)
+        chart = api.explore_energies(plan, picture=explore_energy, progress=True)
         document["energies"] = {**chart.document(), "file": explore_energy}
         text += [f"  energy           {chart.chosen}", *drawn_to(explore_energy)]
     return Answer(document, text, missed)
-
-
-def _energies(plan: "Plan", picture: Path) -> "PrecisionChart":
-    """Return the chart of a plan's effort over energies, drawn to a picture."""
-    with progress_bar("energies") as progress:
-        progress("loading", 0.0)
-        from dpcontrol.bench.drawing import figure
-        from dpcontrol.bench.energies import energies_chart
-        from dpcontrol.foundation.files import whole_file
-
-        chart = energies_chart(plan.itinerary, progress)
-        with whole_file(picture, suffix=".png") as temporary:
-            figure(chart, chart.parts).savefig(temporary, format="png")
-    return chart
 
 
 def _plan_text(plan: "Plan", file: Path | None) -> Iterator[str | TextTable]:

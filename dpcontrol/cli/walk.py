@@ -39,8 +39,6 @@ REFINED = 4
 """Walks that --precision extended may refine."""
 LONGEST = 10_000
 """Symbols of the walks that --length counts: their number has thousands of digits."""
-LISTED = 100_000
-"""Walks that --length may list; beyond that they are counted."""
 WALKS, WRAPS, ORBITS = "Walks", "Wraps", "Orbits"
 
 
@@ -150,6 +148,7 @@ def walk_command(
         from dpcontrol.walks.edges import find_edges
         from dpcontrol.walks.symbols import parse_walk
         from dpcontrol.walks.walks import (
+            LISTED,
             all_walks,
             count_walks,
             drawn_requests,

@@ -746,6 +746,10 @@ def standard_cases(itinerary: Itinerary, *, fixed: RunOptions, controllers: Sequ
     return tuple(cases)
 
 
+STANDARD_CAMPAIGN = CampaignSettings(runs=8, replayed=0)
+"""Settings of the standard score, which needs no confirmed failures."""
+
+
 @dataclass(frozen=True)
 class StandardScore:
     """One controller's shares of completed runs by kind, and their mean, 0 to 1."""

@@ -1,6 +1,6 @@
 """The closed loop of a plan: what flies it, made once, for runs, campaigns, margins and export."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -8,16 +8,49 @@ from pathlib import Path
 from dpcontrol.control.export import ControllerSource
 from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.arguments import place
+from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.progress import Reporting, reporting
 from dpcontrol.foundation.rendering import live_view
+from dpcontrol.judge.night import Night
 from dpcontrol.judge.preflight import Preflight
+from dpcontrol.logs import read_log
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.own import OwnObject
-from dpcontrol.plans.plan import Plan, recoverable
+from dpcontrol.loop.own import OwnObject, load_own
+from dpcontrol.plans.plan import Plan, recoverable, with_kept_starts
 from dpcontrol.plans.run_options import RunOptions
-from dpcontrol.runs.campaign import Campaign, CampaignSettings, cases_of, run_campaign
+from dpcontrol.runs.campaign import (
+    STANDARD_CAMPAIGN,
+    Campaign,
+    CampaignSettings,
+    StandardScore,
+    cases_of,
+    run_campaign,
+    standard_cases,
+    standard_scores,
+)
+from dpcontrol.runs.night import (
+    NightSettings,
+    check_folder,
+    night_cost,
+    night_folder,
+    night_itinerary,
+    run_night,
+)
 from dpcontrol.runs.preflight import PreflightSettings, preflight
-from dpcontrol.runs.run import Run, assembled, check_exportable, export_plan, run_plan
+from dpcontrol.runs.run import (
+    OWN_BENCH,
+    RigLink,
+    Run,
+    assembled,
+    check_exportable,
+    default_log,
+    export_plan,
+    export_unit,
+    rig_link,
+    run_on_rig,
+    run_plan,
+    run_with_program,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +97,8 @@ class ClosedLoop:
         *,
         seed: int = 0,
         rig: object = None,
+        program: Path | str | None = None,
+        library: Path | str | None = None,
         log: Path | str | None = None,
         force: bool = False,
         live: bool = False,
@@ -73,24 +108,78 @@ class ClosedLoop:
 
         Args:
             seed: of all that is random.
-            rig: an object with `read()`, `command(acceleration)` and `stop()`, in place of the simulated bench.
-            log: file to write the run's log to; without one it stays in memory.
+            rig: in place of the simulated bench, an object with `read()`, `command(acceleration)` and `stop()`, or the
+                address of a bench in real time: "udp", udp://HOST:PORT, FILE.py:CLASS, or a link of `dp.rig_link`.
+            program: with rig "udp", the program that controls the run, such as main_udp of `export`.
+            library: shared library made of `export`'s files, which does the ticks.
+            log: file to write the run's log to; without one it stays in memory, or, on a bench in real time, is
+                logs/NAME-SEED.mcap.
             force: replace the log of another run there.
             live: show the run in the viewer while it happens.
             progress: where progress goes; see `dpcontrol.api`.
 
         Raises:
-            InputError: the rig lacks a method, the log cannot be written, or there is no display for a live view.
+            InputError: the rig lacks a method or does not answer, the log cannot be written, or there is no display
+                for a live view.
             GoalMissed: there is no reference to follow, no controller can be made for it, or the rig failed at once.
         """
-        own = None if rig is None else OwnObject("rig", rig)
         plan, assembly = self._flown
         scene = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
+        plan, shown, out = replace(plan, itinerary=scene), live_view if live else None, place("log", log)
+        link = linked(rig)
+        if program is not None and (link is None or link.address != OWN_BENCH):
+            raise InputError('program: controls the example bench; give rig="udp" as well')
+        if link is not None:
+            out = out or default_log(scene)
+            if program is None:
+                run_on_rig(plan, out, link, force=force, live=shown)
+            else:
+                run_with_program(plan, out, Path(program), real_time=link.real_time, force=force)
+            return Run(read_log(out))
+        own = load_own("rig", rig) if isinstance(rig, str) else None if rig is None else OwnObject("rig", rig)
         with reporting(progress, "run") as report:
             return run_plan(
-                replace(plan, itinerary=scene), place("log", log),
-                assembly=assembly.under(scene.loop), rig=own, force=force, live=live_view if live else None,
-                progress=report,
+                plan, out, assembly=assembly.under(scene.loop), library=place("library", library), rig=own,
+                force=force, live=shown, progress=report,
+            )  # fmt: skip
+
+    def night(
+        self,
+        hours: float | NightSettings,
+        folder: Path | str,
+        *,
+        rig: object = None,
+        resume: bool = False,
+        force: bool = False,
+        live: bool = False,
+        yes: bool = False,
+        progress: Reporting = None,
+    ) -> Night:
+        """Repeat the itinerary for hours, through falls.
+
+        Args:
+            hours: duration, h, or settings with the length and number of logs.
+            folder: folder for the logs.
+            rig: "udp", udp://HOST:PORT or a link of `dp.rig_link`; by default the simulated bench.
+            resume: continue the interrupted night of this folder.
+            force: replace another night there.
+            live: show the run in the viewer while it happens.
+            yes: accept any duration.
+            progress: where progress goes; see `dpcontrol.api`.
+
+        Raises:
+            InputError: the folder is not usable, no bench answers, or it would take too long.
+            GoalMissed: there is no reference to follow, or no controller can be made for it.
+        """
+        night = hours if isinstance(hours, NightSettings) else NightSettings(hours)
+        out, link = Path(folder), linked(rig)
+        scene = night_itinerary(self.plan.itinerary, asked=self.options.given())
+        check_folder(night_folder(out), resume=resume, force=force)
+        night_cost(scene, night, night_folder(out), real_time=link is not None, yes=yes)
+        with reporting(progress, "night") as report:
+            return run_night(
+                with_kept_starts(replace(self.plan, itinerary=scene)), out, night, link=link, resume=resume,
+                force=force, live=live_view if live else None, progress=report,
             )  # fmt: skip
 
     def campaign(
@@ -128,6 +217,39 @@ class ClosedLoop:
                 transitions=transitions, force=force, yes=yes, progress=report,
             )  # fmt: skip
 
+    def standard_score(
+        self,
+        controllers: Sequence[str] = (),
+        *,
+        settings: CampaignSettings | None = None,
+        out: Path | str | None = None,
+        force: bool = False,
+        yes: bool = False,
+        progress: Reporting = None,
+    ) -> tuple[StandardScore, ...]:
+        """Return the robustness score: shares of completed runs under nine kinds of trouble.
+
+        Args:
+            controllers: kinds of laws to compare; by default that of this loop.
+            settings: runs at each of 21 levels, workers and the like; by default 8 runs.
+            out: Parquet file to write the rows to.
+            force: replace the table of another campaign there.
+            yes: accept any duration.
+            progress: where progress goes; see `dpcontrol.api`.
+
+        Raises:
+            InputError: an unknown controller, or the file cannot be written.
+            GoalMissed: there is no reference to follow, or workers died again and again.
+        """
+        chosen = controllers or [self.plan.itinerary.loop.controller.kind]
+        cases = standard_cases(self.planned.itinerary, fixed=self.options, controllers=chosen)
+        with reporting(progress, "campaign") as report:
+            found = run_campaign(
+                self.planned, cases, place("out", out), settings=settings or STANDARD_CAMPAIGN, force=force, yes=yes,
+                progress=report,
+            )  # fmt: skip
+        return standard_scores(found.results)
+
     def margins(self) -> Margins:
         """Return what gain, further delay and further lag the loop bears along the reference; takes some seconds.
 
@@ -161,22 +283,43 @@ class ClosedLoop:
         folder: Path | str | None = None,
         *,
         single: bool = False,
+        clock: float | None = None,
         force: bool = False,
         progress: Reporting = None,
     ) -> ControllerSource:
-        """Return the controller as C99, and write it to a folder if one is given.
+        """Return the controller as C99, and write it to a folder or a unit.
 
         Args:
-            folder: to write to, whole or not at all.
+            folder: to write to, whole or not at all; a name that ends in .fmu makes a co-simulation unit (FMI 2.0).
             single: in single precision.
+            clock: clock of a Cortex-M4 that must keep the rate, MHz; by default not checked.
             force: replace files of the same names there.
             progress: where progress goes; see `dpcontrol.api`.
 
         Raises:
-            InputError: the law or the estimator cannot leave as C, or the folder holds something else.
+            InputError: the law or the estimator cannot leave as C, the target cannot keep the rate, or the folder holds
+                something else.
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
         check_exportable(self.plan.itinerary)
+        out = place("folder", folder)
         with reporting(progress, "export") as report:
-            out = place("folder", folder)
-            return export_plan(self.plan, out, assembly=self.assembly, single=single, force=force, progress=report)
+            if out is not None and out.suffix == ".fmu":
+                source, lacks = export_unit(self.plan, out, single=single, force=force, progress=report)
+                if lacks:
+                    remark(lacks)
+                return source
+            return export_plan(
+                self.plan, out, assembly=self.assembly, single=single, clock=clock, force=force, progress=report
+            )
+
+
+def linked(rig: object) -> RigLink | None:
+    """Return the link to a bench in real time, or None for any other rig.
+
+    Raises:
+        InputError: the address is malformed.
+    """
+    if isinstance(rig, str) and ".py:" not in rig:
+        return rig_link(rig, key_file=None, insecure=False, real_time=False)
+    return rig if isinstance(rig, RigLink) else None

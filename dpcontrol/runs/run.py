@@ -147,6 +147,15 @@ class Run:
 
             return why(plan, self.score(), typed, workers=workers, yes=yes, progress=progress)
 
+    def margins(self) -> Margins:
+        """Return the gain, delay and lag that the loop bears.
+
+        Raises:
+            InputError: the log lacks the plan, or its law has no margins.
+            GoalMissed: no controller can be made for its reference.
+        """
+        return logged_margins(self.log)
+
     @cached_property
     def _judged(self) -> Score | None:
         return self._score if REFERENCE_ATTACHMENT in self.log.attachments else None

@@ -169,6 +169,8 @@ def _on_section(system: System, section: Section, state: Array, tangent: Array) 
 
 
 Walk = tuple[Connection, ...]
+LISTED = 100_000
+"""Largest number of walks to list; more can be counted."""
 
 
 def symmetric_walk(
@@ -416,6 +418,9 @@ class WalkRequest:
     extra: tuple[int, ...]
     lead_in: int = 2
     lead_out: int = 2
+
+    def __repr__(self) -> str:
+        return f"<walk to solve: {', '.join(c.name for c in self.chain)}>"
 
     def document(self) -> dict[str, Any]:
         """Return the request's fields of the JSON output."""
