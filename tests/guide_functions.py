@@ -11,10 +11,8 @@ FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(dp, name)
 
 def listed() -> str:
     """Return one line about each function, as a list in Markdown."""
-    return (
-        "\n".join(f"- `dp.{name}`: {(inspect.getdoc(getattr(dp, name)) or '').splitlines()[0]}" for name in FUNCTIONS)
-        + "\n"
-    )
+    lines = {name: (inspect.getdoc(getattr(dp, name)) or "").splitlines()[0] for name in FUNCTIONS}
+    return "".join(f"- `dp.{name}`: {line}\n" for name, line in lines.items())
 
 
 def with_functions(page: str) -> str:
