@@ -8,6 +8,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -90,3 +91,14 @@ def crossing() -> tuple[StandIn, Reference]:
 def tracked(request: pytest.FixtureRequest) -> tuple[StandIn, Reference]:
     """Each of the two in turn."""
     return request.getfixturevalue(request.param)
+
+
+@pytest.fixture(scope="session")
+def example(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The variables of the README's example, with the log of its run."""
+    values: dict[str, Any] = {}
+    readme = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+    exec(readme.partition("```python\n")[2].partition("```")[0], values)
+    values["log"] = tmp_path_factory.mktemp("api") / "turn.mcap"
+    values["logged"] = values["dp"].run(values["reference"], mismatch=0.02, seed=3, log=values["log"])
+    return values

@@ -63,13 +63,13 @@ def test_the_wheel_carries_every_model_and_itinerary_as_it_is_in_the_checkout(wh
 def test_the_wheel_carries_every_module_its_tables_and_pages_and_nothing_of_the_tests(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = {n for n in archive.namelist() if not n.startswith("dpcontrol/data/") and ".dist-info/" not in n}
-    ends = ("*.py", "*.toml", "*.json", "*.md", "*.[ch]")
+    ends = ("*.py", "*.toml", "*.json", "*.md", "*.[ch]", "*.ipynb", "py.typed")
     package = {file for end in ends for file in (ROOT / "dpcontrol").rglob(end)}
     package |= set((ROOT / "dpcontrol/planner/static").iterdir())
     package |= {ROOT / "dpcontrol/control/target" / name for name in ("Makefile", "CMakeLists.txt")}
     assert names == {str(file.relative_to(ROOT)) for file in package}
     pages = {f"dpcontrol/guide/{name}.md" for name in ("README", "rig", "packets", "payoff")}
-    assert {"dpcontrol/recordings/mappings/multi-arm.toml", *pages} <= names
+    assert {"dpcontrol/recordings/mappings/multi-arm.toml", "dpcontrol/py.typed", *pages} <= names
 
 
 def test_the_wheel_declares_the_console_script_and_the_dependencies(wheel: Path) -> None:

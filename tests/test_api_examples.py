@@ -1,0 +1,38 @@
+"""The example in the docstring of every public function runs, and shows what it returns."""
+
+import doctest
+import inspect
+import json
+from typing import Any
+
+import pytest
+
+import dpcontrol as dp
+from dpcontrol.plans.atlas import make_atlas
+from tests.guide_functions import FUNCTIONS
+
+
+@pytest.fixture(scope="module")
+def names(example: dict[str, Any]) -> dict[str, Any]:
+    """The names that examples use besides `dp`."""
+    values = {**example, "planned": example["reference"], "atlas_file": make_atlas(example["lab"], -0.07).file}
+    values["campaign_file"] = values["log"].with_name("campaign.parquet")
+    dp.campaign(values["reference"], runs=4, mismatch=0.02, workers=1, out=values["campaign_file"])
+    values["night_folder"] = values["log"].with_name("night")
+    dp.closed_loop("turn-from-rest").night(0.005, values["night_folder"])
+    values["certificate_file"] = values["log"].with_name("proof.json")
+    proof = dp.prove(values["orbit"])
+    values["certificate_file"].write_text(json.dumps(proof.certificate), encoding="utf-8")
+    return values
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_function_has_types_and_an_example_that_runs(name: str, names: dict[str, Any]) -> None:
+    function = getattr(dp, name)
+    assert all(p.annotation is not p.empty for p in inspect.signature(function).parameters.values())
+    assert inspect.signature(function).return_annotation is not inspect.Signature.empty
+    (test,) = doctest.DocTestFinder(recurse=False).find(function, name, globs={**names})
+    assert test.examples, f"{name} has no example"
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+    said: list[str] = []
+    assert runner.run(test, out=said.append).failed == 0, "".join(said)
