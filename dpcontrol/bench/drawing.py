@@ -112,6 +112,9 @@ def _searches_figure(page: ChartPage, lead: Searches) -> Figure:
     times.set_xlabel("time of one core to a flight as cheap")
     for axis in (rates, times):
         axis.spines[["top", "right"]].set_visible(False)
+        axis.tick_params(which="both", colors=INK)
+        for part in (axis.xaxis.label, *axis.spines.values()):
+            part.set_color(INK)
     return picture
 
 
