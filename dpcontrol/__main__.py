@@ -13,12 +13,12 @@ INTERRUPTED, TERMINATED = 130, 143
 def main() -> None:
     """Run the command line and exit."""
     _open_streams()
-    # Matrices are small here: threads of a BLAS cost more than they bring, up to four times the seconds on two cores,
-    # and let the last digits depend on how many there are.
+    # Matrices are small here, so threads of a BLAS cost up to four times the time on two cores. The last digits would
+    # also depend on their number.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    # Notebooks set a backend that other programs may not have. Pictures are files here, and need none.
+    # Notebooks set a backend that may be missing here. The command line writes pictures as files and needs none.
     os.environ["MPLBACKEND"] = "agg"
-    # The command line's own imports take a while; nothing is begun before they are done.
+    # The imports of the command line take a while. An interrupt before their end needs no cleaning up.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _ended_at_once)
     from dpcontrol.foundation.interrupts import confirm_interrupt, kill_if_unresponsive
@@ -33,17 +33,17 @@ def main() -> None:
             _end_quickly(ended.code)
         raise
     finally:
-        # The work is done and its exit code known, however long the interpreter takes to end.
+        # The work is done and its exit code is known. The end of the interpreter must not change it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         confirm_interrupt()
-        # Python takes an interrupt in a text that it ran, as of a dataclass, for one that nobody caught, until it runs
-        # another.
+        # Python treats an interrupt inside executed text, such as that of a dataclass, as uncaught until it executes
+        # another text.
         exec("")
 
 
 def _open_streams() -> None:
-    """Open standard streams that the caller has closed: their numbers would be given to the next files."""
+    """Open closed standard streams; the next files would get their numbers."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r" if name == "stdin" else "w"))
@@ -56,11 +56,11 @@ def _ended_at_once(number: int, frame: FrameType | None) -> None:
 
 
 def _end_quickly(code: int) -> None:
-    """End in order, but without taking modules apart: those of compiled code need a second for it on a busy machine."""
+    """End with exit handlers, but without unloading modules, which takes a second for compiled code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
-        # Whoever read them may have gone, as `head` does.
+        # The reader can have ended, as `head` does.
         with suppress(OSError):
             stream.flush()
     os._exit(code)

@@ -21,9 +21,9 @@ FIGURES = (
     "double-homoclinics", "triple-homoclinics", "returning-homoclinics", "up-up",
 )  # fmt: skip
 """Names of `pages.figures.FIGURES`, whose import takes a second."""
-_FIGURES_HELP = f"""Draw the paper's computational figures from atlases: each a PNG with a caption and what differs.
+_FIGURES_HELP = f"""Draw the computational figures of the paper, each a PNG with a caption and the differences.
 
-Names: {", ".join(FIGURES)}. All are drawn where none is named. Atlases are kept by content.
+Names: {", ".join(FIGURES)}. Without a name, all are drawn. Atlases are cached by content.
 """
 
 
@@ -35,7 +35,7 @@ def figures_command(
         type=FOLDER, default=Path("figures"), group=OUTPUT, help="Folder for the pictures and captions.json."
     ),
 ) -> Answer:
-    """Draw the figures, print their captions."""
+    """Draw the figures and print their captions."""
     with progress_bar("figures") as progress:
         progress("loading", 0.0)
         from dpcontrol.foundation.files import picked
@@ -60,24 +60,23 @@ def _paragraph(text: str) -> str:
 
 
 def _listed(names: Iterable[str]) -> str:
-    """Return names as a paragraph that is not broken within them."""
+    """Return names as a paragraph without line breaks inside a name."""
     return "\b\n" + fill(", ".join(names), 76, break_on_hyphens=False)
 
 
-_HELP = f"""Chart speed against accuracy, each numerical choice as a point beside its alternatives, and map failures.
+_HELP = f"""Chart speed against accuracy of numerical methods, and map their failures.
 
-Charts, times being medians on one core, start-up apart, the product's default ringed:
+Charts. Times are medians on one core without start-up, and a ring marks the default of dpcontrol:
 
 {_listed(name for name in CHARTS if name not in GROUPS["edges"])}
 
-Maps of where a method stops working, found by bisection, beside where theory has it; `edges` stands for all of them:
+Maps of the limits of methods, found by bisection, beside the predictions of theory. `edges` selects all of them:
 
 {_listed(GROUPS["edges"])}
 
-All are drawn where none is named. What is not as it should be, a default off its front or a border that is not where it
-is predicted, is in the status; with --strict it makes the exit code 1. --against compares with an earlier drawing: the
-order on each front, times within a fifth of each other being a tie, and what each default takes, twice as much being
-slower, and errs by.
+Without a name, all are drawn. The status reports defaults off their front and limits that differ from their
+prediction. With --strict, these give exit code 1. --against compares with an earlier drawing: the order on each front,
+with times within a fifth of each other as a tie, and time and error of each default. Twice the time counts as slower.
 """
 
 
@@ -85,17 +84,17 @@ slower, and errs by.
 def bench_command(
     *,
     names: tuple[str, ...] = argument(metavar="[CHART]...", required=False),
-    quick: bool = option(help="Less of the same work: all charts in three minutes."),
+    quick: bool = option(help="Shorter measurements: all charts in three minutes."),
     against: Path | None = option(
-        type=FOLDER, help="Folder of an earlier drawing, to compare fronts and defaults with."
+        type=FOLDER, help="Folder of an earlier drawing, for a comparison of fronts and defaults."
     ),
-    strict: bool = option(help="Exit with 1 where a chart has a complaint."),
+    strict: bool = option(help="Exit code 1 if a chart reports a deviation."),
     out: Path = option(
-        type=FOLDER, default=Path("charts"), group=OUTPUT, help="Folder for each chart's NAME.png and NAME.json."
+        type=FOLDER, default=Path("charts"), group=OUTPUT, help="Folder for NAME.png and NAME.json of each chart."
     ),
     yes: bool = YES,
 ) -> Answer:
-    """Draw the charts, print their fronts and borders."""
+    """Draw the charts and print their fronts and limits."""
     with progress_bar("bench") as progress:
         progress("loading", 0.0)
         from dpcontrol.bench.chart import PrecisionChart, check_names

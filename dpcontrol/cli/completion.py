@@ -1,7 +1,7 @@
 """Shell completion of values: names of models, itineraries and pages, laws, estimators, faults, saddles, figures.
 
-Click itself completes verbs, options and choices, and leaves files to the shell. Names that need a heavy import are
-read when they are asked for.
+Click itself completes verbs, options and choices, and the shell completes files. Names that need a heavy import are
+read on demand.
 """
 
 import importlib
@@ -21,7 +21,7 @@ Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]
 
 
 def completing(values: Values, *, files: bool = False) -> Completer:
-    """Return what completes a parameter from values; files: if no value fits, the shell offers files."""
+    """Return a completer from values. With `files`, the shell offers files if no value matches."""
 
     def complete(context: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         found = [CompletionItem(value) for value in values(context) if value.startswith(incomplete)]
@@ -31,7 +31,7 @@ def completing(values: Values, *, files: bool = False) -> Completer:
 
 
 def _found(module: str, name: str, *given: str) -> Values:
-    """Return the values that a module's object lists, or its function returns for what is given."""
+    """Return the values that an object of a module lists, or that its function returns for `given`."""
 
     def values(_: click.Context) -> Any:
         there = getattr(importlib.import_module(f"dpcontrol.{module}"), name)
@@ -45,7 +45,7 @@ def _saddles(context: click.Context) -> list[str]:
     from dpcontrol.foundation.shipped import find
 
     arms = 2
-    # Of an unfinished line click keeps the arguments apart.
+    # For an unfinished line, click keeps the arguments separately.
     name = context.params.get("model") or next(iter(context.args), "lab")
     with suppress(InputError, OSError, ValueError, LookupError, TypeError):
         model = tomllib.loads(find("models", str(name)).read_text(encoding="utf-8"))
@@ -56,7 +56,7 @@ def _saddles(context: click.Context) -> list[str]:
 
 
 def choosing(choices: Iterable[str]) -> Completer:
-    """Return what completes a parameter from choices that need no import."""
+    """Return a completer from choices that need no import."""
     return completing(lambda _: choices)
 
 
@@ -80,4 +80,4 @@ COMPLETERS: dict[tuple[str, str], Completer] = {
         for name in ("source", "target")
     },
 }
-"""What completes a parameter, by verb ("" for any) and by the parameter's name."""
+"""Completers of parameters, by verb ("" for any) and by the name of the parameter."""

@@ -58,34 +58,34 @@ Range = tuple[float, float]
 def orbit_command(
     *,
     model: str = argument(),
-    saddle: str | None = option(group=KIND, help="Saddle that the orbit surrounds, inner arm first: down-up, up-down."),
-    family: int = option(default=0, group=KIND, help="Which of the saddle's families, slowest first."),
+    saddle: str | None = option(group=KIND, help="Saddle inside the orbit, inner arm first: down-up, up-down."),
+    family: int = option(default=0, group=KIND, help="Family of orbits about the saddle, slowest first."),
     rotating: str | None = option(
-        type=click.Choice(["inner", "outer"]), group=KIND, help="Orbits that turn this arm over and over, instead."
+        type=click.Choice(["inner", "outer"]), group=KIND, help="Rotating orbits of this arm instead."
     ),
     sustained: bool = option(
-        group=KIND, help="The orbit that friction and cart sustain with the least effort, instead."
+        group=KIND, help="Orbit that the cart sustains against friction with the least effort instead."
     ),
     sections: int = option(
         type=click.IntRange(1, 1000),
         default=4,
         group=KIND,
-        help="For --sustained: how often in a period the input's clock is reset.",
+        help="For --sustained: resets of the input clock per period.",
     ),
-    energy: float | None = option(help="Energy in J, zero at the pivot's height."),
-    energies: Range | None = option(metavar="LO HI", help="Follow the family between two energies in J."),
-    picture: Path | None = file_option(suffix=".png", help="Draw the family, or the sustained orbit, to this PNG."),
+    energy: float | None = option(help="Energy, J, zero at the height of the pivot."),
+    energies: Range | None = option(metavar="LO HI", help="Energies between which the family is followed, J."),
+    picture: Path | None = file_option(suffix=".png", help="Picture of the family or the sustained orbit (.png)."),
 ) -> Answer:
     """Compute the Lyapunov orbit about a saddle at an energy, or its family, with Floquet multipliers.
 
-    A family is followed from its saddle until it ends, loses hyperbolicity or leaves the energies asked for.
+    A family is followed from its saddle until it ends, loses hyperbolicity or leaves the given energies.
 
-    With --rotating: the symmetric orbits on which one arm turns over and over, with their stability. Their families
-    start from the orbits at --energy, or at the middle of --energies.
+    --rotating selects the symmetric orbits on which one arm rotates, with their stability. Their families start from
+    the orbits at --energy, or at the middle of --energies.
 
-    With --sustained: the periodic orbit of pendulum and cart that the cart's acceleration keeps alive against friction,
-    from the Lyapunov orbit at --energy, held to that energy at phase 0. Its multipliers are those of a period with the
-    input replayed, and those of its sections, where the input's clock is reset.
+    --sustained selects the periodic orbit of pendulum and cart that the acceleration of the cart sustains against
+    friction. It starts from the Lyapunov orbit at --energy and has that energy at phase 0. There are two sets of
+    multipliers: over a period with the input replayed, and from section to section with the input clock reset.
     """
     from dpcontrol.plans.model import load_model
 
@@ -93,10 +93,10 @@ def orbit_command(
         raise click.UsageError("give either --saddle for Lyapunov orbits or --rotating inner|outer for rotating ones")
     if sustained:
         if saddle is None or energy is None or energies is not None:
-            raise InputError("--sustained makes one orbit about a saddle: give --saddle and --energy with it")
+            raise InputError("--sustained needs --saddle and --energy: add both")
         return _sustained(load_model(model), saddle, energy, family, sections, picture)
     if picture is not None and energies is None:
-        raise InputError("--picture draws a family or a sustained orbit: give --energies LO HI or --sustained with it")
+        raise InputError("--picture draws a family or a sustained orbit: add --energies LO HI or --sustained")
     if energy is None and energies is None:
         raise InputError("give --energy for the orbits of one energy or --energies LO HI for their families")
     loaded = load_model(model)
@@ -221,7 +221,7 @@ def _rotating_text(families: "Iterable[RotatingFamily]", arm: str) -> Iterator[s
 def _sustained(model: "Model", saddle: str, energy: float, family: int, sections: int, picture: Path | None) -> Answer:
     from dpcontrol.references.sustained import sustained_orbit
 
-    # Asked for first: a system without arms is refused before its orbit is sought, which may take minutes.
+    # A system without arms is rejected before the search for its orbit, which can take minutes.
     arms = model.arms
     lyapunov = _lyapunov(model, saddle, energy, family)
     with progress_bar(f"sustained orbit about {saddle}") as progress:
@@ -256,11 +256,8 @@ def _sustained_text(orbit: "SustainedOrbit", sections: int) -> Iterator[str]:
 
 
 SEARCH, RESULT = "Search", "Result"
-THOROUGH = 'Go on where a search says "at least": 20,000 trajectories a tube and more where they part, up to a minute'
-SECONDS_HELP = (
-    "Processor time in s that each search may take; when it is over, the partial result is shown (exit code 1). "
-    "[default: 60]"
-)
+THOROUGH = 'Longer search if the result is "at least": 20,000 or more trajectories per tube, up to a minute'
+SECONDS_HELP = "Processor time per search, s. After it, the partial result is shown (exit code 1). [default: 60]"
 
 
 def seconds_option(**more: Any) -> float | None:
@@ -269,7 +266,7 @@ def seconds_option(**more: Any) -> float | None:
 
 
 SHOWN = 8
-"""Open ends of cuts that are printed for people: tubes that scatter have hundreds."""
+"""Number of open ends of cuts to print: tubes that scatter have hundreds."""
 
 
 @verb("connect", example="dpcontrol connect lab --from down-up --to up-down --energy 0.2")
@@ -278,43 +275,45 @@ def connect_command(
     model: str = argument(),
     source: str = LEAVING,
     target: str = JOINING,
-    energy: Decimal | None = option(help="Energy in J, zero at the pivot's height."),
+    energy: Decimal | None = option(help="Energy, J, zero at the height of the pivot."),
     energies: Range | None = option(
-        metavar="LO HI", help="Of three arms, the range in J in which symmetric connections are sought."
+        metavar="LO HI", help="For three arms: range of energies for symmetric connections, J."
     ),
-    family: int = option(default=0, group=SEARCH, help="For --energies: which family of orbits, slowest first."),
-    hits: tuple[int, int] | None = hits_option("1, or what --name says", group=SEARCH),
+    family: int = option(default=0, group=SEARCH, help="For --energies: family of orbits, slowest first."),
+    hits: tuple[int, int] | None = hits_option("1, or that of --name", group=SEARCH),
     section: str | None = option(
         metavar="NAME",
         group=SEARCH,
-        help="Search on this section: outer-down (θ₂ = 2πk), inner-down (θ₁ = 2πk), aligned (θ₁ = θ₂ + 2πk); "
+        help="Section of the search: outer-down (θ₂ = 2πk), inner-down (θ₁ = 2πk), aligned (θ₁ = θ₂ + 2πk); "
         "three-body: opposite, between. [default: the saddles' own]",
     ),
     longest: float | None = option(
         type=click.FloatRange(min=0, min_open=True),
         metavar="PERIODS",
         group=SEARCH,
-        help="Time that trajectories are given to the section, in periods of their orbit. Tubes that scatter are "
-        "resolved when it is short. [default: the model's, 12 for pendulums]",
+        help="Longest flight to the section, in periods of the orbit. A short limit also resolves scattering tubes. "
+        "[default: the model's, 12 for pendulums]",
     ),
     thorough: bool = option(group=SEARCH, help=f"{THOROUGH}."),
     seconds: float | None = seconds_option(group=SEARCH),
-    name: str | None = option(group=RESULT, help="Show this connection only; names are those that the verb lists."),
+    name: str | None = option(group=RESULT, help="Only this connection, by a name from the list."),
     precision: Precision = option(
-        default="double", group=RESULT, help="extended: refine the connection named by --name in 113-bit arithmetic."
+        default="double",
+        group=RESULT,
+        help="Precision of the connection --name; extended refines it in 113-bit arithmetic.",
     ),
 ) -> Answer:
-    """Find every connection between the Lyapunov orbits of two saddles (or one) that meets their section at given hits.
+    """Find every connection between the Lyapunov orbits of two saddles (or of one) at given hits of a section.
 
-    All connections on the torus of angles are listed: both senses, mirror pairs and reflections. A connection's name
-    may stand in an itinerary's walk. Exits with 1 if the list may be incomplete (`complete` in --json); with --name
-    only that connection counts, and `complete` says whether there may be others.
+    The list contains all connections on the torus of angles: both senses, mirror pairs and reflections. The walk of an
+    itinerary can use their names. The exit code is 1 if the list may be incomplete (`complete` in --json). With --name,
+    only that connection counts, and `complete` is false if there may be others.
 
-    On another --section other connections come first: homoclinics that pass by the other saddle's side cross "aligned"
-    and cross back, and so are found there at --hits 1,2.
+    Another --section gives other connections first. Homoclinics that pass the other saddle cross "aligned" twice, so
+    --hits 1,2 finds them there.
 
-    Orbits of three arms have connections at isolated energies only. With --energies those are found that a symmetry
-    makes, from an orbit back to itself through a moment at which every arm hangs or stands.
+    Orbits of three arms have connections at isolated energies only. --energies finds the symmetric ones: they lead from
+    an orbit back to itself through a moment at which every arm hangs or stands.
     """
     from dpcontrol import api
     from dpcontrol.plans.model import load_model
@@ -325,18 +324,20 @@ def connect_command(
     if energies is not None:
         given = {"--section": section, "--longest": longest, "--thorough": thorough or None, "--name": name}
         for option_name in (key for key, value in given.items() if value is not None):
-            raise InputError(f"{option_name} belongs to a search at one --energy: leave it out with --energies")
+            raise InputError(f"{option_name} applies to a search at one --energy: omit it with --energies")
         if source != target:
-            raise InputError(f"--energies: symmetric connections lead back to their orbit: give --to {source} as well")
+            raise InputError(f"--energies: symmetric connections lead back to their orbit: add --to {source}")
         orbit = _lyapunov(load_model(model), source, energies[0], family)
         return _symmetric_connections(
             api.connections(orbit, energies=energies, hits=hits or (1, 1), seconds=seconds, progress=True)
         )
     assert energy is not None
     if family:
-        raise InputError("--family belongs to a search with --energies: leave it out with --energy")
+        raise InputError("--family applies to a search with --energies: omit it with --energy")
     if precision == "extended" and name is None:
-        raise InputError("--precision extended refines one connection: give its --name as `dpcontrol connect` lists it")
+        raise InputError(
+            "--precision extended refines one connection: add its --name from the list of `dpcontrol connect`"
+        )
     named_hits, named_section = searched_at(name or "") or ((1, 1), None)
     loaded = load_model(model)
     orbits = orbits_between(loaded.system, source, target, float(energy))
@@ -440,17 +441,17 @@ def bifurcations_command(
     model: str = argument(),
     source: str = LEAVING,
     target: str = JOINING,
-    energies: tuple[float, float] = option(metavar="LO HI", help="Range of energies in J."),
-    hits: int = option(type=click.IntRange(1), default=1, help="How often the connections cross the section."),
-    samples: int = option(type=click.IntRange(2), default=24, help="Energies searched at first."),
+    energies: tuple[float, float] = option(metavar="LO HI", help="Range of energies, J."),
+    hits: int = option(type=click.IntRange(1), default=1, help="Section crossings of the connections."),
+    samples: int = option(type=click.IntRange(2), default=24, help="Energies of the first search."),
     yes: bool = YES,
 ) -> Answer:
-    """Find the energies at which connections appear, vanish or split, and those at which they only seem to.
+    """Find the energies at which connections appear, vanish or split, or only change their number of hits.
 
-    saddle-node: two connections meet and vanish. pitchfork: a symmetric connection sheds a mirror pair.
-    section-artefact: the connection goes on, but an earlier crossing of the section is born or lost, so that its number
-    of hits changes. Every change of the count is explained by such events, or reported.
-    Where trajectories scatter before they arrive, connections accumulate without end: counts are lower bounds there.
+    There are three kinds. At a saddle-node, two connections meet and vanish. At a pitchfork, a mirror pair splits off a
+    symmetric connection. At a section-artefact, the connection continues, but gains or loses an earlier crossing of the
+    section. Changes of the count without such an event are reported. If trajectories scatter before they arrive,
+    connections accumulate without end, and counts are lower bounds.
     """
     from dpcontrol import api
     from dpcontrol.plans.model import load_model
@@ -482,17 +483,17 @@ def atlas_command(
     *,
     model: str = argument(),
     energy: float = ENERGY,
-    hits: tuple[int, int] | None = hits_option("for each kind the first at which they meet, up to 2"),
+    hits: tuple[int, int] | None = hits_option("for each kind, the first with intersections, up to 2"),
     thorough: bool = option(help=f"{THOROUGH} for each kind of connection."),
     seconds: float | None = seconds_option(),
-    fresh: bool = option(help="Compute anew even if the atlas is cached."),
-    out: Path | None = file_option(suffix=".npz", help="Also write the atlas to this .npz."),
+    fresh: bool = option(help="New atlas, even if one is cached."),
+    out: Path | None = file_option(suffix=".npz", help="Atlas to write (.npz)."),
     yes: bool = YES,
 ) -> Answer:
-    """Compute all of one energy: every Lyapunov orbit, their tubes, every connection between them, rotating orbits.
+    """Compute all Lyapunov orbits of an energy, their tubes, their connections, and the rotating orbits.
 
-    The atlas is one file (orbits, cuts, connections with their flights), kept by content: it is computed once. Look at
-    it with `dpcontrol review FILE`. Exits with 1 if the list of connections may be incomplete.
+    The atlas is one file with orbits, cuts, and connections with their flights. It is cached by content. Draw it with
+    `dpcontrol review FILE`. The exit code is 1 if the list of connections may be incomplete.
     """
     from dpcontrol.plans.atlas import AtlasSettings, make_atlas, save_atlas
     from dpcontrol.plans.model import load_model

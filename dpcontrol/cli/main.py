@@ -1,4 +1,4 @@
-"""The command line. Verbs are imported when they are called, so that --help is quick."""
+"""The command line. Verbs are imported when they are called, which keeps --help fast."""
 
 import difflib
 import errno
@@ -25,36 +25,36 @@ from dpcontrol.foundation.interrupts import interrupts, terminated
 
 GROUPS = {
     "Start": {
-        "demo": ("start", "Plan, run, score and picture one itinerary."),
+        "demo": ("start", "Plan, run, score and draw one itinerary."),
         "model": ("start", "Show a model: parameters, equilibria, eigenvalues."),
-        "guide": ("start", "Read a page of the guide, or list its pages."),
-        "cache": ("start", "Show what is kept of earlier work, where, and its sizes, or empty it."),
+        "guide": ("start", "Show a page of the guide, or list its pages."),
+        "cache": ("start", "List the cached results with their sizes, or delete them."),
     },
     "Design": {
         "orbit": ("connections", "Compute a Lyapunov orbit, or its family, and its Floquet multipliers."),
         "connect": ("connections", "Find all homoclinic or heteroclinic connections of an energy."),
         "bifurcations": ("connections", "Find the energies at which connections appear, split or change their hits."),
-        "atlas": ("connections", "Compute all of an energy: orbits, tubes, connections, their graph."),
-        "walk": ("walk", "List, count and make walks on the connection graph, and their orbits."),
-        "prove": ("prove", "Prove in ball arithmetic that an orbit or a closed walk exists; check a certificate."),
+        "atlas": ("connections", "Compute all orbits, tubes and connections of an energy."),
+        "walk": ("walk", "List, count and create walks on the connection graph, and their orbits."),
+        "prove": ("prove", "Prove that an orbit or a closed walk exists, or check a certificate."),
         "plan": ("plan", "Plan an itinerary: shadowing orbit and reference."),
-        "reference": ("plan", "Show a reference that a plan made: limits, effort, mesh, error, picture."),
-        "planner": ("planner", "Plan by looking: a page in the browser from energy to run."),
+        "reference": ("plan", "Show a reference: limits, effort, mesh, error, picture."),
+        "planner": ("planner", "Plan in the browser, from an energy to a run."),
     },
     "Run": {
         "run": ("run", "Run an itinerary in closed loop and write its log."),
-        "export": ("run", "Write an itinerary's controller as C for a target of one's own."),
-        "campaign": ("run", "Run an itinerary with many seeds; report how often it is completed."),
+        "export": ("run", "Write the controller of an itinerary as C for your own target."),
+        "campaign": ("run", "Run an itinerary with many seeds and count the completed runs."),
         "rig": ("run", "Start an example bench for runs over UDP in real time."),
-        "commission": ("run", "Check what must be right on a rig before its first run, and measure it."),
-        "preflight": ("run", "Tell how likely a first run completes, what would end it, and what would help."),
+        "commission": ("run", "Measure a rig before its first run: signs, scales, delay, switches."),
+        "preflight": ("run", "Predict whether a first run completes, and find helpful changes."),
     },
     "Review": {
-        "score": ("review", "Report whether logged runs did what was asked."),
+        "score": ("review", "Report whether logged runs completed their itineraries."),
         "review": ("review", "Open a log in the viewer, or save a recording or a picture."),
         "report": ("review", "Write one page on a log or a campaign."),
-        "info": ("review", "Show what is in a log: topics, rates, metadata, attachments."),
-        "recover": ("review", "Rebuild a log that is cut or damaged, and report what is lost."),
+        "info": ("review", "Show the contents of a log: topics, rates, metadata, attachments."),
+        "recover": ("review", "Rebuild a truncated or damaged log, and report the losses."),
     },
     "Recordings": {
         "import": ("recordings", "Import a recording of the bench as a log."),
@@ -62,11 +62,11 @@ GROUPS = {
         "replay": ("recordings", "Predict a recording by a model, and run an estimator over it."),
     },
     "Charts": {
-        "figures": ("charts", "Draw the paper's computational figures, with captions."),
-        "bench": ("charts", "Chart speed against accuracy, and where methods stop working."),
+        "figures": ("charts", "Draw the computational figures of the paper, with captions."),
+        "bench": ("charts", "Chart speed against accuracy, and the limits of methods."),
     },
 }
-"""Verbs by heading, in the order of work, each with the module that holds it and what it does."""
+"""Verbs by heading, in the order of work, each with its module and a summary."""
 VERBS = {verb: entry for verbs in GROUPS.values() for verb, entry in verbs.items()}
 
 
@@ -88,7 +88,7 @@ class _Verbs(click.Group):
             try:
                 return super().invoke(ctx)
             except KeyboardInterrupt as error:
-                # click begins a new line, after the ^C that a terminal shows.
+                # click starts a new line after the ^C of a terminal.
                 if sys.stderr.isatty():
                     raise
                 raise click.Abort from error
@@ -135,34 +135,34 @@ class _Verbs(click.Group):
 @click.group(
     cls=_Verbs,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-    epilog="Start with `dpcontrol demo`, then `dpcontrol guide`; every verb has --help with an example, and --json.",
+    epilog="Start with `dpcontrol demo`, then `dpcontrol guide`. Every verb has --help with an example, and --json.",
 )
 @click.version_option(
-    dpcontrol.__version__, prog_name="dpcontrol", help="Show the version; with --json those of its parts, too."
+    dpcontrol.__version__, prog_name="dpcontrol", help="Version, and with --json the versions of all parts."
 )
 @click.option("--debug", **DEBUG)
 def cli() -> None:
     """Design trajectories of a double pendulum on a cart, and test closed loops that follow them.
 
-    A log, table or model that is there is replaced by the very command that would make it again; any other stays,
-    unless --force is given. What is only drawn or computed from files, as pictures and plans, is replaced.
+    An existing log, table or model is replaced only by the same command, or with --force. Files that are drawn or
+    computed from others, such as pictures and plans, are always replaced.
 
-    Exit status: 0 done, 1 goal missed (with the reason), 2 bad input, 70 an error of dpcontrol itself (with the file
-    that its report needs), 130 interrupted, 143 ended by SIGTERM, 137 ended by force if a computation does not stop.
+    Exit codes: 0 done, 1 goal missed (with the reason), 2 bad input, 70 internal error (with a file for the report),
+    130 interrupted, 143 ended by SIGTERM, 137 killed because a computation did not stop.
     """
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit; mistakes of the user are one sentence on stderr, never a traceback."""
+    """Run the command line and exit; user errors are one line on stderr without a traceback."""
     given: Any = sys.argv[1:] if arguments is None else arguments
     for stream in (sys.stdout, sys.stderr):
-        # A terminal that cannot show an arrow shows a question mark; it is no reason to fail.
+        # A terminal without arrows shows question marks instead of an error.
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     call = Call()
     try:
         if any("\0" in text for text in given):
-            raise InputError("an argument holds a NUL character, which no name or number has; leave it out")
+            raise InputError("an argument contains a NUL character; remove it")
         with interrupts():
             cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
         code = 0
@@ -180,13 +180,13 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _interrupted(error: BaseException) -> int:
     how, code = ("ended by SIGTERM", 143) if terminated() else ("interrupted", 130)
-    say(f"dpcontrol: {how}; what was finished is kept")
+    say(f"dpcontrol: {how}; finished results are kept")
     _echo_notes(error)
     return code
 
 
 def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
-    """Say in a sentence what went wrong; return the exit code."""
+    """Print the error as one line, and return the exit code."""
     if isinstance(error, GoalMissed):
         sentence, code = str(error), 1
     elif isinstance(error, InputError | PartMissing):
@@ -198,7 +198,7 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         sentence, code = _full(error), 1
     elif isinstance(error, MemoryError):
-        sentence, code = "there is not enough memory for this; ask for less at once", 1
+        sentence, code = "there is not enough memory; use fewer or smaller inputs at once", 1
     elif isinstance(error, OSError) and error.filename is not None:
         sentence, code = f"cannot use {error.filename}: {error.strerror}; choose another file or folder", 2
     else:
@@ -207,41 +207,43 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
         print_json({"status": sentence, "error": code != 1})
     if call.debug:
         say("".join(traceback.format_exception(error)).rstrip())
-    # Names may hold line breaks; what is said is one line.
+    # Names may contain line breaks, but the message is one line.
     say(f"dpcontrol: {sentence.replace(chr(10), chr(92) + 'n')}")
     _echo_notes(error)
     return code
 
 
 def _full(error: OSError) -> str:
-    """Return the sentence about a full disk: that of the output, or that of temporary files."""
+    """Return the message on a full disk, of the output or of temporary files."""
     folder = tempfile.gettempdir()
     with suppress(OSError):
         if str(error.filename or "").startswith(folder) or shutil.disk_usage(folder).free == 0:
-            return f"no space left in the folder of temporary files, {folder}; free some, or set TMPDIR to another"
-    return "no space left where the output goes; nothing more was written"
+            return (
+                f"no space left in the folder of temporary files, {folder}; free space, or set TMPDIR to another folder"
+            )
+    return "no space left in the output folder; nothing more was written"
 
 
 def _unforeseen(error: Exception, arguments: Sequence[str]) -> str:
-    """Keep the traceback of an error that no verb foresaw in a file; return the sentence that asks for a report."""
+    """Write the traceback of an internal error to a file, and return the message that asks for a report."""
     trace = "".join(traceback.format_exception(error))
     program = f"dpcontrol {dpcontrol.__version__}, Python {sys.version}, {sys.platform}"
-    what = f"this is an error of dpcontrol, {' '.join(f'{type(error).__name__}: {error}'.split())[:_MOST]}"
+    what = f"internal error of dpcontrol, {' '.join(f'{type(error).__name__}: {error}'.split())[:_MOST]}"
     try:
         handle, name = tempfile.mkstemp(prefix="dpcontrol-error-", suffix=".txt")
         with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
             file.write(f"{program}\n{shlex.join(arguments)}\n\n{trace}")
     except OSError:
-        return f"{what}; please report it with what --debug prints: no file could be written to keep it"
-    return f"{what}; please report it with the file {name}, which holds the command and the traceback"
+        return f"{what}; please report it with the output of --debug: its file could not be written"
+    return f"{what}; please report it with the file {name}, which contains the command and the traceback"
 
 
 _MOST = 200
-"""Characters of an unforeseen error that its sentence repeats."""
+"""Number of characters of an internal error in its message."""
 
 
 def _echo_notes(error: BaseException) -> None:
-    """Say what was noted on the way out of an error or of those behind it: what was kept, and where."""
+    """Print the notes of an error and of its causes, such as the files that were kept."""
     found: BaseException | None = error
     while found is not None:
         for note in getattr(found, "__notes__", ()):

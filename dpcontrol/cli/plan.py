@@ -17,35 +17,37 @@ if TYPE_CHECKING:
 @verb(
     "plan",
     example="dpcontrol plan outer-turn",
-    note="ITINERARY is a name (in ./itineraries or shipped) or a path: of a .toml, or of a plan that --out wrote.",
+    note="ITINERARY is a name (in ./itineraries or shipped) or the path of a .toml, or of a plan from --out.",
 )
 def plan_command(
     *,
     itinerary: str = argument(),
-    fresh: bool = option(help="Plan anew even if the plan is cached."),
-    out: Path | None = file_option(suffix=".npz", help="Also write the reference to this .npz."),
-    margins: bool = option(help="Also show what gain, delay and lag the loop bears along it; takes some seconds."),
+    fresh: bool = option(help="New plan, even if one is cached."),
+    out: Path | None = file_option(suffix=".npz", help="Reference to write (.npz)."),
+    margins: bool = option(help="Limits of gain, delay and lag along the plan, in some seconds."),
     polish: bool = option(
-        help="Also re-optimise a motion from rest to rest as one problem, and show it beside the robust plan; takes a "
-        "minute or two. --out then writes the polished plan."
+        help="Joint optimisation of a motion from rest to rest, compared with the robust plan, in a minute or two. "
+        "--out then writes the polished plan."
     ),
     explore_energy: Path | None = file_option(
-        suffix=".png", help="Also chart its effort with feedback at ±5 % over energies to this PNG; takes a minute."
+        suffix=".png", help="Chart of the effort with feedback at ±5 % over energies (.png), in a minute."
     ),
     workers: int = option(
         type=click.IntRange(min=0),
         default=0,
         show_default=False,
         group=WORK,
-        help="Processes that seek its transfers [one for each processor where there are four or more].",
+        help="Processes that search for transfers [one per processor if there are at least four].",
     ),
-    scheduler: str = option(default="", metavar="ADDRESS", group=WORK, help="Seek them on this Dask cluster."),
+    scheduler: str = option(
+        default="", metavar="ADDRESS", group=WORK, help="Dask cluster that searches for transfers."
+    ),
     yes: bool = YES,
 ) -> Answer:
     """Plan an itinerary: connections, shadowing orbit, and the reference with friction and cart.
 
-    Plans are kept by content: the same itinerary is planned once. Transfers are kept one by one: interrupted, it goes
-    on where it was when started again.
+    Plans are cached by content, so the same itinerary is planned once. Each transfer is cached too, so interrupted
+    planning resumes with the next one.
     """
     from dpcontrol import api
     from dpcontrol.foundation.files import write_whole
@@ -131,15 +133,15 @@ _ORIGIN = ("program", "code", "scene_hash", "model_hash")
 def reference_command(
     *,
     file: Path = argument(),
-    picture: Path | None = file_option(suffix=".png", help="Draw it to this PNG."),
+    picture: Path | None = file_option(suffix=".png", help="Picture of the reference (.png)."),
     transitions: Path | None = file_option(
-        suffix=".png", help="Draw its transfers between equilibria to this PNG, from each row's to each column's."
+        suffix=".png", help="Picture of the transfers between equilibria (.png), from rows to columns."
     ),
 ) -> Answer:
-    """Show a reference: what it does, its use of the cart's limits, its effort, mesh and error, what it was made from.
+    """Show a reference: motion, use of the cart limits, effort, mesh, error and origin.
 
-    FILE is a .npz as `dpcontrol plan --out` writes it; its layout is documented in dpcontrol.references.reference, and
-    numpy alone reads it. The error between nodes is measured anew.
+    FILE is a .npz from `dpcontrol plan --out`. numpy can read it; dpcontrol.references.reference documents its layout.
+    The error between nodes is measured again.
     """
     from dpcontrol.references.reference import load_reference, summarised
 
@@ -176,9 +178,9 @@ def _reference_text(document: Mapping[str, Any]) -> Iterator[str | TextTable]:
         f"{1e3 * document['shortest_interval']:.3g} to {1e3 * document['longest_interval']:.3g} ms"
     )
     measured = document["measured_error_between_nodes"]
-    anew = f"{measured:.1e} measured anew" if measured is not None else "not measured anew: the file names no arms"
+    anew = f"{measured:.1e} measured again" if measured is not None else "not measured again: the file names no arms"
     if measured is None and "parameters" in document["made_from"]:
-        anew = "not measured anew: that takes heyoka, which is not installed"
+        anew = "not measured again: this needs heyoka, which is not installed"
     yield f"  error        {document['max_error_between_nodes']:.1e} between nodes as stored, {anew}"
     yield f"  effort       {document['rms_cart_acceleration']:.4g} m/s² rms, ∫u² {document['effort']:.4g} m²/s³"
     if origin := document["made_from"]:

@@ -33,25 +33,25 @@ def prove_command(
     *,
     what: What = argument(),
     model: str = argument(metavar="MODEL_OR_FILE"),
-    energy: Decimal | None = option(group=STATEMENT, help="Energy in J, exactly as typed."),
-    saddle: str | None = option(group=STATEMENT, help="For orbit: the saddle that the orbit surrounds."),
-    family: int = option(default=0, group=STATEMENT, help="For orbit: which of the saddle's families."),
+    energy: Decimal | None = option(group=STATEMENT, help="Energy, J, as an exact decimal."),
+    saddle: str | None = option(group=STATEMENT, help="For orbit: saddle inside the orbit."),
+    family: int = option(
+        default=0, group=STATEMENT, help="For orbit: family of orbits about the saddle, slowest first."
+    ),
     symbols: tuple[str, ...] = option(
-        "-s", "--symbol", group=STATEMENT, help="For walk: a symbol, in order, as `dpcontrol walk` takes them."
+        "-s", "--symbol", group=STATEMENT, help="For walk: symbol, in order, as for `dpcontrol walk`."
     ),
     wraps: tuple[int, ...] | None = option(
         type=_Wraps(),
         multiple=False,
         group=STATEMENT,
-        help="For walk: wraps at the stops.  [default: the least that suffice]",
+        help="For walk: wraps at the stops, such as 2,3. [default: the fewest that work]",
     ),
-    periodic: bool = option(group=STATEMENT, help="For walk: it closes; only closed walks are proved."),
-    source: str | None = option("--from", group=STATEMENT, help="For connection, horseshoe: saddle that is left."),
-    target: str | None = option(
-        "--to", group=STATEMENT, help="For connection: saddle that is joined. [default: that of --from]"
-    ),
+    periodic: bool = option(group=STATEMENT, help="For walk: closed walk, which is required for a proof."),
+    source: str | None = option("--from", group=STATEMENT, help="For connection, horseshoe: first saddle."),
+    target: str | None = option("--to", group=STATEMENT, help="For connection: last saddle. [default: that of --from]"),
     name: tuple[str, ...] = option(
-        group=STATEMENT, help="For connection: only this one, as `dpcontrol connect` names it. [default: all]"
+        group=STATEMENT, help="For connection: name from the list of `dpcontrol connect`. [default: all]"
     ),
     hits: tuple[int, int] = hits_option("1", group=STATEMENT),
     bits: int = option(type=click.IntRange(64, 1024), default=128, group=ENCLOSURES, help="Working precision, bits."),
@@ -59,7 +59,7 @@ def prove_command(
         type=click.FloatRange(1e-20, 1e-3),
         default=1e-8,
         group=ENCLOSURES,
-        help="Radius of the balls in which orbits are unique, in scaled coordinates.",
+        help="Radius of the balls in which orbits are unique, scaled.",
     ),
     box: float = option(
         type=click.FloatRange(1e-12, 1e-4),
@@ -68,14 +68,14 @@ def prove_command(
         help="For connection, horseshoe: half-width of the boxes, scaled.",
     ),
     out: Path | None = file_option(
-        suffix=".json", help="For orbit, walk: write the certificate, which `prove check` verifies."
+        suffix=".json", help="For orbit, walk: certificate to write (.json), for `prove check`."
     ),
     yes: bool = YES,
 ) -> Answer:
     """Prove in ball arithmetic that orbits, closed walks, connections or a horseshoe exist, or check a certificate.
 
-    The model's parameters and the energy are read as exact decimals. The answer is "proved", or "not proved" with the
-    enclosure that does not close: that disproves nothing. A certificate is checked by code of its own.
+    Parameters and energy are exact decimals. The answer is "proved", or "not proved" with the enclosure that does not
+    close. The latter is not a disproof. Separate code checks certificates.
     """
     from dpcontrol.foundation.parts import part
 
@@ -85,9 +85,9 @@ def prove_command(
     if what == "check":
         return _check(Path(model))
     if out is not None and what not in ("orbit", "walk"):
-        raise InputError(f"--out {out}: certificates are of orbits and walks; omit it")
+        raise InputError(f"--out {out}: only orbits and walks have certificates; omit it")
     if energy is None:
-        raise InputError("--energy is missing: give the energy in J")
+        raise InputError("--energy is missing: give the energy, J")
     settings = ProofSettings(bits=bits, radius=radius)
     with progress_bar("proof") as progress:
         if what == "orbit":
@@ -108,13 +108,13 @@ def _orbit(
     from dpcontrol.proofs.prove import exact_energy, prove_orbit
 
     if saddle is None:
-        raise InputError("--saddle is missing: give the saddle that the orbit surrounds, such as down-up")
+        raise InputError("--saddle is missing: give the saddle inside the orbit, such as down-up")
     orbit = lyapunov_orbit(load_model(model).system, saddle, energy=float(energy), family=family)
     return prove_orbit(orbit, energy=exact_energy(energy), settings=settings, progress=progress)
 
 
 class _Asked(NamedTuple):
-    """Which connections are asked for."""
+    """Selection of connections."""
 
     source: str | None
     target: str | None
@@ -133,13 +133,13 @@ def _connections(
     from dpcontrol.tubes.connections import find_connections
 
     if asked.source is None:
-        raise InputError("--from is missing: give the saddle whose orbit the connections leave, such as down-up")
+        raise InputError("--from is missing: give the first saddle of the connections, such as down-up")
     system = load_model(model).system
     orbit = lyapunov_orbit(system, asked.source, energy=float(energy))
     joined = orbit
     if asked.target not in (None, asked.source):
         if asked.whole:
-            raise InputError("a horseshoe is of the homoclinics of one orbit: omit --to")
+            raise InputError("a horseshoe needs homoclinics of one orbit: omit --to")
         joined = lyapunov_orbit(system, str(asked.target), energy=float(energy))
     found = find_connections(
         orbit, joined, hits=asked.hits, section=system.section_between(orbit.saddle, joined.saddle),
@@ -175,7 +175,7 @@ def _walk(
     if not symbols:
         raise InputError("-s is missing: give the walk's symbols, such as -s 'down-up +'")
     if not periodic:
-        raise InputError("only closed walks are proved: give --periodic as well")
+        raise InputError("only closed walks can be proved: add --periodic")
     system = load_model(model).system
     asked = parse_walk(symbols, vertex_names(system))
     edges = find_edges(system, float(energy), symbols=asked, yes=yes, progress=part_of(progress, 0.0, 0.2))

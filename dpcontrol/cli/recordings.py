@@ -35,27 +35,27 @@ def import_command(
     *,
     file: Path | None = argument(),
     mapping: str | None = option(
-        help="Meaning of the columns: a name or a TOML file [.mat: by its contents; bags, .mcap: joint-states; "
-        "else table]."
+        help="Mapping of the columns, a name or a TOML file [by contents for .mat, joint-states for bags and "
+        ".mcap, otherwise table]."
     ),
-    model: str | None = option(help="Model of the arms, to remark on what of the recording contradicts it."),
-    repair: str = option(default="", help="What may be mended, with commas: nan,time,gaps,wrap,spikes,sampling."),
+    model: str | None = option(help="Model of the arms, for remarks on contradictions."),
+    repair: str = option(default="", help="Faults to correct, with commas: nan,time,gaps,wrap,spikes,sampling."),
     simulated: str | None = option(
-        metavar="MODEL", group=SIMULATED, help="In place of a file: free swings of this model, as encoders show them."
+        metavar="MODEL", group=SIMULATED, help="Model whose free swings replace the file, as encoders measure them."
     ),
     swings: int = option(default=9, group=SIMULATED, help="Number of swings."),
-    seconds: float = option(default=2.667, group=SIMULATED, help="Length of each swing, s."),
-    seed: int = option(default=0, group=SIMULATED, help="Seed of the starts and the encoders' zeros."),
+    seconds: float = option(default=2.667, group=SIMULATED, help="Duration of each swing, s."),
+    seed: int = option(default=0, group=SIMULATED, help="Seed of the initial states and the encoder zeros."),
     out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME.mcap]."),
     force: bool = force_option(),
     yes: bool = YES,
 ) -> Answer:
     """Import a recording of the bench, MATLAB, CSV, Parquet, MCAP or a ROS bag, as a log.
 
-    Gaps, repeated times, missing numbers, wrapped angles and columns that contradict each other are rejected with
-    their row, and mended only where --repair says so; the log notes what was. Segments count from 0, rows from 1.
-    What is odd but may be meant is remarked on: an angle that stands still, and with --model a recording that its arms
-    cannot have made. With --simulated the truth is known: to try `identify` and `replay` on.
+    Gaps, repeated times, missing numbers, wrapped angles and contradicting columns are rejected with their row.
+    --repair selects the faults to correct, and the log records the corrections. Segments count from 0, rows from 1.
+    Unusual but possible data cause a remark: a constant angle, and with --model a recording that its arms cannot have
+    made. --simulated gives data with known truth for `identify` and `replay`.
     """
     from dpcontrol import api
     from dpcontrol.foundation.errors import remark
@@ -106,23 +106,23 @@ def _import_text(recording: "Recording", document: dict[str, Any]) -> Iterator[s
 def identify_command(
     *,
     logs: tuple[Path, ...] = argument(required=False),
-    model: str = option(default="lab", help="Model to start from: a name or a TOML file."),
+    model: str = option(default="lab", help="Initial model, a name or a TOML file."),
     zeros: bool | None = option(
-        "--zeros/--no-zeros", help="Fit the encoders' zeros or not [by the segments left out]."
+        "--zeros/--no-zeros", help="Fit of the encoder zeros [if it predicts the held-out segments better]."
     ),
-    design: bool = option(help="Instead, report which swings would tell most about the model."),
+    design: bool = option(help="Most informative swings for recording, instead of an identification."),
     out: Path | None = file_option(suffix=".toml", help="Model to write [models/NAME.toml]."),
     force: bool = force_option(),
-    picture: Path | None = file_option(suffix=".png", help="Draw the result to this PNG."),
+    picture: Path | None = file_option(suffix=".png", help="Picture of the result (.png)."),
 ) -> Answer:
     """Identify a model from LOGS that `dpcontrol import` wrote: inertia ratios, friction laws, encoder zeros.
 
-    Every third segment is left out, and the friction laws are chosen by how well these are predicted. With --design no
-    log is needed.
+    Every third segment is held out, and the friction laws are chosen by the error on these segments. --design needs no
+    log.
     """
     if design:
         if logs:
-            raise click.UsageError("--design needs no logs: it compares swings that could be recorded")
+            raise click.UsageError("--design compares possible recordings: omit LOGS")
         return _design(model, picture)
     if not logs:
         raise click.UsageError("give at least one log that `dpcontrol import` wrote")
@@ -174,7 +174,7 @@ def _identify_text(found: "Identification", target: Path, picture: Path | None) 
 
 
 def _design(model: str, picture: Path | None) -> Answer:
-    """Compare experiments by what they tell."""
+    """Compare experiments by their information."""
     from dpcontrol.identification.fit import design_experiments
     from dpcontrol.plans.model import load_model
 
@@ -205,23 +205,26 @@ ESTIMATOR = "Estimator"
 def replay_command(
     *,
     log: Path = argument(),
-    model: str = option(default="lab", help="Model that predicts: a name or a path."),
-    ahead: int = option(default=100, help="Samples ahead of the estimate for the n-step error."),
-    span: float | None = option(help="Longest stretch predicted in one piece, s [5; 0.5 if the cart moved]."),
+    model: str = option(default="lab", help="Model for the prediction, a name or a path."),
+    ahead: int = option(default=100, help="Number of samples of the n-step prediction error."),
+    span: float | None = option(help="Longest prediction in one piece, s [5, or 0.5 if the cart moved]."),
     estimator: str = option(default="ekf", group=ESTIMATOR, help="Kind of estimator: ekf, ukf."),
-    counts: int = option(default=40_000, group=ESTIMATOR, help="Encoder counts per turn: assumed noise."),
-    mean_over: float | None = option(group=ESTIMATOR, help="Length of its means, s [0.015; 0 if the cart moved]."),
+    counts: int = option(default=40_000, group=ESTIMATOR, help="Encoder counts per turn, for the assumed noise."),
+    mean_over: float | None = option(group=ESTIMATOR, help="Duration of its means, s [0.015, or 0 if the cart moved]."),
     model_error: float = option(
-        type=click.FloatRange(0, 1e6), default=0.003, group=ESTIMATOR, help="Relative error of the accelerations."
+        type=click.FloatRange(0, 1e6),
+        default=0.003,
+        group=ESTIMATOR,
+        help="Assumed relative error of the accelerations.",
     ),
     out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME-replay.mcap]."),
     force: bool = force_option(),
 ) -> Answer:
-    """Predict a recording by a model, run an estimator over its angles, and write both beside what was measured.
+    """Predict a recording by a model, run an estimator on its angles, and write both beside the measurements.
 
-    Each segment is predicted in one piece from the initial state that fits it best. The log has the prediction as its
-    reference: `dpcontrol review` shows both together. Where the cart moved, as in a log of `dpcontrol run`, its command
-    or its recorded motion is the model's input. Encoder zeros given in the model's file are subtracted.
+    Each segment is predicted in one piece from its best initial state. The prediction is the reference of the log, so
+    `dpcontrol review` shows both. If the cart moved, as in a log of `dpcontrol run`, its command or its recorded motion
+    is the input of the model. The encoder zeros of the model file are subtracted.
     """
     from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file

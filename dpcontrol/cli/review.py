@@ -33,17 +33,15 @@ if TYPE_CHECKING:
 def score_command(
     *,
     logs: tuple[Path, ...] = argument(metavar="LOG|FOLDER..."),
-    why: bool = option(
-        default=False, help="Simulate each failed run again with changes, and print the options that complete it."
-    ),
+    why: bool = option(default=False, help="Options that complete each failed run, found by simulation."),
     yes: bool = YES,
 ) -> Answer:
-    """Score logged runs: symbols done, wraps, limits, tracking, consistency of the estimator. Of a long run's folder:
-    uptime, falls and their causes, times to return, repetitions, drift of what was estimated.
+    """Score logged runs: symbols, wraps, limits, tracking, consistency of the estimator.
 
-    With --why it prints the options of `dpcontrol run` (more travel, half the lag, another law …) that complete a
-    failed run, and more often than harmless changes do. Only simulated runs can be tried again. With --json, one log
-    gives one object, several give {"runs": [...]}. Exits with 1 if a run is not completed.
+    For the folder of a long run, the score has uptime, falls with causes, times to return, repetitions, and drift of
+    the estimates. --why prints the options of `dpcontrol run` (more travel, half the lag, another law …) that complete
+    a failed run more often than harmless changes. It works for simulated runs only. With --json, one log gives one
+    object, several give {"runs": [...]}. The exit code is 1 if a run is not completed.
     """
     from dpcontrol.judge.score import score
     from dpcontrol.logs import read_log
@@ -89,7 +87,7 @@ _WHY = "  why      "
 
 
 def score_text(verdict: "Score") -> Iterator[str]:
-    """Yield a score for people."""
+    """Yield the lines of a score."""
     pace = "" if verdict.real_time_factor is None else f", {verdict.real_time_factor:.1f} × real time"
     yield verdict.log
     yield f"  {verdict.sentence}"
@@ -108,7 +106,7 @@ def score_text(verdict: "Score") -> Iterator[str]:
 
 
 def shortfall(verdict: "Score") -> str:
-    """Return why a run counts as a goal missed, "" where it does not."""
+    """Return the reason why a run is not completed, or ""."""
     return f"not completed: {verdict.reason}" if verdict.completed is False else ""
 
 
@@ -116,31 +114,32 @@ def shortfall(verdict: "Score") -> str:
 def review_command(
     *,
     files: tuple[Path, ...] = argument(metavar="LOG...|ATLAS|REFERENCE"),
-    align: int = option(default=1, metavar="N", help="Symbol at which several logs are aligned."),
-    save: Path | None = file_option(suffix=".rrd", help="Save a Rerun recording (.rrd)."),
-    picture: Path | None = file_option(suffix=".png", help="Save a picture (.png)."),
+    align: int = option(default=1, metavar="N", help="Symbol at which several logs are aligned, counted from 1."),
+    save: Path | None = file_option(suffix=".rrd", help="Rerun recording to write (.rrd)."),
+    picture: Path | None = file_option(suffix=".png", help="Picture to write (.png)."),
     film: Path | None = file_option(
-        suffix=FILMS, help="Save a film of the arms in real time; .mp4 needs pip install 'dpcontrol[film]'."
+        suffix=FILMS, help="Film of the arms in real time; .mp4 needs pip install 'dpcontrol[film]'."
     ),
     stretch: tuple[float, float] | None = option(
-        metavar="BEGIN END", help="With --film: of the log's time in s, if not all."
+        metavar="BEGIN END", help="With --film: part of the log, s. [default: all]"
     ),
     yes: bool = YES,
 ) -> Answer:
-    """Open a log in the Rerun viewer: arms with the reference's ghost, the itinerary as asked and as done, angles,
-    rates, command, errors, energy, phase planes with the tubes used. A recording from the bench opens as well.
+    """Open a log in the Rerun viewer.
 
-    Several logs open side by side, each delayed so that all cross the section of symbol N at the same moment. An atlas
-    (.npz) opens as its tubes, orbits and flights in space, and its cuts with the connections numbered on them; a
-    reference (.npz) as its motion, command and limits. With --save, --picture or --film the viewer is not opened; where
-    no renderer is installed the picture is drawn by matplotlib, and the message says so. A film shows the arms on their
-    cart, the reference's ghost, the tip's path and the itinerary.
+    It shows the arms with the reference as a ghost, the planned and the actual itinerary, angles, rates, command,
+    errors, energy, and phase planes with the tubes. Recordings from the bench open too. Several logs open side by side,
+    delayed so that all cross the section of symbol N at the same time. An atlas (.npz) opens as tubes, orbits and
+    flights, with numbered connections on its cuts. A reference (.npz) opens as motion, command and limits.
+
+    With --save, --picture or --film, no viewer opens. Without a renderer, matplotlib draws the picture, and a message
+    reports this. A film shows the arms on their cart, the reference, the path of the tip and the itinerary.
     """
     from dpcontrol.pages.picture import opened, view_in_window, write_picture, write_recording
 
     first = files[0]
     if stretch is not None and film is None:
-        raise InputError("--stretch is that of a film: give --film FILE.gif as well")
+        raise InputError("--stretch needs a film: add --film FILE.gif")
     with progress_bar("review") as progress:
         progress("reading", 0.05)
         shown = opened(files, symbol=align)
@@ -166,12 +165,12 @@ def review_command(
 
 
 def _filmed(shown: Any, file: Path, stretch: tuple[float, float] | None, *, yes: bool, progress: Progress) -> Path:
-    """Write a film of what is to be seen."""
+    """Write a film of a run or a reference."""
     from dpcontrol.judge.run_view import RunView
     from dpcontrol.pages.film import write_film
 
     if not isinstance(shown, RunView):
-        raise InputError(f"{file}: a film shows one motion: give one log, recording or reference")
+        raise InputError(f"{file}: a film shows one motion; give one log, recording or reference")
     return write_film(shown, file, stretch=stretch, yes=yes, progress=progress)
 
 
@@ -180,18 +179,17 @@ def report_command(
     *,
     file: Path = argument(metavar="LOG|FOLDER|CAMPAIGN.parquet"),
     picture: Path | None = file_option(
-        suffix=(".png", ".pdf"), help="Page to write [beside FILE, as NAME-report.png]."
+        suffix=(".png", ".pdf"), help="Page to write (.png or .pdf) [NAME-report.png beside FILE]."
     ),
-    margins: bool = option(
-        help="Of a log: also what gain, delay and lag its loop bears along the reference; takes some seconds."
-    ),
+    margins: bool = option(help="For a log: limits of gain, delay and lag along the reference, in some seconds."),
 ) -> Answer:
-    """Write one page on a log, a long run or a campaign, for those who do not open a viewer; matplotlib draws it.
+    """Write one page on a log, a long run or a campaign with matplotlib.
 
-    Of a log: the itinerary as asked and as done, a film, angles, rates, cart, command, errors, energy, phase planes,
-    and what was estimated besides the state, with the truth where it is known. Of a long run's folder: strips of half
-    an hour that show when it was on its itinerary, when not and why; times to return, causes, drift. Of a campaign:
-    shares of success by group with Wilson's intervals, failures by symbol and reason.
+    The page of a log has the planned and the actual itinerary, a film strip, angles, rates, cart, command, errors,
+    energy and phase planes. It also compares the further estimates with the truth, if that is in the log. The page of a
+    long run has strips of half an hour with the times on the itinerary and the causes of interruptions. It also has
+    times to return, and drift. The page of a campaign has success rates by group with Wilson's intervals, and failures
+    by symbol and reason.
     """
     from dpcontrol.foundation.files import checked_source
 
@@ -202,7 +200,7 @@ def report_command(
         checked_source(file)
     if margins and (of_night or of_campaign):
         remedy = "a log of the folder" if of_night else "a log, or use plan --margins"
-        raise InputError(f"{file}: --margins are those of one log's loop; give {remedy}")
+        raise InputError(f"{file}: --margins applies to one log; give {remedy}")
     make = _night if of_night else _campaign if of_campaign else partial(_log, margins=margins)
     answer = make(file, picture)
     return Answer({**answer.document, "picture": picture}, [*answer.text, f"page       {picture}"])
@@ -264,14 +262,14 @@ def _text(summary: "CampaignSummary") -> Iterator[str | TextTable]:
 
 
 _LONG = 200
-"""Characters of a metadata value that are shown to people."""
+"""Number of characters of a metadata value to print."""
 
 
 @verb("info", example="dpcontrol info logs/outer-turn-0.mcap")
 def info_command(*, log: Path = argument()) -> Answer:
-    """Show what is in a log: topics, types, units, rates, counts, duration, metadata, attachments.
+    """Show the contents of a log: topics, types, units, rates, counts, duration, metadata, attachments.
 
-    All checksums are compared; a log that is cut or damaged is rejected with advice on what to do about it.
+    All checksums are verified. A truncated or damaged log is rejected, and the message suggests a remedy.
     """
     from dpcontrol.logs import summarise
 
@@ -296,7 +294,7 @@ def _info_text(summary: "LogSummary") -> Iterator[str | TextTable]:
     for key, value in summary.metadata.items():
         yield f"  {key}: {value if len(value) <= _LONG else f'{value[:_LONG]}…'}"
     for file in summary.partials:
-        say(f"  beside it: {file}, of a run that was interrupted or is under way")
+        say(f"  beside it: {file}, of an interrupted or current run")
 
 
 @verb("recover", example="dpcontrol recover logs/outer-turn-0.mcap.partial")
@@ -305,13 +303,13 @@ def recover_command(
     log: Path = argument(),
     out: Path | None = file_option(
         suffix=".mcap",
-        help="Log to write [NAME.mcap for NAME.mcap.partial where that is free, else NAME-recovered.mcap].",
+        help="Log to write [NAME.mcap for NAME.mcap.partial if it does not exist, else NAME-recovered.mcap].",
     ),
     force: bool = force_option(),
 ) -> Answer:
-    """Rebuild a log that a killed run left, that was cut or that is damaged, and report what is lost.
+    """Rebuild a log of a killed run, or a truncated or damaged log, and report the losses.
 
-    What is sound is copied bit for bit, put in order and read back; nothing is made up, and the old file is kept.
+    Intact records are copied bit for bit, sorted and verified. The old file is kept.
     """
     from dpcontrol.logs import recover
 

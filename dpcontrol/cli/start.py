@@ -31,16 +31,18 @@ if TYPE_CHECKING:
 @verb("demo", example="dpcontrol demo --itinerary cross")
 def demo_command(
     *,
-    itinerary: str = option(default="outer-turn", help="Itinerary to show."),
-    seed: int = option(default=0, help="Seed of the plant's parameters and the initial error."),
-    folder: Path = option(type=FOLDER, default=Path("logs"), group=OUTPUT, help="Where log, recording and picture go."),
+    itinerary: str = option(default="outer-turn", help="Itinerary, by name or path."),
+    seed: int = option(default=0, help="Seed of the plant parameters and the initial error."),
+    folder: Path = option(
+        type=FOLDER, default=Path("logs"), group=OUTPUT, help="Folder for log, recording and picture."
+    ),
     force: bool = force_option(),
     yes: bool = YES,
 ) -> Answer:
-    """Plan, run, score and picture one itinerary: a full turn of the outer arm at no cost of energy.
+    """Plan, run, score and picture one itinerary: a full turn of the outer arm at no cost in energy.
 
-    Everything is computed here and now: the Lyapunov orbit, its tube, the connections, the reference with friction
-    and cart, and a closed loop with encoders, an estimator and a plant that differs from the model.
+    All steps are computed: Lyapunov orbit, tube, connections, and the reference with friction and cart. The closed
+    loop has encoders, an estimator, and a plant that differs from the model.
     """
 
     began = time.perf_counter()
@@ -84,11 +86,11 @@ def demo_command(
     return Answer(document, lines, shortfall(verdict))
 
 
-@verb("model", example="dpcontrol model lab", note="MODEL is a name (./models, then those shipped) or a path.")
+@verb("model", example="dpcontrol model lab", note="MODEL is a name (in ./models or shipped) or a path.")
 def model_command(
     *,
     model: str = argument(),
-    mjcf: Path | None = file_option(suffix=".xml", help="Write the arms on their cart for MuJoCo to this file."),
+    mjcf: Path | None = file_option(suffix=".xml", help="MuJoCo model to write, with arms and cart (.xml)."),
 ) -> Answer:
     """Show a model's parameters with units, and its equilibria (frictionless, pivot at rest)."""
     from dpcontrol.foundation.files import picked
@@ -119,7 +121,7 @@ def model_command(
 
 @verb("guide", example="dpcontrol guide start", note="`dpcontrol guide` lists the pages in reading order.")
 def guide_command(*, topic: str | None = argument()) -> Answer:
-    """Read a page of the guide, or list its pages."""
+    """Show a page of the guide, or list its pages."""
     from dpcontrol.foundation.guide import page, topics
 
     pages = topics()
@@ -133,12 +135,13 @@ def guide_command(*, topic: str | None = argument()) -> Answer:
 
 
 @verb("cache", example="dpcontrol cache --clear", note="The folder is $DPCONTROL_CACHE, else ~/.cache/dpcontrol.")
-def cache_command(*, clear: bool = option(help="Delete all of it; what is needed again is computed again.")) -> Answer:
-    """Show what is kept of earlier work: plans, atlases, diagrams of connections, machine code.
+def cache_command(
+    *, clear: bool = option(help="Deletion of all entries. They are computed again if needed.")
+) -> Answer:
+    """List the cached results: plans, atlases, diagrams of connections, machine code.
 
-    Results are kept by the content that they follow from, the program's code included, and checked when they are read:
-    what is damaged, or of another version, is computed anew. It is safe to empty the cache at any time, and other
-    files in its folder are left alone.
+    Entries are cached by their input, including the program code, and checked when they are read. A damaged entry or
+    one of another version is computed again. You can empty the cache at any time. Other files in its folder are kept.
     """
     from dpcontrol.foundation.cache import cache_contents
 

@@ -36,14 +36,14 @@ if TYPE_CHECKING:
     from dpcontrol.walks.walks import WalkAnswer, WalkRequest
 
 REFINED = 4
-"""Walks that --precision extended may refine."""
+"""Largest number of walks for --precision extended."""
 LONGEST = 10_000
-"""Symbols of the walks that --length counts: their number has thousands of digits."""
+"""Largest --length: the number of such walks has thousands of digits."""
 WALKS, WRAPS, ORBITS = "Walks", "Wraps", "Orbits"
 
 
 class _Wraps(click.ParamType):
-    """Wraps at the stops, as in 2,3,2."""
+    """Wraps at the stops, for example 2,3,2."""
 
     name = "n,n,…"
 
@@ -61,74 +61,82 @@ def walk_command(
     *,
     model: str = argument(),
     energy: Decimal = ENERGY,
-    hits: tuple[int, int] = option(type=Hits(), default="1", help="Last crossings of the sections that count."),
+    hits: tuple[int, int] = option(
+        type=Hits(), default="1", help="Last section crossings of the connections: K, or N,M."
+    ),
     symbols: tuple[str, ...] = option(
         "-s",
         "--symbol",
         group=WALKS,
-        help="A symbol of one walk, in order: as in an itinerary; also to and from rotating orbits.",
+        help="Symbol of one walk, in order, as in an itinerary, or to and from rotating orbits.",
     ),
-    through: tuple[str, ...] = option(metavar="SADDLE", group=WALKS, help="A stop of the shortest walk through stops."),
+    through: tuple[str, ...] = option(
+        metavar="SADDLE", group=WALKS, help="Stop of the shortest walk through all given stops."
+    ),
     length: int | None = option(
-        type=click.IntRange(1, LONGEST), group=WALKS, help="List all walks of this many symbols."
+        type=click.IntRange(1, LONGEST), group=WALKS, help="Number of symbols of the listed walks."
     ),
-    source: str | None = option("--from", group=WALKS, help="With --length: only walks from this saddle."),
-    target: str | None = option("--to", group=WALKS, help="With --length: only walks to this saddle."),
-    count: int | None = option("--random", type=click.IntRange(1), group=WALKS, help="Draw this many walks."),
-    lengths: tuple[int, int] = option(default=(1, 8), group=WALKS, help="Symbols of a drawn walk."),
-    seed: int = option(type=click.IntRange(0), default=0, group=WALKS, help="Seed of drawn walks."),
-    periodic: bool = option(group=WALKS, help="Walks that close: periodic orbits, with one more stop."),
+    source: str | None = option("--from", group=WALKS, help="With --length: first saddle of the walks."),
+    target: str | None = option("--to", group=WALKS, help="With --length: last saddle of the walks."),
+    count: int | None = option("--random", type=click.IntRange(1), group=WALKS, help="Number of random walks."),
+    lengths: tuple[int, int] = option(
+        default=(1, 8), group=WALKS, help="Least and greatest number of symbols of a random walk."
+    ),
+    seed: int = option(type=click.IntRange(0), default=0, group=WALKS, help="Seed of the random walks."),
+    periodic: bool = option(group=WALKS, help="Closed walks: periodic orbits, with one more stop."),
     compare: float | None = option(
         metavar="ENERGY",
         group=WALKS,
-        help="Report where symbols come to stand for other connections between --energy and this one, J.",
+        help="Other energy, J. Energies at which symbols select other connections are reported.",
     ),
     wraps: tuple[int, ...] | None = option(
         type=_Wraps(),
         multiple=False,
         group=WRAPS,
-        help="Wraps at the stops of -s or --through.  [default: the least that suffice]",
+        help="Wraps at the stops of -s or --through, such as 2,3. [default: the fewest that work]",
     ),
     extra_wraps: tuple[int, int] = option(
-        default=(0, 0), group=WRAPS, help="Wraps beyond the least that suffice at each stop: drawn from this range."
+        default=(0, 0), group=WRAPS, help="Range of random additional wraps at each stop."
     ),
-    lead_in: int = option(type=click.IntRange(0), default=2, group=WRAPS, help="Wobbles before the walk."),
-    lead_out: int = option(type=click.IntRange(0), default=2, group=WRAPS, help="Wobbles after it."),
-    solve: bool = option(group=ORBITS, help="Find the orbit of each walk."),
+    lead_in: int = option(type=click.IntRange(0), default=2, group=WRAPS, help="Wobbles before the first symbol."),
+    lead_out: int = option(type=click.IntRange(0), default=2, group=WRAPS, help="Wobbles after the last symbol."),
+    solve: bool = option(group=ORBITS, help="Orbit of each walk."),
     precision: Precision = option(
         default="double",
         group=ORBITS,
-        help=f"extended: refine the orbits of up to {REFINED} walks in 113-bit arithmetic; seconds for each symbol.",
+        help=f"Precision of the orbits; extended refines up to {REFINED} in 113-bit arithmetic, in seconds per symbol.",
     ),
-    out: Path | None = option(type=FOLDER, group=OUTPUT, help="Write each orbit to this folder (.npz)."),
-    picture: Path | None = file_option(suffix=".png", help="Draw the walk's orbit to this PNG."),
-    film: Path | None = file_option(suffix=FILMS, help="Film the walk's orbit in real time."),
+    out: Path | None = option(type=FOLDER, group=OUTPUT, help="Folder for the orbits (.npz)."),
+    picture: Path | None = file_option(suffix=".png", help="Picture of the orbit of the walk (.png)."),
+    film: Path | None = file_option(suffix=FILMS, help="Film of the orbit of the walk, in real time."),
     yes: bool = YES,
 ) -> Answer:
-    """List, count and make walks on the connection graph of an energy, and the orbits that follow them.
+    """List, count and create walks on the connection graph of an energy, and the orbits that follow them.
 
-    One walk is given by its symbols (-s) or its stops (--through); --length lists all walks of a length, --random
-    draws some. With none of these the graph itself is shown. --solve finds each walk's orbit: homoclinic, heteroclinic,
-    or periodic with --periodic, with an estimate of its error.
+    Give one walk by its symbols (-s) or its stops (--through). --length lists all walks of a length, and --random draws
+    some. Without these options, the graph itself is shown. --solve computes the orbit of each walk, with an estimate of
+    its error. The orbit is homoclinic, heteroclinic, or with --periodic periodic.
 
-    A symbol selects the connection at the largest angle, which may be another one at other energies. --compare
+    A symbol selects the connection at the largest angle. At other energies this can be another connection; --compare
     reports the energies of such changes.
 
     A symbol is "down-up +", "down-up > up-down", any connection's name that `dpcontrol connect` lists, or a
-    composite edge ("(down-up +)·1·(down-up -)": symbols, and the wraps between them). It may also lead to or from a
+    composite edge ("(down-up +)·1·(down-up -)": symbols, and the wraps between them). It can also lead to or from a
     rotating orbit: "down-up > outer-rotating" (also inner-rotating, outer-rotating-back, outer-rotating-2: faster ones
-    first). There a wrap is a turn.
+    first). There, a wrap is a turn.
     """
     choices = {"-s": symbols, "--through": through, "--length": length, "--random": count}
     chosen = [name for name, given in choices.items() if given]
     if len(chosen) > 1:
         raise InputError(f"{' and '.join(chosen)} both choose walks: give one of them")
     if wraps is not None and not (symbols or through):
-        raise InputError("--wraps are those of one walk: give its symbols (-s) or stops (--through), or --extra-wraps")
+        raise InputError(
+            "--wraps applies to one walk: give its symbols (-s) or stops (--through), or use --extra-wraps"
+        )
     if compare is not None and not (symbols or through):
         raise InputError("--compare follows the symbols of a walk: give them (-s), or its stops (--through)")
     if compare is not None and solve:
-        raise InputError("--compare follows symbols, --solve finds orbits at one energy: give one of them")
+        raise InputError("--compare and --solve exclude each other: give one of them")
     if solve and not chosen:
         raise InputError("--solve needs walks: give -s, --through, --length or --random")
     needs = {
@@ -200,27 +208,27 @@ def walk_command(
         return _walks(edges, requests)
     for name, given in (("--picture draws", picture), ("--film shows", film)):
         if given is not None and len(requests) != 1:
-            raise InputError(f"{name} one walk, and here are {len(requests)}: give its symbols with -s")
+            raise InputError(f"{name} one walk, but there are {len(requests)}: give its symbols with -s")
     if precision == "extended" and len(requests) > REFINED:
-        raise InputError(f"--precision extended refines {REFINED} walks at most, and here are {len(requests)}")
+        raise InputError(f"--precision extended: {len(requests)} walks; at most {REFINED} are possible")
     return _solve(edges, requests, loaded, energy if precision == "extended" else None, out, picture, film)
 
 
 def _changes(model: "Model", symbols: "Sequence[Symbol]", begin: float, end: float, progress: Progress) -> Answer:
-    """Show where symbols come to stand for other connections from one energy to another."""
+    """Report the energies at which symbols select other connections."""
     from dpcontrol.walks.following import symbol_changes
 
     if begin == end or not math.isfinite(end):
         raise InputError(f"--compare {end:g}: must be a finite energy other than --energy {begin:g}")
     found = symbol_changes(model.system, symbols, (begin, end), progress=progress)
     span = model.system.worded(f"between {begin:g} and {end:g} J")
-    status = f"{len(found)} changes of what symbols stand for {span}"
+    status = f"{len(found)} changes of the selected connections {span}"
     document = {"symbol_changes": [one.document() for one in found], "energies": (begin, end), "status": status}
     return Answer(document, [*(model.system.worded(one.sentence) for one in found), status])
 
 
 def _graph(edges: "Edges") -> Answer:
-    """Show the connections of an energy, and how many walks they allow."""
+    """Show the connections of an energy, and the number of walks."""
     from dpcontrol.walks.walks import count_walks
 
     counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
@@ -236,7 +244,7 @@ def _graph(edges: "Edges") -> Answer:
 
 
 def _walks(edges: "Edges", requests: "Sequence[WalkRequest]") -> Answer:
-    """Show walks that were not solved."""
+    """Show walks without their orbits."""
     walks = [asked.document() for asked in requests]
     document = {"energy": edges.energy, "count": len(walks), "walks": walks, "notes": edges.notes}
     end = "1 walk; --solve finds its orbit" if len(walks) == 1 else f"{len(walks)} walks; --solve finds their orbits"
@@ -252,7 +260,7 @@ def _solve(
     picture: Path | None,
     film: Path | None,
 ) -> Answer:
-    """Solve, keep and draw walks; refine them where their energy is given exactly."""
+    """Solve, save and draw walks, and refine them if the exact energy is given."""
     from dpcontrol import api
     from dpcontrol.walks.shadowing import WalkSolver
     from dpcontrol.walks.walks import refined_answer, save_walk, solved
@@ -293,7 +301,7 @@ def _solve(
 
 
 def _answer_text(number: int, answer: "WalkAnswer", file: Path | None) -> Iterator[str]:
-    """Yield one walk that was solved, its error estimate, and where it was written to."""
+    """Yield the text on a solved walk, its error estimate, and its file."""
     yield f"walk {number}: " + "  ".join(c.name for c in answer.request.chain)
     orbit = answer.orbit
     if orbit is None or not answer.converged:

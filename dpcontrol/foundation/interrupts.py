@@ -25,7 +25,7 @@ _raised: list[int] = []
 """Signals for which KeyboardInterrupt was raised and not yet handled: SIGINT, SIGTERM, and the timer's."""
 _PATIENCE = 0.7  # s; time limit for the interpreter to handle an interrupt before the program is killed
 _CONFIRMED = b"\0"
-_BY_FORCE = b"dpcontrol: interrupted, by force, in a computation that could not stop; what was finished is kept\n"
+_BY_FORCE = b"dpcontrol: interrupted, by force, in a computation that could not stop; finished results are kept\n"
 _watcher: list[int] = []
 """Pipes to the watching process for confirmations; empty without one."""
 

@@ -1,4 +1,4 @@
-"""Shells complete names and values, help gives defaults, and every refusal has one form."""
+"""Shells complete names and values, help gives defaults, and every error message has one form."""
 
 import json
 from pathlib import Path
@@ -19,7 +19,7 @@ PREFIX = {BashComplete: "plain,{}", ZshComplete: "plain\n{}\n_", FishComplete: "
 
 
 def offered(line: str) -> list[str]:
-    """Return the values that are offered for the last word of a line; "" for files of the shell's own."""
+    """Return the completions of the last word of a line; "" if the shell completes files."""
     *words, last = line.split(" ")
     found = ShellComplete(cli, {}, "dpcontrol", VARIABLE).get_completions(words[1:], last)
     return [item.value if item.type == "plain" else "" for item in found]
@@ -55,7 +55,7 @@ def test_values_are_completed(line: str, wanted: set[str]) -> None:
 
 
 @pytest.mark.parametrize("shell", list(PREFIX))
-def test_bash_zsh_and_fish_are_answered_in_their_own_form(
+def test_bash_zsh_and_fish_get_completions_in_their_own_format(
     shell: type[ShellComplete], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COMP_WORDS", "dpcontrol run two-en")
@@ -90,19 +90,39 @@ def test_help_gives_the_default_of_every_option_that_takes_a_value() -> None:
     assert not silent
 
 
-def test_settings_of_a_run_name_the_itinerary_as_their_default() -> None:
+def rendered(verb: str) -> str:
+    """Return the help of a verb in a terminal of 80 columns."""
+    group = click.Context(cli)
+    command = cli.get_command(group, verb)
+    assert command is not None
+    return command.get_help(click.Context(command, info_name=verb, parent=group, terminal_width=80))
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_fits_80_columns_and_shows_the_whole_text_of_each_option(verb: str) -> None:
+    text = rendered(verb)
+    assert [line for line in text.splitlines() if len(line) > 80] == []
+    shown = "".join(text.split())
+    for name, one in options():
+        record = one.get_help_record(click.Context(click.Command(verb)))
+        if name == verb and record is not None:
+            assert "".join(record[1].split()) in shown, record
+            assert record[1].endswith((".", "]")), record
+
+
+def test_settings_of_a_run_have_the_itinerary_as_their_default() -> None:
     (text,) = (one.help for verb, one in options() if (verb, one.name) == ("run", "mismatch"))
     assert text is not None
     assert text.endswith("[default: the itinerary's]")
 
 
 @pytest.mark.parametrize("verb", ["orbit", "cache"])
-def test_help_of_a_verb_is_its_own_help(verb: str) -> None:
+def test_help_verb_equals_verb_help(verb: str) -> None:
     assert dpcontrol("help", verb).stdout == dpcontrol(verb, "--help").stdout
     assert f"Usage: dpcontrol {verb}" in dpcontrol("help", verb).stdout
 
 
-def test_help_alone_is_that_of_the_program() -> None:
+def test_help_alone_shows_the_help_of_the_program() -> None:
     assert dpcontrol("help").stdout == dpcontrol("--help").stdout
 
 
@@ -116,7 +136,7 @@ def test_help_alone_is_that_of_the_program() -> None:
         ("model nosuch", "there is no model named 'nosuch'"),
     ],
 )
-def test_a_refusal_is_one_line_of_one_form_and_with_json_a_document(line: str, said: str) -> None:
+def test_an_error_is_one_line_and_with_json_a_document(line: str, said: str) -> None:
     ended = dpcontrol(*line.split())
     assert (ended.code, ended.stdout) == (2, "")
     assert ended.stderr.startswith("dpcontrol: ")

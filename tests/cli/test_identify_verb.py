@@ -62,7 +62,7 @@ def test_designs_are_compared_without_a_log() -> None:
         (["short.mcap"], "2 segments"),
         (["swing.mcap", "--out", "model.txt"], ".toml"),
         (["swing.mcap", "--picture", "model.jpg"], ".png"),
-        (["swing.mcap", "--design"], "needs no logs"),
+        (["swing.mcap", "--design"], "omit LOGS"),
     ],
 )
 def test_mistakes_are_one_sentence_and_nothing_is_written(arguments: list[str], said: str) -> None:

@@ -76,7 +76,7 @@ def test_an_interrupt_ends_compiled_code_that_holds_the_interpreter() -> None:
         _, said = program.communicate()
     assert program.returncode == -signal.SIGKILL
     assert said.decode() == (
-        "dpcontrol: interrupted, by force, in a computation that could not stop; what was finished is kept\n"
+        "dpcontrol: interrupted, by force, in a computation that could not stop; finished results are kept\n"
     )
 
 
@@ -131,7 +131,7 @@ main()
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (130, "begun\n")
-    assert done.stderr == "dpcontrol: interrupted; what was finished is kept\nswept"
+    assert done.stderr == "dpcontrol: interrupted; finished results are kept\nswept"
 
 
 def interrupted_in(verb: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> int:
@@ -180,7 +180,7 @@ def test_an_interrupt_is_one_line_where_stderr_is_no_terminal(monkeypatch: pytes
         ended = dpcontrol("model", "lab")
     finally:
         signal.signal(signal.SIGINT, before)
-    assert (ended.code, ended.stderr) == (130, "dpcontrol: interrupted; what was finished is kept\n")
+    assert (ended.code, ended.stderr) == (130, "dpcontrol: interrupted; finished results are kept\n")
 
 
 def test_an_interrupted_optimisation_says_nothing_and_does_not_count_as_failed(

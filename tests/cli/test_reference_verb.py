@@ -115,7 +115,7 @@ def test_people_read_symbols_limits_effort_and_origin(file: Path, tmp_path: Path
     picture = tmp_path / "turn.png"
     ended = dpcontrol("reference", file, "--picture", picture)
     assert ended.code == 0
-    for text in ("outer-turn", "down-up +", "cart position", "±0.4 m", "m/s² rms", "measured anew", "scene_hash"):
+    for text in ("outer-turn", "down-up +", "cart position", "±0.4 m", "m/s² rms", "measured again", "scene_hash"):
         assert text in ended.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -79,7 +79,7 @@ def test_connect_says_when_an_incomplete_list_ends_with_1() -> None:
     ended = dpcontrol(*search, "--json")
     assert ended.document["complete"] is (ended.code == 0)
     shown = " ".join(dpcontrol("connect", "--help").stdout.split())
-    assert re.search(r"Exits with 1 if the list may be incomplete \(`complete` in --json\); with --name", shown)
+    assert "The exit code is 1 if the list may be incomplete (`complete` in --json). With --name" in shown
 
 
 def test_a_cart_at_its_stop_tells_where_the_arms_were() -> None:

@@ -41,7 +41,7 @@ main()
 def test_sigterm_ends_a_command_with_a_sentence() -> None:
     done = subprocess.run([sys.executable, "-c", ENDED], capture_output=True, text=True, check=False, timeout=50)
     assert done.returncode == 128 + signal.SIGTERM
-    assert done.stderr == "dpcontrol: ended by SIGTERM; what was finished is kept\n"
+    assert done.stderr == "dpcontrol: ended by SIGTERM; finished results are kept\n"
 
 
 @pytest.mark.slow
@@ -99,10 +99,10 @@ def test_a_key_file_that_is_a_pipe_is_refused_and_not_waited_for(tmp_path: Path)
         (
             "{tmp}/dpcontrol-x/run.rrd",
             1,
-            "no space left in the folder of temporary files, {tmp}; free some, or set TMPDIR",
+            "no space left in the folder of temporary files, {tmp}; free space, or set TMPDIR",
         ),
         (None, 0, "no space left in the folder of temporary files, {tmp}"),
-        ("logs/run.mcap", 1, "no space left where the output goes"),
+        ("logs/run.mcap", 1, "no space left in the output folder"),
     ],
 )
 def test_a_full_folder_of_temporary_files_is_named(

@@ -190,7 +190,7 @@ def test_an_interrupt_ends_the_workers_at_once_and_in_silence(turn: Itinerary, t
         with suppress(ProcessLookupError):
             os.killpg(child.pid, signal.SIGKILL)
     assert child.returncode == 130, said
-    assert "interrupted; what was finished is kept" in said
+    assert "interrupted; finished results are kept" in said
     assert "Traceback" not in said
 
 
