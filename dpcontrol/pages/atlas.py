@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel, Stack, key
-from dpcontrol.pages.panels import angle_axis, quiet, quiet_space, wrapped_runs
+from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_space, wrapped_runs
 from dpcontrol.pages.rerun_recording import Box, page, reading_lines, recording_to, rr, rrb, summary_view
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, AtlasOrbit, section_axes
 
@@ -170,11 +169,7 @@ def draw_cuts(
         place = section_place(atlas, c)
         axes.plot(*place, "o", color=look[c.name], markeredgecolor="white", markersize=7, zorder=4)
         if numbers and c.name in numbers:
-            axes.annotate(
-                numbers[c.name], tuple(place), xytext=(5, 5), textcoords="offset points",
-                fontsize=style.SMALL, color=look[c.name], weight="bold", zorder=5,
-                path_effects=[withStroke(linewidth=2.5, foreground="white")],
-            )  # fmt: skip
+            name_point(axes, numbers[c.name], (float(place[0]), float(place[1])), look[c.name])
     quiet(axes, x=f"{coordinate} on the section" + (" (rad)" if period else ""), y="p / p₀" if period else "momentum")
     if period:
         angle_axis(axes, "x")
@@ -236,7 +231,7 @@ def row_of(
     def flight(axes: Axes, connection: AtlasConnection, labelled: bool) -> None:
         draw_flight(axes, atlas, connection, look[connection.name], labelled=labelled)
         turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in connection.winding)
-        quiet(axes, f"{numbers[connection.name]}  {connection.transversality_angle:.1f}° [{turns}]")
+        axes.set_title(f"{numbers[connection.name]}  {connection.transversality_angle:.1f}° [{turns}]", loc="left")
 
     cuts = Panel(partial(draw_cuts, atlas=atlas, kind=kind, shown=marked, numbers=numbers), 1.0)
     flights = [partial(flight, connection=c, labelled=k == 0 or flat) for k, c in enumerate(shown)]

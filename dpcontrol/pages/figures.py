@@ -249,7 +249,7 @@ def families_page(gallery: Gallery) -> PaperFigure:
     births = {name: point.energy for name, point in equilibria(system).items() if point.kind.startswith("index-1")}
     families = [lyapunov_family(system, name, energies=(birth + 1e-4, _HIGHEST)) for name, birth in births.items()]
     ends = "; ".join(f"{family.saddle}: {family.status}" for family in families)
-    return Page(
+    return PaperFigure(
         draw_families(families, "Families of Lyapunov orbits of the lab pendulum"),
         "Lyapunov orbits about each saddle from their birth at the saddle (cross) upwards in energy: their shapes in "
         "the phase plane of the hanging arm, their periods and their unstable multipliers. The hanging arm swings most "

@@ -29,7 +29,7 @@ from matplotlib.textpath import TextPath
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.pages import style
-from dpcontrol.pages.panels import DIRECT
+from dpcontrol.pages.panels import BESIDE, DIRECT
 
 Draw = Callable[[Any], None]
 _DPI = 150
@@ -276,14 +276,22 @@ def text_width(text: str, size: float) -> float:
     if not text.strip():
         return 0.0
     literal = printable(text).replace("$", r"\$")
-    return float(TextPath((0, 0), literal, prop=FontProperties(size=size)).get_extents().x1) / 72
+    # Letters are drawn at whole pixels, which widens texts by up to a twentieth.
+    return 1.05 * float(TextPath((0, 0), literal, prop=FontProperties(size=size)).get_extents().x1) / 72
 
 
 def wrapped(text: str, size: float, width: float) -> list[str]:
-    """Return a text of a size in points as lines within a width in inches."""
-    if text_width(text, size) <= width:
-        return [text] if text else []
-    return wrap(text, max(8, int(len(text) * width / text_width(text, size)) - 1))
+    """Return a text of a size in points as lines within a width in inches; longer words are broken."""
+    space, lines, used = text_width("n n", size) - text_width("nn", size), [""] if text else [], 0.0
+    for word in text.split(" "):
+        for part in [word] if text_width(word, size) <= width else wrap(word, 20):
+            wide = text_width(part, size) + space
+            if used and used + wide > width:
+                lines.append("")
+                used = 0.0
+            lines[-1:] = [f"{lines[-1]} {part}" if used else part]
+            used += wide
+    return lines
 
 
 def cropped(text: str, size: float, width: float) -> str:
@@ -327,12 +335,32 @@ def settle(figure: Figure) -> None:
             if text_width(title, style.HEAD) + wide + 0.15 < inches:
                 legend.set_loc("lower right")
                 legend.set_bbox_to_anchor((1.0, 1.0), transform=axes.transAxes)
-            else:
+            elif wide < inches + 0.3:
                 pad += style.SMALL * _LINE + 2
+            else:
+                legend.set_ncols(2)
+                pad += 2 * style.SMALL * _LINE + 4
         if title:
             lines = wrapped(title, style.HEAD, max(inches, 0.8)) if axes.name != "3d" else [title]
             axes.set_title("\n".join(lines), loc="left", fontsize=style.HEAD, color=style.INK, pad=pad)
         _spread(axes, [text for text in axes.texts if text.get_gid() == DIRECT])
+        _turn_aside([text for text in axes.texts if text.get_gid() == BESIDE])
+
+
+def _turn_aside(labels: list[Any]) -> None:
+    """Move labels round their points, and away from them, until none overlaps an earlier one."""
+    taken: list[Any] = []
+    for label in labels:
+        for x, y in ((r * c, r * d) for r in (1, 2, 3) for c, d in _AROUND):
+            label.set_position((5 * x, 5 * y))
+            label.set(ha="left" if x > 0 else "right" if x < 0 else "center", va="bottom" if y > 0 else "top")
+            box = label.get_window_extent()
+            if not any(box.overlaps(other) for other in taken):
+                break
+        taken.append(label.get_window_extent())
+
+
+_AROUND = ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1))
 
 
 def _spread(axes: Axes, labels: list[Any]) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
 from dpcontrol.foundation.arrays import Array
@@ -124,4 +125,12 @@ def name_curves(axes: Axes, names: list[tuple[float, str, str]]) -> None:
         ).set_gid(DIRECT)  # fmt: skip
 
 
-DIRECT = "direct label"
+DIRECT, BESIDE = "direct label", "label beside a point"
+
+
+def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str) -> None:
+    """Label a point directly, with an outline; the layout engine moves labels round their points if they overlap."""
+    axes.annotate(
+        text, at, xytext=(5, 5), textcoords="offset points", fontsize=style.SMALL, color=colour, weight="bold",
+        zorder=7, path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)],
+    ).set_gid(BESIDE)  # fmt: skip

@@ -21,7 +21,7 @@ from dpcontrol.pages.atlas import (
 )
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import MOST_IN_KEY, Draw, Page, Panel, key
-from dpcontrol.pages.panels import angle_axis, quiet, quiet_space, wrapped_runs
+from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_space, wrapped_runs
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.cut import section_points
 from dpcontrol.tubes.intersections import search_settings
@@ -117,10 +117,7 @@ def _region(axes: Axes, field: Field, energy: float, points: Points, *, angular:
                 axes.plot(a, b, mark, color=style.GOOD if height <= energy else style.LIMIT, clip_on=False,
                           markersize=6 if angular else 4.5)  # fmt: skip
                 if not angular:
-                    side = {"L1": "right", "L2": "left"}.get(name, "center")
-                    axes.annotate(
-                        name, (a, b), xytext=(0, 6), textcoords="offset points", fontsize=style.SMALL, ha=side
-                    )
+                    name_point(axes, name, (float(a), float(b)), style.INK)
 
 
 def _opened(points: Points, energy: float, text: str) -> str:
@@ -254,10 +251,7 @@ def _plane(axes: Axes, gallery: Gallery, atlas: Atlas, extent: Extent, *, sectio
         closed = placed(atlas, orbit)
         colour = style.saddle_colour(orbit.saddle)
         axes.plot(closed[:, 0], closed[:, 1], color=colour, linewidth=2.4, zorder=5)
-        side = -1 if orbit.saddle == "L1" else 1
-        look = {"ha": "right" if side < 0 else "left", "color": colour, "fontsize": style.SMALL}
-        place = closed[:, 0].mean(), closed[:, 1].max()
-        axes.annotate(orbit.saddle, place, xytext=(8 * side, 3), textcoords="offset points", **look)
+        name_point(axes, orbit.saddle, (float(closed[:, 0].mean()), float(closed[:, 1].max())), colour)
     axes.plot(1 - mu, 0, "o", color=style.INK, markersize=4, zorder=6)
     if wide[0] < -mu:
         axes.plot(-mu, 0, "o", color=style.INK, markersize=8, zorder=6)

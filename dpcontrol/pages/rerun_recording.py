@@ -103,8 +103,7 @@ def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array =
 
     Ink becomes pale on the viewer's dark plots, and a reference grey. Lines are interrupted at `gaps`, times in s.
     """
-    colour = {style.INK: style.PALE_INK, style.CART: style.PALE_INK}.get(line.colour, line.colour)
-    tint = style.rgb(style.REFERENCE if line.role == "reference" else colour)
+    tint = style.rgb(style.ON_DARK.get(style.REFERENCE if line.role == "reference" else line.colour, line.colour))
     rows = extreme_rows(line.values, bins=_BINS)
     look: rr.SeriesLines | rr.Measurements
     if line.reach is None:
@@ -309,7 +308,7 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
     for name, states, depth, radius in shown:
         points = _points(states[rows], view) + np.array([0.0, depth, 0.0])
         for arm in range(view.arms):
-            colour = style.arm_colour(arm) if name == "arms" else style.FAINT
+            colour = style.arm_colour(arm) if name == "arms" else style.REFERENCE
             look = rr.LineStrips3D.from_fields(colors=[style.rgb(colour)], radii=radius * reach / 2)
             columns = rr.LineStrips3D.columns(strips=list(points[:, arm : arm + 2]))
             follow(recording, f"{home}/{name}/arm_{arm + 1}", look, view.time[rows], columns)

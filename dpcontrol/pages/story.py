@@ -49,10 +49,12 @@ def story(axes: Axes, view: RunView, *, span: Range | None = None, width: float 
     rows = story_rows(view, span=span)
     begin, end = span or view.span
     clock = _Clock(begin, end, (end - begin) / (width - 1.2))
+    marks = {"done": [done for _, _, done in view.symbols if done is not None]}
+    if rows:
+        marks[rows[0].name] = [planned for _, planned, _ in view.symbols]
     for place, strip in enumerate(reversed(rows)):
-        taken = begin
         for part in strip.spans:
-            taken = _part(axes, part, place, view, clock, taken=taken, mode=strip.name == "controller")
+            _part(axes, part, place, clock, marks=marks.get(strip.name, []), mode=strip.name == "controller")
     _numbers(axes, view, [strip.name for strip in rows], clock)
     axes.set_xlim(begin, end)
     axes.set_ylim(-0.08, len(rows) + 0.02)
@@ -66,8 +68,8 @@ def story(axes: Axes, view: RunView, *, span: Range | None = None, width: float 
         spine.set_color(style.FAINT)
 
 
-def _part(axes: Axes, part: Span, place: int, view: RunView, clock: _Clock, *, taken: float, mode: bool) -> float:
-    """Draw a span of a strip, with its text if there is room; return the end of the last text, s."""
+def _part(axes: Axes, part: Span, place: int, clock: _Clock, *, marks: list[float], mode: bool) -> None:
+    """Draw a span of a strip, with its text if there is room between the symbols' marks, s."""
     # A mode of one tick, as at an end, is widened to remain visible.
     width = max(part.last - part.first, (0.06 if part.kind == "mode" else 0.04) * clock.second)
     first = part.last - width if part.kind == "mode" else part.first
@@ -75,17 +77,16 @@ def _part(axes: Axes, part: Span, place: int, view: RunView, clock: _Clock, *, t
     axes.broken_barh([(first, width)], (place, _TALL), linewidth=0, **look)  # type: ignore[arg-type]
     text = "" if part.kind == "ended" and mode else part.text
     text = f"the run ended at {part.first:.2f} s" if part.kind == "ended" and not mode else text
-    marked = any(part.first <= at <= part.last for at, _ in view.plan.symbols)
-    wide = clock.width(text)
-    if not text or (part.kind in ("transfer", "stay", "astray") and marked) or width < wide:
-        return taken
+    middle, wide = first + width / 2, clock.width(text)
+    marked = any(abs(at - middle) < wide / 2 + 0.1 * clock.second for at in marks)
+    if not text or marked or width < wide:
+        return
     colour = {"stay": style.PAPER, "astray": style.LIMIT, "mode": style.INK}.get(part.kind, style.NOTE)
     box = None if part.kind in ("stay", "mode") else {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
     axes.text(
-        first + width / 2, place + _TALL / 2, text, ha="center", va="center_baseline", fontsize=style.SMALL,
+        middle, place + _TALL / 2, text, ha="center", va="center_baseline", fontsize=style.SMALL,
         color=colour, bbox=box, clip_on=True, zorder=4,
     )  # fmt: skip
-    return first + width / 2 + wide / 2
 
 
 def _numbers(axes: Axes, view: RunView, rows: list[str], clock: _Clock) -> None:

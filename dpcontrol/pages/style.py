@@ -19,12 +19,14 @@ UNSTABLE, STABLE, CUT = "#a31928", "#60c480", "#c9b458"
 """Tubes that lead out of an orbit and into it, and their cuts on a section."""
 PALE_UNSTABLE, PALE_STABLE = "#dda1a6", "#bfe6cb"
 """Second branches of these tubes."""
-LIMIT, GOOD = "#cc160a", "#228f58"
+LIMIT, GOOD = "#cc160a", "#2c8542"
 """Limits and failures; completed runs and favourable verdicts."""
 INK, NOTE, MARK, FAINT, GRID, PAPER = "#22262b", "#555c64", "#7a828b", "#c9ced4", "#e6e9ec", "#ffffff"
 """Neutral colours: text, remarks, marks, areas, grid lines, background."""
-PALE_INK, CART = "#e8ebee", "#5b6470"
-"""Ink on dark backgrounds; the cart's body."""
+CART = "#5b6470"
+"""The cart's body."""
+ON_DARK = {PLANT: "#f0f3f6", REFERENCE: "#6e7681", UNSTABLE: "#e0566a", "#124f62": "#2f9bb5", "#6310b2": "#a371f7"}
+"""Colours of the viewer's dark plots that are too dark or too similar there."""
 MODES = {
     "idle": "#d5d9de",
     "tracking": "#8fbce6",

@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
@@ -206,7 +207,8 @@ def symbol_words(connection: Connection) -> str:
 NAMED = 20
 """Greatest number of symbols with numbers in space."""
 TIME = colormaps["viridis"]
-_TOGETHER = 0.05
+_TOGETHER = 0.012
+"""In units of the projection, whose page is about 0.2 wide."""
 LIFTED_TURNS = 2.2
 """Most whole turns of an angle before the orbit in space is drawn modulo a turn."""
 
@@ -242,12 +244,14 @@ def space(axes: Axes, story: WalkStory) -> None:
         points = points - np.rint((points - start[:3]) / np.where(lengths, lengths, np.inf)) * lengths
     for point, time in zip(points, story.orbit.symbol_times, strict=True):
         axes.plot(*point[:, None], "o", color=TIME(time / story.orbit.duration), markersize=5, markeredgecolor="white")
-    if len(points) <= NAMED:
-        for members in _together(points):
-            text = ", ".join(str(k + 1) for k in members)
-            axes.text(*points[members[0]], f"  {text}", fontsize=style.SMALL, weight="bold", color=style.INK, zorder=9)  # type: ignore[call-arg]
     quiet_space(axes, angular=story.has_angles)
     axes.set_box_aspect((1, 1, 0.85), zoom=1.06)  # type: ignore[attr-defined]
+    if len(points) <= NAMED:
+        # Points that are near each other on the page share a label.
+        seen = np.column_stack(proj_transform(*points.T, axes.get_proj())[:2])  # type: ignore[attr-defined]
+        for members in _together(seen):
+            text = ", ".join(str(k + 1) for k in members)
+            axes.text(*points[members[0]], f"  {text}", fontsize=style.SMALL, weight="bold", color=style.INK, zorder=9)  # type: ignore[call-arg]
     if not story.has_angles:
         axes.locator_params(nbins=4)
     how = ", angles with whole turns counted" if lifted else ", angles modulo 2π"
@@ -283,14 +287,10 @@ def _window(story: WalkStory, lifted: bool) -> Array:
 
 
 def _together(points: Array) -> list[list[int]]:
-    """Return indices of points (k, 3) in groups that share a label.
-
-    Points of a group are closer than a small part of the whole extent.
-    """
-    span = np.maximum(np.ptp(points, axis=0), 1.0)
+    """Return indices of points (k, 2) in groups that share a label: those within a small distance on the page."""
     groups: list[list[int]] = []
     for k, point in enumerate(points):
-        near = (g for g in groups if np.abs((points[g[0]] - point) / span).max() < _TOGETHER)
+        near = (g for g in groups if np.abs(points[g[0]] - point).max() < _TOGETHER)
         group = next(near, None)
         if group is None:
             groups.append(group := [])

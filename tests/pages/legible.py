@@ -4,10 +4,13 @@ from itertools import combinations
 
 import numpy as np
 from matplotlib.axis import Axis
+from matplotlib.cbook import _setattr_cm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
+from mpl_toolkits.mplot3d.art3d import Text3D
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 SMALLEST = 8.0
 """pt, at print size."""
@@ -43,9 +46,18 @@ def texts_of(figure: Figure) -> list[tuple[Text, Bbox]]:
             continue
         if text.axes is not None and text.get_clip_on() and not _inside(text, renderer):
             continue
-        box = Text.get_window_extent(text, renderer)
+        box = _box(text, renderer)
         found.append((text, Bbox(box.get_points() * 72 / figure.dpi)))
     return found
+
+
+def _box(text: Text, renderer) -> Bbox:
+    """Return the box of a text in pixels; one in space is where it is seen."""
+    if not isinstance(text, Text3D):
+        return Text.get_window_extent(text, renderer)
+    x, y, _ = proj_transform(*text.get_position_3d(), text.axes.get_proj())
+    with _setattr_cm(text, _x=x, _y=y):
+        return Text.get_window_extent(text, renderer)
 
 
 def _decorations(axes) -> set[Text]:
@@ -89,7 +101,8 @@ def covered(figure: Figure, texts: list[tuple[Text, Bbox]]) -> list[str]:
         inner = Bbox([[box.x0 + SLACK, box.y0 + SLACK], [box.x1 - SLACK, box.y1 - SLACK]])
         for line in axes.lines:
             if isinstance(line, Line2D) and line.get_visible() and line.get_linestyle() not in ("None", " ", ""):
-                path = line.get_transform().transform_path(line.get_path()).interpolated(4)
+                path = line.get_transform().transform_path(line.get_path())
+                path = path.interpolated(max(4, 400 // max(len(path), 1)))
                 points = path.vertices * 72 / figure.dpi
                 shown = axes.get_window_extent()
                 low, high = shown.min * 72 / figure.dpi, shown.max * 72 / figure.dpi

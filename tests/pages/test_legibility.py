@@ -1,0 +1,228 @@
+"""Every page can be read in print: texts have at least 8 pt and neither overlap nor cover curves."""
+
+import ast
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from legible import PAPER, problems, texts_of
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from synthetic_run import synthetic_run, view_of
+from test_campaign_report import rows
+from test_night import night
+from test_walk_figure import found as walk
+
+import dpcontrol.pages
+from dpcontrol.foundation.statistics import wilson
+from dpcontrol.identification.fit import DesignSettings, design_experiments
+from dpcontrol.identification.identify import IdentificationSettings, identify, profiles
+from dpcontrol.judge.campaign import campaign_summary
+from dpcontrol.judge.comparison import compare
+from dpcontrol.judge.of_log import reference_view
+from dpcontrol.judge.preflight import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt
+from dpcontrol.orbits.family import lyapunov_family
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.pages import style
+from dpcontrol.pages.atlas import draw_atlas
+from dpcontrol.pages.campaign import draw_campaign
+from dpcontrol.pages.comparison import draw_comparison
+from dpcontrol.pages.figures import FIGURES
+from dpcontrol.pages.gallery import Gallery
+from dpcontrol.pages.identification import draw_design, draw_identification
+from dpcontrol.pages.layout import Page, new_figure
+from dpcontrol.pages.night import draw_night
+from dpcontrol.pages.orbits import draw_families
+from dpcontrol.pages.page import draw
+from dpcontrol.pages.preflight import draw_preflight
+from dpcontrol.pages.transitions import draw_transitions
+from dpcontrol.pages.walks import draw_walk
+from dpcontrol.pages.wheels import draw_interior
+from dpcontrol.plans.atlas import AtlasSettings, make_atlas, make_branches
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.plan import make_plan
+from dpcontrol.recordings.recording import simulated_recording
+from dpcontrol.references.reference import summarised
+from dpcontrol.tubes.cut import CutSettings, tube_cut
+from dpcontrol.tubes.interior import InteriorSettings, tube_interior
+
+LAB = load_model("lab")
+FEW_GUESSES = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
+
+
+def run(folder: Path) -> Figure:
+    return draw(view_of(folder / "run.mcap", synthetic_run()))
+
+
+def run_of_many_symbols(folder: Path) -> Figure:
+    view = view_of(folder / "run.mcap", synthetic_run())
+    steps = tuple((0.2 + 0.2 * k, f"symbol {k + 1}") for k in range(24))
+    return draw(replace(view, plan=replace(view.plan, symbols=steps), verdict="stopped: " + "why " * 70, good=False))
+
+
+def reference(_: Path) -> Figure:
+    plan = make_plan(load_itinerary("outer-turn"))
+    return draw(reference_view(summarised(plan.reference), plan.file))
+
+
+def comparison(folder: Path) -> Figure:
+    return draw_comparison(compare([view_of(folder / f"{k}.mcap", synthetic_run(seed=k)) for k in (1, 2, 3)]))
+
+
+def campaign(folder: Path) -> Figure:
+    pq.write_table(pa.Table.from_pylist(rows()), folder / "campaign.parquet")
+    return draw_campaign(campaign_summary(folder / "campaign.parquet"))
+
+
+def campaign_of_mismatches(folder: Path) -> Figure:
+    random = np.random.default_rng(1)
+    table = [
+        {"completed": bool(random.random() < 0.95 - 4 * mismatch), "mismatch": mismatch, "reason": "lost at t = 3 s",
+         "symbols_completed": int(random.integers(3)), "symbols_total": 3, "max_cart_position": random.random() / 3}
+        for mismatch in (0.01, 0.05, 0.1, 0.2) for _ in range(30)
+    ]  # fmt: skip
+    pq.write_table(pa.Table.from_pylist(table), folder / "campaign.parquet")
+    return draw_campaign(campaign_summary(folder / "campaign.parquet"))
+
+
+def long_run(_: Path) -> Figure:
+    return draw_night(night())
+
+
+def preflight(_: Path) -> Figure:
+    units = {"mismatch": "share of each parameter", "drive lag": "ms", "encoder counts": "per turn", "jitter": "ms"}
+    points = tuple(ShareAt(v, 40, c, 38) for v, c in ((0.01, 37), (0.02, 30), (0.03, 22), (0.04, 12)))
+    borders = tuple(
+        HazardBorder(name, name, unit, 0.01, 0.029, 0.025, 0.033, 0.08, name == "encoder counts", points)
+        for name, unit in units.items()
+    )
+    change = Improvement("identify the arms: half the mismatch", {}, 12, 20, 0, 20, 0.8)
+    known = tuple(Known(name, "a value with its unit", "[run] or the model's file") for name in units)
+    ending = EndingShare("tracking lost", "lost", 31, 12, "tracking lost at t = 2.31 s: the arms were 1.52 rad off")
+    share = wilson(158, 200, confidence=0.99)
+    title = "Turn the outer arm once"
+    return draw_preflight(
+        Preflight("outer-turn", title, "lab", share, 0.99, known, ("assumed",), (ending,), borders, (change,), 33.0)
+    )
+
+
+def atlas(_: Path) -> Figure:
+    return draw_atlas(make_atlas(LAB, -0.07).atlas)
+
+
+def walk_page(_: Path) -> Figure:
+    return draw_walk(walk(["down-up +", "down-up -"]), arm_lengths=LAB.arms.length, model="lab")
+
+
+def family(_: Path) -> Figure:
+    families = [lyapunov_family(LAB.system, saddle, energies=(-1.0, 0.3)) for saddle in ("down-up", "up-down")]
+    return draw_families(families, "Families of Lyapunov orbits of lab")
+
+
+def tube(_: Path) -> Figure:
+    manifold = UnstableManifold(lyapunov_orbit(LAB.system, "down-up", energy=-0.07))
+    cut = tube_cut(manifold, LAB.system.sections["down-up", "down-up"], settings=CutSettings(chord=0.02))
+    return draw_interior(tube_interior(manifold, cut, settings=InteriorSettings(across=24, returns=2)))
+
+
+def design(_: Path) -> Figure:
+    settings = DesignSettings(seconds=1.5, steps=3, amplitudes=(1.0, 2.0), frequencies=(0.8, 2.0))
+    return draw_design(design_experiments(LAB.arms, settings=settings), title="lab")
+
+
+def identification(_: Path) -> Figure:
+    starts = list(np.random.default_rng(1).uniform(-1.2, 1.2, (4, 2)))
+    recording = simulated_recording(LAB.arms, starts, seconds=2.0, period=4e-3, zeros=np.zeros(2), name="one")
+    found = identify([recording], LAB.arms, settings=IdentificationSettings(longest=2.0))
+    return draw_identification(found, profiles(found), title="lab from one recording")
+
+
+def transitions(folder: Path) -> Figure:
+    parts = "".join(f'[[parts]]\nhold = "{name}"\nseconds = 0.5\n' for name in ("down-down", "down-up", "down-down"))
+    file = folder / "tour.toml"
+    file.write_text(f'model = "lab"\nstart = "rest"\nfinish = "rest"\n{parts}{FEW_GUESSES}')
+    plan = make_plan(load_itinerary(str(file)))
+    return draw_transitions(summarised(plan.reference))
+
+
+QUICK = (run, run_of_many_symbols, comparison, campaign, campaign_of_mismatches, long_run, preflight, walk_page, tube)
+SLOW = (reference, atlas, family, design, identification, transitions)
+
+
+@pytest.mark.parametrize("make", QUICK, ids=lambda make: make.__name__)
+def test_a_page_is_legible_in_print(make: Callable[[Path], Figure], tmp_path: Path) -> None:
+    figure = make(tmp_path)
+    assert problems(figure) == []
+    assert figure.get_figwidth() <= PAPER[0]
+    assert figure.get_figheight() <= PAPER[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", SLOW, ids=lambda make: make.__name__)
+def test_a_page_of_computed_results_is_legible_in_print(make: Callable[[Path], Figure], tmp_path: Path) -> None:
+    figure = make(tmp_path)
+    assert problems(figure) == []
+    assert figure.get_figwidth() <= PAPER[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in FIGURES if name != "branches"])
+def test_a_figure_of_the_paper_is_legible_in_print(name: str) -> None:
+    gallery = Gallery(
+        system=lambda name: load_model(name).system,
+        atlas=lambda name, energy, hits: make_atlas(load_model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
+        branches=lambda name, source, target, report: make_branches(load_model(name), source, target, progress=report),
+    )
+    figure = FIGURES[name](gallery).figure
+    assert problems(figure) == []
+    assert figure.get_figwidth() <= PAPER[0]
+
+
+def test_the_check_finds_small_overlapping_and_covering_texts() -> None:
+    figure = new_figure(4.0, 3.0)
+    axes = figure.add_subplot()
+    axes.plot([0, 1], [0, 1])
+    axes.text(0.5, 0.5, "covers the line", ha="center", va="center", fontsize=9)
+    axes.text(0.1, 0.8, "one label", fontsize=9)
+    axes.text(0.12, 0.8, "another", fontsize=9)
+    axes.text(0.7, 0.1, "tiny", fontsize=5)
+    said = "\n".join(problems(figure))
+    assert "'covers the line' covers a curve" in said
+    assert "'one label' and 'another' overlap" in said
+    assert "'tiny' is printed at 5.0 pt" in said
+
+
+def test_the_check_accepts_a_figure_without_faults() -> None:
+    figure = new_figure(4.0, 3.0)
+    figure.add_subplot().plot([0, 1], [0, 1])
+    assert len(texts_of(figure)) > 8
+    assert problems(figure) == []
+
+
+def test_no_page_chooses_coordinates_of_panels() -> None:
+    folder = Path(dpcontrol.pages.__file__).parent
+    for file in folder.glob("*.py"):
+        calls = [node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+        names = {node.func.attr for node in calls if isinstance(node.func, ast.Attribute)}
+        assert not names & {"add_axes", "subplots_adjust", "tight_layout", "set_position"} or file.name == "layout.py"
+
+
+def test_a_dark_page_has_pale_text_on_a_dark_background() -> None:
+    page = Page("A title", "a verdict").row(lambda axes: axes.plot([0, 1], color=style.INK), height=2.0)
+    figure = page.figure(dark=True)
+    brightness = {text.get_text(): sum(style.rgb(_hex(text.get_color()))) for text in figure.findobj(Text)}
+    assert sum(style.rgb(_hex(figure.get_facecolor()))) < 150
+    assert brightness["A title"] > 600
+    assert sum(style.rgb(_hex(figure.axes[0].lines[0].get_color()))) > 600
+
+
+def _hex(colour) -> str:
+    from matplotlib.colors import to_hex
+
+    return to_hex(colour)
