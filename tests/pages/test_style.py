@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from dpcontrol.foundation.units import prefixed
 from dpcontrol.pages import style
 
 APART = 12.0
@@ -77,4 +78,4 @@ def test_simulated_protanopia_joins_red_and_green_of_equal_brightness() -> None:
     ],
 )
 def test_units_have_readable_prefixes(largest: float, unit: str, factor: float, shown: str) -> None:
-    assert style.prefixed(largest, unit) == (pytest.approx(factor), shown)
+    assert prefixed(largest, unit) == (pytest.approx(factor), shown)
