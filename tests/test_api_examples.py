@@ -1,4 +1,4 @@
-"""The example in the docstring of every public function runs, and shows what it returns."""
+"""The example in the docstring of every public function runs and prints the documented result."""
 
 import doctest
 import inspect
@@ -14,7 +14,7 @@ from tests.guide_functions import FUNCTIONS
 
 @pytest.fixture(scope="module")
 def names(example: dict[str, Any]) -> dict[str, Any]:
-    """The names that examples use besides `dp`."""
+    """The names that examples use in addition to `dp`."""
     values = {**example, "planned": example["reference"], "atlas_file": make_atlas(example["lab"], -0.07).file}
     values["campaign_file"] = values["log"].with_name("campaign.parquet")
     dp.campaign(values["reference"], runs=4, mismatch=0.02, workers=1, out=values["campaign_file"])

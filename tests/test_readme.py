@@ -28,7 +28,7 @@ ENVIRONMENT = "python3 -m venv .venv && .venv/bin/pip install -e "
 
 
 class Block(NamedTuple):
-    """A fenced block of a page: of which kind, whether it is for the slow tests, and what it holds."""
+    """A fenced block of a page: its kind, whether it is slow, and its text."""
 
     kind: str
     slow: bool
@@ -46,7 +46,7 @@ class Block(NamedTuple):
 
 
 def blocks(text: str, *kinds: str) -> list[Block]:
-    """Return the blocks of a text, of some kinds only where these are named."""
+    """Return the blocks of a text, limited to `kinds` if any are given."""
     found = re.findall(r"^```(\w+)((?: slow)?)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     return [Block(kind, bool(slow), inside) for kind, slow, inside in found if not kinds or kind in kinds]
 
@@ -54,7 +54,7 @@ def blocks(text: str, *kinds: str) -> list[Block]:
 EVERYTHING = "\n".join(PAGES.values())
 FRONT_DOOR = blocks(README, "python")[0].text
 """The first example in Python, which test_api runs."""
-COMMANDS = [said for block in blocks(EVERYTHING, "console") for said in block.conversations()]
+COMMANDS = [one for block in blocks(EVERYTHING, "console") for one in block.conversations()]
 TOML = [block.text for block in blocks(EVERYTHING, "toml")]
 
 
@@ -93,7 +93,7 @@ def cases() -> list[Any]:
 
 
 def made_by() -> dict[str, str]:
-    """Return the commands that make the files which pages name: those that print a log first, or write a file."""
+    """Return the commands that make the files of pages: those that print a log first, or write a file."""
     found: dict[str, str] = {}
     for command, lines in COMMANDS:
         makes = command.split()[1] in ("run", "import", "replay", "campaign")
@@ -104,7 +104,7 @@ def made_by() -> dict[str, str]:
 
 
 def makers(text: str) -> list[str]:
-    """Return the commands that make the files which `text` names, those that they need first."""
+    """Return the commands that make the files named in `text`, in the order of their dependencies."""
     found: list[str] = []
     for name, command in made_by().items():
         if re.search(rf"{re.escape(name)}(?![\w.-])", text) and command not in text:
@@ -119,7 +119,7 @@ def commands_in_text() -> list[str]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with the files that the pages show, under the names they give them."""
+    """A folder with the files that the pages show, under their names."""
     for text in TOML:
         for name in re.findall(r"\A# ([\w/-]+\.toml)\n", text):
             (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -136,30 +136,30 @@ def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: Path("/bin/true"))
 
 
-def said(line: str) -> re.Pattern[str]:
+def expected(line: str) -> re.Pattern[str]:
     """Return a pattern for a line of a page, in which … matches anything and spaces may vary."""
     words = [".*?".join(map(re.escape, word.split("…"))) for word in line.split()]
     return re.compile(r"\s+".join(words), re.MULTILINE)
 
 
-def ended_as_said(command: str) -> Ended:
+def run_as_documented(command: str) -> Ended:
     """Run a command of a page and check its exit code."""
     words = shlex.split(command, comments=True)
     assert words[0] == "dpcontrol"
     ended = dpcontrol(*words[1:])
-    told = re.search(r"# .*exits with (\d+)", command)
-    code = int(told[1]) if told else int("feedforward" in command)
+    exits = re.search(r"# .*exits with (\d+)", command)
+    code = int(exits[1]) if exits else int("feedforward" in command)
     assert ended.code == code, (command, ended.stderr)
     return ended
 
 
-def printed_as_said(block: Block) -> None:
+def check_output(block: Block) -> None:
     """Run a block's commands and check what they print and write."""
     for command, lines in block.conversations():
-        ended = ended_as_said(command)
+        ended = run_as_documented(command)
         output = ended.stdout + ended.stderr if ended.code == 2 else ended.stdout
         for line in lines:
-            assert said(line).search(output), f"{command}\ndid not print\n{line}\nbut\n{output}"
+            assert expected(line).search(output), f"{command}\ndid not print\n{line}\nbut\n{output}"
         for name in re.findall(r"--(?:out|save|picture|film) (\S+)", command):
             assert Path(name).exists(), f"{command} did not write {name}"
 
@@ -176,18 +176,18 @@ def test_the_pages_show_every_verb_at_work() -> None:
 @pytest.mark.parametrize("section", cases())
 def test_the_blocks_of_a_section_run_and_print_what_it_shows(section: Section) -> None:
     for command in makers("\n".join(block.text for block in section.blocks)):
-        ended_as_said(command)
+        run_as_documented(command)
     names: dict[str, Any] = {}
     for block in section.blocks:
         if block.kind == "python":
             exec(compile(block.text, section.page.name, "exec"), names)
         else:
-            printed_as_said(block)
+            check_output(block)
 
 
 @pytest.mark.parametrize("text", [pytest.param(text, id=text.split("\n")[0]) for text in TOML])
 def test_the_toml_shown_is_that_of_a_model_an_itinerary_or_a_part_of_one(text: str, folder: Path) -> None:
-    """`# models/NAME.toml` begins a whole file, `# added to itineraries/NAME.toml` what a shipped one gains by it."""
+    """`# models/NAME.toml` begins a whole file, `# added to itineraries/NAME.toml` an addition to a shipped one."""
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.model import load_model
 
@@ -208,7 +208,7 @@ def test_the_toml_shown_is_that_of_a_model_an_itinerary_or_a_part_of_one(text: s
 def test_the_commands_that_show_the_numbers_run() -> None:
     assert len(commands_in_text()) >= 4
     for command in commands_in_text():
-        ended_as_said(command)
+        run_as_documented(command)
 
 
 def test_every_verb_and_option_that_the_text_mentions_exists() -> None:
@@ -293,7 +293,7 @@ def test_the_guide_lists_each_of_its_pages_once_and_shows_it() -> None:
     assert dpcontrol("guide", listed[0], "--json").document["text"] == PAGES[GUIDE / f"{listed[0]}.md"]
 
 
-def test_a_page_that_there_is_not_is_bad_input_with_a_suggestion() -> None:
+def test_an_unknown_page_is_bad_input_with_a_suggestion() -> None:
     ended = dpcontrol("guide", "rigg")
     assert ended.code == 2
     assert ended.message.startswith("dpcontrol: the guide has no page 'rigg'; did you mean 'rig'?")

@@ -1,6 +1,6 @@
-"""Benchmarks: run when asked for, by `pytest -m benchmark tests/benchmarks`; they compare side by side, for minutes.
+"""Benchmarks compare side by side, for minutes. `pytest -m benchmark tests/benchmarks` runs them.
 
-Ratios found are held against those in ratios.json; DPCONTROL_STORE_RATIOS=1 replaces them.
+Measured ratios are compared with those in ratios.json; DPCONTROL_STORE_RATIOS=1 replaces them.
 """
 
 import json

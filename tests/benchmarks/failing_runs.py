@@ -69,7 +69,7 @@ def drawn_options(cause: str, random: np.random.Generator) -> RunOptions:
 
 
 def failing_runs(plans: Sequence[Plan], *, seed: int, each: int = 2) -> Iterator[Failing]:
-    """Yield runs that fail, without end: `each` of every itinerary and cause in turn, drawn anew each time."""
+    """Yield an endless sequence of random failing runs: `each` for every itinerary and cause in turn."""
     random = np.random.default_rng(seed)
     while True:
         for cause in CAUSES:

@@ -1,8 +1,9 @@
 """From two known Lyapunov orbits to their L1-L2 connections by hiten; prints one JSON document.
 
-Settings are those of hiten's own example of a heteroclinic connection (200 trajectories a tube, pairing radius 1e-3),
-but for the section's plane, (y, ẏ) as the orbits are planar, and the flight time, which has to reach second crossings.
-Run by the Python that has hiten; usage: hiten_connection.py '{"mu", "orbits": [[state], [state]], "step", "turns"}'.
+Settings are those of hiten's own example of a heteroclinic connection (200 trajectories a tube, pairing radius 1e-3).
+Two settings differ: the plane of the section is (y, ẏ), because the orbits are planar, and the flight time includes
+second crossings. A Python with hiten must run this file:
+hiten_connection.py '{"mu", "orbits": [[state], [state]], "step", "turns"}'.
 """
 
 import json

@@ -1,11 +1,13 @@
-"""A second search for the connections of a walk, to confirm refusals: no code is shared with the package.
+"""A second search for the connections of a walk, to confirm rejections. It shares no code with the package.
 
-For two arms without friction: the periodic orbit about a saddle at an energy, how much it multiplies errors in a
-period, and whether an arm can be turned along its tubes, from the orbit back to itself. The equations are those of
-`independent_planner`; everything is integrated by scipy's DOP853.
+For two arms without friction, it computes the periodic orbit about a saddle at an energy and its largest multiplier. It
+also tests whether an arm can turn along its tubes, from the orbit back to itself. The equations are those of
+`independent_planner`, and scipy's DOP853 integrates everything.
 
     orbit    from the saddle's angles with rates (r cos a, r sin a) to a stop at a quarter of the period
-    tube     trajectories that leave the orbit along its unstable direction, up to where the arm hangs half-way
+
+    tube     trajectories that leave the orbit along its unstable direction, until the arm hangs half-way
+
     turns    (θ, ω)(t) → (-θ, ω)(-t) makes the stable tube of the unstable one: their cuts (θ, ω of the other arm) meet
              where a cut meets its own mirror image
 
@@ -25,7 +27,7 @@ from scipy.optimize import root
 Array = np.ndarray
 PRECISE = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
 LOST = 1e11
-"""A period that multiplies errors by more than this leaves nothing of a tube in double precision."""
+"""Largest multiplier of an orbit whose tube is resolvable in double precision."""
 STEPS, SEGMENTS, PHASES = 24, 12, 160
 OFF = 3e-4
 """rad: how far from the orbit the tube's trajectories start."""
@@ -99,7 +101,7 @@ class Pendulum:
         return vectors[:, k].real / np.linalg.norm(vectors[:, k].real), float(abs(values[k]))
 
     def turns(self, orbit: Orbit, arm: int, sense: int) -> bool:
-        """Return whether a trajectory leads from the orbit back to it with one turn of an arm, straight through."""
+        """True if a trajectory leads from the orbit back to it with one direct turn of an arm."""
         times = np.linspace(0, orbit.period, PHASES, endpoint=False)
         beside = 1e-3 * OFF / orbit.multiplier
         centre = self.flow(orbit.start, orbit.period, t_eval=times).y.T
@@ -125,7 +127,7 @@ class Pendulum:
 
 
 def _meet(first: Array, second: Array) -> bool:
-    """Return whether two polylines (K, 2) cross; not-a-number ends a piece."""
+    """True if two polylines (K, 2) cross; not-a-number ends a piece."""
     a, b = first[:-1, None], first[1:, None]
     c, d = second[None, :-1], second[None, 1:]
 
@@ -138,7 +140,7 @@ def _meet(first: Array, second: Array) -> bool:
 
 
 def missing_connections(itinerary: Path) -> list[str]:
-    """Return what a walk of an itinerary needs and this search does not find: orbits that can be resolved, turns.
+    """Return the required orbits and turns of an itinerary that this search does not find.
 
     Crossings from one saddle to another are checked by their orbits only.
     """

@@ -1,6 +1,6 @@
-"""Solve a reference's program with rockit: run by another interpreter, which has it; JSON in, JSON out.
+"""Solve the program of a reference with rockit, in another interpreter that has it; JSON in, JSON out.
 
-The arms' equations are typed here from the Lagrangian's base parameters; nothing is shared with dpcontrol.
+The equations of the arms are typed here from the base parameters of the Lagrangian, without code of dpcontrol.
 """
 
 import json
@@ -28,7 +28,7 @@ for k, state in enumerate(states):
     ocp.subject_to(ocp.at_t0(state) == asked["start"][k])
     ocp.subject_to(ocp.at_tf(state) == asked["end"][k])
     if k < 4:
-        # Powers of time from the constant up: rockit takes expressions of its own time.
+        # Powers of time from the constant up, in rockit's own time symbol.
         ocp.set_initial(state, sum(c * ocp.t**i for i, c in enumerate(asked["guess"][k])))
 ocp.solver("ipopt", {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-10})
 ocp.method(DirectCollocation(N=asked["intervals"], M=1, degree=4, scheme="radau"))

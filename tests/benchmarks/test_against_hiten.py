@@ -1,8 +1,8 @@
 """The L1-L2 connection of the three-body problem, end to end, against hiten 0.5.4 side by side.
 
-Each is a fresh process on one core with one thread; times include import and compilation, once with the caches of
-compiled code (numba's, heyoka's) as they are and once with empty ones. hiten is given the two orbits; dpcontrol finds
-them as well. A gap is the largest jump of position or velocity where the pieces meet.
+Each is a fresh process on one core with one thread. Times include import and compilation, once with the existing caches
+of compiled code (of numba and heyoka) and once with empty ones. hiten gets the two orbits, and dpcontrol computes them.
+A gap is the largest jump of position or velocity between the pieces.
 """
 
 import json

@@ -18,8 +18,8 @@ def test_two_hundred_falls_are_calmed() -> None:
     runs = calmed(list(SEEDS), seconds=30.0)
     median, nearly_all = np.quantile(runs.times, [0.5, 0.99])
     sys.stdout.write(
-        f"\n{np.isfinite(runs.times).sum()} of {len(runs.times)} at rest; median {median:.2f} s, "
-        f"99 % {nearly_all:.2f} s, slowest {runs.times.max():.2f} s; "
+        f"\n{np.isfinite(runs.times).sum()} of {len(runs.times)} at rest, median {median:.2f} s, "
+        f"99 % {nearly_all:.2f} s, slowest {runs.times.max():.2f} s, "
         f"cart {runs.farthest.max():.3f} m of {LIMITS.position:g} m\n"
     )
     assert np.isfinite(runs.times).all()

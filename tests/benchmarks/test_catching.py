@@ -1,6 +1,6 @@
-"""What recovery and catching buy under blows: README's table of two blows in a run, and catching alone.
+"""The gain of recovery and catching under blows: the guide's table of two blows in a run, and catching alone.
 
-The second prints falls and catches, and how often a catch at so much of a cost to go was followed by a fall within
+The second prints falls and catches, and by cost-to-go the share of catches that are followed by a fall within
 1.5 s. Each takes some ten minutes of one core.
 """
 

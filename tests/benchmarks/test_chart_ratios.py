@@ -36,7 +36,7 @@ def test_defaults_stand_where_they_may_and_are_as_quick_and_accurate_as_they_wer
 
 
 def shortened(document):
-    """Return what a comparison needs of a drawing, a line for each point."""
+    """Return the data of a drawing that a comparison needs, a line for each point."""
     panels = [
         {key: panel[key] for key in KEPT} | {"points": [{key: p[key] for key in OF_A_POINT} for p in panel["points"]]}
         for panel in document["panels"]

@@ -1,7 +1,7 @@
-"""How long a tick of the exported C takes on one core of this computer, clock included; --junitxml keeps the figures.
+"""Time of a tick of the exported C on one core of this computer, clock included; --junitxml stores the figures.
 
-Asserted is the median alone, with room for a busy computer: what an operating system takes besides is no property of
-the code.
+Only the median is asserted, with room for a busy computer, because the time of the operating system is not a property
+of the code.
 """
 
 import shutil

@@ -1,4 +1,4 @@
-"""Are verdicts true? Five thousand runs of drawn itineraries on drawn benches, judged by a second decoder as well.
+"""Verdicts agree with a second decoder on five thousand runs of random itineraries on random benches.
 
 As a program, this file compares the itineraries of a range of seeds and prints a line for each:
 
@@ -28,7 +28,7 @@ KEPT = 2
 
 
 def compare(seed: int, found: Comparison) -> str:
-    """Add the runs of an itinerary; return how its plan was found."""
+    """Add the runs of an itinerary, and return the status of its plan."""
     random = np.random.default_rng([seed, 5])
     with tempfile.TemporaryDirectory() as folder:
         try:

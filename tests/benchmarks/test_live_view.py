@@ -1,7 +1,7 @@
 """Runs of twenty seconds at 1 kHz on the example bench in real time, with a live view and without, in turn.
 
-The viewer is one without a window, which writes what it gets to a file: what a window costs to draw comes on top, and
-on two cores takes from bench and loop what they leave of the second.
+The viewer has no window and writes its data to a file. Drawing a window takes additional time, which bench and loop
+lack if there are only two cores.
 """
 
 import os

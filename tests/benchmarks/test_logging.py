@@ -1,7 +1,7 @@
 """Logging: its share of a closed-loop run, its size, ten minutes of it; fifty kills and five hundred corruptions.
 
-Times are processor time of one core, side by side in one run; only shares, sizes and memory are asserted, and for the
-ten-minute log the seconds that users wait at most, with the pace of the machine written out.
+Times are processor time of one core, side by side in one run. Only shares, sizes and memory are asserted. For the
+ten-minute log, the longest waiting time is asserted too, and the speed of the machine is printed.
 """
 
 import json
@@ -120,7 +120,7 @@ def test_a_ten_minute_log_is_scored_and_reviewed_in_seconds_and_within_a_gigabyt
     )
     command = [sys.executable, "-c", program, verb, ten_minutes, *options]
     begin = time.perf_counter()
-    # A run that was repeated is no longer the plan's: the score says so, by exit code 1.
+    # The score of such a repeated run fails with exit code 1.
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     wall = time.perf_counter() - begin
     assert done.returncode in (0, 1), done.stderr

@@ -1,6 +1,6 @@
-"""Preflights against campaigns of other seeds: the rate lies in its interval, each border within 25 % of a finer one's.
+"""Preflights agree with campaigns of other seeds: the rate is in its interval, each limit within 25 % of a finer one.
 
-Prints a row for each border; `-k up-up` makes one scene alone. Takes some three minutes of two cores for each.
+It prints a row for each limit; `-k up-up` runs one itinerary alone. Each takes some three minutes of two cores.
 """
 
 import math
@@ -29,9 +29,9 @@ BENCH = RunOptions(
 RUNS, FINER_RUNS, FIRST_SEED = 1000, 300, 30_000
 NEAR = 1.25
 RATIOS = NEAR ** np.array([-1.0, 0.0, 1.0])
-"""Of a border, where a finer campaign looks for its own."""
+"""Factors on a limit at which a finer campaign searches for its own limit."""
 PROCESSOR_SECONDS = 240.0
-"""Two minutes of two. Of their own time, which other work on the machine lengthens little."""
+"""Two minutes of two processors, in processor time, which other work hardly changes."""
 
 
 @cache
@@ -61,7 +61,7 @@ def shares(name: str, cases: Sequence[Case], runs: int) -> list[float]:
 
 
 def finer(name: str, border: HazardBorder, values: Sequence[float], own: float) -> list[float]:
-    """Return what completes at these values, in the border's unit, as a share of what does on the bench as it is."""
+    """Return success rates at these values, in the limit's unit, relative to that of the unchanged bench."""
     factor = 1000 / load_itinerary(name).loop.rate if border.setting == "delay" else SHOWN.get(border.setting, 1.0)
     settings = [value / factor for value in values]
     over = {border.setting: [round(v) for v in settings] if border.setting in ("delay", "counts") else settings}
@@ -71,14 +71,14 @@ def finer(name: str, border: HazardBorder, values: Sequence[float], own: float) 
 
 
 SHOWN = {"lag": 1e3, "mismatch": 100.0, "push_impulse": 1e3, "zero_error": 1e3, "travel": 1e3}
-"""From a setting to what is shown of it."""
+"""Factors from settings to their printed values."""
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_the_rate_of_a_campaign_lies_in_the_interval(name: str) -> None:
     found, seconds = found_for(name)
     rate = own_rate(name)
-    sys.stdout.write(f"\n{name}: {found.status}; {rate:.1%} of {RUNS:,}; it took {seconds:.0f} s of processors\n")
+    sys.stdout.write(f"\n{name}: {found.status}; {rate:.1%} of {RUNS:,}, in {seconds:.0f} s of processor time\n")
     assert found.share.low <= rate <= found.share.high
     assert seconds < PROCESSOR_SECONDS
 
@@ -106,5 +106,5 @@ def test_borders_are_those_of_a_finer_campaign(name: str) -> None:
 
 
 def crossing(x: np.ndarray, falls: np.ndarray) -> float | None:
-    """Return where a falling curve is a half, None where it is nowhere."""
+    """Return the place at which a falling curve is a half, or None."""
     return float(np.interp(0.5, falls[::-1], x[::-1])) if falls[-1] < 0.5 <= falls[0] else None

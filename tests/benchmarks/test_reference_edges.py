@@ -94,7 +94,7 @@ def test_the_edges_of_references(capsys):
     if "DPCONTROL_EDGES_PICTURE" in os.environ:
         drawn(os.environ["DPCONTROL_EDGES_PICTURE"], edges)
     for rows, takes in edges.values():
-        # Without friction nothing is to be made up for; with it the effort grows.
+        # Without friction, the motion needs no effort. With friction, the effort grows.
         frictions = [rms for value, good, rms in rows["friction"] if good and value <= 2.0]
         assert frictions[0] < 1e-3
         assert all(np.diff(frictions) > 0)

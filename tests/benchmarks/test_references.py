@@ -1,4 +1,4 @@
-"""References: work against precision by method, interval and solver; their cost by length; two hundred at random.
+"""References: work against precision by method, interval and solver, cost by length, and two hundred random ones.
 
 Times are processor time of this process; only ratios and shares are asserted.
 """
@@ -112,7 +112,7 @@ def test_two_hundred_random_itineraries_all_converge(model, edges):
         iterations.append(followed.reference.iterations)
         error = max(error, followed.reference.max_error_between_nodes)
     sys.stdout.write(
-        f"\n{len(iterations)} itineraries: {len(failed)} complaints; iterations {np.median(iterations):.0f} in the "
-        f"median, {max(iterations)} at most; largest error between nodes {error:.1e}\n"
+        f"\n{len(iterations)} itineraries: {len(failed)} complaints, iterations {np.median(iterations):.0f} in the "
+        f"median and {max(iterations)} at most, largest error between nodes {error:.1e}\n"
     )
     assert failed == []

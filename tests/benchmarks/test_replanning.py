@@ -1,16 +1,16 @@
-"""What a new plan buys where the arms are not the model's: campaigns at ±20 and ±30 %, and the same seeds planned anew.
+"""New plans for arms that differ from the model: campaigns at ±20 and ±30 %, and the same seeds with new plans.
 
-*As it comes*: the plan of the model's arms, the plant's parameters off by up to so much. *At a stop*: what a plan of
-the rest could save at most, if it never failed: runs that did a symbol and then failed. *Between runs*: a plan made
-before the run for arms known to 2 %, for seeds that failed and, as a check, for seeds that completed.
+*As it comes* is the plan for the arms of the model, with parameter errors of the plant up to this share. *At a stop* is
+an upper limit for a new plan of the rest: all runs that failed after a symbol. *Between runs* is a new plan before the
+run for arms known to 2 %, for seeds that failed and, as a check, for seeds that completed.
 
-A new plan keeps the symbols: the shadowing orbit is carried over by homotopy from the model's parameters to those
-known, its energy above the saddle's kept in proportion, its ends on the local manifolds of the new orbits; then
-collocation as for any plan. Where a connection ends on the way it is tried with more energy; where that does not help
-either, the run stays what it was.
+A new plan keeps the symbols. Homotopy carries the shadowing orbit over from the parameters of the model to the known
+ones. Its energy above the saddle stays in proportion, and its ends are on the local manifolds of the new orbits.
+Collocation follows as for any plan. If a connection ends on the way, more energy is tried. If that fails too, the run
+keeps its result.
 
 Draws .assets/replanning.png and writes replanning.json beside this file with DPCONTROL_STORE_REPLANNING=1. About ten
-minutes of one core; `-k cross` makes one scene alone, and neither.
+minutes of one core; `-k cross` runs one itinerary alone and writes neither.
 """
 
 import json
@@ -47,7 +47,7 @@ MISMATCHES = (0.2, 0.3)
 BENCH = RunOptions(lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.02, counts=40_000, travel=0.8)
 RUNS, FIRST_SEED = 128, 40_000
 FAILED, COMPLETED = 16, 6
-"""Seeds of each kind that are planned anew, at most."""
+"""Largest number of seeds of each kind with new plans."""
 KNOWN = 0.02
 LEAST_STEP = 1 / 16
 ENERGIES = (1.0, 1.6, 2.5)
@@ -83,7 +83,7 @@ def true_arms(arms: ArmChainParameters, seed: int, mismatch: float) -> ArmChainP
 
 
 def measured(name: str, mismatch: float) -> dict[str, Any]:
-    """Return what completes of a scene's seeds as it comes, at most by a plan at a stop, and by a plan between runs."""
+    """Return the success rates with the plan as it comes, a plan at a stop (upper limit), and a plan between runs."""
     scene = load_itinerary(name)
     plan, arms = make_plan(scene), scene.model.arms
     orbits = [shadowing_orbit(scene, part=part) for part in scene.walks]
@@ -200,8 +200,8 @@ def drawn(found: Sequence[dict[str, Any]]) -> Figure:
     axes = figure.subplots()
     kinds = (
         ("as_it_comes", "as it comes", style.CART),
-        ("at_a_stop_at_most", "at most, were the rest planned anew at a stop", style.FAINT),
-        ("between_runs", "planned anew between runs, arms known to 2 %", style.GOOD),
+        ("at_a_stop_at_most", "upper limit for new plans at a stop", style.FAINT),
+        ("between_runs", "new plans between runs, arms known to 2 %", style.GOOD),
     )
     for k, one in enumerate(found):
         for j, (key, label, colour) in enumerate(kinds):

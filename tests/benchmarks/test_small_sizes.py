@@ -1,7 +1,7 @@
-"""Benchmarks in a small size: all that they check but time, with little of the work.
+"""Benchmarks in a small size: the same checks except for time, with little of the work.
 
-A benchmark's constants say how much it does and what it aims at; here some are replaced. Aims of time become bounds
-that every machine keeps. A small size is a slow test, so that a benchmark that no longer runs is noticed at once.
+The constants of a benchmark set its size and its aims. Here some are replaced, and aims of time become bounds that
+every machine meets. Small sizes are slow tests, so a broken benchmark is detected at once.
 """
 
 import importlib

@@ -53,9 +53,9 @@ def shares_of(name: str, cases: Sequence[Case], runs: int) -> list[Share]:
 
 
 @pytest.mark.parametrize("name", ITINERARIES)
-def test_a_shipped_itinerary_is_completed_by_the_controller_as_it_comes(name: str) -> None:
+def test_the_default_controller_completes_a_shipped_itinerary(name: str) -> None:
     scene = load_itinerary(name)
-    # One whose law keeps a clock of its own is run seed by seed.
+    # A law with internal timing runs seed by seed.
     runs = RUNS if scene.loop.keep == "none" else RUNS // 4
     shares = shares_of(name, cases_of(scene, fixed=BENCH, over={"mismatch": list(BARS)}), runs)
     row = " | ".join(f"{share.rate:.1%} ({100 * share.low:.1f})".replace("%", " %") for share in shares)

@@ -1,9 +1,9 @@
-"""Does an ending say what was true? Ten thousand failing runs against their true states; and sensors that work.
+"""Endings agree with the true states of ten thousand failing runs, and working sensors are not reported as stuck.
 
-What each class must mean stands in `ending_truth`. Runs come in benches: a scene with troubles, flown on many seeds. A
-bench's counts are kept in the cache's folder until the code or the judge changes, so that the whole may be run in
-pieces: interrupted, it goes on where it was, if DPCONTROL_TESTS_CACHE names a folder that stays. All of it takes about
-half an hour of one processor. As a program, this file judges the benches of a range and prints them, a line each:
+`ending_truth` defines the meaning of each class. A bench is an itinerary with troubles, run with many seeds. The counts
+of a bench stay in the cache until the code or the judge changes. If DPCONTROL_TESTS_CACHE names a permanent folder, an
+interrupted benchmark therefore resumes at the same bench. All of it takes about half an hour of one processor. As a
+program, this file judges the benches of a range and prints one line for each:
 
     python tests/benchmarks/test_ten_thousand_endings.py 0 200
 """
@@ -28,14 +28,14 @@ from dpcontrol.plans.plan import Plan, make_plan
 pytestmark = pytest.mark.benchmark
 
 COUNT, SOUND = 10_000, 50_000
-"""Failing runs, and runs whose sensors work."""
+"""Failing runs, and runs with working sensors."""
 TRUE = 0.99
 TOGETHER, FAULTY = 128, 8
-"""Runs of a bench in lockstep, and one by one: of every eighth, where a sensor fails."""
+"""Runs of a bench in lockstep, and one by one. Every eighth bench has a failing sensor and runs one by one."""
 SHARES = (0.3, 0.2, 0.16, 0.08, 0.07, 0.05, 0.05, 0.03, 0.02, 0.02, 0.02)
-"""Of the scenes of `MOVING`: the longer ones take more time for the same failures."""
+"""Shares of the itineraries of `MOVING`: long ones take more time for the same failures."""
 SHORT = 3
-"""So many of `MOVING` are flown where most runs complete, and each to its end."""
+"""Number of itineraries of `MOVING` for benches on which most runs complete."""
 CONTROLLERS = ("tvlqr", "adaptive")
 FIRST = 20_000
 """The first seed."""
@@ -53,16 +53,16 @@ def _key() -> str:
 
 
 def judged(number: int) -> dict[str, Any]:
-    """Return the counts of bench `number`, from the cache where they are kept.
+    """Return the counts of bench `number`, from the cache if possible.
 
-    runs; sound: those whose sensors worked; stuck: of these the ones called stuck; seen: the failing runs, by class;
-    false: of these the ones whose ending or score is not true, with the class, where and why.
+    The keys are `runs`, and `sound` for runs with working sensors. `stuck` counts those of them that were reported as
+    stuck. `seen` counts failing runs by class. `false` lists wrong endings and scores with class, place and reason.
     """
     file = cache_root() / "endings" / f"{number}-{_key()}.json"
     if (content := kept(file)) is not None:
         return json.loads(content)
     random, faulty = np.random.default_rng(number), number % 8 == 0
-    # Every other bench is one on which many runs complete.
+    # On every other bench, many runs complete.
     mild = not number % 2 and not faulty
     plan = planned(str(random.choice(MOVING[:SHORT]) if mild else random.choice(MOVING, p=SHARES)))
     troubles = int(random.integers(0, 2) if mild else random.integers(3, 6))

@@ -1,7 +1,7 @@
-"""Nights on varied scenes: none ends early, none fails by a limit that it set itself, and forecasts are near.
+"""Nights on varied itineraries: none ends early, none exceeds its limits, and forecasts are close.
 
-Arms, itineraries, energies, rigs and blows are drawn from a seed. Each night is a program of its own, from a plan that
-is there and with a cache that has no ways from rest. Thirty nights of 0.05 h take an hour of two idle cores.
+Arms, itineraries, energies, rigs and blows are drawn from a seed. Each night is a separate program, with an existing
+plan and a cache without transfers from rest. Thirty nights of 0.05 h take an hour of two idle cores.
 """
 
 import json
@@ -46,7 +46,7 @@ class NightScene:
 
 @dataclass
 class NightFound:
-    """What a night did. begun, took: s to its first file and in all; forecast: s, as printed."""
+    """Result of a night. begun, took: s to its first file and in all; forecast: s, as printed."""
 
     fails: list[str] = field(default_factory=list)
     begun: float = math.nan
@@ -116,7 +116,7 @@ def flown_night(scene: NightScene, folder: Path, *, hours: float) -> NightFound 
 
 
 def judged(document: dict[str, Any], hours: float) -> list[str]:
-    """Return what a night must not do: end before its time, or hit a stop."""
+    """Return the failures of a night: an early end, or a hit of a stop."""
     fails = [ending["text"] for ending in document["endings"]]
     if document["hours"] < hours - 1.0 / 3600:
         fails.append(f"only {document['hours']:.4f} h")
@@ -129,8 +129,8 @@ def summary(found: Sequence[NightFound]) -> str:
     """Return the figures of all nights in a line."""
     ratios = [one.took / one.forecast for one in found if not one.fails]
     return (
-        f"{sum(not one.fails for one in found)} of {len(found)} nights whole; first file after "
-        f"{np.median([one.begun for one in found]):.1f} s in the median; time over forecast {min(ratios):.2f} to "
+        f"{sum(not one.fails for one in found)} of {len(found)} nights whole, first file after "
+        f"{np.median([one.begun for one in found]):.1f} s in the median, time over forecast {min(ratios):.2f} to "
         f"{max(ratios):.2f}"
     )
 

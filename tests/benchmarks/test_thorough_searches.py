@@ -1,8 +1,8 @@
 """Thorough searches against a brute force of twenty thousand points a tube, on uniform rods unlike the lab's arms.
 
-The brute force flies the seeds of evenly spaced phases to the section, crosses the chords of neighbours that arrive
-near each other with those of the mirrored tube, and solves each crossing by scipy's root finder with differences: no
-refinement, no partners, no second look.
+The brute force propagates the seeds of evenly spaced phases to the section. It intersects the chords of neighbours that
+arrive near each other with those of the mirrored tube, and solves each intersection by scipy's root finder with
+differences. It has no refinement, no partners and no second pass.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""Every mistake of the user is one sentence that says what to do, exit code 2, and no file."""
+"""Every user error gives one sentence with a remedy, exit code 2, and no file."""
 
 import re
 from collections.abc import Callable
@@ -344,7 +344,7 @@ FOREIGN: dict[str, tuple[Callable[[], bytes], str]] = {
         lambda: log_carrying({"reference.npz": b"PK\x03\x04" + bytes(100)}),
         "reference.npz is damaged",
     ),
-    # An archive could be an atlas: `score` says that it is no MCAP file, `review` that it is no atlas.
+    # An archive could be an atlas: `score` reports that it is not an MCAP file, `review` that it is not an atlas.
     "another archive": (lambda: b"PK\x03\x04" + bytes(100), "is not an"),
 }
 """(how a file is made that is no log of a run, what the message must say)."""

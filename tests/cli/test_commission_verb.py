@@ -17,7 +17,7 @@ QUICK = CommissioningSettings(look=0.2, hold=0.5, sweep=4.0, ring=2.0, wait=3.0)
 
 @pytest.fixture
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A scene of one's own at 500 Hz, in the working folder; commissioning takes half the time."""
+    """An itinerary at 500 Hz in the working folder, which halves the time of commissioning."""
     monkeypatch.setattr(commissioning, "CommissioningSettings", lambda: QUICK)
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "mine.toml"

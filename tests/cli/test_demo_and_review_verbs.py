@@ -92,7 +92,7 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
 def test_review_without_a_display_is_refused_and_leaves_nothing(
     display: str, demo: tuple[Path, Ended], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Of a display that is named but not there the viewer itself says so, at once.
+    # If the named display does not exist, the viewer itself reports this at once.
     monkeypatch.setattr("dpcontrol.pages.picture.viewer_program", lambda: Path("/bin/false"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("DISPLAY", display)

@@ -108,7 +108,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(t
         packed.writestr("header.npy", HEADER)
         packed.writestr("states.npy", bytes(1000))
     data = bytearray(path.read_bytes())
-    # The last entry of the zip's directory, where it says to how many bytes it unpacks.
+    # The unpacked size in the last entry of the zip's directory.
     struct.pack_into("<I", data, data.rindex(b"PK\x01\x02") + 24, 3_000_000_000)
     path.write_bytes(data)
     for call in (("reference", path), ("review", path, "--picture", tmp_path / "plan.png")):

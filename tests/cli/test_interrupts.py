@@ -112,8 +112,8 @@ def test_an_interrupt_after_the_block_is_one_for_the_caller_and_no_alarm_follows
     assert (done.returncode, done.stdout, done.stderr) == (0, "caught\n", "")
 
 
-def test_an_interrupted_program_ends_in_order_and_takes_no_modules_apart() -> None:
-    """heyoka's and casadi's took a second and more on a busy machine, after the program had said that it was ended."""
+def test_an_interrupted_program_runs_its_exit_handlers_and_unloads_no_modules() -> None:
+    """Unloading heyoka and casadi took a second and more on a busy machine, after the final message."""
     code = """
 import atexit, os
 from dpcontrol.__main__ import main
@@ -135,7 +135,7 @@ main()
 
 
 def interrupted_in(verb: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> int:
-    """Return the exit code of a verb that is interrupted by itself; Python's own handler is put back."""
+    """Return the exit code of a verb that interrupts itself, and restore the handler of Python."""
     before = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(program.cli, "main", lambda *_, **__: verb())
     try:
@@ -221,7 +221,7 @@ def test_an_interrupt_raised_again_is_heeded_by_the_optimisation_that_it_meets(m
 
 
 def test_a_verb_shows_its_progress_before_it_is_loaded() -> None:
-    """Of the verbs whose imports alone take a second: a line is there when the first module of theirs is asked for."""
+    """For verbs whose imports take a second, a line is printed before the first of these imports."""
     code = """
 import sys
 from dpcontrol.foundation import progress

@@ -32,7 +32,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def kept(file: Path, line: str, naming: str) -> None:
-    """Check that a command leaves a file as it is, says so in one sentence, and replaces it with --force."""
+    """Check that a command keeps a file, reports this in one sentence, and replaces it with --force."""
     content = file.read_bytes()
     ended = dpcontrol(*line.split())
     assert ended.code == 2, ended.stderr

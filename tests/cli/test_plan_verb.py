@@ -16,7 +16,7 @@ SHADOWING_RESIDUAL = 1e-10
 """Sparse Newton in double precision ends near 1e-13; the bar leaves room for other processors."""
 WALKS = {
     # The most transversal symmetric first-hit connection of that sense, by the published angles in (angle, rate),
-    # which rank as the canonical ones do here; and for the crossing, the first of the published two.
+    # with the same order as the canonical ones. For the crossing, the first of the two published ones.
     "outer-turn": ("down-up", "down-up", [0, 1]),
     "cross": ("down-up", "up-down", [0, 0]),
 }

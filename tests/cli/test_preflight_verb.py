@@ -25,7 +25,7 @@ def test_the_document_says_how_likely_what_ends_it_how_far_and_what_helps(tmp_pa
     gains = [change["gain"] for change in shown["changes"]]
     assert gains == sorted(gains, reverse=True)
     assert page.stat().st_size > 10_000
-    # One of the seeds that are said to fail does.
+    # A seed that is reported as failing fails.
     seed = shown["endings"][0]["seed"]
     again = dpcontrol("run", "outer-turn", *HARD, "--seed", seed, "--out", tmp_path / "run.mcap", "--json")
     assert again.code == 1

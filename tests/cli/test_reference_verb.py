@@ -1,4 +1,4 @@
-"""`dpcontrol reference FILE`: what it says of a plan's file, how it draws it, and what it refuses."""
+"""`dpcontrol reference FILE` describes and draws the file of a plan, and rejects other files."""
 
 import json
 import tomllib

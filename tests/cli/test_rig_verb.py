@@ -1,4 +1,4 @@
-"""`dpcontrol rig` as a program of its own, and `dpcontrol run --rig` on it."""
+"""`dpcontrol rig` as a separate program, and `dpcontrol run --rig` with it."""
 
 import json
 import subprocess
@@ -27,7 +27,7 @@ def test_a_run_on_a_bench_in_another_process_is_logged_without_truth(tmp_path: P
     shown = ended.document
     assert shown["completed"] is None
     assert "the true state is not known" in shown["reason"]
-    # A computer that stalls for a tenth of a second loses the arms, and must say so.
+    # A computer that stalls for a tenth of a second loses the arms, and the run must report this.
     assert shown["deadlines"]["ticks"] > 0
     assert 0 < shown["thinking"]["median"] <= shown["thinking"]["within_99"]
     assert ended.code == (0 if shown["ending"] == "finished" and shown["symbols_completed"] == 1 else 1)

@@ -22,7 +22,7 @@ LIMIT_SLACK = 1e-9
 
 @dataclass(frozen=True)
 class Journey:
-    """What an itinerary asks for: from which orbit to which, with how many whole turns between their named places."""
+    """The first and the last orbit of an itinerary, and the whole turns between their named places."""
 
     source: str
     target: str
@@ -121,10 +121,10 @@ def test_several_logs_score_in_order_and_one_missed_goal_ends_with_1(tmp_path: P
     assert "1 of 2 not completed" in scored.message
 
 
-def test_mismatch_and_initial_error_of_the_file_are_overridden_and_felt(
+def test_mismatch_and_initial_error_of_the_file_act_and_can_be_overridden(
     tmp_path: Path, shipped_text: dict[str, str]
 ) -> None:
-    # What is estimated besides the state costs as much as what is to be felt here, and is not to be learned away.
+    # Augmented estimates would compensate the errors whose effect this test measures.
     scene = tmp_path / "turn.toml"
     scene.write_text(shipped_text["outer-turn"].replace('kind = "ekf"', 'kind = "ekf"\naugment = []'))
     errors = {}

@@ -1,4 +1,4 @@
-"""What options and files say is what happens: suffixes, marks at a file's start, columns, exit codes, keys."""
+"""Options and files act as documented: suffixes, byte-order marks, columns, exit codes, keys."""
 
 import re
 from pathlib import Path
@@ -74,7 +74,7 @@ def test_a_figure_is_saved_in_the_format_that_its_name_promises(folder: Path) ->
     assert list(folder.iterdir()) == []
 
 
-def test_connect_says_when_an_incomplete_list_ends_with_1() -> None:
+def test_help_of_connect_documents_the_exit_code_of_an_incomplete_list() -> None:
     search = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07", "--longest", "1")
     ended = dpcontrol(*search, "--json")
     assert ended.document["complete"] is (ended.code == 0)
@@ -82,7 +82,7 @@ def test_connect_says_when_an_incomplete_list_ends_with_1() -> None:
     assert "The exit code is 1 if the list may be incomplete (`complete` in --json). With --name" in shown
 
 
-def test_a_cart_at_its_stop_tells_where_the_arms_were() -> None:
+def test_a_cart_at_its_stop_reports_the_angle_of_the_arms() -> None:
     troubles = ("--mismatch", "0.1", "--initial-error", "0.05", "--travel", "0.1")
     ended = dpcontrol("run", "outer-turn", "--controller", "tvlqr", *troubles)
     assert ended.code == 1

@@ -1,4 +1,4 @@
-"""Whatever escapes a verb is one sentence, exit code 70 and a traceback in a file; user text steers no terminal."""
+"""An internal error gives one sentence, exit code 70 and a traceback in a file. User text is escaped."""
 
 import os
 import re

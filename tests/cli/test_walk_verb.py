@@ -32,13 +32,13 @@ BACK = ("-s", "down-up -")
 
 @pytest.fixture(scope="module")
 def graphs() -> dict[Any, Any]:
-    """The graphs that were found, by what was asked for."""
+    """Graphs by the arguments of their search."""
     return {}
 
 
 @pytest.fixture(autouse=True)
 def each_graph_once(graphs: dict[Any, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let all calls share the search of each graph: most are about what comes after it."""
+    """Share the search of each graph between all calls, most of which test later steps."""
 
     def found(system: System, energy: float, *, hits: Any, symbols: Any, yes: bool, progress: Progress) -> edges.Edges:
         key = (system.name, energy, *sorted(hits), *symbols)
@@ -194,7 +194,7 @@ def test_a_walk_may_name_grown_edges_and_rotating_orbits() -> None:
     assert "@(down-up>down-up[0,1]h1.1@" in grown["walk"][0]
     lasts = [walk["symbol_times"][-1] - walk["symbol_times"][0] for walk in (grown, other)]
     assert lasts[0] == pytest.approx(lasts[1], abs=AGREES)
-    # What a solved walk is as an edge can be a symbol at once.
+    # The edge of a solved walk can be a symbol at once.
     assert other["edge"] == "·".join(f"({n})" if isinstance(n, str) else str(n) for n in
                                      (other["walk"][0], 1, other["walk"][1], 2, other["walk"][2]))  # fmt: skip
     assert dpcontrol(*LOW, "-s", other["edge"], "--solve").code == 0

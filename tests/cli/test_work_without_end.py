@@ -1,4 +1,4 @@
-"""Work that would take hours or gigabytes is refused with what it would take, and begun where it is asked for."""
+"""Work of hours or gigabytes is rejected with an estimate of its cost, and starts with --yes."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -71,8 +71,8 @@ def test_a_nis_inside_its_band_but_off_its_mean_is_called_so(log: RunLog) -> Non
     assert found.document()["nis_means"] == {"mean": found.nis_means.mean, "expected": 3, "inside_95": 0.0}
 
 
-def test_a_default_run_is_not_said_to_have_a_filter_at_fault(log: RunLog) -> None:
-    """The default filter expects nearly the noise that the bench has, and nothing need be done."""
+def test_the_score_of_a_default_run_reports_no_fault_of_the_filter(log: RunLog) -> None:
+    """The noise that the default filter assumes is close to that of the bench."""
     found = score(log)
     assert found.nis_means is not None
     assert 2.5 < found.nis_means.mean < 3.2

@@ -1,4 +1,4 @@
-"""What verdicts are judged by: in simulation the true plant and what its drive applied, on a rig the estimate."""
+"""Simulated runs are judged by the true plant and its applied acceleration, runs on a rig by the estimate."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What review shows of a run that fell and went on: when it was on its itinerary, returning, and starting."""
+"""The review of a run with falls shows the times on the itinerary, returning, and starting."""
 
 from dataclasses import replace
 from types import SimpleNamespace

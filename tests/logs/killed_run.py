@@ -1,6 +1,6 @@
-"""A run to be killed, which logs at 1 kHz and reports each logged tick on stdout.
+"""A run for tests that kill it. It logs at 1 kHz and prints each logged tick on stdout.
 
-Arguments: the log; how many ticks; how many seconds a tick takes (0: as fast as it goes).
+Arguments: the log, the number of ticks, and the seconds per tick (0: as fast as possible).
 """
 
 import os

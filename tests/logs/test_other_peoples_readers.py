@@ -1,7 +1,7 @@
-"""Logs as other people's readers see them, whole: rosbags, mcap-ros2-support, Foxglove's JavaScript, Rerun's loader.
+"""Third-party readers read logs completely: rosbags, mcap-ros2-support, Foxglove's JavaScript, Rerun's loader.
 
-Each message of every type must equal the intended one, field by field. What that is comes from the run's own
-numbers and the ROS 2 definitions, not from our reader.
+Each message of every type must equal the intended one, field by field. The intended message follows from the numbers of
+the run and the ROS 2 definitions, not from our reader.
 """
 
 import json
@@ -215,7 +215,7 @@ def test_reruns_loader_shows_every_message_as_written(written: tuple[Path, Messa
         for field in ("position", "velocity"):
             found = column(f"{topic}/{field}", "Scalars:scalars")
             assert found == [(time, message[field]) for time, message in due[topic]], topic
-        # Which says the names once, as long as they stay.
+        # Rerun gives the names once if they do not change.
         names = {tuple(value) for _, value in column(f"{topic}/position", "SeriesLines:names")}
         assert names == {tuple(due[topic][0][1]["name"])}
     control = [(time, value[0]) for time, value in column("/control", "dpcontrol_msgs.msg.Control:message")]

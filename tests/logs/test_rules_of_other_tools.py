@@ -1,10 +1,12 @@
-"""Logs by the published rules of the tools that read them: PlotJuggler's series, and URDF by Foxglove and rviz.
+"""Logs follow the published rules of the tools that read them: PlotJuggler's series, and URDF by Foxglove and rviz.
 
-sensor_msgs/JointState: rad or m, rad/s or m/s; every array as long as the names, or empty; a name once.
-PlotJuggler (plotjuggler_ros, ros2_parsers/jointstates_msg.h): a series TOPIC/JOINT/position where names and positions
-are as many, likewise velocity; values as they are, under the header's stamp or the log's time.
-URDF specification, joint: coordinates of continuous joints in rad about the axis, of prismatic ones in m along it; a
-mimic joint has multiplier · coordinate + offset. Foxglove's 3D panel and robot_state_publisher place links so.
+sensor_msgs/JointState has rad or m and rad/s or m/s. Each array is as long as the names or empty, and names are unique.
+
+PlotJuggler (plotjuggler_ros, ros2_parsers/jointstates_msg.h) has a series TOPIC/JOINT/position if there are as many
+positions as names, and the same for velocity. Values are unchanged, under the header's stamp or the log's time.
+
+In URDF, coordinates of continuous joints are in rad about the axis, and those of prismatic joints in m along it. A
+mimic joint has multiplier · coordinate + offset. Foxglove's 3D panel and robot_state_publisher place links in this way.
 """
 
 from pathlib import Path

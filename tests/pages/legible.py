@@ -70,7 +70,7 @@ def _inside(text: Text, renderer) -> bool:
 
 
 def problems(figure: Figure) -> list[str]:
-    """Return what keeps a figure from being read, in sentences; none for a legible one."""
+    """Return the legibility problems of a figure as sentences."""
     width, height = figure.get_size_inches()
     scale = min(1.0, PAPER[0] / width, PAPER[1] / height)
     texts = texts_of(figure)
@@ -90,7 +90,7 @@ def problems(figure: Figure) -> list[str]:
 
 
 def covered(figure: Figure, texts: list[tuple[Text, Bbox]]) -> list[str]:
-    """Return the labels that cover curves: those without a box or an outline of their own to stand out."""
+    """Return the labels that cover curves and have neither a box nor an outline."""
     found = []
     for text, box in texts:
         axes = text.axes

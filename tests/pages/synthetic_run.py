@@ -86,7 +86,7 @@ def write_log(path: Path, run: SyntheticRun, *, with_truth: bool = True) -> Path
 
 
 def view_of(path: Path, run: SyntheticRun) -> RunView:
-    """Write a run as a log and return what there is to see of it: an orbit, saddle energies, one symbol, an energy."""
+    """Write a run as a log and return its view with an orbit, saddle energies, one symbol and an energy."""
     phase = np.linspace(0, 2 * np.pi, 200)
     rate = 2 * np.pi * 1.6
     states = np.column_stack(

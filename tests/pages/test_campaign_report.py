@@ -174,7 +174,7 @@ def test_cases_that_a_campaign_compares_are_never_merged(tmp_path: Path) -> None
     ]
     assert [group.share.successes for group in summary.groups] == [0, 0, 8, 8]
     assert {group["controller"] for group in summary.document()["groups"]} == {"tvlqr", "feedforward"}
-    # Each has a histogram of its own.
+    # Each group has a histogram.
     spread = summary.spreads["max_cart_position"]
     assert [(np.unique(good).tolist(), np.unique(bad).tolist()) for good, bad in spread.values()] == [
         ([], [0.01]), ([], [0.11]), ([0.01], [0.01]), ([0.11], [0.11]),

@@ -18,7 +18,7 @@ from dpcontrol.pages.comparison import draw_comparison, write_comparison_recordi
 from dpcontrol.pages.picture import viewer_program
 
 SAME_MOMENT = 0.02
-"""s: the synthetic turns pass 2π in their middle, where the wobble is zero, but for errors of 0.04 rad at 11 rad/s."""
+"""s: the synthetic turns pass 2π in their middle, with zero wobble and errors of 0.04 rad at 11 rad/s."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""What an estimator finds besides the state: logged, beside the truth that a simulated log knows, and drawn."""
+"""Augmented estimates are logged and drawn, with the truth of a simulated log beside them."""
 
 from dataclasses import replace
 from pathlib import Path

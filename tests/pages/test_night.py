@@ -1,4 +1,4 @@
-"""What is told of a long run: by hand what was on, what was off, and why."""
+"""The summary of a long run agrees with a count by hand: times on and off the itinerary, and causes."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the paper's figures show, from the curves that are drawn and from independent numbers."""
+"""The curves of the paper's figures agree with independent numbers."""
 
 import numpy as np
 import pytest
@@ -125,7 +125,7 @@ def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay(shown):
     assert len(panels) == 10  # the start and three returns, forward and backward; two phase planes
     stars = [line.get_data() for line in panels[0].lines if line.get_marker() == "*"]
     assert stars
-    # What starts inside both tubes is inside the unstable tube's cut at its next return: it has just come through.
+    # A trajectory that starts inside both tubes is inside the unstable tube's cut at its next return.
     titles = [axes.get_title(loc="left") for axes in panels[:8]]
     assert "100% in unstable" in titles[1]
     assert "100% in stable" in titles[5]

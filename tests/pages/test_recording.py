@@ -33,7 +33,7 @@ def _rerun(*arguments: str) -> str:
 
 
 def bare_log(path: Path, *, arms: int, has_cart: bool, ticks: int) -> RunLog:
-    """Return a log of the shape asked for, without truth, every number zero but the times."""
+    """Return a log of the given shape without truth, with all numbers except times zero."""
     size = 2 * arms + 2 * has_cart
     with LogWriter(path, arm_lengths=[0.2] * arms, rate_hz=100.0, has_cart=has_cart) as log:
         log.ticks(
@@ -135,7 +135,7 @@ def test_the_viewer_labels_two_values_of_every_axis(low: float, high: float) -> 
     least, greatest = ticked(low, high)
     assert least <= low
     assert high <= greatest
-    # It labels multiples of a power of ten, where they lie some 28 of a plot's 160 pixels apart, not at its edge.
+    # The viewer labels multiples of a power of ten that are some 28 of a plot's 160 pixels apart, except at its edge.
     reach = greatest - least
     powers = [10.0**k for k in range(-14, 4) if 10.0**k > reach * 28 / 160]
     labels = [v for v in powers[0] * np.arange(-999, 999) if least + 0.04 * reach < v < greatest - 0.04 * reach]

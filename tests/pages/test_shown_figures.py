@@ -30,7 +30,7 @@ def test_a_notebook_draws_a_page_as_the_value_of_its_cell(page: Figure) -> None:
     picture = Image.open(BytesIO(page._repr_png_()))
     assert picture.size == (4 * page.dpi, 2 * page.dpi)
     assert len(picture.convert("RGB").getcolors(10**6) or []) > 10
-    # What pyplot manages, the inline backend would draw again when the cell ends.
+    # The inline backend would draw figures of pyplot again at the end of the cell.
     assert not pyplot.get_fignums()
 
 

@@ -1,6 +1,6 @@
-"""Pictures of everything that can be reviewed, by the viewer: each of its views free of its own error reports.
+"""The viewer draws every kind of review without an error report in any view.
 
-`viewer.picture_of` refuses a picture while any view of the viewer reports an error.
+`viewer.picture_of` rejects a picture while any view of the viewer reports an error.
 """
 
 from collections.abc import Callable

@@ -32,7 +32,7 @@ unit = "mm"
 
 
 def bag(folder: Path, kind: str) -> Path:
-    """Write joints in another order than the arms', and a cart in mm on a topic of its own, half a period later."""
+    """Write joints in another order than the arms, and a cart in mm on a separate topic, half a period later."""
     store = get_typestore(Stores.ROS1_NOETIC if kind == "bag1" else Stores.ROS2_HUMBLE)
     types = store.types
     path = folder / ("swing.bag" if kind == "bag1" else "swing")

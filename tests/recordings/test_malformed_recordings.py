@@ -1,4 +1,4 @@
-"""Three hundred malformed recordings: each is refused with one clear sentence, and nothing is written."""
+"""Three hundred malformed recordings are each rejected with one clear sentence and without any file."""
 
 import struct
 from collections.abc import Callable
@@ -278,7 +278,7 @@ def _one_clear_sentence(message: str, file: Path, mapping: str | None) -> None:
     assert message
     assert "\n" not in message
     assert "Traceback" not in message
-    # It says where: in the file, in the mapping, or in what was asked for.
+    # It names the place: the file, or the mapping.
     assert str(file) in message or (mapping is not None and mapping in message)
     assert len(message.replace(str(file), "")) <= LONGEST
     # And a reason or a remedy beyond the place.
