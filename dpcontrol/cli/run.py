@@ -65,7 +65,7 @@ def _run_option(name: str, flag: str, *, choices: tuple[str, ...], **others: Any
 
 
 BENCH = "Bench"
-KEY_HELP = "File with the key that bench and loop share [the environment's DPCONTROL_RIG_KEY]."
+KEY_HELP = "File with the shared key of bench and loop [the environment's DPCONTROL_RIG_KEY]."
 NIGHT = "Long run"
 _WITH_FROM = ("source", "out", "force", "as_json", "debug")
 
@@ -75,37 +75,39 @@ def run_command(
     *,
     itinerary: str | None = argument(),
     source: Path | None = option(
-        "--from", type=FILE, help="Log to repeat, from its attachments alone; exits with 1 if a message differs."
+        "--from", type=FILE, help="Log to repeat, from its attachments alone. Exit code 1 if a message differs."
     ),
-    seed: int = option(default=0, help="Seed of all that is random."),
+    seed: int = option(default=0, help="Seed of all random numbers."),
     address: str | None = option(
         "--rig",
         metavar="ADDRESS",
         group=BENCH,
-        help="Run in real time on the bench at udp://HOST:PORT (see `dpcontrol rig`), or, with udp alone, on one "
-        "started for the run; or on FILE.py:CLASS, a rig in Python, as fast as it answers. A real bench needs an "
-        'itinerary with start = "rest".',
+        help="Bench for a run in real time: udp://HOST:PORT (see `dpcontrol rig`), or udp to start the example bench. "
+        "FILE.py:CLASS is a rig in Python, which runs as fast as it answers. A real bench needs an itinerary with "
+        'start = "rest".',
     ),
     program: Path | None = option(
         "--controller-program",
         type=FILE,
         group=BENCH,
-        help="With --rig udp: the program that controls the run, such as main_udp of `dpcontrol export`.",
+        help="With --rig udp: program that controls the run, such as main_udp of `dpcontrol export`.",
     ),
-    real_time: bool = option(group=BENCH, help="With --rig: ask for priority over all ordinary work."),
+    real_time: bool = option(group=BENCH, help="With --rig: priority over all ordinary processes."),
     key_file: Path | None = option(type=FILE, group=BENCH, help=KEY_HELP),
-    insecure: bool = option(group=BENCH, help="With --rig: take a bench on another computer without a key."),
+    insecure: bool = option(group=BENCH, help="With --rig: no key for a bench on another computer."),
     library: Path | None = option(
         "--controller-library",
         type=FILE,
         group=BENCH,
-        help="Shared library made of what `dpcontrol export` wrote with the same options; it does the ticks.",
+        help="Shared library that computes the ticks, from `dpcontrol export` with the same options.",
     ),
     hours: float | None = option(
-        group=NIGHT, help="Repeat the itinerary for so long, through falls, into the folder logs/NAME-SEED."
+        group=NIGHT, help="Duration of a long run through falls, h, with the folder logs/NAME-SEED."
     ),
-    file_minutes: float = option(default=10.0, group=NIGHT, help="Of each log of the folder."),
-    keep_every: int = option(default=1, metavar="N", group=NIGHT, help="Of the older logs keep each N-th."),
+    file_minutes: float = option(default=10.0, group=NIGHT, help="Duration of each log of the folder, min."),
+    keep_every: int = option(
+        default=1, metavar="N", group=NIGHT, help="Interval of the older logs to keep: each N-th."
+    ),
     resume: bool = option(group=NIGHT, help="Go on with the night of this folder, which was interrupted."),
     settings: RunOptions = run_settings(),
     live: bool = option(group=OUTPUT, help="Show the run in the viewer while it happens."),
@@ -117,38 +119,38 @@ def run_command(
 ) -> Answer:
     """Run an itinerary in closed loop on the simulated bench, or on a rig, and write its log.
 
-    Plans first if the plan is not cached. Exits with 1 if the run is not completed; on a rig, where the true state is
-    not known, if it ended early or a symbol was not done by the estimate. With --hours the itinerary is repeated:
-    seamlessly where its end meets its start, else from rest; after a fall the arms are calmed and the symbol is done
-    again, unless --on-fall says otherwise.
+    The itinerary is planned first if its plan is not cached. The exit code is 1 if the run is not completed. A rig has
+    no true state, so the exit code is 1 if the run ended early, or if by the estimate a symbol was not done. --hours
+    repeats the itinerary, seamlessly if its end meets its start, and otherwise from rest. After a fall, the arms are
+    calmed and the symbol is repeated, except with another --on-fall.
     """
     if source is not None:
         return _repeat(source, out, force)
     if itinerary is None:
-        raise click.UsageError("give an ITINERARY, or a log to repeat with --from")
+        raise click.UsageError("ITINERARY is missing: give an itinerary, or a log to repeat with --from")
     if real_time and address is None:
-        raise click.UsageError("--real-time is for runs on a rig: give --rig udp as well")
+        raise click.UsageError("--real-time applies to runs on a rig: add --rig udp")
     if address is None and (key_file or insecure):
-        raise click.UsageError("--key-file and --insecure are for runs on a rig: give --rig as well")
+        raise click.UsageError("--key-file and --insecure apply to runs on a rig: add --rig")
     own = address if address is not None and ".py:" in address else None
     if own is not None and (real_time or key_file or insecure or hours is not None):
         raise click.UsageError(
-            "--real-time, --key-file, --insecure and --hours are for benches at udp://: leave them out with --rig "
+            "--real-time, --key-file, --insecure and --hours apply to benches at udp://: omit them with --rig "
             "FILE.py:CLASS"
         )
     if address is not None and library is not None:
-        raise click.UsageError("--controller-library is for runs on the simulated bench; on a rig run main_udp.c")
+        raise click.UsageError("--controller-library applies to runs on the simulated bench: on a rig, run main_udp.c")
     if hours is None and (resume or keep_every != 1 or file_minutes != 10.0):
-        raise click.UsageError("--resume, --keep-every and --file-minutes are for long runs: give --hours as well")
+        raise click.UsageError("--resume, --keep-every and --file-minutes apply to long runs: add --hours")
     if hours is not None and (program is not None or library is not None):
         raise click.UsageError(
-            "--hours is for the loop itself, which gets up after falls: run without --controller-program and "
-            "--controller-library, which cannot"
+            "--hours needs recovery after falls, which --controller-program and --controller-library do not have: "
+            "omit them"
         )
     if program is not None and address != "udp":
-        raise click.UsageError("--controller-program controls the example bench of a run: give --rig udp as well")
+        raise click.UsageError("--controller-program controls the example bench of a run: add --rig udp")
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
-        raise InputError(f"--controller-program {program}: there is no such program that may be run; compile it first")
+        raise InputError(f"--controller-program {program}: no such executable program; compile it first")
     from dpcontrol.loop.own import load_own
     from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
     from dpcontrol.plans.itinerary import load_itinerary
@@ -158,7 +160,7 @@ def run_command(
     # Before the plan, which can take minutes.
     if live:
         if program is not None:
-            raise click.UsageError("--live shows what the loop does, and a program does it here: give one of them")
+            raise click.UsageError("--live and --controller-program exclude each other: give one of them")
         check_viewer(LIVE_REMEDY)
     shown = live_view if live else None
     address = None if own else address
@@ -199,7 +201,7 @@ def run_command(
     if link is None:
         assert verdict is not None
         return Answer(verdict.document(), score_text(verdict), shortfall(verdict))
-    # Without a progress bar, whose own thread would take time from the loop's.
+    # Without a progress bar, because its thread would take time from the loop.
     if program is not None:
         run = run_with_program(plan, out, program, real_time=real_time, force=force)
     else:
@@ -207,7 +209,7 @@ def run_command(
     verdict, result = run.score, run.result
     kept = None if run.deadlines is None else asdict(run.deadlines)
     document = {**verdict.document(), "ending": result.ending.value, "deadlines": kept}
-    # Where the true state is not known the estimate decides.
+    # Without the true state, the estimate decides.
     done = verdict.symbols_completed == verdict.symbols_total if verdict.completed is None else verdict.completed
     reason = "" if result.finished and done else verdict.reason if result.finished else result.reason
     lines = [*score_text(verdict)]
@@ -223,14 +225,14 @@ def _repeat(source: Path, out: Path | None, force: bool) -> Answer:
     """Repeat a run, score it and compare its messages.
 
     Raises:
-        InputError: the log cannot be repeated, or other options ask for another run.
+        InputError: the log cannot be repeated, or other options contradict it.
     """
     context = click.get_current_context()
     asked = {p.name: p for p in context.command.params if p.name not in _WITH_FROM}
     given = [p for name, p in asked.items() if context.get_parameter_source(str(name)) is ParameterSource.COMMANDLINE]
     if given:
         names = ", ".join(p.human_readable_name if isinstance(p, click.Argument) else p.opts[0] for p in given)
-        raise InputError(f"--from repeats a run as it was: leave out {names}")
+        raise InputError(f"--from repeats a run without changes: omit {names}")
     from dpcontrol.runs.run import repeat_run, repeated_log
 
     with progress_bar("run") as progress:
@@ -247,9 +249,10 @@ def _repeat(source: Path, out: Path | None, force: bool) -> Answer:
 def export_command(
     *,
     itinerary: str = argument(),
-    single: bool = option("--float", help="In single precision."),
+    single: bool = option("--float", help="Single precision."),
     clock: float | None = option(
-        type=click.FloatRange(min=1, max=100_000), help="Clock of a Cortex-M4, MHz: refuse a rate that it cannot keep."
+        type=click.FloatRange(min=1, max=100_000),
+        help="Clock of a Cortex-M4, MHz. Rates beyond its speed are rejected.",
     ),
     unit: bool = option("--fmu", help="Write a co-simulation unit (FMI 2.0) for Simulink, Modelica tools, FMPy."),
     settings: RunOptions = run_settings(),
@@ -257,11 +260,11 @@ def export_command(
     force: bool = option("--force", group=OUTPUT, help="Replace files of these names in a folder that is there."),
     yes: bool = YES,
 ) -> Answer:
-    """Write an itinerary's controller as C99 for a target of one's own: estimator, law and supervisor in one call.
+    """Write the controller of an itinerary as C99 for your own target: estimator, law and supervisor in one call.
 
-    Plans first if the plan is not cached. The folder has a Makefile, a replay program and a page on how to wire it.
-    Laws with gains by time can leave: tvlqr, adaptive, lqr, feedforward. The bench's own settings, as --mismatch,
-    change nothing but the simulated run that `make check` replays.
+    The itinerary is planned first if its plan is not cached. The folder has a Makefile, a replay program and a page on
+    the wiring. Only laws with gains by time can be exported: tvlqr, adaptive, lqr, feedforward. Settings of the bench,
+    such as --mismatch, only change the simulated run that `make check` replays.
     """
     from dpcontrol.control.export import COARSER, kibibytes
     from dpcontrol.plans.itinerary import load_itinerary
@@ -269,9 +272,9 @@ def export_command(
     from dpcontrol.runs.run import check_exportable, export_plan, export_unit
 
     if unit and out.suffix != ".fmu":
-        raise click.UsageError(f"--out {out}: a co-simulation unit is a file whose name ends in .fmu")
+        raise click.UsageError(f"--out {out}: a co-simulation unit needs a name that ends in .fmu")
     if unit and clock is not None:
-        raise click.UsageError("--clock is for the C of a target; a co-simulation unit keeps its tool's time")
+        raise click.UsageError("--clock applies to C for a target: omit it with --fmu")
     scene = load_itinerary(itinerary).with_run(settings)
     check_exportable(scene)
     with progress_bar("export") as progress:
@@ -306,7 +309,7 @@ SERVER = "Server"
 
 
 class _Fault(click.ParamType):
-    """One of the mistakes that the example bench can be given."""
+    """One of the faults of the example bench."""
 
     name = "fault"
 
@@ -314,13 +317,13 @@ class _Fault(click.ParamType):
         from dpcontrol.rig.bench import FAULTS
 
         if value not in FAULTS:
-            self.fail(f"{value!r} is no fault of the example bench: {suggest(str(value), FAULTS)}", param, ctx)
+            self.fail(f"{value!r} is not a fault of the example bench: {suggest(str(value), FAULTS)}", param, ctx)
         return str(value)
 
 
 _FAULT = _Fault()
 FAULT_HELP = (
-    "Give the example bench a mistake, for practice: drive-reversed, cart-reversed, encoder-1-reversed, "
+    "Fault of the example bench, for practice: drive-reversed, cart-reversed, encoder-1-reversed, "
     "encoder-2-reversed, encoders-swapped, angles-not-summed, encoder-1-factor-4, zeros-off, switch-dead, "
     "switches-swapped."
 )
@@ -330,24 +333,26 @@ FAULT_HELP = (
 def rig_command(
     *,
     itinerary: str = argument(),
-    seed: int = option(default=0, help="Seed of all that is random on the bench."),
-    host: str = option(default="127.0.0.1", group=SERVER, help="Address of this computer to listen at."),
-    port: int = option(type=click.IntRange(0, 65535), default=0, group=SERVER, help="Port; 0: any free."),
-    runs: int = option(type=click.IntRange(0), default=0, group=SERVER, help="Runs to serve; 0: no end."),
-    real_time: bool = option(group=SERVER, help="Ask the system for priority over all ordinary work."),
-    watchdog: float = option(default=0.1, group=SERVER, help="Silence of the loop after which the cart is stopped, s."),
+    seed: int = option(default=0, help="Seed of all random numbers on the bench."),
+    host: str = option(default="127.0.0.1", group=SERVER, help="Address of this computer for connections."),
+    port: int = option(type=click.IntRange(0, 65535), default=0, group=SERVER, help="Port; 0 selects a free one."),
+    runs: int = option(
+        type=click.IntRange(0), default=0, group=SERVER, help="Number of runs to serve; 0 means no limit."
+    ),
+    real_time: bool = option(group=SERVER, help="Priority over all ordinary processes."),
+    watchdog: float = option(default=0.1, group=SERVER, help="Silence of the loop until the cart is stopped, s."),
     key_file: Path | None = option(type=FILE, group=SERVER, help=KEY_HELP),
-    insecure: bool = option(group=SERVER, help="Let anyone who can reach --host drive the cart, without a key."),
+    insecure: bool = option(group=SERVER, help="No key: anyone with access to --host can drive the cart."),
     hanging: bool = option(help="Begin with the arms hanging, as `dpcontrol commission` needs; nothing is planned."),
     fault: tuple[str, ...] = option(type=_FAULT, metavar="NAME", help=FAULT_HELP),
     settings: RunOptions = run_settings(),
     yes: bool = YES,
 ) -> None:
-    """Start an example bench: the itinerary's arms and cart, simulated in real time, reached over UDP.
+    """Start an example bench: the arms and cart of the itinerary, simulated in real time, with packets over UDP.
 
-    Prints its address, for `dpcontrol run ITINERARY --rig ADDRESS`, and serves one run after the other until Ctrl-C.
-    The arms start where the itinerary does. The packets are described in `dpcontrol guide rig`. Where --host can be
-    reached from other computers, loops need the bench's key.
+    It prints its address for `dpcontrol run ITINERARY --rig ADDRESS` and serves one run after another until Ctrl-C.
+    The arms start at the beginning of the itinerary. `dpcontrol guide packets` describes the packets. If other
+    computers can reach --host, loops need the key of the bench.
     """
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.rig.bench import BenchServerSettings
@@ -365,7 +370,7 @@ def rig_command(
     with served as bench:
         try:
             show(Answer(bench.document(), [f"bench for {scene.name} at {bench.url}"]))
-            # Whoever reads this through a pipe waits for it.
+            # A reader behind a pipe waits for the address.
             sys.stdout.flush()
             bench.serve(runs=runs)
         except KeyboardInterrupt:
@@ -380,42 +385,43 @@ def commission_command(
         "--rig",
         metavar="ADDRESS",
         group=BENCH,
-        help="The rig at udp://HOST:PORT, or, with udp alone, the example bench in a process of its own. [default: the "
-        "example bench in simulated time]",
+        help="Rig at udp://HOST:PORT, or udp for the example bench in a separate process. [default: the example "
+        "bench in simulated time]",
     ),
     switches: float | None = option(
         group=BENCH,
         metavar="METRES",
-        help="Creep so far to either side, short of the hard stops, until the limit switches answer.",
+        help="Distance of the search for limit switches to either side, m, short of the hard stops. "
+        "[default: no search]",
     ),
-    real_time: bool = option(group=BENCH, help="With --rig: ask for priority over all ordinary work."),
+    real_time: bool = option(group=BENCH, help="With --rig: priority over all ordinary processes."),
     key_file: Path | None = option(type=FILE, group=BENCH, help=KEY_HELP),
-    insecure: bool = option(group=BENCH, help="With --rig: take a bench on another computer without a key."),
-    seed: int = option(default=0, help="Seed of all that is random on the example bench."),
+    insecure: bool = option(group=BENCH, help="With --rig: no key for a bench on another computer."),
+    seed: int = option(default=0, help="Seed of all random numbers on the example bench."),
     fault: tuple[str, ...] = option(type=_FAULT, metavar="NAME", help=FAULT_HELP),
     settings: RunOptions = run_settings(),
     write: bool = option(group=OUTPUT, help="Write delay, lag, zeros and counts as measured into ITINERARY's [run]."),
 ) -> Answer:
-    """Find out what must be right before the first run on a rig, and measure its delay and lag.
+    """Measure a rig before its first run: signs, scales, zeros, delay, lag, switches.
 
-    The arms must hang and the cart stand at the centre. The cart shifts a few millimetres, then follows a chirp within
-    10 mm: signs, order and counts of the encoders, zeros, direction and gain of the drive come from how cart and arms
-    move. Ctrl-C brakes the cart. Exits with 1 where something is wrong. Settings and faults are the example bench's.
-    More is in `dpcontrol guide commission`.
+    The arms must hang, and the cart must stand at the centre. The cart moves a few millimetres, then follows a chirp
+    within 10 mm. The motion of cart and arms gives signs, order, counts and zeros of the encoders, and direction and
+    gain of the drive. Ctrl-C brakes the cart. The exit code is 1 if a finding is wrong. Settings and faults apply to
+    the example bench. For more, see `dpcontrol guide commission`.
     """
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text, rig_link
 
     own = address in (None, OWN_BENCH)
     if address is None and (real_time or key_file or insecure):
-        raise click.UsageError("--real-time, --key-file and --insecure are for a rig: give --rig as well")
+        raise click.UsageError("--real-time, --key-file and --insecure apply to a rig: add --rig")
     if not own and (fault or settings.given()):
-        raise click.UsageError("--fault and settings of the bench are for the example bench: leave them out with --rig")
+        raise click.UsageError("--fault and settings of the bench apply to the example bench: omit them with --rig")
     link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     scene = load_itinerary(itinerary)
     practice = scene.with_run(settings, seed=seed)
     if write:
-        # A file that cannot be changed is found out before the cart moves.
+        # Detect a file that cannot be changed before the cart moves.
         measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
     found = commission_rig(
         scene, link, practice=practice, faults=fault, switches=switches or 0.0,
@@ -432,24 +438,28 @@ def commission_command(
         try:
             write_whole(path, text)
         except InputError as error:
-            # What was measured is shown all the same.
+            # The measurements are shown nevertheless.
             unwritten = str(error)
         else:
             document["written"], left = path, found.blocking
             values = ", ".join(f"{key} = {value}" for key, value in found.changes.items())
             lines.append(f"{path}: [run] now has {values}")
     elif write:
-        lines.append(f"{scene.path} stays as it is until the rig is right")
+        lines.append(f"{scene.path} is unchanged until the rig has no fault")
     if left and not unwritten:
         unwritten = f"{len(left)} of {len(found.findings)} findings must be fixed; first: {left[0].sentence}"
     return Answer(document, lines, unwritten)
 
 
 WORKERS = option(
-    type=click.IntRange(min=0), default=0, show_default=False, group=WORK, help="Processes [one for each processor]."
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=False,
+    group=WORK,
+    help="Number of processes [one per processor].",
 )
 SHOWN = 10
-"""Failures that are listed for people; all of them are in the file."""
+"""Number of failures to print; all of them are in the file."""
 
 
 class _Values(click.ParamType):
@@ -477,28 +487,31 @@ class _Values(click.ParamType):
 def campaign_command(
     *,
     itinerary: str = argument(),
-    runs: int | None = option(type=click.IntRange(min=1), help="Seeds for each case [100; with --standard 8]."),
+    runs: int | None = option(type=click.IntRange(min=1), help="Number of seeds per case [100, or 8 with --standard]."),
     seed_from: int = option(type=click.IntRange(min=0), default=0, help="First seed."),
     over: tuple[Any, ...] = option(type=_Values(), help="Vary a run setting: one case for each value."),
-    standard: bool = option(help="The robustness score: nine kinds of trouble, 21 levels each."),
-    transitions: bool = option(help="Each transfer from hold to hold alone, instead of all in one run."),
+    standard: bool = option(help="Robustness score: nine kinds of disturbances at 21 levels each."),
+    transitions: bool = option(help="Separate runs of each transfer from hold to hold."),
     how: Literal["compiled", "ticks"] = option(
-        "--path", default="compiled", group=WORK, help="Many seeds in lockstep, or the loop itself."
+        "--path",
+        default="compiled",
+        group=WORK,
+        help="Method of simulation: many seeds in lockstep, or the loop itself.",
     ),
     workers: int = WORKERS,
     scheduler: str = option(
-        default="", metavar="ADDRESS", group=WORK, help="Run on this Dask cluster, as tcp://host:8786."
+        default="", metavar="ADDRESS", group=WORK, help="Dask cluster for the runs, such as tcp://host:8786."
     ),
     fixed: RunOptions = run_settings(),
     out: Path | None = file_option(suffix=".parquet", help="Table to write [logs/NAME.parquet]."),
     force: bool = force_option(),
     yes: bool = YES,
 ) -> Answer:
-    """Run an itinerary with many seeds and report how often it is completed.
+    """Run an itinerary with many seeds and count the completed runs.
 
-    Every case runs the same seeds. Interrupted, it goes on where it was when started again. A failure's seed, given to
-    `dpcontrol run --seed` with the same settings, replays it. `--standard` takes every controller of
-    `--over controller=…`, or the scene's own.
+    Every case runs the same seeds. An interrupted campaign resumes with the same command. `dpcontrol run --seed` with
+    the seed of a failure and the same settings repeats it. --standard applies to every controller of
+    `--over controller=…`, or to that of the itinerary.
     """
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
@@ -511,14 +524,14 @@ def campaign_command(
         path=how,
         workers=workers,
         scheduler=scheduler,
-        # A score needs no list of failures, and so none that are confirmed.
+        # A score needs no list of confirmed failures.
         replayed=0 if standard else CampaignSettings.replayed,
     )
     varied = dict(over)
     if len(varied) != len(over):
-        raise InputError("--over: the same setting is given twice; list its values in one, separated by commas")
+        raise InputError("--over: a setting is given twice; list its values once, separated by commas")
     if standard and transitions:
-        raise InputError("--transitions: the robustness score is of a whole itinerary; leave out --standard")
+        raise InputError("--transitions: the robustness score needs the whole itinerary; omit --standard")
     if standard:
         controllers = varied.pop("controller", [fixed.controller or scene.loop.controller.kind])
         if varied:
@@ -527,7 +540,7 @@ def campaign_command(
     else:
         cases = cases_of(scene, fixed=fixed, over=varied)
     file = claim(out or Path("logs") / f"{scene.name}{'-transitions' if transitions else ''}.parquet")
-    # What writes the table, before the plan, which can take minutes.
+    # Check for the writer of the table before the plan, which can take minutes.
     part("pyarrow")
     with progress_bar("campaign") as progress:
         plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
@@ -582,7 +595,7 @@ def preflight_command(
         type=click.IntRange(min=0),
         default=0,
         show_default=False,
-        help="Seeds for the rate [as many as two minutes allow].",
+        help="Number of seeds for the rate [as many as two minutes allow].",
     ),
     seed_from: int = option(type=click.IntRange(min=0), default=1_000_000, help="First seed."),
     workers: int = WORKERS,
@@ -590,11 +603,11 @@ def preflight_command(
     picture: Path | None = file_option(suffix=(".pdf", ".png"), help="Page to write [logs/NAME-preflight.pdf]."),
     yes: bool = YES,
 ) -> Answer:
-    """Tell, before the first run on a rig, how likely it completes, what ends it otherwise, and what would help.
+    """Predict whether the first run on a rig completes, the likely endings, and helpful changes.
 
-    The arms are drawn from the model's identified uncertainty, or with a mismatch where its file has none; the bench is
-    as [run] has it, where `dpcontrol commission --write` puts what it measures. The border of a trouble is the value at
-    which the itinerary completes half as often. Interrupted or repeated, it goes on where it was.
+    The arms are drawn from the identified uncertainty of the model, or from a mismatch if the model file has none. The
+    bench is that of [run], which `dpcontrol commission --write` fills with measurements. The limit of a disturbance is
+    the value at which the itinerary completes half as often. A repeated command resumes after an interruption.
     """
     from dpcontrol.pages.layout import save_figure
     from dpcontrol.plans.itinerary import load_itinerary

@@ -57,7 +57,7 @@ def test_nothing_is_written_while_the_rig_is_wrong(scene: Path) -> None:
     ended = dpcontrol("commission", scene, "--fault", "encoders-swapped", "--delay", "2", "--write")
     assert ended.code == 1
     assert "→ swap their plugs" in ended.stdout
-    assert "stays as it is until the rig is right" in ended.stdout
+    assert "is unchanged until the rig has no fault" in ended.stdout
     assert scene.read_bytes() == before
 
 
@@ -99,9 +99,9 @@ def commissioning_error() -> Exception:
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("--real-time",), "give --rig as well"),
-        (("--rig", "udp://127.0.0.1:1", "--fault", "zeros-off"), "leave them out with --rig"),
-        (("--rig", "udp://127.0.0.1:1", "--lag", "0.1"), "leave them out with --rig"),
+        (("--real-time",), "add --rig"),
+        (("--rig", "udp://127.0.0.1:1", "--fault", "zeros-off"), "omit them with --rig"),
+        (("--rig", "udp://127.0.0.1:1", "--lag", "0.1"), "omit them with --rig"),
         (("--rig", "tcp://x:1"), "must be udp://HOST:PORT"),
         (("--fault", "encoder-2-reversd"), "did you mean 'encoder-2-reversed'?"),
         (("--switches", "nan"), "switches = nan: must be 0.02 to 100 m"),

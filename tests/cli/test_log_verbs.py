@@ -144,7 +144,7 @@ def test_a_log_from_another_run_is_told_by_its_first_difference(logged: Path, tm
 def test_repeating_takes_no_other_options_and_needs_a_log_of_a_run(logged: Path, tmp_path: Path) -> None:
     refused = dpcontrol("run", "outer-turn", "--from", logged, "--mismatch", "0.1")
     assert refused.code == 2
-    assert "leave out" in refused.message
+    assert "omit" in refused.message
     assert "--mismatch" in refused.message
     assert dpcontrol("run", "--from", logged, "--out", logged).code == 2
     assert dpcontrol("run").code == 2

@@ -291,10 +291,10 @@ def test_a_log_ends_where_the_program_did_and_says_when_the_cart_stood(turn: tup
 def test_a_program_that_cannot_control_a_run_is_one_sentence(tmp_path: Path) -> None:
     asked = dpcontrol("run", "outer-turn", "--controller-program", tmp_path / "none")
     assert asked.code == 2
-    assert "give --rig udp as well" in asked.message
+    assert "add --rig udp" in asked.message
     asked = dpcontrol("run", "outer-turn", "--rig", "udp", "--controller-program", tmp_path / "none")
     assert asked.code == 2
-    assert "there is no such program that may be run; compile it first" in asked.message
+    assert "no such executable program; compile it first" in asked.message
 
 
 @pytest.mark.slow  # Two runs in real time, each with a bench in a separate process.

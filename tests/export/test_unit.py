@@ -268,5 +268,5 @@ def test_the_verb_writes_a_unit_and_replaces_nothing_else(tmp_path: Path) -> Non
 def test_a_unit_under_another_ending_is_refused(tmp_path: Path) -> None:
     ended = dpcontrol("export", "outer-turn", "--fmu", "--out", tmp_path / "controller")
     assert ended.code == 2
-    assert "a co-simulation unit is a file whose name ends in .fmu" in ended.message
+    assert "a co-simulation unit needs a name that ends in .fmu" in ended.message
     assert list(tmp_path.iterdir()) == []

@@ -178,7 +178,7 @@ def test_on_the_command_line_a_rig_is_a_file_and_a_class(tmp_path: Path) -> None
     done = dpcontrol("run", "outer-turn", "--rig", f"{FILE}:Rig", "--controller", "tvlqr", "--out", str(log))
     assert done.code == 0, done.stderr
     assert dp.open_log(log).log.metadata["rig"] == "Rig"
-    for more, said in (("--hours=1", "leave them out"), ("--real-time", "leave them out")):
+    for more, said in (("--hours=1", "omit them"), ("--real-time", "omit them")):
         refused = dpcontrol("run", "outer-turn", "--rig", f"{FILE}:Rig", more)
         assert refused.code == 2
         assert said in refused.stderr
