@@ -17,7 +17,7 @@ README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8"
 EXAMPLE = README.partition("```python\n")[2].partition("```")[0]
 
 
-def test_the_readmes_example_runs_as_it_stands(example: dict[str, Any]) -> None:
+def test_the_example_of_the_readme_runs_unchanged(example: dict[str, Any]) -> None:
     assert len([line for line in EXAMPLE.splitlines() if line and not line.startswith("import")]) <= 20
     assert example["run"].score().sentence.startswith("completed: 1 of 1 symbols")
     assert example["campaign"].completed.runs == 200
@@ -88,7 +88,7 @@ def test_a_failure_is_a_value_and_bad_input_an_error(example: dict[str, Any]) ->
         _ = dp.load_model("three-body").arms
 
 
-def test_an_interior_stop_has_the_fewest_wraps_unless_asked(example: dict[str, Any]) -> None:
+def test_an_interior_stop_has_the_fewest_wraps_by_default(example: dict[str, Any]) -> None:
     walk = dp.shadow(example["found"], ["down-up +", "down-up -"])
     assert walk.converged
     assert len(walk.wraps) == 1

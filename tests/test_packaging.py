@@ -48,7 +48,7 @@ def found_from(folder: Path, *, path: Path | None) -> list[str]:
     return json.loads(done.stdout)
 
 
-def test_the_wheel_carries_every_model_and_itinerary_as_it_is_in_the_checkout(wheel: Path) -> None:
+def test_the_wheel_contains_every_model_and_itinerary_unchanged(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         carried = {n: archive.read(n) for n in archive.namelist() if n.startswith("dpcontrol/data/")}
     expected = {
@@ -106,7 +106,7 @@ def test_an_unpacked_wheel_finds_its_own_models_and_itineraries(wheel: Path, tmp
 
 @pytest.mark.slow  # Two installations, seven seconds.
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
-def test_what_is_built_installs_in_a_folder_of_its_own_and_runs_there(kind: str, wheel: Path, tmp_path: Path) -> None:
+def test_the_built_wheel_installs_and_runs_in_another_folder(kind: str, wheel: Path, tmp_path: Path) -> None:
     built, site = wheel, tmp_path / "site"
     if kind == "sdist":
         build = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
@@ -146,7 +146,7 @@ def test_the_wheel_names_its_authors_the_paper_and_the_versions_of_python_that_i
     )
 
 
-def test_one_version_stands_in_the_package_the_changes_and_the_citation() -> None:
+def test_package_changes_and_citation_have_the_same_version() -> None:
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
     released = [name for name in re.findall(r"^## \[(.+?)\]", changes, re.MULTILINE) if name != "Unreleased"]
@@ -185,7 +185,7 @@ def test_the_working_folders_own_file_comes_before_the_shipped_one(tmp_path: Pat
     assert Path(printed) == ROOT / "models" / "printed.toml"
 
 
-def test_no_class_name_stands_twice() -> None:
+def test_class_names_are_unique() -> None:
     named: dict[str, list[str]] = {}
     for file in sorted((ROOT / "dpcontrol").rglob("*.py")):
         for name in re.findall(r"^class (\w+)", file.read_text(encoding="utf-8"), re.MULTILINE):

@@ -174,7 +174,7 @@ def test_the_pages_show_every_verb_at_work() -> None:
 
 
 @pytest.mark.parametrize("section", cases())
-def test_the_blocks_of_a_section_run_and_print_what_it_shows(section: Section) -> None:
+def test_the_blocks_of_a_section_run_and_print_the_shown_output(section: Section) -> None:
     for command in makers("\n".join(block.text for block in section.blocks)):
         run_as_documented(command)
     names: dict[str, Any] = {}

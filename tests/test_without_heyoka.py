@@ -113,7 +113,7 @@ def test_a_recording_of_the_bench_is_imported_replayed_and_identified(tmp_path: 
 
 
 @pytest.mark.parametrize("json_asked", [False, True])
-def test_where_an_orbit_or_a_plan_is_asked_for_one_sentence_says_what_to_install(
+def test_a_request_for_an_orbit_or_a_plan_names_the_package_to_install(
     json_asked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Nothing that another test has computed, and that would do.
@@ -137,7 +137,7 @@ def test_where_an_orbit_or_a_plan_is_asked_for_one_sentence_says_what_to_install
 
 
 @pytest.mark.parametrize("points", [(), (1,), (8,), (200,)])
-def test_casadis_own_machine_computes_what_the_compiled_code_does(points: tuple[int, ...]) -> None:
+def test_casadis_virtual_machine_agrees_with_the_compiled_code(points: tuple[int, ...]) -> None:
     arms = load_model("lab").arms
     function = compiled.fixed_step(equations_of(arms, Level.CART))
     step = compiled.Compiled(function)

@@ -21,7 +21,7 @@ OF_A_POINT = ("method", "setting", "seconds", "error", "default", "outside", "st
 
 @pytest.mark.benchmark
 @pytest.mark.parametrize("name", [name for name in CHARTS if name not in GROUPS["edges"]])
-def test_defaults_stand_where_they_may_and_are_as_quick_and_accurate_as_they_were(name, tmp_path, capsys):
+def test_defaults_are_on_their_fronts_and_as_fast_and_accurate_as_before(name, tmp_path, capsys):
     (drawn,) = draw_charts([name], tmp_path, quick=True)
     if os.environ.get("DPCONTROL_STORE_RATIOS") == "1":
         STORED.mkdir(exist_ok=True)

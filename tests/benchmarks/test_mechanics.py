@@ -70,7 +70,7 @@ def test_a_belt_of_30_hz_and_a_play_of_10_mrad_are_borne(name: str, kind: str) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{"belt": 30.0}, {"belt": 15.0, "belt_scale": "cart"}, {"play": 0.01}], ids=str)
-def test_what_the_loop_knows_of_it_bears_in_a_few_runs(options: dict[str, object]) -> None:
+def test_the_loop_tolerates_known_mechanics_in_a_few_runs(options: dict[str, object]) -> None:
     assert completed("turn-from-rest", 24, **options) >= 23
 
 
@@ -112,7 +112,7 @@ def test_the_limits_of_the_guide_are_printed_and_those_of_the_belt_drawn(tmp_pat
 
 
 @pytest.mark.slow
-def test_a_belt_is_borne_to_a_lower_frequency_where_the_loop_knows_it() -> None:
+def test_a_known_belt_is_tolerated_to_a_lower_frequency() -> None:
     runs = 16
     known = completed("turn-from-rest", runs, belt=20.0)
     unknown = completed("turn-from-rest", runs, belt=20.0, **UNAWARE)

@@ -33,12 +33,12 @@ SIZES = [
     ),
     Small(
         "test_walk_cost",
-        "test_all_random_walks_become_the_orbits_that_were_asked_for",
+        "test_all_random_walks_become_the_requested_orbits",
         arguments={"count": 6, "lengths": (1, 4), "periodic": False},
     ),
     Small(
         "test_walk_cost",
-        "test_all_random_walks_become_the_orbits_that_were_asked_for",
+        "test_all_random_walks_become_the_requested_orbits",
         arguments={"count": 2, "lengths": (1, 3), "periodic": True},
     ),
     Small(

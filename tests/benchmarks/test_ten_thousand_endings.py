@@ -90,7 +90,7 @@ def table(seen: Counter[str], false: Counter[str]) -> str:
     return "\n".join(lines)
 
 
-def test_of_ten_thousand_failing_runs_ninety_nine_in_a_hundred_say_what_was_true() -> None:
+def test_ninety_nine_percent_of_ten_thousand_endings_are_true() -> None:
     seen, false, shown, number = Counter[str](), Counter[str](), list[str](), 0
     while seen.total() < COUNT:
         found = judged(number)

@@ -49,7 +49,7 @@ def test_cost_grows_with_the_number_of_symbols_and_no_faster(edges, one_core):
 
 
 @pytest.mark.parametrize(("count", "lengths", "periodic"), [(200, (1, 16), False), (50, (1, 8), True)])
-def test_all_random_walks_become_the_orbits_that_were_asked_for(edges, count, lengths, periodic):
+def test_all_random_walks_become_the_requested_orbits(edges, count, lengths, periodic):
     solver, classifier = WalkSolver(edges.connections), WalkClassifier(edges.system, edges.connections)
     requests = drawn_requests(edges, count, lengths=lengths, extra=(0, 4), seed=7, periodic=periodic)
     failed, residuals, reciprocity = [], [], []

@@ -77,7 +77,7 @@ def with_value(text: str, key: str, value: str | None) -> str:
 
 
 @pytest.mark.parametrize("mistake", REPLACED)
-def test_a_mistake_in_a_file_is_named(
+def test_a_user_error_in_a_file_is_named(
     mistake: str, tmp_path: Path, shipped_text: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -128,7 +128,7 @@ def test_a_mistake_in_a_file_is_named(
         ("demo --seed -1", "seed = -1"),
     ],
 )
-def test_a_mistake_on_the_command_line_is_named(
+def test_a_user_error_on_the_command_line_is_named(
     line: str, naming: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -145,7 +145,7 @@ def whole_log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.mark.parametrize("harm", ["truncated", "corrupt", "not a log"])
-def test_a_damaged_log_is_refused_by_score_and_review(
+def test_a_damaged_log_is_rejected_by_score_and_review(
     harm: str, whole_log: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -210,9 +210,7 @@ def test_a_wrong_value_in_a_model_is_named(
     assert files(tmp_path) == {"mine.toml"}
 
 
-def test_a_misspelt_key_that_has_a_default_is_named_where_its_absence_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_misspelt_key_is_named_if_its_absence_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.toml").write_text('energy = 0.2\nwalk = ["down-up +", "down-up -"]\nwrapps = [1]\n')
     refused("plan", "mine.toml", naming="has 1 interior stops; give one whole number for each; is 'wrapps' a")
@@ -292,7 +290,7 @@ def test_a_wrong_value_in_an_itinerary_is_named(
     ],
     ids=["empty", "prose", "zeros", "picture", "Latin-1", "folder"],
 )
-def test_a_file_that_is_no_table_is_refused(
+def test_a_file_that_is_not_a_table_is_rejected(
     verb: str, content: bytes | None, naming: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -351,7 +349,9 @@ FOREIGN: dict[str, tuple[Callable[[], bytes], str]] = {
 
 
 @pytest.mark.parametrize("kind", FOREIGN)
-def test_a_file_that_is_no_log_of_a_run_is_refused(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_is_not_the_log_of_a_run_is_rejected(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     made, naming = FOREIGN[kind]
     Path("bad.mcap").write_bytes(made())
@@ -371,7 +371,7 @@ def test_a_log_without_its_reference_can_be_looked_at_but_not_scored(
     assert files(tmp_path) == {"bare.mcap", "bare.rrd"}
 
 
-def test_json_tells_a_mistake_too(tmp_path: Path) -> None:
+def test_json_reports_user_errors_too(tmp_path: Path) -> None:
     ended = dpcontrol("model", "lba", "--json")
     assert ended.code == 2
     assert ended.document["error"] is True

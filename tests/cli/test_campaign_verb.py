@@ -9,7 +9,7 @@ from command_line import dpcontrol
 HARD = ("--mismatch", "0.15", "--initial-error", "0.1", "--controller", "feedforward")
 
 
-def test_the_document_counts_what_the_table_holds_and_failures_replay(tmp_path: Path) -> None:
+def test_the_document_agrees_with_the_table_and_failures_repeat(tmp_path: Path) -> None:
     file = tmp_path / "turn.parquet"
     ended = dpcontrol(
         "campaign", "outer-turn", *HARD, "--runs", "3", "--seed-from", "7", "--workers", "1", "--out", file, "--json"
@@ -46,7 +46,7 @@ def test_the_document_counts_what_the_table_holds_and_failures_replay(tmp_path: 
         (("--runs", "0"), "--runs"),
     ],
 )
-def test_mistakes_are_one_sentence_and_exit_with_two(
+def test_user_errors_are_one_sentence_and_exit_with_two(
     arguments: tuple[str, ...], naming: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -58,7 +58,7 @@ def test_mistakes_are_one_sentence_and_exit_with_two(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_a_file_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     out = tmp_path / "file" / "table.parquet"
     ended = dpcontrol("campaign", "outer-turn", "--runs", "1", "--workers", "1", "--out", out)

@@ -27,7 +27,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.slow
-def test_what_was_measured_is_written_once_and_is_then_as_the_scene_says(scene: Path) -> None:
+def test_measured_values_are_written_once_and_then_equal_those_of_the_file(scene: Path) -> None:
     before = scene.read_text().splitlines()
     bench = ("--fault", "zeros-off", "--delay", "2.5", "--lag", "0.008", "--counts", "2000")
     first = dpcontrol("commission", scene, *bench)
@@ -71,7 +71,9 @@ def test_a_shipped_scene_is_copied_into_the_working_folder(scene: Path) -> None:
     assert load_itinerary("outer-turn").loop.drive.delay == pytest.approx(1.5, abs=0.01)
 
 
-def test_a_scene_that_cannot_be_changed_or_written_is_told_without_a_loss(scene: Path, monkeypatch) -> None:
+def test_a_file_that_cannot_be_changed_or_written_is_reported_without_losing_measurements(
+    scene: Path, monkeypatch
+) -> None:
     inline = scene.with_name("inline.toml")
     head, tail = scene.read_text().split("[run]")
     values = [line.split("#")[0].strip() for line in tail.splitlines() if "=" in line]
@@ -109,13 +111,13 @@ def commissioning_error() -> Exception:
         (("--switches", "0.001"), "switches = 0.001: must be 0.02 to 100 m"),
     ],
 )
-def test_what_cannot_be_asked_for_is_one_sentence(scene: Path, arguments: tuple[str, ...], sentence: str) -> None:
+def test_impossible_options_give_one_sentence(scene: Path, arguments: tuple[str, ...], sentence: str) -> None:
     ended = dpcontrol("commission", scene, *arguments)
     assert ended.code == 2
     assert sentence in ended.stderr
 
 
-def test_zeros_for_other_arms_are_refused_by_name(scene: Path) -> None:
+def test_zeros_for_other_arms_are_rejected_by_name(scene: Path) -> None:
     scene.write_text(scene.read_text() + "zeros = [0.1]\n")
     ended = dpcontrol("commission", scene)
     assert ended.code == 2

@@ -30,7 +30,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ended]:
         return folder, dpcontrol("demo")
 
 
-def test_the_demo_completes_and_says_where_log_recording_and_picture_are(demo: tuple[Path, Ended]) -> None:
+def test_the_demo_completes_and_prints_the_paths_of_log_recording_and_picture(demo: tuple[Path, Ended]) -> None:
     folder, ended = demo
     assert ended.code == 0
     assert "completed: 1 of 1 symbols" in ended.stdout
@@ -89,7 +89,7 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
 
 
 @pytest.mark.parametrize("display", ["", ":0"])
-def test_review_without_a_display_is_refused_and_leaves_nothing(
+def test_review_without_a_display_is_rejected_and_leaves_nothing(
     display: str, demo: tuple[Path, Ended], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # If the named display does not exist, the viewer itself reports this at once.
@@ -111,9 +111,7 @@ def test_the_viewer_that_takes_a_picture_listens_to_this_computer_only(tmp_path:
     assert said.stdout == "--bind 127.0.0.1 --headless\n"
 
 
-def test_two_logs_are_reviewed_side_by_side_and_it_says_how_they_are_aligned(
-    demo: tuple[Path, Ended], tmp_path: Path
-) -> None:
+def test_two_logs_are_reviewed_side_by_side_with_their_alignment(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     log = demo[0] / "logs/outer-turn-0.mcap"
     ended = dpcontrol("review", log, log, "--save", tmp_path / "two.rrd", "--picture", tmp_path / "two.png", "--json")
     assert ended.code == 0
@@ -149,14 +147,14 @@ def test_report_writes_one_page_of_a_log_and_gives_its_score(
     assert page.read_bytes().startswith(first)
 
 
-def test_report_refuses_a_page_of_another_kind(demo: tuple[Path, Ended], tmp_path: Path) -> None:
+def test_report_rejects_a_page_of_another_format(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     ended = dpcontrol("report", demo[0] / "logs/outer-turn-0.mcap", "--picture", tmp_path / "page.svg")
     assert ended.code == 2
     assert ".png or .pdf" in ended.stderr
     assert not list(tmp_path.iterdir())
 
 
-def test_the_tubes_shown_meet_where_the_plan_crosses_the_section(demo: tuple[Path, Ended]) -> None:
+def test_the_drawn_tubes_meet_at_the_plans_section_crossing(demo: tuple[Path, Ended]) -> None:
     log = read_log(demo[0] / "logs/outer-turn-0.mcap")
     view = run_view(log)
     assert sorted(tube.stable for tube in view.plan.tubes) == [False, True]
@@ -170,7 +168,7 @@ def test_the_tubes_shown_meet_where_the_plan_crosses_the_section(demo: tuple[Pat
         assert away.max(axis=1).min() < CUT_SPACING
 
 
-def test_what_was_done_is_told_beside_what_was_asked(demo: tuple[Path, Ended]) -> None:
+def test_the_actual_itinerary_is_reported_beside_the_planned_one(demo: tuple[Path, Ended]) -> None:
     log = read_log(demo[0] / "logs/outer-turn-0.mcap")
     view = run_view(log)
     assert [stay.text for stay in view.plan.planned] == [stay.text for stay in view.done] == ["down-up", "down-up"]
@@ -182,9 +180,7 @@ def test_what_was_done_is_told_beside_what_was_asked(demo: tuple[Path, Ended]) -
 
 
 @pytest.mark.benchmark(reason="the margins of the demo's flight, twice")
-def test_report_shows_the_margins_of_a_logs_loop_where_they_are_asked_for(
-    demo: tuple[Path, Ended], tmp_path: Path
-) -> None:
+def test_report_shows_the_margins_of_a_log_on_request(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     page, log = tmp_path / "page.png", demo[0] / "logs/outer-turn-0.mcap"
     shown = dpcontrol("report", log, "--margins", "--picture", page, "--json").document
     assert page.read_bytes().startswith(PNG)

@@ -37,7 +37,7 @@ def test_help_loads_nothing_heavy() -> None:
     assert {"casadi", "heyoka", "numpy"} <= loaded_by("orbit", "lab", "--saddle", "down-up", "--energy", "-0.07")
 
 
-def test_help_lists_every_verb_with_what_it_does_and_the_exit_codes() -> None:
+def test_help_lists_every_verb_with_a_summary_and_the_exit_codes() -> None:
     shown = dpcontrol("--help")
     assert shown.code == 0
     for verb in VERBS:

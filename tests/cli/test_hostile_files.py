@@ -43,7 +43,7 @@ def no_file(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     return path, "it is a link that leads to itself" if request.param == "link" else f"it is a {request.param}"
 
 
-def test_what_is_no_file_is_refused_by_every_verb_that_reads_one(no_file: tuple[Path, str]) -> None:
+def test_every_verb_rejects_a_path_that_is_not_a_file(no_file: tuple[Path, str]) -> None:
     path, said = no_file
     for verb in READERS:
         ended = dpcontrol(*verb, path)
@@ -53,7 +53,7 @@ def test_what_is_no_file_is_refused_by_every_verb_that_reads_one(no_file: tuple[
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
-def test_a_pipe_or_a_link_to_itself_is_refused_as_a_recording(tmp_path: Path, suffix: str) -> None:
+def test_a_pipe_or_a_link_to_itself_is_rejected_as_a_recording(tmp_path: Path, suffix: str) -> None:
     pipe, link = tmp_path / f"pipe{suffix}", tmp_path / f"link{suffix}"
     os.mkfifo(pipe)
     link.symlink_to(link)
@@ -89,7 +89,7 @@ def nested_description() -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("members", [lying(), nested(), nested_description()], ids=["lying", "nested", "described"])
-def test_an_archive_whose_header_lies_or_nests_is_refused(tmp_path: Path, members: dict[str, bytes]) -> None:
+def test_an_archive_with_a_false_or_nested_header_is_rejected(tmp_path: Path, members: dict[str, bytes]) -> None:
     path = tmp_path / "plan.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
         for name, content in members.items():
@@ -102,7 +102,7 @@ def test_an_archive_whose_header_lies_or_nests_is_refused(tmp_path: Path, member
         assert "trust" not in ended.message
 
 
-def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+def test_an_archive_that_unpacks_to_gigabytes_is_rejected_before_it_is_unpacked(tmp_path: Path) -> None:
     path = tmp_path / "plan.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
         packed.writestr("header.npy", HEADER)
@@ -117,13 +117,13 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(t
         assert "it would unpack to 3 GB, and 0.54 GB are allowed" in ended.message
 
 
-def test_a_chunk_of_a_log_that_claims_gigabytes_is_refused() -> None:
+def test_a_chunk_of_a_log_that_claims_gigabytes_is_rejected() -> None:
     chunk = CHUNK_HEAD.pack(0, 0, 10**12, 0, ZSTD, 0)
     with pytest.raises(ValueError, match=r"would unpack to 1e\+03 GB"):
         unpacked(memoryview(chunk), zstandard.ZstdDecompressor())
 
 
-def test_a_matlab_file_whose_packed_variable_claims_gigabytes_is_refused(tmp_path: Path) -> None:
+def test_a_matlab_file_whose_packed_variable_claims_gigabytes_is_rejected(tmp_path: Path) -> None:
     packed = zlib.compress(struct.pack("<II", 14, 3_000_000_000))
     path = tmp_path / "swing.mat"
     path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(packed)) + packed)
@@ -131,7 +131,7 @@ def test_a_matlab_file_whose_packed_variable_claims_gigabytes_is_refused(tmp_pat
         importing.read_matlab(path)
 
 
-def test_a_matlab_file_of_version_73_that_claims_gigabytes_is_refused(tmp_path: Path) -> None:
+def test_a_matlab_file_of_version_73_that_claims_gigabytes_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "swing.mat"
     with h5py.File(path, "w") as file:
         file.create_dataset("angles", shape=(10**10,), dtype="f8", chunks=True)
@@ -139,7 +139,7 @@ def test_a_matlab_file_of_version_73_that_claims_gigabytes_is_refused(tmp_path: 
         importing.read_matlab(path)
 
 
-def test_a_parquet_table_is_refused_by_the_rows_that_it_declares(
+def test_a_parquet_table_is_rejected_by_the_rows_that_it_declares(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "swing.parquet"

@@ -65,7 +65,7 @@ def test_designs_are_compared_without_a_log() -> None:
         (["swing.mcap", "--design"], "omit LOGS"),
     ],
 )
-def test_mistakes_are_one_sentence_and_nothing_is_written(arguments: list[str], said: str) -> None:
+def test_user_errors_are_one_sentence_and_nothing_is_written(arguments: list[str], said: str) -> None:
     a_log("swing.mcap")
     a_log("short.mcap", swings=2)
     before = sorted(Path().rglob("*"))

@@ -18,7 +18,7 @@ def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.chdir(tmp_path)
 
 
-def test_import_writes_a_log_named_after_the_file_and_tells_its_segments() -> None:
+def test_import_writes_a_log_named_after_the_file_and_reports_its_segments() -> None:
     write_mat(Path("swing.mat"), rig_variables(segments=3))
     document = dpcontrol("import", "swing.mat", "--json").document
     assert document["log"] == str(Path("logs/swing.mcap"))
@@ -29,7 +29,7 @@ def test_import_writes_a_log_named_after_the_file_and_tells_its_segments() -> No
     assert load_recording("logs/swing.mcap").segments == ((0, 300), (300, 600), (600, 900))
 
 
-def test_a_fault_is_refused_with_the_option_that_mends_it_and_then_mended() -> None:
+def test_a_fault_is_rejected_with_the_option_that_corrects_it() -> None:
     columns = table_columns()
     columns["angle_1"][50] = ""
     write_csv(Path("swing.csv"), columns)
@@ -53,7 +53,7 @@ def test_a_fault_is_refused_with_the_option_that_mends_it_and_then_mended() -> N
         (["--out", "."], "is a directory"),
     ],
 )
-def test_options_that_name_nothing_are_refused(options: list[str], said: str) -> None:
+def test_unknown_values_of_options_are_rejected(options: list[str], said: str) -> None:
     write_csv(Path("swing.csv"), table_columns())
     ended = dpcontrol("import", "swing.csv", *options)
     assert ended.code == 2
@@ -88,14 +88,14 @@ def test_simulated_swings_are_those_of_the_model_and_of_the_seed() -> None:
         (["--simulated", "lab", "--seconds", "nan"], "seconds = nan"),
     ],
 )
-def test_simulated_swings_that_cannot_be_are_refused(arguments: list[str], said: str) -> None:
+def test_impossible_simulated_swings_are_rejected(arguments: list[str], said: str) -> None:
     ended = dpcontrol("import", *arguments)
     assert ended.code == 2
     assert said in ended.stderr
     assert not Path("logs").exists()
 
 
-def test_replay_tells_each_segments_error_and_writes_a_log_that_review_opens() -> None:
+def test_replay_reports_the_error_of_each_segment_and_writes_a_log_for_review() -> None:
     write_mat(Path("swing.mat"), rig_variables(segments=2, samples=600))
     dpcontrol("import", "swing.mat")
     ended = dpcontrol("replay", "logs/swing.mcap", "--model", "lab", "--json")
@@ -115,7 +115,7 @@ def test_replay_tells_each_segments_error_and_writes_a_log_that_review_opens() -
     assert Path("replay.png").stat().st_size > 10_000
 
 
-def test_what_cannot_be_replayed_is_refused_with_the_reason() -> None:
+def test_a_log_that_cannot_be_replayed_is_rejected_with_the_reason() -> None:
     write_mat(Path("swing.mat"), rig_variables())
     dpcontrol("import", "swing.mat")
     for options, said in (

@@ -170,7 +170,7 @@ def test_a_verb_that_makes_another_error_of_an_interrupt_counts_as_interrupted(
     assert interrupted_in(ending, monkeypatch) == 130
 
 
-def test_an_interrupt_is_one_line_where_stderr_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_is_one_line_if_stderr_is_not_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         signal.raise_signal(signal.SIGINT)
 
@@ -183,7 +183,7 @@ def test_an_interrupt_is_one_line_where_stderr_is_no_terminal(monkeypatch: pytes
     assert (ended.code, ended.stderr) == (130, "dpcontrol: interrupted; finished results are kept\n")
 
 
-def test_an_interrupted_optimisation_says_nothing_and_does_not_count_as_failed(
+def test_an_interrupted_optimisation_prints_nothing_and_does_not_count_as_failed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """IPOPT takes an error in its callbacks for a point where functions cannot be evaluated, and goes on."""
@@ -205,7 +205,7 @@ def test_an_interrupted_optimisation_says_nothing_and_does_not_count_as_failed(
     assert capsys.readouterr().err == ""
 
 
-def test_an_interrupt_raised_again_is_heeded_by_the_optimisation_that_it_meets(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_repeated_interrupt_stops_the_current_optimisation(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where casadi's own Python swallowed the first, IPOPT took the next for a failure, and another search began."""
     went_on = []
 

@@ -54,7 +54,7 @@ def test_info_lists_topics_rates_attachments_and_metadata(logged: Path) -> None:
         assert word in text.stdout
 
 
-def test_a_cut_log_is_refused_by_info_recovered_and_then_scored(logged: Path, tmp_path: Path) -> None:
+def test_a_truncated_log_is_rejected_by_info_recovered_and_then_scored(logged: Path, tmp_path: Path) -> None:
     left = tmp_path / "cut.mcap.partial"
     left.write_bytes(logged.read_bytes()[: int(0.7 * logged.stat().st_size)])
     refused = dpcontrol("info", left)
@@ -82,7 +82,7 @@ def in_a_chunk(log: Path) -> int:
     return sum(chunks[len(chunks) // 2]) // 2
 
 
-def test_recover_says_what_is_lost_and_leaves_a_whole_log_alone(logged: Path, tmp_path: Path) -> None:
+def test_recover_reports_the_losses_and_keeps_a_complete_log(logged: Path, tmp_path: Path) -> None:
     data = bytearray(logged.read_bytes())
     data[in_a_chunk(logged)] ^= 16
     (tmp_path / "bad.mcap").write_bytes(data)
@@ -134,7 +134,7 @@ def test_a_recovered_log_repeats_the_run_that_it_is_a_part_of(logged: Path, tmp_
     assert messages(tmp_path / "again.mcap") == messages(logged)
 
 
-def test_a_log_from_another_run_is_told_by_its_first_difference(logged: Path, tmp_path: Path) -> None:
+def test_the_first_difference_from_another_run_is_reported(logged: Path, tmp_path: Path) -> None:
     from dpcontrol.logs import compare_messages
 
     assert dpcontrol(*RUN[:2], "--seed", "4", *RUN[4:], "--out", tmp_path / "four.mcap").code == 0
@@ -157,7 +157,7 @@ def test_repeating_takes_no_other_options_and_needs_a_log_of_a_run(logged: Path,
     assert "lacks scene.toml" in lacking.message
 
 
-def test_a_run_tells_the_plant_that_it_was_made_on(logged: Path, tmp_path: Path) -> None:
+def test_the_log_of_a_run_identifies_its_plant(logged: Path, tmp_path: Path) -> None:
     done = dpcontrol("identify", logged, "--model", "lab", "--out", tmp_path / "plant.toml", "--json")
     assert done.code == 0, done.stderr
     scene, ticks = load_itinerary("outer-turn"), len(read_log(logged).time)
@@ -168,7 +168,7 @@ def test_a_run_tells_the_plant_that_it_was_made_on(logged: Path, tmp_path: Path)
         assert told["value"] == pytest.approx(true, abs=max(4 * told["standard_error"], RATIO * true))
 
 
-def test_swings_too_long_to_be_told_from_their_starts_are_a_sentence(logged: Path) -> None:
+def test_swings_too_long_for_identification_give_one_sentence(logged: Path) -> None:
     run = load_recording(logged)
     settings = IdentificationSettings(longest=10.0, zeros="none", laws=((),))
     with pytest.raises(GoalMissed, match=r"no candidate could be fitted; .* shorter"):
@@ -176,7 +176,7 @@ def test_swings_too_long_to_be_told_from_their_starts_are_a_sentence(logged: Pat
 
 
 @pytest.mark.parametrize("verb", ["recover", "replay", "import"])
-def test_no_verb_writes_over_what_it_reads(verb: str, logged: Path, tmp_path: Path) -> None:
+def test_no_verb_overwrites_its_input(verb: str, logged: Path, tmp_path: Path) -> None:
     read = tmp_path / "read.mcap"
     read.write_bytes(logged.read_bytes()[: logged.stat().st_size // 2] if verb == "recover" else logged.read_bytes())
     before = read.read_bytes()
@@ -188,7 +188,7 @@ def test_no_verb_writes_over_what_it_reads(verb: str, logged: Path, tmp_path: Pa
     assert read.read_bytes() == before
 
 
-def test_what_is_no_file_is_not_replaced(logged: Path, tmp_path: Path) -> None:
+def test_a_path_that_is_not_a_file_is_not_replaced(logged: Path, tmp_path: Path) -> None:
     log, picture = tmp_path / "pipe.mcap", tmp_path / "pipe.png"
     os.mkfifo(log)
     os.mkfifo(picture)

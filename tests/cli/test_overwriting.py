@@ -52,7 +52,7 @@ def test_a_run_with_other_settings_leaves_the_log_of_a_run() -> None:
     kept(LOG, f"run {STILL} --seed 5 --out {LOG}", "holds another log (not the same: ")
 
 
-def test_what_is_no_log_is_no_log_to_replace() -> None:
+def test_a_file_that_is_not_a_log_is_not_replaced() -> None:
     LOG.write_text("my notes")
     kept(LOG, f"run {STILL}", "is not a complete log")
 
@@ -64,7 +64,7 @@ def written(path: Path, *, rig: str | None = None, ticks: int = 50) -> None:
         log.result(**({} if rig is None else {"rig": rig}))
 
 
-def test_what_a_rig_did_is_kept_whatever_runs() -> None:
+def test_logs_of_a_rig_are_always_kept() -> None:
     written(LOG, rig="udp://127.0.0.1:47000")
     with pytest.raises(InputError, match="is a log from a rig"):
         check_replaced(LOG, {"seed": "0"})

@@ -38,7 +38,7 @@ def test_a_reference_solves_the_equations_between_nodes_and_keeps_its_limits(iti
 
 
 @pytest.mark.parametrize("itinerary", WALKS)
-def test_a_plan_names_its_connections_and_wobbles_as_long_as_asked(itinerary: str) -> None:
+def test_a_plan_names_its_connections_and_has_the_requested_wobbles(itinerary: str) -> None:
     shown = dpcontrol("plan", itinerary, "--json").document
     source, target, winding = WALKS[itinerary]
     (name,) = shown["walk"]
@@ -106,9 +106,7 @@ def test_a_solver_that_fails_ends_with_1_and_its_reason_and_leaves_no_file(
     assert [file.name for file in tmp_path.rglob("*") if file.is_file()] == ["hasty.toml"]
 
 
-def test_margins_are_shown_where_they_are_asked_for_and_are_those_of_the_plan(
-    tmp_path: Path, shipped_text: dict[str, str]
-) -> None:
+def test_requested_margins_are_those_of_the_plan(tmp_path: Path, shipped_text: dict[str, str]) -> None:
     scene = tmp_path / "held.toml"
     scene.write_text(shipped_text["hold-up-up"].replace("[run]", "[run]\nrate = 200").replace("60.0", "4.0"))
     plain = dpcontrol("plan", scene, "--json").document
@@ -124,7 +122,7 @@ def test_margins_are_shown_where_they_are_asked_for_and_are_those_of_the_plan(
     assert "further delay" in dpcontrol("plan", scene, "--margins").stdout
 
 
-def test_margins_of_pulses_are_declined_with_what_has_some() -> None:
+def test_margins_of_pulses_are_rejected_with_an_alternative() -> None:
     ended = dpcontrol("plan", "keep-down-up", "--margins")
     assert ended.code == 2
     assert "use" in ended.message

@@ -9,7 +9,7 @@ HARD = ("--mismatch", "0.2", "--lag", "0.005", "--controller", "tvlqr")
 
 
 @pytest.mark.benchmark  # finds ten borders, as the guide's own example does with the slow tests
-def test_the_document_says_how_likely_what_ends_it_how_far_and_what_helps(tmp_path: Path) -> None:
+def test_the_document_has_the_probability_endings_limits_and_helpful_changes(tmp_path: Path) -> None:
     page = tmp_path / "page.png"
     ended = dpcontrol("preflight", "outer-turn", *HARD, "--runs", "32", "--workers", "1", "--picture", page, "--json")
     assert ended.code == 0
@@ -43,7 +43,7 @@ def test_the_document_says_how_likely_what_ends_it_how_far_and_what_helps(tmp_pa
         (("outer-turn", "--picture", "."), "--picture"),
     ],
 )
-def test_mistakes_are_one_sentence_and_exit_with_two(
+def test_user_errors_are_one_sentence_and_exit_with_two(
     arguments: tuple[str, ...], naming: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -48,7 +48,7 @@ def changed(file: Path, to: Path, **notes: Any) -> Path:
     return to
 
 
-def test_the_document_says_what_the_arrays_hold(file: Path) -> None:
+def test_the_document_agrees_with_the_arrays(file: Path) -> None:
     shown = dpcontrol("reference", file, "--json").document
     held = arrays(file)
     lengths = np.diff(held["mesh"])
@@ -74,7 +74,7 @@ def test_the_document_says_what_the_arrays_hold(file: Path) -> None:
     assert shown["method"] == "radau-7"
 
 
-def test_the_error_is_measured_anew_and_agrees_with_the_one_stored(file: Path, tmp_path: Path) -> None:
+def test_the_error_is_measured_again_and_agrees_with_the_one_stored(file: Path, tmp_path: Path) -> None:
     shown = dpcontrol("reference", file, "--json").document
     assert shown["measured_error_between_nodes"] == pytest.approx(shown["max_error_between_nodes"], rel=1e-3)
     # A file that claims more than it holds is found out.
@@ -120,7 +120,7 @@ def test_people_read_symbols_limits_effort_and_origin(file: Path, tmp_path: Path
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_limit_is_in_view_where_the_reference_comes_near_it(file: Path) -> None:
+def test_a_limit_is_drawn_if_the_reference_comes_near_it(file: Path) -> None:
     reference = load_reference(file)
     near = Limits(position=1.02 * reference.max_cart_position)
     panels = [
@@ -152,14 +152,14 @@ def test_a_file_without_a_plans_notes_is_shown_and_drawn_as_far_as_it_goes(file:
         ({"made_from": {"parameters": {"mass": [1.0]}}}, "parameters"),
     ],
 )
-def test_notes_that_are_not_a_plans_are_refused(file: Path, tmp_path: Path, notes: dict[str, Any], says: str) -> None:
+def test_notes_that_are_not_a_plans_are_rejected(file: Path, tmp_path: Path, notes: dict[str, Any], says: str) -> None:
     ended = dpcontrol("reference", changed(file, tmp_path / "odd.npz", **notes), "--json")
     assert ended.code == 2
     assert says in ended.document["status"]
     assert str(tmp_path / "odd.npz") in ended.message
 
 
-def test_damaged_foreign_and_missing_files_are_refused_in_one_sentence(file: Path, tmp_path: Path) -> None:
+def test_damaged_foreign_and_missing_files_are_rejected_in_one_sentence(file: Path, tmp_path: Path) -> None:
     data = bytearray(file.read_bytes())
     (tmp_path / "short.npz").write_bytes(data[: len(data) // 2])
     data[len(data) // 2] ^= 0xFF

@@ -54,7 +54,7 @@ def series(log: Path, *topics: str) -> list[tuple[NDArray[np.float64], list]]:
 
 
 @pytest.mark.parametrize(("itinerary", "seed"), CASES)
-def test_every_seed_does_what_was_asked_by_the_true_state(itinerary: str, seed: int, tmp_path: Path) -> None:
+def test_every_seed_completes_the_itinerary_by_the_true_state(itinerary: str, seed: int, tmp_path: Path) -> None:
     journey, log = JOURNEYS[itinerary], tmp_path / "run.mcap"
     ended = dpcontrol("run", itinerary, "--seed", str(seed), *MISMATCH, "--out", log, "--json")
     shown = ended.document

@@ -34,7 +34,7 @@ def test_a_table_without_rates_needs_no_mapping(kind: str, folder: Path) -> None
     assert "rates    none" in ended.stdout
 
 
-def test_a_table_with_one_of_two_rates_is_told_which_is_missing(folder: Path) -> None:
+def test_the_missing_one_of_two_rates_is_named(folder: Path) -> None:
     (folder / "swing.csv").write_text("time,angle_1,angle_2,rate_1\n0,0,0,0\n")
     ended = dpcontrol("import", "swing.csv")
     assert ended.code == 2
@@ -61,7 +61,7 @@ def test_a_byte_order_mark_at_the_start_of_a_file_is_no_part_of_it(shipped_text:
         "plan outer-turn --out turn.mcap",
     ],
 )
-def test_a_suffix_that_promises_another_format_is_refused(line: str, folder: Path) -> None:
+def test_a_suffix_of_another_format_is_rejected(line: str, folder: Path) -> None:
     ended = dpcontrol(*line.split())
     assert ended.code == 2
     assert "choose a name that ends in ." in ended.message

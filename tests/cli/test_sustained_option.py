@@ -35,7 +35,7 @@ def test_a_sustained_orbit_is_near_its_lyapunov_orbit_at_the_known_effort(saddle
         assert sum(abs(v - 1) < 1e-9 for v in values) == 2
 
 
-def test_what_people_read_names_period_effort_and_both_kinds_of_multipliers_and_the_picture_is_drawn(
+def test_the_text_has_period_effort_and_both_kinds_of_multipliers_and_the_picture_is_drawn(
     tmp_path: Path,
 ) -> None:
     file = tmp_path / "orbit.png"
@@ -58,7 +58,7 @@ def test_what_people_read_names_period_effort_and_both_kinds_of_multipliers_and_
         (("three-body", "--saddle", "L1", "--energy", "-1.515"), "no arms"),
     ],
 )
-def test_a_sustained_orbit_that_cannot_be_is_refused_in_one_sentence(words: tuple[str, ...], says: str) -> None:
+def test_an_impossible_sustained_orbit_is_rejected_in_one_sentence(words: tuple[str, ...], says: str) -> None:
     ended = dpcontrol("orbit", *words, "--sustained", "--json")
     assert ended.code == 2
     assert says in ended.document["status"]
@@ -78,7 +78,7 @@ def test_friction_beyond_reach_ends_with_1_and_a_reason(tmp_path: Path) -> None:
     assert ended.document["status"] in ended.message
 
 
-def test_a_system_without_arms_is_refused_before_its_orbit_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_without_arms_is_rejected_before_the_search_for_its_orbit(monkeypatch: pytest.MonkeyPatch) -> None:
     # Following the family up to this energy takes minutes.
     monkeypatch.setattr("dpcontrol.cli.connections._lyapunov", lambda *_: pytest.fail("the orbit was sought"))
     ended = dpcontrol("orbit", "three-body", "--saddle", "L1", "--energy", "0.5", "--sustained")

@@ -52,7 +52,7 @@ def test_of_two_commands_that_write_one_file_the_first_wins(writing: subprocess.
     assert again.code == 0, again.stderr
 
 
-def test_files_are_written_to_where_a_link_leads(tmp_path: Path) -> None:
+def test_files_are_written_to_the_target_of_a_link(tmp_path: Path) -> None:
     there = tmp_path / "shared"
     there.mkdir()
     for name in ("table", "run.mcap"):
@@ -67,7 +67,7 @@ def test_files_are_written_to_where_a_link_leads(tmp_path: Path) -> None:
     assert sorted(file.name for file in there.iterdir()) == ["run.mcap", "table"]
 
 
-def test_a_folder_is_written_to_where_a_link_leads(tmp_path: Path) -> None:
+def test_a_folder_is_written_to_the_target_of_a_link(tmp_path: Path) -> None:
     (tmp_path / "shared").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "shared")
     write_folder(tmp_path / "link", {"code.c": "int x;"})

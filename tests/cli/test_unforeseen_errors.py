@@ -67,7 +67,7 @@ def test_debug_shows_the_traceback(line: str) -> None:
 
 
 @pytest.mark.usefixtures("defect")
-def test_json_tells_an_error_that_no_verb_foresaw_too() -> None:
+def test_json_reports_internal_errors_too() -> None:
     ended = dpcontrol("model", "lab", "--json")
     assert ended.code == 70
     assert ended.document["error"] is True
@@ -86,7 +86,7 @@ def test_an_error_of_a_file_or_of_memory_needs_no_report(monkeypatch: pytest.Mon
     assert list(folder.iterdir()) == []
 
 
-def test_a_users_text_is_printed_as_it_stands_and_steers_no_terminal(shipped_text: dict[str, str]) -> None:
+def test_user_text_is_printed_unchanged_and_cannot_control_the_terminal(shipped_text: dict[str, str]) -> None:
     text = re.sub("(?m)^title = .*$", lambda _: f'title = "{BROKEN}"', shipped_text["lab"])
     Path("mine.toml").write_text(text)
     ended = dpcontrol("model", "mine.toml")
@@ -140,7 +140,7 @@ def test_half_a_formula_in_a_title_is_drawn_as_text(folder: Path) -> None:
         ("run outer-turn --rig udp://" + 90 * "n." + ":47000", "udp://n.n.n."),
     ],
 )
-def test_hostile_values_are_refused_in_a_sentence(line: str, naming: str) -> None:
+def test_hostile_values_are_rejected_in_a_sentence(line: str, naming: str) -> None:
     for name in ("loop.mcap", "loop.csv"):
         Path(name).symlink_to(name)
     ended = dpcontrol(*line.split())
@@ -148,7 +148,7 @@ def test_hostile_values_are_refused_in_a_sentence(line: str, naming: str) -> Non
     assert naming in ended.stderr
 
 
-def test_wraps_beyond_all_bounds_and_symbols_nested_two_hundred_deep_are_refused() -> None:
+def test_wraps_beyond_all_bounds_and_symbols_nested_two_hundred_deep_are_rejected() -> None:
     walk = ("walk", "lab", "--energy", "-0.07", "--solve")
     endless = dpcontrol(*walk, "-s", "down-up +", "-s", "down-up +", "--wraps", "99999999999999999999")
     nested = dpcontrol(*walk, "-s", 200 * "(" + "down-up +" + 200 * ")")
@@ -165,7 +165,7 @@ def test_names_as_long_as_the_system_allows_are_written_and_cached(shipped_text:
     assert sorted(os.listdir(".")) == [f"{name}.npz", f"{name}.png", f"{name}.toml"]
 
 
-def test_an_archive_whose_header_lies_about_shapes_or_nests_deeply_is_refused() -> None:
+def test_an_archive_with_false_shapes_or_deep_nesting_is_rejected() -> None:
     assert dpcontrol("plan", "hold-down-down", "--out", "plan.npz").code == 0
     sound = dict(np.load("plan.npz"))
     long, deep = 10**15, 4000
@@ -199,7 +199,7 @@ def test_a_log_whose_time_runs_backward_is_no_recording(folder: Path) -> None:
         recording_of(replace(log, time=backward))
 
 
-def test_a_picture_whose_curves_reach_too_far_is_refused_in_a_sentence(
+def test_a_picture_whose_curves_reach_too_far_is_rejected_in_a_sentence(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
     from dpcontrol.pages.layout import new_figure, save_figure

@@ -129,7 +129,7 @@ def test_wraps_and_leads_lengthen_an_orbit_by_whole_periods() -> None:
     assert lasts("1", "--lead-in", "0", "--lead-out", "5") - base == pytest.approx(period, abs=1e-9)
 
 
-def test_what_out_writes_reads_with_numpy_alone_and_obeys_the_equations(tmp_path: Path) -> None:
+def test_numpy_reads_the_output_which_satisfies_the_equations(tmp_path: Path) -> None:
     ended = dpcontrol(*LOW, *TURN, *BACK, "--wraps", "1", "--solve", "--out", tmp_path / "orbits", "--json")
     (walk,) = ended.document["walks"]
     assert walk["file"] == str(tmp_path / "orbits" / "walk-1.npz")
@@ -270,7 +270,7 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
         ((*LOW, *TURN, "--solve", "--picture", "taken/x.png"), "cannot use taken/x.png: Not a directory"),
     ],
 )
-def test_a_mistake_is_refused_in_one_sentence_and_leaves_nothing(
+def test_a_user_error_is_rejected_in_one_sentence_and_leaves_nothing(
     arguments: tuple[str, ...], naming: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

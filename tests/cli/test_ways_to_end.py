@@ -61,7 +61,7 @@ def test_a_command_without_stderr_does_its_work(tmp_path: Path, streams: str) ->
     ("blow", "said"),
     [("arm = 1\nimpulse = 0.01", "[blows 1] the key 'time' is missing"), ("tiem = 1.0", "did you mean 'time'?")],
 )
-def test_a_blow_without_a_time_is_a_sentence(tmp_path: Path, blow: str, said: str) -> None:
+def test_a_blow_without_a_time_gives_one_sentence(tmp_path: Path, blow: str, said: str) -> None:
     file = tmp_path / "struck.toml"
     file.write_text(f"{SCENE}[[run.blows]]\n{blow}\n")
     ended = dpcontrol("plan", file)
@@ -83,7 +83,7 @@ def test_names_in_capitals_are_recognised() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names are POSIX's")
-def test_a_key_file_that_is_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+def test_a_key_file_that_is_a_pipe_is_rejected_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "key")
     reader = "import pathlib; from dpcontrol.rig.packets import shared_key; shared_key(pathlib.Path('key'))"
     program = [sys.executable, "-c", reader]

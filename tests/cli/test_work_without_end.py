@@ -35,7 +35,7 @@ TURN = ("-s", "down-up +")
     ],
     ids=["wraps", "absurd wraps", "symbols", "random", "lengths", "samples", "hits", "swings", "long swings"],
 )  # fmt: skip
-def test_endless_work_is_refused_before_it_is_begun(call: tuple[str, ...], key: str) -> None:
+def test_endless_work_is_rejected_before_it_starts(call: tuple[str, ...], key: str) -> None:
     ended = dpcontrol(*call)
     assert ended.code == 2
     assert ended.message.startswith(f"dpcontrol: {key}")
@@ -45,7 +45,7 @@ def test_endless_work_is_refused_before_it_is_begun(call: tuple[str, ...], key: 
 
 @pytest.mark.parametrize("verb", ["plan", "run", "campaign", "rig"])
 @pytest.mark.parametrize(("key", "value"), [("wraps", "[100000]"), ("lead_in", "1000000"), ("repeat", "10000")])
-def test_an_itinerary_without_end_is_refused_by_file_and_key(
+def test_an_endless_itinerary_is_rejected_with_file_and_key(
     verb: str, key: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -59,7 +59,7 @@ def test_an_itinerary_without_end_is_refused_by_file_and_key(
     assert {path.name for path in tmp_path.iterdir()} == {"long.toml"}
 
 
-def test_a_campaign_of_too_many_cases_or_runs_is_refused() -> None:
+def test_a_campaign_of_too_many_cases_or_runs_is_rejected() -> None:
     many = [k / 1e5 for k in range(200)]
     with pytest.raises(InputError, match="over: 40,000 cases"):
         dp.campaign("outer-turn", over={"mismatch": many, "lag": many})
@@ -67,7 +67,7 @@ def test_a_campaign_of_too_many_cases_or_runs_is_refused() -> None:
         dp.campaign("outer-turn", runs=1_000_000, over={"mismatch": many})
 
 
-def test_a_campaign_of_a_thousand_cases_says_what_it_takes_and_is_refused_beyond_an_hour(
+def test_a_campaign_of_a_thousand_cases_is_estimated_and_rejected_beyond_an_hour(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of 100 runs each: 41 minutes on two processors, below the limit; 200 runs need more."""
@@ -83,7 +83,7 @@ def test_a_campaign_of_a_thousand_cases_says_what_it_takes_and_is_refused_beyond
         dp.campaign("outer-turn", over=over, runs=200, workers=2)
 
 
-def test_an_atlas_says_what_it_takes_and_is_refused_likewise(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_atlas_is_estimated_and_rejected_beyond_an_hour(monkeypatch: pytest.MonkeyPatch) -> None:
     model = load_model("lab")
     monkeypatch.setattr("dpcontrol.walks.edges._SEARCHED", 1e4)
     with pytest.raises(InputError, match=r"hits up to 2,2: up to 2 searches will take about .* reduce the work"):
@@ -99,7 +99,7 @@ def test_an_atlas_says_what_it_takes_and_is_refused_likewise(monkeypatch: pytest
     assert dpcontrol("atlas", "lab", "--energy", "-0.07", "--fresh", "--yes").code == 1
 
 
-def test_charts_say_what_they_take_and_are_refused_likewise(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_charts_are_estimated_and_rejected_beyond_an_hour(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert 600 < charts_cost(tuple(CHARTS), quick=False).seconds < MOST_SECONDS / 2
     assert charts_cost(tuple(CHARTS), quick=True).seconds < 300
     monkeypatch.setattr("dpcontrol.bench.run._SECONDS", {False: (1e4, 1e4)})
@@ -110,7 +110,7 @@ def test_charts_say_what_they_take_and_are_refused_likewise(monkeypatch: pytest.
     assert not list(tmp_path.iterdir())
 
 
-def test_python_refuses_likewise_and_names_its_keyword() -> None:
+def test_python_rejects_long_work_and_names_its_keyword() -> None:
     model = load_model("lab")
     with pytest.raises(InputError, match=r"samples.*will take about.*reduce the work"):
         dp.find_bifurcations(model, "down-up", "down-up", energies=(-0.11, -0.09), samples=10**9)
@@ -122,7 +122,7 @@ def test_python_refuses_likewise_and_names_its_keyword() -> None:
 
 
 @pytest.mark.parametrize("begin", [dp.run, dp.campaign, dp.plan])
-def test_python_refuses_an_itinerary_without_end_unless_it_is_asked_for(
+def test_python_rejects_an_endless_itinerary_without_yes(
     begin: Callable[..., object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "long.toml"
@@ -138,7 +138,7 @@ def test_python_refuses_an_itinerary_without_end_unless_it_is_asked_for(
         begin(str(file), yes=True)
 
 
-def test_what_is_asked_for_by_name_is_begun_and_announced() -> None:
+def test_work_with_yes_starts_and_is_announced() -> None:
     long = Cost("a year's work", 3e7, 1e9, "years = 1")
     with pytest.raises(InputError, match=r"^years = 1: a year's work will take about 350 days and 1 GB"):
         announce(long, yes=False)
@@ -146,7 +146,7 @@ def test_what_is_asked_for_by_name_is_begun_and_announced() -> None:
         announce(long, yes=True)
 
 
-def test_shipped_itineraries_are_planned_unasked() -> None:
+def test_shipped_itineraries_are_planned_without_yes() -> None:
     for file in Path(dp.__file__).parent.parent.joinpath("itineraries").glob("*.toml"):
         foretold = plan_cost(load_itinerary(str(file)))
         # Fifty-six transfers of three arms take a quarter of an hour.

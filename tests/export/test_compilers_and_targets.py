@@ -107,7 +107,7 @@ WHOLE = {("outer-turn", "single"), ("turn-from-rest", "double"), ("hold-up-up", 
         for one in product(ITINERARIES, ["double", "single"])
     ],
 )
-def test_every_shipped_itinerary_leaves_as_c_or_says_why_not(
+def test_every_shipped_itinerary_is_exported_or_rejected_with_the_reason(
     name: str, precise: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))

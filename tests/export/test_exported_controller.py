@@ -42,7 +42,7 @@ def set_clock(program: LibraryProgram, tick: int) -> None:
     ctypes.c_long.from_address(program.controller_address + place).value = tick
 
 
-def test_the_folder_holds_all_that_a_target_needs_and_says_what_it_takes(exported: Exported) -> None:
+def test_the_folder_is_complete_and_states_its_requirements(exported: Exported) -> None:
     folder, source = exported
     assert {file.name for file in folder.iterdir()} >= {
         "dpc_controller.h", "dpc_controller.c", "dpc_tables.c", "dpc_tables.h", "main_replay.c", "Makefile",
@@ -112,7 +112,7 @@ def test_a_replayed_run_gets_the_loops_commands(exported: Exported) -> None:
 # Slow: seconds for generation and compilation of C.
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tvlqr", "adaptive"])
-def test_a_law_that_knows_its_drives_lag_leaves_with_it(
+def test_a_law_with_a_known_lag_is_exported_with_it(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, controller: str
 ) -> None:
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))
@@ -159,7 +159,7 @@ def test_a_stuck_sensor_brakes_the_cart_at_the_same_tick(plan: Plan, exported: E
     ("trouble", "outcome"),
     [("switch", Outcome.SWITCH), ("silence", Outcome.SILENT), ("far", Outcome.CART), ("nan", Outcome.ESTIMATE_LOST)],
 )
-def test_what_the_supervisor_decides_brings_the_cart_to_rest(
+def test_decisions_of_the_supervisor_bring_the_cart_to_rest(
     plan: Plan, exported: Exported, trouble: str, outcome: Outcome
 ) -> None:
     both, rows = SideBySide(plan, library(exported[0]), told=False), readings(exported)[:, :3].copy()
@@ -247,7 +247,7 @@ def test_the_library_takes_the_ticks_place_in_a_run(plan: Plan, exported: Export
         (["--estimator", "ukf"], "ukf"),
     ],
 )
-def test_a_library_of_other_settings_is_refused(
+def test_a_library_of_other_settings_is_rejected(
     double: Exported, tmp_path: Path, options: list[str], said: str
 ) -> None:
     log = tmp_path / "run.mcap"
@@ -263,7 +263,7 @@ def test_a_library_for_another_bench_runs_with_any_mismatch_and_seed(double: Exp
     assert run_plan(replace(plan, itinerary=scene), library=library(double[0])).converged
 
 
-def test_what_is_no_library_is_refused(tmp_path: Path, double: Exported) -> None:
+def test_a_file_that_is_not_a_library_is_rejected(tmp_path: Path, double: Exported) -> None:
     log, text = tmp_path / "run.mcap", tmp_path / "text.so"
     text.write_text("no library")
     (tmp_path / "other.c").write_text("int nothing(void) { return 0; }\n")
@@ -296,7 +296,7 @@ def test_what_is_no_library_is_refused(tmp_path: Path, double: Exported) -> None
         ("no-such-itinerary", [], "no-such-itinerary"),
     ],
 )
-def test_what_cannot_leave_is_refused_and_nothing_written(
+def test_a_law_that_cannot_be_exported_is_rejected_without_files(
     itinerary: str, options: list[str], said: str, tmp_path: Path
 ) -> None:
     ended = dpcontrol("export", itinerary, *options, "--out", tmp_path / "new" / "controller")

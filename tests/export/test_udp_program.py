@@ -179,7 +179,7 @@ def test_a_bench_that_does_not_fit_is_left_with_a_sentence(numbers: dict[str, st
     assert loop.returncode == 2
 
 
-def test_bad_arguments_and_keys_are_refused_with_a_sentence(program: Path, tmp_path: Path) -> None:
+def test_bad_arguments_and_keys_are_rejected_with_a_sentence(program: Path, tmp_path: Path) -> None:
     short, key = tmp_path / "short", tmp_path / "key"
     short.write_text("0123456789\n")
     key.write_text(f"  {KEY.hex()}\n")
@@ -259,7 +259,7 @@ def test_a_recorded_run_shown_to_the_loop_is_the_run(turn: tuple[StandIn, Refere
         np.testing.assert_array_equal(getattr(result.ticks, name), getattr(ran.ticks, name))
 
 
-def test_what_a_program_commands_otherwise_does_not_drive_its_log_away(turn: tuple[StandIn, Reference]) -> None:
+def test_different_commands_of_a_program_do_not_affect_its_log(turn: tuple[StandIn, Reference]) -> None:
     loop, rig = controlled(turn, 800)
     recorded = Recorded(rig, 801, loop, other=1e-6)
     loop.run(recorded)
@@ -271,7 +271,7 @@ def test_what_a_program_commands_otherwise_does_not_drive_its_log_away(turn: tup
     assert shown.difference < 2e-6
 
 
-def test_a_log_ends_where_the_program_did_and_says_when_the_cart_stood(turn: tuple[StandIn, Reference]) -> None:
+def test_a_log_ends_with_the_program_and_has_the_time_of_the_stop(turn: tuple[StandIn, Reference]) -> None:
     loop, rig = controlled(turn, 400)
     recorded = Recorded(rig, 401, loop)
     loop.run(recorded)

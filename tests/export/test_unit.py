@@ -190,7 +190,7 @@ def test_fmpy_simulates_it_whole(exported: Exported) -> None:
     assert np.isfinite(found["command"]).all()
 
 
-def test_steps_that_divide_the_period_keep_the_outputs_and_others_are_refused(
+def test_steps_that_divide_the_period_keep_the_outputs_and_others_are_rejected(
     exported: Exported, tmp_path: Path
 ) -> None:
     with running(exported, tmp_path / "a", start=2.0) as halves, running(exported, tmp_path / "b") as wholes:
@@ -228,7 +228,9 @@ def test_after_a_reset_it_begins_again(exported: Exported, tmp_path: Path) -> No
             slave.set("command", 1.0)
 
 
-def test_without_a_compiler_it_has_its_sources_and_says_so(exported: Exported, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_the_unit_has_sources_and_a_message(
+    exported: Exported, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ticker = Assembly(exported.reference, LAB, SETTINGS, law=exported.controller, believed_delay=1.0).ticker()
     monkeypatch.setattr("dpcontrol.control.export.shutil.which", lambda name: None)
     made = controller_unit(
@@ -265,7 +267,7 @@ def test_the_verb_writes_a_unit_and_replaces_nothing_else(tmp_path: Path) -> Non
     assert file.read_bytes() == written
 
 
-def test_a_unit_under_another_ending_is_refused(tmp_path: Path) -> None:
+def test_a_unit_under_another_ending_is_rejected(tmp_path: Path) -> None:
     ended = dpcontrol("export", "outer-turn", "--fmu", "--out", tmp_path / "controller")
     assert ended.code == 2
     assert "a co-simulation unit needs a name that ends in .fmu" in ended.message

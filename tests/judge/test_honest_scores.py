@@ -49,7 +49,7 @@ def test_a_tumble_after_the_run_has_lost_its_reference_is_no_symbol(log: RunLog)
     assert score(log).symbols_completed == 1
 
 
-def test_a_run_that_ends_at_once_is_not_said_to_have_begun_elsewhere(log: RunLog) -> None:
+def test_a_run_that_ends_at_once_gets_no_message_on_its_start(log: RunLog) -> None:
     rows = slice(0, 40)
     begun = replace(
         log, time=log.time[rows], measured=log.measured[rows], states={k: v[rows] for k, v in log.states.items()},

@@ -35,7 +35,7 @@ def test_a_simulated_run_notes_the_largest_acceleration_that_its_drive_applied(l
     assert score(log).document()["judged_by"] == "truth"
 
 
-def test_what_the_loop_wrongly_expects_of_the_drive_fails_no_simulated_run(log: RunLog) -> None:
+def test_wrong_assumptions_on_the_drive_fail_no_simulated_run(log: RunLog) -> None:
     wrong = with_applied(log, 700, 98.3)
     assert score(wrong).completed
     assert score(without_note(wrong)).completed
@@ -55,7 +55,7 @@ def test_in_an_old_log_both_the_loop_and_the_true_cart_must_show_it(log: RunLog)
     assert "acceleration" in score(with_applied(pushed, 700, 45.0)).reason
 
 
-def test_without_the_true_state_the_estimate_decides_and_the_verdict_says_so(log: RunLog) -> None:
+def test_without_the_true_state_the_verdict_uses_the_estimate_and_reports_this(log: RunLog) -> None:
     measured = replace(without_note(log), states={k: v for k, v in log.states.items() if k != "truth"})
     found = score(measured)
     assert (found.completed, found.judged_by) == (None, "estimate")

@@ -26,7 +26,7 @@ def log():
 
 
 @pytest.mark.slow
-def test_a_strip_shows_what_the_run_was_doing(log) -> None:
+def test_a_strip_shows_the_phases_of_a_run(log) -> None:
     view = run_view(log)
     (strip,) = [one for one in strips(view) if one.key == "motion"]
     assert [span.text for span in strip.spans] == ["itinerary", "return", "start", "itinerary"]
@@ -36,7 +36,7 @@ def test_a_strip_shows_what_the_run_was_doing(log) -> None:
 
 
 @pytest.mark.slow
-def test_what_was_done_stands_where_it_was_done_by_the_runs_own_clock(log) -> None:
+def test_completed_symbols_have_the_times_of_the_run(log) -> None:
     view = run_view(log)
     returned = next(event.time for event in log.events if event.name == "resume" and event.time)
     # The turn failed before it fell, and was done after it had come back.
@@ -56,7 +56,7 @@ def test_ticks_that_are_flown_again_do_not_count() -> None:
     assert times[-1] == pytest.approx(4.499)
 
 
-def test_flights_are_read_from_what_the_log_tells() -> None:
+def test_flights_are_decoded_from_the_log() -> None:
     told = joined_text(2.5, "symbol 2 of 3 ('down-up -'), attempt 4")
     assert joined_at(told) == (2.5, 2, 4)
     assert joined_at(joined_text(0.0, "lap 7")) == (0.0, 0, 0)

@@ -90,7 +90,7 @@ def test_wobbles_more_or_fewer_are_counted(more: int) -> None:
     assert found.wraps == (WRAPS + more,)
 
 
-def test_a_turn_the_wrong_way_round_is_lost_where_it_begins() -> None:
+def test_a_turn_in_the_wrong_direction_is_lost_at_its_start() -> None:
     found = decode_run(TIMES, motion(TIMES, FIRST, SECOND, (1.0, -1.0)), plan())
     assert found.matched == 2
     assert found.lost is not None
@@ -105,7 +105,7 @@ def test_a_turn_left_out_is_lost(missing: int) -> None:
     assert found.lost is not None
 
 
-def test_a_turn_and_back_that_nobody_asked_for_is_lost() -> None:
+def test_an_additional_turn_and_back_is_lost() -> None:
     angles = motion(TIMES, FIRST, SECOND)
     angles[:, 1] += turn(TIMES, 3.2) - turn(TIMES, 4.0)
     found = decode_run(TIMES, angles, plan())
@@ -132,7 +132,7 @@ def test_angles_that_are_no_numbers_follow_nothing() -> None:
     assert (found.matched, found.lost) == (2, 3000)
 
 
-def test_a_turn_back_at_the_same_angles_is_told_from_the_one_before_by_its_direction() -> None:
+def test_a_turn_back_at_the_same_angles_is_distinguished_by_its_direction() -> None:
     there_and_back = plan(directions=(1.0, -1.0))
     found = decode_run(TIMES, motion(TIMES, FIRST, SECOND, (1.0, -1.0)), there_and_back)
     assert (found.matched, found.wraps) == (3, (WRAPS,))

@@ -35,9 +35,7 @@ def test_a_killed_run_loses_no_more_than_a_chunk(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rate", [33.0, 500.0, 1000.0, 10_000.0])
-def test_at_any_rate_what_is_not_yet_written_is_no_longer_than_twenty_milliseconds_or_a_tick(
-    tmp_path: Path, rate: float
-) -> None:
+def test_at_any_rate_unwritten_data_are_at_most_twenty_milliseconds_or_a_tick(tmp_path: Path, rate: float) -> None:
     ticks = round(0.5 * rate)
     log = LogWriter(tmp_path / "run.mcap", arm_lengths=(0.2,), rate_hz=rate, has_cart=False).__enter__()
     for k in range(ticks):
@@ -66,7 +64,7 @@ class FullDisk:
 
 
 @pytest.mark.parametrize("room", [0, 100, 30_000, ROOM])
-def test_a_full_disk_stops_a_run_with_a_sentence_and_keeps_what_fitted(
+def test_a_full_disk_stops_a_run_with_a_message_and_keeps_the_written_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
 ) -> None:
     from dpcontrol.logs import writer
@@ -133,7 +131,7 @@ def test_a_folder_that_vanishes_stops_a_run_with_a_sentence(tmp_path: Path, how:
         assert recover(tmp_path / "elsewhere" / "run.mcap.partial").ticks >= 100
 
 
-def test_an_interrupt_keeps_every_tick_so_far_and_says_how_to_get_at_them(tmp_path: Path) -> None:
+def test_an_interrupt_keeps_every_tick_and_names_the_file(tmp_path: Path) -> None:
     def interrupt() -> None:
         raise KeyboardInterrupt
 

@@ -48,14 +48,14 @@ def _refused(path: Path, data: bytes) -> str:
     return sentence
 
 
-def test_a_truncated_log_is_refused_wherever_it_is_cut(whole: Path, tmp_path: Path) -> None:
+def test_a_truncated_log_is_rejected_wherever_it_is_cut(whole: Path, tmp_path: Path) -> None:
     data = whole.read_bytes()
     ends = [0, 1, 7, 8, 9, 30, *np.linspace(31, len(data) - 9, 80).astype(int), *range(len(data) - 8, len(data))]
     for end in ends:
         _refused(tmp_path / "cut.mcap", data[:end])
 
 
-def test_a_truncated_log_says_when_it_was_cut(whole: Path, tmp_path: Path) -> None:
+def test_the_time_of_the_truncation_of_a_log_is_reported(whole: Path, tmp_path: Path) -> None:
     data = whole.read_bytes()
     sentence = _refused(tmp_path / "cut.mcap", data[: len(data) // 2])
     assert "cut off at 0." in sentence
@@ -63,7 +63,7 @@ def test_a_truncated_log_says_when_it_was_cut(whole: Path, tmp_path: Path) -> No
     assert "before its first tick" in _refused(tmp_path / "cut.mcap", data[:300])
 
 
-def test_a_flipped_bit_is_refused_or_changes_nothing(whole: Path, tmp_path: Path) -> None:
+def test_a_flipped_bit_is_rejected_or_changes_nothing(whole: Path, tmp_path: Path) -> None:
     data = whole.read_bytes()
     expected = read_log(whole)
     rng = np.random.default_rng(SEED)
@@ -81,7 +81,7 @@ def test_a_flipped_bit_is_refused_or_changes_nothing(whole: Path, tmp_path: Path
         assert _same(found, expected), f"bit flipped at byte {place} was believed"
 
 
-def test_swapped_chunks_are_refused(whole: Path, tmp_path: Path) -> None:
+def test_swapped_chunks_are_rejected(whole: Path, tmp_path: Path) -> None:
     data = whole.read_bytes()
     chunks, place = [], 8
     while place < len(data) - 8:
@@ -95,7 +95,7 @@ def test_swapped_chunks_are_refused(whole: Path, tmp_path: Path) -> None:
     assert "checksum" in _refused(tmp_path / "swapped.mcap", swapped)
 
 
-def test_joined_and_padded_files_are_refused(whole: Path, tmp_path: Path) -> None:
+def test_joined_and_padded_files_are_rejected(whole: Path, tmp_path: Path) -> None:
     data = whole.read_bytes()
     for changed in (
         data + data,
@@ -105,7 +105,7 @@ def test_joined_and_padded_files_are_refused(whole: Path, tmp_path: Path) -> Non
         _refused(tmp_path / "odd.mcap", changed)
 
 
-def test_other_files_are_refused_with_what_they_are(tmp_path: Path) -> None:
+def test_other_files_are_rejected_with_their_kind(tmp_path: Path) -> None:
     assert "is empty" in _refused(tmp_path / "empty.mcap", b"")
     assert "not an MCAP file" in _refused(tmp_path / "text.mcap", b"time,angle\n0,1\n")
     with pytest.raises(InputError, match="there is no log"):
@@ -115,7 +115,7 @@ def test_other_files_are_refused_with_what_they_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("topic", ["/camera", "/joint_states"])
-def test_an_mcap_file_of_others_is_refused_with_what_it_lacks(tmp_path: Path, topic: str) -> None:
+def test_a_foreign_mcap_file_is_rejected_with_its_missing_parts(tmp_path: Path, topic: str) -> None:
     stream = BytesIO()
     writer = Writer(stream, enable_data_crcs=True)
     writer.start(library="somebody else's")
@@ -128,7 +128,7 @@ def test_an_mcap_file_of_others_is_refused_with_what_it_lacks(tmp_path: Path, to
     assert "somebody else's" in sentence
 
 
-def test_an_mcap_file_without_messages_is_refused(tmp_path: Path) -> None:
+def test_an_mcap_file_without_messages_is_rejected(tmp_path: Path) -> None:
     stream = BytesIO()
     writer = Writer(stream)
     writer.start()
@@ -136,7 +136,7 @@ def test_an_mcap_file_without_messages_is_refused(tmp_path: Path) -> None:
     assert "lacks" in _refused(tmp_path / "bare.mcap", stream.getvalue())
 
 
-def test_a_log_without_ticks_is_refused(tmp_path: Path) -> None:
+def test_a_log_without_ticks_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "eventful.mcap"
     with open_writer(path, sample()) as log:
         log.event(0.0, "fatal", "loop", "could not start")

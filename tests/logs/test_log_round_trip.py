@@ -98,7 +98,7 @@ def test_the_public_decoder_reads_every_topic_as_it_was_written(tmp_path: Path) 
         assert ElementTree.fromstring(found[topic][0].ros_msg.data).tag == "robot"
 
 
-def test_transforms_come_at_fifty_hertz_and_place_the_tip_where_the_angles_say(tmp_path: Path) -> None:
+def test_transforms_come_at_fifty_hertz_and_agree_with_the_angles(tmp_path: Path) -> None:
     run = sample()
     path = write_sample(tmp_path / "run.mcap", run)
     messages = list(read_ros2_messages(str(path), topics=["/tf"]))
@@ -234,7 +234,7 @@ def test_an_unwritable_place_is_an_input_error(tmp_path: Path) -> None:
             pass
 
 
-def test_a_tick_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+def test_a_tick_that_does_not_fit_is_rejected(tmp_path: Path) -> None:
     run = sample(3)
     bare = replace(run, truth=None)
     narrow = replace(run, control=run.control[:, :5])

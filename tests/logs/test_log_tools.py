@@ -35,9 +35,7 @@ def write_parts(path: Path, *, arms: int, has_cart: bool, parts: tuple[str, ...]
 
 
 @pytest.mark.parametrize(("arms", "has_cart", "parts"), SHAPES)
-def test_a_log_holds_what_it_was_given_and_nothing_else(
-    tmp_path: Path, arms: int, has_cart: bool, parts: tuple[str, ...]
-) -> None:
+def test_a_log_holds_exactly_its_input(tmp_path: Path, arms: int, has_cart: bool, parts: tuple[str, ...]) -> None:
     rows = write_parts(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, parts=parts)
     log = read_log(tmp_path / "run.mcap")
     assert log.parts == set(parts)
@@ -65,7 +63,7 @@ def test_a_log_holds_what_it_was_given_and_nothing_else(
     assert ("/reference/robot_description" in seen) == ("reference" in parts)
 
 
-def test_what_a_recording_lacks_is_said_not_guessed(tmp_path: Path) -> None:
+def test_missing_parts_of_a_recording_are_named_and_not_guessed(tmp_path: Path) -> None:
     write_parts(tmp_path / "bench.mcap", arms=2, has_cart=False, parts=())
     log = read_log(tmp_path / "bench.mcap")
     assert log.truth is None
@@ -74,7 +72,7 @@ def test_what_a_recording_lacks_is_said_not_guessed(tmp_path: Path) -> None:
             getattr(log, part)
 
 
-def test_a_part_that_comes_and_goes_is_refused(tmp_path: Path) -> None:
+def test_a_part_that_appears_only_sometimes_is_rejected(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "run.mcap", arm_lengths=(0.2,), rate_hz=RATE, has_cart=False) as log:
         log.tick(0.0, measured=np.zeros(1))
         with pytest.raises(ValueError, match="rates must be given in every tick"):
@@ -128,7 +126,7 @@ def test_a_frame_has_a_column_for_each_number_and_a_row_for_each_tick(tmp_path: 
     assert frame.shape == (40, 3 + 3 * 6 + 13 + 6)
 
 
-def test_without_pandas_a_frame_is_refused_with_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pandas_a_frame_is_rejected_with_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = read_log(_small(tmp_path, sample(5)))
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(InputError, match="pip install pandas"):

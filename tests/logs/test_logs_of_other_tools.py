@@ -174,7 +174,7 @@ def test_a_converted_log_without_metadata_is_read_by_schema_and_description(
     assert not log.attachments
 
 
-def test_two_runs_in_one_file_are_told_apart_and_refused(tmp_path: Path) -> None:
+def test_two_runs_in_one_file_are_detected_and_rejected(tmp_path: Path) -> None:
     for seed in (1, 2):
         write_sample(tmp_path / f"{seed}.mcap", sample(seed=seed))
     with (tmp_path / "merged.mcap").open("wb") as target:
@@ -204,13 +204,13 @@ def test_the_verbs_read_a_log_that_was_written_again(tmp_path: Path, monkeypatch
     assert {**second, "log": first["log"], "size": first["size"], "rewritten": False} == first
 
 
-def test_a_log_without_measurements_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_without_measurements_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = write_sample(tmp_path / "run.mcap", sample())
     log = rewritten(run, tmp_path / "other.mcap", without="/joint_states")
     refused(log, "lacks /joint_states, listed in its description", tmp_path, monkeypatch)
 
 
-def test_a_log_that_was_rewritten_in_another_encoding_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_in_another_encoding_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = rewritten(write_sample(tmp_path / "run.mcap", sample()), tmp_path / "other.mcap", encoding="json")
     refused(log, f"topic /joint_states holds {JOINTS} in json, not {JOINTS} in cdr", tmp_path, monkeypatch)
 
@@ -246,7 +246,7 @@ OTHER = {
 
 
 @pytest.mark.parametrize("kind", OTHER)
-def test_a_log_of_another_tool_gets_a_sentence_on_what_is_missing(
+def test_missing_parts_of_a_log_of_another_tool_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     channels, missing = OTHER[kind]

@@ -24,7 +24,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> RunLog:
     return read_log(write_sample(tmp_path_factory.mktemp("logs") / "run.mcap", sample(TICKS)))
 
 
-def test_no_damage_is_believed_and_what_is_recovered_was_written(whole: RunLog, tmp_path: Path) -> None:
+def test_damage_is_always_detected_and_recovered_data_were_written(whole: RunLog, tmp_path: Path) -> None:
     ends = endure(whole, tmp_path, count=COUNT, seed=SEED)
     for kind in ("swap", "repeat", "index", "tail", "joined"):
         assert set(ends[kind]) <= {"wholly", "harmless"}, kind
@@ -77,7 +77,7 @@ def test_a_whole_log_is_left_alone(whole: RunLog) -> None:
     assert sorted(whole.path.parent.iterdir()) == beside
 
 
-def test_what_was_recovered_can_be_recovered_again_and_remembers(whole: RunLog, tmp_path: Path) -> None:
+def test_a_recovered_log_can_be_recovered_again_and_keeps_its_losses(whole: RunLog, tmp_path: Path) -> None:
     data = bytearray(whole.path.read_bytes())
     chunks = [(a, b) for opcode, a, b in records(data) if opcode == Opcode.CHUNK]
     data[chunks[2][1] - 5] ^= 1
@@ -108,7 +108,7 @@ def test_names_by_default_are_free_ones_and_the_old_file_stays(whole: RunLog, tm
     assert left.read_bytes() == cut
 
 
-def test_a_log_that_is_not_there_points_to_what_a_run_has_left(whole: RunLog, tmp_path: Path) -> None:
+def test_the_message_on_a_missing_log_names_the_remains_of_a_run(whole: RunLog, tmp_path: Path) -> None:
     (tmp_path / "run.mcap.partial").write_bytes(whole.path.read_bytes()[:40_000])
     with pytest.raises(InputError, match=r"dpcontrol recover .*run\.mcap\.partial"):
         read_log(tmp_path / "run.mcap")
@@ -123,14 +123,14 @@ def test_a_log_that_is_not_there_points_to_what_a_run_has_left(whole: RunLog, tm
         (np.random.default_rng(1).bytes(100_000), "before its first tick"),
     ],
 )
-def test_what_holds_nothing_is_refused(tmp_path: Path, content: bytes, reason: str) -> None:
+def test_an_empty_file_is_rejected(tmp_path: Path, content: bytes, reason: str) -> None:
     (tmp_path / "odd.mcap").write_bytes(content)
     with pytest.raises(InputError, match=reason):
         recover(tmp_path / "odd.mcap")
     assert [file.name for file in tmp_path.iterdir()] == ["odd.mcap"]
 
 
-def test_a_run_cut_before_its_first_chunk_says_so(tmp_path: Path) -> None:
+def test_a_run_truncated_before_its_first_chunk_is_reported(tmp_path: Path) -> None:
     run = sample(5)
     log = open_writer(tmp_path / "run.mcap", run).__enter__()
     tick_all(log, run)

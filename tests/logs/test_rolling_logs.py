@@ -70,7 +70,7 @@ def test_each_file_opens_by_itself_and_times_go_on(tmp_path: Path) -> None:
     assert logs[-1].metadata["ending"] == "finished"
 
 
-def test_digests_are_the_same_from_what_is_written_and_from_what_is_read(tmp_path: Path) -> None:
+def test_digests_of_written_and_of_read_data_are_equal(tmp_path: Path) -> None:
     for file in written(tmp_path / "turn-7"):
         told = Digest.of(file.with_suffix(".json").read_text())
         read = digest_of_log(read_log(file), size=file.stat().st_size)

@@ -101,7 +101,7 @@ def standard_rows(controllers: tuple[str, ...]) -> list[dict[str, Any]]:
     ]
 
 
-def test_a_standard_score_is_told_by_kind_and_by_level_of_all_kinds(tmp_path: Path) -> None:
+def test_a_standard_score_is_reported_by_kind_and_by_level(tmp_path: Path) -> None:
     summary = campaign_summary(table(tmp_path / "runs.parquet", standard_rows(("tvlqr", "adaptive"))))
     shares = {tuple(group.names.values()): group.share for group in summary.groups}
     assert {key: share.successes for key, share in shares.items()} == {
@@ -143,14 +143,16 @@ def test_runs_without_a_verdict_are_counted_apart(tmp_path: Path) -> None:
     "content",
     [rows(), rows(controllers=("tvlqr",), each=8), [{"completed": False}], standard_rows(("a", "b", "c"))],
 )
-def test_every_table_is_drawn_and_an_empty_panel_says_why(tmp_path: Path, content: list[dict[str, Any]]) -> None:
+def test_every_table_is_drawn_and_an_empty_panel_gives_the_reason(
+    tmp_path: Path, content: list[dict[str, Any]]
+) -> None:
     figure = draw_campaign(campaign_summary(table(tmp_path / "runs.parquet", content)))
     figure.savefig(tmp_path / "page.png")
     for axes in figure.axes:
         assert axes.patches or axes.lines or axes.texts, axes.get_title(loc="left")
 
 
-def test_what_is_no_campaign_is_refused_in_one_sentence(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_campaign_is_rejected_in_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no campaign"):
         campaign_summary(tmp_path / "none.parquet")
     (tmp_path / "text.parquet").write_text("no table")

@@ -54,7 +54,7 @@ def test_runs_cross_the_symbols_section_at_the_same_moment(pair: list[RunView]) 
     assert comparison.status.count("by its decoded crossing (true angles)") == 2
 
 
-def test_a_run_that_did_not_do_the_symbol_is_aligned_by_its_plan_and_that_is_said(
+def test_a_run_without_the_symbol_is_aligned_by_its_plan_with_a_message(
     pair: list[RunView],
 ) -> None:
     first, second = pair
@@ -71,7 +71,7 @@ def test_a_recording_without_a_plan_is_aligned_at_its_start(pair: list[RunView],
     assert "bare by its start (no such symbol)" in comparison.status
 
 
-def test_what_cannot_be_compared_is_refused_in_one_sentence(pair: list[RunView], tmp_path: Path) -> None:
+def test_incomparable_files_are_rejected_in_one_sentence(pair: list[RunView], tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"up to {MOST}"):
         compare([pair[0]] * (MOST + 1))
     with pytest.raises(InputError, match="symbols 1 to 1"):
@@ -81,7 +81,7 @@ def test_what_cannot_be_compared_is_refused_in_one_sentence(pair: list[RunView],
         compare([pair[0], series_of(other)])
 
 
-def test_logs_of_one_name_are_told_apart(pair: list[RunView]) -> None:
+def test_logs_with_the_same_name_get_different_labels(pair: list[RunView]) -> None:
     assert [run.name for run in compare([pair[0], pair[0]]).runs] == ["first (1)", "first (2)"]
 
 

@@ -65,7 +65,7 @@ def size_of(picture):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in FIGURES if n not in LATER])
-def test_every_figure_is_drawn_with_a_caption_and_what_differs(name, gallery, tmp_path):
+def test_every_figure_is_drawn_with_a_caption_and_its_differences(name, gallery, tmp_path):
     (drawn,) = draw_figures([name], gallery, tmp_path)
     assert drawn.file == tmp_path / f"{name}.png"
     assert min(size_of(drawn.file)) > 300
@@ -120,13 +120,13 @@ def test_captions_of_figures_drawn_before_are_kept_in_the_papers_order(gallery, 
     assert list(json.loads((tmp_path / "captions.json").read_text())) == ["energy-landscape"]
 
 
-def test_an_unknown_figure_is_refused_before_anything_is_drawn(gallery, tmp_path):
+def test_an_unknown_figure_is_rejected_before_anything_is_drawn(gallery, tmp_path):
     with pytest.raises(InputError, match="there is no figure 'tube'"):
         draw_figures(["energy-landscape", "tube"], gallery, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
-def test_the_verb_prints_the_captions_and_knows_every_name(tmp_path):
+def test_the_verb_prints_the_captions_and_accepts_every_name(tmp_path):
     done = dpcontrol("figures", "energy-landscape", "--out", tmp_path, "--json")
     assert done.code == 0
     assert [f["name"] for f in done.document["figures"]] == ["energy-landscape"]
@@ -136,7 +136,7 @@ def test_the_verb_prints_the_captions_and_knows_every_name(tmp_path):
     assert dpcontrol("figures", "nonsense").code == 2
 
 
-def test_a_circle_wrapped_into_a_period_is_cut_where_it_leaves_and_stays_inside():
+def test_a_circle_wrapped_into_a_period_is_split_at_the_edges():
     t = np.linspace(0, 2 * np.pi, 400)
     circle = np.column_stack([3 + np.cos(t), np.sin(t)])
     runs = wrapped_runs(circle, (2 * np.pi, None))
@@ -200,7 +200,7 @@ def test_a_model_without_connections_can_be_reviewed(tmp_path, monkeypatch):
     assert picture.path.stat().st_size > LEAST_BYTES
 
 
-def test_the_review_verb_opens_an_atlas_and_refuses_other_archives(low, tmp_path, monkeypatch):
+def test_the_review_verb_opens_an_atlas_and_rejects_other_archives(low, tmp_path, monkeypatch):
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     assert dpcontrol("atlas", "lab", "--energy", "-0.07", "--out", tmp_path / "low.npz").code == 0
     files: list[str | Path] = [tmp_path / "low.npz", "--save", tmp_path / "low.rrd", "--picture", tmp_path / "low.png"]

@@ -57,7 +57,7 @@ def test_a_film_lasts_as_long_as_the_motion_and_is_the_same_each_time(tmp_path, 
         assert film.info["duration"] == pytest.approx(1000 / RATE)
 
 
-def test_arms_and_cart_are_where_the_state_has_them(tmp_path) -> None:
+def test_arms_and_cart_are_at_the_position_of_the_state(tmp_path) -> None:
     view = swinging(2.0)
     film = Film(view, (0.0, 1.99))
     scene = film.still[1]
@@ -70,7 +70,7 @@ def test_arms_and_cart_are_where_the_state_has_them(tmp_path) -> None:
     assert tip[0][1] > tip[1][1] + 20
 
 
-def test_a_stretch_is_cut_out_and_a_gap_says_so(tmp_path) -> None:
+def test_a_part_is_selected_and_a_gap_is_marked(tmp_path) -> None:
     view = swinging(4.0)
     view.state[200:] = np.nan
     file = write_film(view, tmp_path / "part.gif", stretch=(1.8, 2.6))
@@ -80,7 +80,7 @@ def test_a_stretch_is_cut_out_and_a_gap_says_so(tmp_path) -> None:
     assert not has_arms(frames[-1])
 
 
-def test_what_is_no_film_is_refused_in_one_sentence(tmp_path) -> None:
+def test_a_file_that_is_not_a_film_is_rejected_in_one_sentence(tmp_path) -> None:
     with pytest.raises(InputError, match=r"a film is a \.gif, \.webp or \.mp4 file"):
         write_film(swinging(), tmp_path / "a.avi")
     with pytest.raises(InputError, match=r"lasts from 0\.00 to 3\.99 s"):
@@ -90,7 +90,7 @@ def test_what_is_no_film_is_refused_in_one_sentence(tmp_path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_motion_without_angles_or_shorter_than_a_frame_is_refused(tmp_path) -> None:
+def test_a_motion_without_angles_or_shorter_than_a_frame_is_rejected(tmp_path) -> None:
     blank = swinging()
     blank.state[:] = np.nan
     with pytest.raises(InputError, match="holds no angles"):
@@ -115,13 +115,13 @@ def test_symbols_outside_the_stretch_are_neither_numbered_nor_named() -> None:
     assert {text.get_text() for text in told.texts} - {"down-up"} == {"2", "within"}
 
 
-def test_a_film_too_long_to_begin_unasked_says_how_to_take_a_part(tmp_path) -> None:
+def test_a_film_that_is_too_long_is_rejected_with_the_option_for_a_part(tmp_path) -> None:
     hours = replace(swinging(), time=np.linspace(0.0, 1e4, 400), rate_hz=0.04)
     with pytest.raises(InputError, match=r"a\.gif of 10000 s \(--stretch takes a part\): 250,001 frames will take"):
         write_film(hours, tmp_path / "a.gif")
 
 
-def test_an_mp4_is_the_same_each_time_or_says_what_it_needs(tmp_path, monkeypatch) -> None:
+def test_an_mp4_is_reproducible_or_its_missing_part_is_named(tmp_path, monkeypatch) -> None:
     pytest.importorskip("imageio_ffmpeg")
     one, two = (write_film(swinging(0.2), tmp_path / f"{name}.mp4") for name in "ab")
     assert one.read_bytes() == two.read_bytes()

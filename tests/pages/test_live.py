@@ -57,7 +57,7 @@ class Kept:
         self.view._pipe = writing
 
 
-def test_what_is_sent_arrives_as_rows_at_fifty_hertz_and_is_drawn(plan, tmp_path: Path) -> None:
+def test_sent_data_arrive_as_rows_at_fifty_hertz_and_are_drawn(plan, tmp_path: Path) -> None:
     log = runs.run_plan(plan).log
     start = replace(log, time=log.time[:0])
     sink = Kept(start)
@@ -123,7 +123,7 @@ def test_a_view_that_does_not_read_drops_rows_and_holds_nothing_up(plan, watched
     assert run.converged
 
 
-def test_without_a_display_it_is_refused_before_the_run(plan, monkeypatch) -> None:
+def test_without_a_display_it_is_rejected_before_the_run(plan, monkeypatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(InputError, match="there is no display to open the viewer on"):

@@ -90,7 +90,7 @@ def test_drift_and_tracking_are_those_of_the_files() -> None:
     assert told.cart == 0.3
 
 
-def test_the_page_shows_hours_falls_and_what_is_missing() -> None:
+def test_the_page_shows_hours_falls_and_missing_parts() -> None:
     figure = draw_night(night())
     strip, times, causes, _, drift, others = figure.axes
     assert len(strip.lines) == len(night().falls)

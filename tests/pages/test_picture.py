@@ -36,7 +36,7 @@ def _share_set(path: Path) -> float:
     return float((np.abs(pixels - pixels[0, 0]).max(axis=-1) > 0.1).mean())
 
 
-def test_a_drawn_picture_shows_something_and_says_why_it_was_drawn(
+def test_a_drawn_picture_is_not_empty_and_gives_the_reason_for_matplotlib(
     run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(viewer, "missing_renderer", lambda: "no driver")

@@ -76,7 +76,7 @@ def test_a_recording_holds_scene_plots_events_and_blueprint(run: RunView, tmp_pa
         assert entity in found, f"{entity} is not in the recording"
 
 
-def test_what_the_plants_cart_did_stands_beside_what_was_believed(tmp_path: Path) -> None:
+def test_the_true_motion_of_the_cart_is_drawn_beside_the_assumed_one(tmp_path: Path) -> None:
     made = synthetic_run(seconds=1.0)
     # A drive that gives half of what it was told: known from the truth alone.
     told = made.control[:, 3]

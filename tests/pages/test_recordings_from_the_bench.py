@@ -41,7 +41,7 @@ def test_rates_are_differences_within_each_segment(bench: RunLog) -> None:
     assert view.state[:, 2:] == pytest.approx(expected, abs=RATE_ERROR)
 
 
-def test_what_was_not_logged_is_not_shown(bench: RunLog) -> None:
+def test_missing_data_are_not_drawn(bench: RunLog) -> None:
     view = series_of(bench)
     for part in (view.reference, view.estimate, view.error, view.sigma, view.control, view.nis):
         assert part is None
@@ -63,9 +63,7 @@ def test_no_line_is_drawn_across_a_gap(bench: RunLog) -> None:
     assert between.sum() == 1
 
 
-def test_the_viewer_is_told_of_a_gap_so_that_it_draws_no_line_across(
-    bench: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_viewer_draws_no_line_across_a_gap(bench: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A row without a value ends the viewer's line (its series_query: an empty batch is a Clear)."""
     empty: dict[str, list[int]] = {}
     send = rr.RecordingStream.send_columns
@@ -96,7 +94,7 @@ def test_a_disk_that_fills_under_a_recording_is_a_sentence_and_leaves_nothing(be
     assert not list(tmp_path.iterdir())
 
 
-def test_nothing_is_judged_where_nothing_was_asked(bench: RunLog) -> None:
+def test_nothing_is_judged_without_an_itinerary(bench: RunLog) -> None:
     shown = run_view(bench)
     assert shown.good is None
     assert "no plan" in shown.verdict

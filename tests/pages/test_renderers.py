@@ -18,6 +18,6 @@ def test_each_entry_of_the_table_names_a_class_and_a_function(name: str) -> None
     assert inspect.isfunction(renderer(place))
 
 
-def test_a_result_without_a_renderer_is_refused_with_the_results_that_have_one() -> None:
+def test_a_result_without_a_renderer_is_rejected_with_the_results_that_have_one() -> None:
     with pytest.raises(InputError, match=r"a dict has no picture; results with one are .*Night.*Run"):
         render({})

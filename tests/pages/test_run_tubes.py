@@ -30,7 +30,7 @@ NOTES: dict[str, Any] = {
 """Of a crossing at 0.2 J, whose unstable tube arrives torn: its neighbours of 96 lie up to 6 apart."""
 
 
-def test_a_cut_is_drawn_in_short_chords_and_not_across_where_it_is_open() -> None:
+def test_a_cut_is_drawn_in_short_chords_and_not_across_its_open_ends() -> None:
     tubes = tubes_of(NOTES, pendulum_system("lab", load_model("lab").arms))
     assert {tube.stable for tube in tubes} == {False, True}
     for tube in tubes:

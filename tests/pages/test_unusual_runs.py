@@ -30,7 +30,7 @@ def test_a_run_that_had_no_symbols_to_do_counts_none(symbols: int, said: str) ->
     assert score.sentence == f"{said} at up-up to the end"
 
 
-def test_a_recovered_log_says_what_it_lacks_wherever_it_is_shown(tmp_path: Path) -> None:
+def test_every_view_of_a_recovered_log_shows_its_losses(tmp_path: Path) -> None:
     whole = write_log(tmp_path / "run.mcap", synthetic_run())
     assert "recovered" not in run_view(read_log(whole)).verdict
     cut = tmp_path / "cut.mcap"
@@ -74,7 +74,7 @@ def test_the_film_of_a_failed_run_leaves_no_long_stretch_out(tmp_path: Path, sec
 
 
 @pytest.mark.slow
-def test_what_came_before_an_estimate_was_lost_stays_visible(tmp_path: Path) -> None:
+def test_data_before_a_lost_estimate_stay_visible(tmp_path: Path) -> None:
     view = view_of(tmp_path / "run.mcap", synthetic_run())
     assert view.nis is not None
     nis = view.nis.copy()

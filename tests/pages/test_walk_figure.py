@@ -90,7 +90,7 @@ def test_the_closing_stop_of_a_closed_walk_has_its_wraps() -> None:
     assert 0 <= spans[1].start < spans[1].end <= orbit.duration
 
 
-def test_the_coloured_stretches_are_where_the_orbit_is_near() -> None:
+def test_coloured_parts_are_near_the_orbit() -> None:
     orbit = found(["down-up > up-down", "up-down > down-up"], energy=HIGH)
     told = story(orbit)
     assert tuple(told.curves) == ("down-up", "up-down")
@@ -105,7 +105,7 @@ def test_the_coloured_stretches_are_where_the_orbit_is_near() -> None:
         assert on_an_edge or inside == near
 
 
-def test_symbols_are_told_in_words() -> None:
+def test_symbols_are_described_in_words() -> None:
     chain = resolve(["down-up +", "down-up > up-down -", "up-down -", "up-down > down-up"], edges(HIGH))
     assert [symbol_text(c) for c in chain][:3] == ["down-up +", "down-up > up-down -", "up-down -"]
     assert [symbol_words(c) for c in chain] == [
@@ -146,7 +146,7 @@ def test_curves_on_the_page_are_the_orbits_own() -> None:
         assert np.pi * np.asarray(line.get_ydata())[::50] == pytest.approx(orbit.sample(times[::50])[:, arm])
 
 
-def test_a_closed_walk_says_so() -> None:
+def test_a_closed_walk_is_labelled() -> None:
     said = words(drawn(found(["down-up +"], periodic=True)))
     assert "A periodic orbit of lab at -0.07 J that follows 1 symbol" in said
     assert "unstable multiplier" in said
@@ -204,7 +204,7 @@ def test_a_system_without_arms_is_drawn_in_its_plane(tmp_path: Path) -> None:
     assert "leaves L1 and comes back" in said
 
 
-def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     orbit = found(["down-up +"])
     with pytest.raises(InputError, match="cannot write"):

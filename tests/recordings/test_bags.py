@@ -82,9 +82,7 @@ def log(path: Path) -> Path:
     return path
 
 
-def test_an_mcap_file_of_joint_states_needs_no_mapping_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_mcap_file_of_joint_states_needs_no_mapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     ended = dpcontrol("import", log(tmp_path / "run.mcap"), "--out", "again.mcap", "--json")
     assert ended.code == 0, ended.stderr
@@ -119,7 +117,7 @@ def test_a_column_that_is_not_in_the_bag_is_named(tmp_path: Path, column: str, s
 
 
 @pytest.mark.parametrize("name", ["x.bag", "x.mcap"])
-def test_what_is_no_bag_is_a_sentence(tmp_path: Path, name: str) -> None:
+def test_a_file_that_is_not_a_bag_gives_one_sentence(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"no bag at all" * 50)
     ended = dpcontrol("import", tmp_path / name)
     assert ended.code == 2

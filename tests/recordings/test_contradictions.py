@@ -49,9 +49,7 @@ def test_exchanged_columns_contradict_the_model_and_are_named(swing: Recording) 
 
 
 @pytest.mark.parametrize("matrix", [NEGATE, STOP])
-def test_a_wrong_sign_or_an_angle_that_stands_still_contradicts_the_model(
-    matrix: list[list[float]], swing: Recording
-) -> None:
+def test_a_wrong_sign_or_a_constant_angle_contradicts_the_model(matrix: list[list[float]], swing: Recording) -> None:
     text = said(changed(swing, matrix))
     assert "times as large" in text
     assert "exchanged" not in text
@@ -62,14 +60,14 @@ def test_arms_of_twice_the_length_contradict_by_half(swing: Recording) -> None:
     assert "contradicts" in said(swing, replace(LAB, **twice, inertia=tuple(4 * v for v in LAB.inertia)))
 
 
-def test_an_angle_that_stands_still_while_others_move_is_named(swing: Recording) -> None:
+def test_a_constant_angle_among_moving_ones_is_named(swing: Recording) -> None:
     assert constant_angles(swing) == ()
     (text,) = constant_angles(changed(swing, STOP))
     assert text.startswith("angle 2 is 0 rad in all 2001 samples while angle 1 moves over ")
     assert "no angle changes" in constant_angles(changed(swing, [[0.0, 0.0], [0.0, 0.0]]))[0]
 
 
-def test_the_import_says_what_contradicts_the_model(swing: Recording, tmp_path: Path) -> None:
+def test_the_import_reports_contradictions_to_the_model(swing: Recording, tmp_path: Path) -> None:
     file = tmp_path / "swing.csv"
     exchanged = np.column_stack([swing.time, swing.angles[:, ::-1]])
     np.savetxt(file, exchanged, delimiter=",", header="time,angle_1,angle_2", comments="", fmt="%.9g")

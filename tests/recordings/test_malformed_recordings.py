@@ -299,7 +299,7 @@ def test_malformed_recordings_get_one_sentence_each_and_write_nothing(seed: int,
 
 
 @pytest.mark.parametrize("maker", range(0, len(MAKERS), 4))
-def test_the_command_line_refuses_them_with_exit_status_2(
+def test_the_command_line_rejects_them_with_exit_status_2(
     maker: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

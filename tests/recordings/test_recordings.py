@@ -21,7 +21,7 @@ EVEN = 1e-4  # the period found from jittering times, relative
 FILLED = 1e-6  # rad: a cubic over 6 ms, far below an encoder's count of 1.6e-4
 
 
-def test_the_rigs_file_comes_in_as_it_is_recorded_with_hanging_as_zero() -> None:
+def test_the_rigs_file_is_imported_with_hanging_as_zero() -> None:
     file = rig_file()
     recording = import_recording(file)
     given = loadmat(file)
@@ -65,7 +65,7 @@ def test_parts_kept_for_validation_follow_those_for_identification(tmp_path: Pat
     assert parts.segments == whole.segments
 
 
-def test_segments_whose_times_start_anew_are_laid_end_to_end_and_say_so(tmp_path: Path) -> None:
+def test_segments_whose_times_start_again_are_laid_end_to_end_and_say_so(tmp_path: Path) -> None:
     given = rig_variables(segments=2)
     given["Time_id"][1, 0] = given["Time_id"][0, 0]
     recording = import_recording(write_mat(tmp_path / "anew.mat", given))
@@ -233,7 +233,7 @@ def _uneven(columns: dict[str, Any]) -> None:
         (_uneven, "sampling", "uneven sampling"),
     ],
 )
-def test_a_fault_is_named_and_mended_only_where_asked(tmp_path: Path, fault: Fault, repair: str, said: str) -> None:
+def test_a_fault_is_named_and_corrected_only_on_request(tmp_path: Path, fault: Fault, repair: str, said: str) -> None:
     columns = table_columns()
     fault(columns)
     file = write_csv(tmp_path / "faulty.csv", columns)
@@ -266,7 +266,7 @@ def test_a_long_hole_and_a_gap_cut_the_recording_into_segments(tmp_path: Path) -
     assert [end - first for first, end in recording.segments] == [100, 170]
 
 
-def test_a_jump_is_refused_whatever_is_asked_for(tmp_path: Path) -> None:
+def test_a_jump_is_rejected_with_any_option(tmp_path: Path) -> None:
     columns = table_columns()
     columns["angle_1"][100:] = [v + 2.0 for v in columns["angle_1"][100:]]
     everything = ["nan", "time", "gaps", "wrap", "spikes", "sampling"]
@@ -286,7 +286,7 @@ def test_a_jump_is_refused_whatever_is_asked_for(tmp_path: Path) -> None:
         ({"time": ("time", 1e3)}, "check the unit of time"),
     ],
 )
-def test_columns_that_contradict_each_other_tell_what_they_look_like(
+def test_contradicting_columns_are_reported_with_their_likely_meaning(
     tmp_path: Path, change: dict[str, Any], said: str
 ) -> None:
     columns = table_columns(2000)
@@ -299,7 +299,7 @@ def test_columns_that_contradict_each_other_tell_what_they_look_like(
     assert said in str(refused.value)
 
 
-def test_an_arm_that_falls_upward_tells_that_the_zero_is_at_the_other_end(tmp_path: Path) -> None:
+def test_an_arm_that_falls_upward_is_reported_as_a_reversed_zero(tmp_path: Path) -> None:
     given = rig_variables(segments=2, samples=1000)
     for k in range(2):
         given["Y_id"][k, 0][:2] -= np.pi

@@ -75,7 +75,7 @@ def _one_arm(times: Array, *, driven: bool) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("driven", [False, True])
-def test_one_arm_logged_as_structures_opens_and_its_cart_where_it_moved(tmp_path: Path, driven: bool) -> None:
+def test_one_arm_logged_as_structures_opens_with_a_moving_cart(tmp_path: Path, driven: bool) -> None:
     times = _times(20_000, PERIOD)
     angle, cart = _one_arm(times, driven=driven)
     variables = {"Theta1": _logged(angle + np.pi, times)}
@@ -111,7 +111,7 @@ def test_two_and_three_arms_open_with_the_way_of_their_cart(
     assert np.array_equal(recording.cart, way)
 
 
-def test_what_is_no_log_is_to_be_imported_first(tmp_path: Path) -> None:
+def test_a_recording_that_is_not_a_log_must_be_imported_first(tmp_path: Path) -> None:
     savemat(tmp_path / "swing.mat", {"Theta1": np.zeros(5)})
     with pytest.raises(
         InputError, match=r"swing\.mat is not a log .*; import a recording with `dpcontrol import` first"
@@ -119,7 +119,7 @@ def test_what_is_no_log_is_to_be_imported_first(tmp_path: Path) -> None:
         load_recording(tmp_path / "swing.mat")
 
 
-def test_a_file_that_fits_no_known_layout_says_what_is_missing_and_what_there_is(tmp_path: Path) -> None:
+def test_an_unknown_layout_is_reported_with_missing_and_existing_parts(tmp_path: Path) -> None:
     savemat(tmp_path / "other.mat", {"phi": np.zeros((5, 1)), "when": np.arange(5.0)})
     with pytest.raises(InputError, match="phi, when"):
         import_recording(tmp_path / "other.mat")
@@ -171,7 +171,7 @@ def test_a_cart_and_its_command_come_in_and_survive_the_log(tmp_path: Path) -> N
         ('"wanted"', '"inner"', "inner"),
     ],
 )
-def test_mistakes_about_the_cart_are_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_user_errors_about_the_cart_are_named(tmp_path: Path, old: str, new: str, said: str) -> None:
     file, mapping, _ = _driven_table(tmp_path)
     mapping.write_text(CART.replace(old, new))
     with pytest.raises(InputError) as refused:
@@ -179,7 +179,7 @@ def test_mistakes_about_the_cart_are_named(tmp_path: Path, old: str, new: str, s
     assert said in str(refused.value)
 
 
-def test_a_recording_of_another_number_of_arms_than_the_models_is_refused(tmp_path: Path) -> None:
+def test_a_recording_of_another_number_of_arms_than_the_models_is_rejected(tmp_path: Path) -> None:
     times = _times(2000, 1e-3)
     angle, _ = _one_arm(times, driven=False)
     savemat(tmp_path / "single.mat", {"Theta1": _logged(angle + np.pi, times)})
