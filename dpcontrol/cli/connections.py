@@ -312,8 +312,8 @@ def connect_command(
     Another --section gives other connections first. Homoclinics that pass the other saddle cross "aligned" twice, so
     --hits 1,2 finds them there.
 
-    Orbits of three arms have connections at isolated energies only. --energies finds the symmetric ones: they lead from
-    an orbit back to itself through a moment at which every arm hangs or stands.
+    Orbits of three arms have connections at isolated energies only. Use --energies to find the symmetric ones, which
+    lead from an orbit back to itself through a moment at which every arm hangs or stands.
     """
     from dpcontrol import api
     from dpcontrol.plans.model import load_model

@@ -39,9 +39,9 @@ def score_command(
     """Score logged runs: symbols, wraps, limits, tracking, consistency of the estimator.
 
     For the folder of a long run, the score has uptime, falls with causes, times to return, repetitions, and drift of
-    the estimates. --why prints the options of `dpcontrol run` (more travel, half the lag, another law …) that complete
-    a failed run more often than harmless changes. It works for simulated runs only. With --json, one log gives one
-    object, several give {"runs": [...]}. The exit code is 1 if a run is not completed.
+    the estimates. With --why, it prints the options of `dpcontrol run` (more travel, half the lag, another law …) that
+    complete a failed run more often than harmless changes. It works for simulated runs only. With --json, one log gives
+    one object, several give {"runs": [...]}. The exit code is 1 if a run is not completed.
     """
     from dpcontrol.judge.score import score
     from dpcontrol.logs import read_log

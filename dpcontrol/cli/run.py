@@ -120,9 +120,9 @@ def run_command(
     """Run an itinerary in closed loop on the simulated bench, or on a rig, and write its log.
 
     The itinerary is planned first if its plan is not cached. The exit code is 1 if the run is not completed. A rig has
-    no true state, so the exit code is 1 if the run ended early, or if by the estimate a symbol was not done. --hours
-    repeats the itinerary, seamlessly if its end meets its start, and otherwise from rest. After a fall, the arms are
-    calmed and the symbol is repeated, except with another --on-fall.
+    no true state, so the exit code is 1 if the run ended early, or if by the estimate a symbol was not done. With
+    --hours, it repeats the itinerary, seamlessly if its end meets its start, and otherwise from rest. After a fall, the
+    arms are calmed and the symbol is repeated, except with another --on-fall.
     """
     if source is not None:
         return _repeat(source, out, force)

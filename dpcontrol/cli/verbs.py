@@ -1,4 +1,4 @@
-"""What verbs share: their options as parameters of a function, its answer as text or as JSON on stdout.
+"""Shared parts of verbs: options as parameters of a function, and its answer as text or as JSON on stdout.
 
 @verb("score", example="dpcontrol score logs/outer-turn-0.mcap")
 def score_command(*, logs: tuple[Path, ...] = argument(), seed: int = option(default=0, help="…")) -> Answer:
@@ -24,12 +24,12 @@ from dpcontrol.cli.completion import COMPLETERS
 from dpcontrol.foundation.errors import GoalMissed, InputError, printable
 
 OUTPUT, WORK = "Output", "Work"
-"""Group of the options that say where results go."""
+"""Groups of options: output files, and distribution of work."""
 
 
 @dataclass
 class Call:
-    """One call of the program: whether it asked for JSON or tracebacks, whether its answer was shown, its files."""
+    """State of one call: JSON output, tracebacks, whether its answer was shown, and its files."""
 
     as_json: bool = False
     debug: bool = False
@@ -38,7 +38,7 @@ class Call:
 
 
 def claim(file: Path) -> Path:
-    """Keep other commands from writing a file until this one ends; return the file.
+    """Prevent other commands from writing a file until this one ends; return the file.
 
     Raises:
         InputError: another command is writing it.
@@ -59,13 +59,13 @@ def note_debug(context: click.Context, param: click.Parameter, value: bool) -> N
 
 
 DEBUG: dict[str, Any] = {
-    "is_flag": True, "expose_value": False, "callback": note_debug, "help": "Print the traceback of an error."
+    "is_flag": True, "expose_value": False, "callback": note_debug, "help": "Traceback of an error on stderr."
 }  # fmt: skip
 """Settings of the option --debug."""
 
 
 class TextTable(NamedTuple):
-    """A table for people: the first column to the left, the others to the right."""
+    """A table in the terminal, with the first column aligned left and the others right."""
 
     title: str
     columns: Sequence[str]
@@ -73,13 +73,13 @@ class TextTable(NamedTuple):
 
 
 class Markdown(NamedTuple):
-    """A page for people, drawn for the terminal."""
+    """A page in Markdown, rendered for the terminal."""
 
     text: str
 
 
 def table(title: str, items: Iterable[Any], columns: Mapping[str, str | Callable[[Any], str]]) -> TextTable:
-    """Return a table with a row for each item; a column has a heading, and a format of the item or what writes it."""
+    """Return a table with a row for each item. A column has a heading and a format or a function of the item."""
     rows = [[show.format(one) if isinstance(show, str) else show(one) for show in columns.values()] for one in items]
     return TextTable(title, tuple(columns), rows)
 
@@ -91,7 +91,7 @@ def spaced(values: Iterable[float], form: str) -> str:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a verb found: its JSON document, the lines and tables for people, and why the goal was missed, or ""."""
+    """The answer of a verb: its JSON document, its text, and the reason why the goal was missed, or ""."""
 
     document: Mapping[str, Any]
     text: Iterable[str | TextTable | Markdown]
@@ -99,14 +99,14 @@ class Answer:
 
 
 _LARGEST = 2**63 - 1
-"""Of whole numbers: what estimates of work can be made of without overflow."""
+"""Largest integer that estimates of work accept without overflow."""
 
 
 class Option(click.Option):
     """An option that help lists under a group, with its default.
 
-    suffixes: endings of which the name of a file to write must have one, if given. absent: the default in words. Help
-    texts may give it in brackets instead.
+    suffixes: allowed endings of the file to write, if any. absent: the default in words, which help texts can also give
+    in brackets.
     """
 
     def __init__(
@@ -126,17 +126,17 @@ class Option(click.Option):
             self.help += f" [default: {absent}]"
 
     def check(self, value: Any) -> None:
-        """Reject a file name that promises another format than will be written, and whole numbers beyond any use.
+        """Reject file names with the suffix of another format, and integers beyond any use.
 
         Raises:
             InputError: names the option, the file and the suffix it needs, or the number.
-            OSError: a file that cannot be: its name is too long, or is to be in a file. Asked before the work.
+            OSError: an impossible file: its name is too long, or its folder is a file. This is checked before the work.
         """
         for one in value if isinstance(value, tuple) else (value,):
             if isinstance(one, int) and abs(one) > _LARGEST:
-                raise InputError(f"{self.opts[0]}: a number of too many digits; at most {_LARGEST:,} is a number here")
+                raise InputError(f"{self.opts[0]}: a number with too many digits; must be at most {_LARGEST:,}")
         if isinstance(value, Path) and not value.name and self.type is not FOLDER:
-            raise InputError(f"{self.opts[0]} {value}: this names no file; give a name")
+            raise InputError(f"{self.opts[0]} {value}: this is not a file name; give a name")
         if isinstance(value, Path):
             with suppress(FileNotFoundError):
                 value.lstat()
@@ -169,7 +169,7 @@ class _Declared(NamedTuple):
 
 
 class Several(NamedTuple):
-    """Options that make one parameter of a verb."""
+    """Options that form one parameter of a verb."""
 
     options: Sequence[Option]
     make: Callable[..., Any]
@@ -181,10 +181,10 @@ def argument(**settings: Any) -> Any:
 
 
 def option(*names: str, help: str, default: Any = None, **settings: Any) -> Any:
-    """Declare a verb's parameter as an option, --its-name unless others are given; help lists it under its `group`.
+    """Declare a verb's parameter as an option, --its-name without other `names`; help lists it under its `group`.
 
-    The annotation is its type. Where there is no default it is required, unless it is a flag, a tuple of any length or
-    may be None.
+    The annotation is its type. Without a default the option is required, unless it is a flag or a tuple of any length,
+    or allows None.
     """
     return _Declared(Option, names, {"help": help, "default": default, **settings})
 
@@ -193,7 +193,7 @@ FILE, FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(file_okay=
 
 
 def file_option(*, suffix: str | tuple[str, ...] = (), help: str) -> Any:
-    """Declare a parameter as an option that names a file to write, which ends in (one of) `suffix` where given."""
+    """Declare a parameter as an option for a file to write, with a name that ends in (one of) `suffix`."""
     return option(type=FILE, group=OUTPUT, suffixes=(suffix,) if isinstance(suffix, str) else suffix, help=help)
 
 
@@ -204,7 +204,7 @@ def force_option() -> Any:
 
 
 def _parameter(verb: str, name: str, annotation: Any, declared: _Declared) -> click.Parameter:
-    """Return click's parameter for one of a verb's function."""
+    """Return the click parameter for a parameter of a verb's function."""
     kind, names, settings = declared.kind, declared.names, dict(declared.settings)
     settings.setdefault("shell_complete", COMPLETERS.get((verb, name)) or COMPLETERS.get(("", name)))
     choices = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
@@ -235,9 +235,9 @@ def _click_type(held: Any) -> Any:
 def verb(
     name: str, *, example: str, help: str | None = None, note: str = ""
 ) -> Callable[[Callable[..., Answer | None]], click.Command]:
-    """Return a decorator that makes a verb of a function, with --json; the function's answer is shown.
+    """Return a decorator that turns a function into a verb with --json and shows its answer.
 
-    example: a command line; note: what else stands beside it in the help.
+    example: a command line for the help; note: further text beside it.
     """
 
     def decorate(function: Callable[..., Answer | None]) -> click.Command:
@@ -248,7 +248,7 @@ def verb(
             grouped = one.name in groups
             params += one.default.options if grouped else [_parameter(name, one.name, one.annotation, one.default)]
         params.append(
-            Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="Print one JSON document on stdout.")
+            Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="Answer as one JSON document on stdout.")
         )
 
         params.append(Option(["--debug"], group=OUTPUT, **DEBUG))
@@ -275,10 +275,10 @@ def verb(
 
 
 def show(answer: Answer) -> None:
-    """Print an answer as the call asks for: one JSON document with numbers at full precision, or lines and tables.
+    """Print an answer as one JSON document with numbers at full precision, or as lines and tables.
 
     Raises:
-        GoalMissed: the answer says why.
+        GoalMissed: the goal of the verb was missed, with the reason of the answer.
     """
     call = click.get_current_context().ensure_object(Call)
     call.shown = True
@@ -317,7 +317,7 @@ def _print(item: str | TextTable | Markdown) -> None:
 
 
 def _print_table(shown: TextTable) -> None:
-    """Print a table on stdout; as wide as it needs when stdout is no terminal. Brackets in it are no markup."""
+    """Print a table on stdout, at full width if stdout is not a terminal. Brackets in it are not markup."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -331,18 +331,18 @@ def _print_table(shown: TextTable) -> None:
     for row in shown.rows:
         table.add_row(*map(text, row))
     console = Console()
-    # A narrow terminal wraps lines; a narrow table would leave out names and digits.
+    # A narrow terminal wraps lines, but a narrow table would omit names and digits.
     console = Console(width=max(console.width, 130) if console.is_terminal else 200)
     console.print(table)
 
 
 def drawn_to(picture: Path | None) -> list[str]:
-    """Return the line that names a picture, none where there is none."""
+    """Return the line that names a picture, if there is one."""
     return [] if picture is None else [f"drawn to {picture}"]
 
 
 def multiplier_text(value: complex, digits: int = 11) -> str:
-    """Return a Floquet multiplier for people: real where it is; the pair at one is known to some twelve digits."""
+    """Return a Floquet multiplier as text, real if possible. The pair at one has some twelve digits."""
     value = complex(value)
     if abs(value.imag) < 1e-12:
         return f"{value.real:.{digits}g}"
@@ -388,17 +388,17 @@ class DecimalNumber(click.ParamType):
 
 
 FILMS = (".gif", ".webp", ".mp4")
-"""What a film may be."""
-YES = option(group=OUTPUT, help="Begin work that will take more than an hour, or than 4 GB of memory.")
-"""Option of verbs whose work can be of any length."""
-ENERGY = option(help="Energy in J, zero at the pivot's height.")
-LEAVING = option("--from", help="Saddle whose orbit connections leave.")
-JOINING = option("--to", help="Saddle whose orbit they join.")
-"""Options of several verbs: the energy, and the saddles between which connections are sought."""
+"""Formats of films."""
+YES = option(group=OUTPUT, help="Permission for work of more than an hour or 4 GB of memory.")
+"""Option of verbs with work of any length."""
+ENERGY = option(help="Energy, J, zero at the height of the pivot.")
+LEAVING = option("--from", help="First saddle of the connections.")
+JOINING = option("--to", help="Last saddle of the connections.")
+"""Options of several verbs: the energy, and the saddles of connections."""
 Precision = Literal["double", "extended"]
 
 
 def hits_option(default: str, *, group: str = "") -> Any:
-    """Declare the option for crossings of the section; default: what holds without it, in words."""
-    text = "Which crossings of the section count: the k-th of both tubes, or N,M for the unstable and the stable one."
+    """Declare the option for crossings of the section; `default` is in words."""
+    text = "Section crossings of the connections: the N-th of both tubes, or N,M for the unstable and the stable one."
     return option(type=Hits(), group=group, help=f"{text} [default: {default}]")

@@ -131,8 +131,8 @@ def test_half_a_formula_in_a_title_is_drawn_as_text(folder: Path) -> None:
         ("walk lab --energy sNaN", "--energy sNaN: must be a finite number"),
         ("connect lab --from down-up --to down-up --energy -0.07 --longest nan", "longest = nan: must be a finite"),
         ("connect lab --from down-up --to down-up --energy -0.07 --longest inf", "longest = inf: must be a finite"),
-        ("walk lab --energy -0.07 --random 2 --lengths 1 99999999999999999999", "--lengths: a number of"),
-        ("walk lab --energy -0.07 --random 2 --extra-wraps 0 99999999999999999999", "--extra-wraps: a number of"),
+        ("walk lab --energy -0.07 --random 2 --lengths 1 99999999999999999999", "--lengths: a number with"),
+        ("walk lab --energy -0.07 --random 2 --extra-wraps 0 99999999999999999999", "--extra-wraps: a number with"),
         ("replay loop.mcap", "cannot read loop.mcap: it is a link that leads to itself"),
         ("import loop.csv --out loop.mcap", "cannot read loop.csv: it is a link that leads to itself"),
         ("import loop.csv", "loop.csv"),
@@ -153,7 +153,7 @@ def test_wraps_beyond_all_bounds_and_symbols_nested_two_hundred_deep_are_rejecte
     endless = dpcontrol(*walk, "-s", "down-up +", "-s", "down-up +", "--wraps", "99999999999999999999")
     nested = dpcontrol(*walk, "-s", 200 * "(" + "down-up +" + 200 * ")")
     assert (endless.code, nested.code) == (2, 2)
-    assert "--wraps: a number of too many digits" in endless.message
+    assert "--wraps: a number with too many digits" in endless.message
     assert "may be nested at most 20 deep" in nested.message
 
 
