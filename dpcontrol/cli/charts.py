@@ -75,8 +75,9 @@ Maps of the limits of methods, found by bisection, beside the predictions of the
 {_listed(GROUPS["edges"])}
 
 Without a name, all are drawn. The status reports defaults off their front and limits that differ from their
-prediction. With --strict, these give exit code 1. Use --against to compare with an earlier drawing: the order on each front,
-with times within a fifth of each other as a tie, and time and error of each default. Twice the time counts as slower.
+prediction. With --strict, these give exit code 1. Use --against to compare with an earlier drawing: the order on each
+front, with times within a fifth of each other as a tie, and time and error of each default. Twice the time counts as
+slower.
 """
 
 

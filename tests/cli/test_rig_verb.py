@@ -41,6 +41,6 @@ def test_a_run_on_a_bench_in_another_process_is_logged_without_truth(tmp_path: P
     assert not (tmp_path / "logs").exists()
 
 
-def test_a_rig_that_cannot_be_is_one_sentence() -> None:
+def test_an_impossible_rig_gives_one_sentence() -> None:
     assert "must be udp://HOST:PORT" in dpcontrol("run", "outer-turn", "--rig", "tcp://x:1").message
-    assert "--real-time is for runs on a rig" in dpcontrol("run", "outer-turn", "--real-time").stderr
+    assert "--real-time applies to runs on a rig" in dpcontrol("run", "outer-turn", "--real-time").stderr

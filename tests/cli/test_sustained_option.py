@@ -50,9 +50,9 @@ def test_the_text_has_period_effort_and_both_kinds_of_multipliers_and_the_pictur
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("lab", "--saddle", "down-up"), "give --saddle and --energy"),
-        (("lab", "--rotating", "inner", "--energy", "0.2"), "give --saddle and --energy"),
-        (("lab", "--saddle", "down-up", "--energies", "-0.1", "0.1"), "give --saddle and --energy"),
+        (("lab", "--saddle", "down-up"), "needs --saddle and --energy"),
+        (("lab", "--rotating", "inner", "--energy", "0.2"), "needs --saddle and --energy"),
+        (("lab", "--saddle", "down-up", "--energies", "-0.1", "0.1"), "needs --saddle and --energy"),
         (("lab", "--saddle", "down-up", "--energy", "-0.3"), "exist only above"),
         (("lab", "--saddle", "down-up", "--energy", "0.2", "--picture", "orbit.pdf"), "ends in .png"),
         (("three-body", "--saddle", "L1", "--energy", "-1.515"), "no arms"),

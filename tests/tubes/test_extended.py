@@ -229,7 +229,7 @@ def test_the_command_prints_digits_as_strings(capsys, found):
 @pytest.mark.parametrize(
     ("arguments", "fragment"),
     [
-        (("--precision", "extended"), "give its --name"),
+        (("--precision", "extended"), "add its --name"),
         (("--name", "down-up>up-down[0,0]"), "did you mean 'down-up>up"),
     ],
     ids=str,
