@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, overload
+from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
 from dpcontrol.dynamics.chain import ArmChainParameters
@@ -30,7 +30,8 @@ from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
 from dpcontrol.plans.model import Model, ModelSystem, model_of
 from dpcontrol.plans.model import load_model as load_model
-from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.plans.overrides import RunOptions as RunOptions
+from dpcontrol.plans.overrides import canonical
 from dpcontrol.references.problem import Limits, ReferenceSettings
 
 if TYPE_CHECKING:
@@ -456,15 +457,22 @@ def plan(
 def closed_loop(
     planned: "Plan | str",
     *,
-    options: RunOptions | None = None,
+    settings: Mapping[str, object] | None = None,
+    options: Mapping[str, object] | None = None,
     yes: bool = False,
     progress: Reporting = None,
-    **settings: object,
+    **named: object,
 ) -> "ClosedLoop":
     """Return the closed loop of a plan, or of an itinerary by name: one object that runs, counts, measures and exports.
 
-    options, settings: run settings that take the place of the scene's, by name; settings come last. controller,
-    estimator and plant may be objects of your own (`dpcontrol guide extend`). yes: however long its plan takes.
+    Args:
+        planned: a plan, or an itinerary's name.
+        settings: settings of its runs by path, such as {"drive.lag": 0.005}; the unique last part of a path may stand
+            alone (`dpcontrol guide settings`). Controller, estimator and plant may be your own objects.
+        options: deprecated; give `settings`.
+        yes: True to plan however long that takes.
+        progress: receiver of progress; see the head of this module.
+        named: further settings, by the last part of their paths.
 
     >>> dp.closed_loop("outer-turn", mismatch=0.02).run(seed=3).converged
     True
@@ -474,7 +482,7 @@ def closed_loop(
         GoalMissed: an orbit did not converge, or there is no transfer.
     """
     with reporting(progress, "plan") as report:
-        return _closed(planned, _options(options).over(settings), yes=yes, progress=report)
+        return _closed(planned, _settings(settings, options, **named), yes=yes, progress=report)
 
 
 @checked
@@ -544,7 +552,8 @@ def run(
     mismatch: float | None = None,
     plant: Place | None = None,
     seed: Seed = 0,
-    options: RunOptions | None = None,
+    settings: Mapping[str, object] | None = None,
+    options: Mapping[str, object] | None = None,
     log: Place | None = None,
     force: bool = False,
     live: bool = False,
@@ -558,7 +567,8 @@ def run(
         mismatch: largest relative error of the plant's parameters.
         plant: model file or name, for a plant with arms of its own.
         seed: seed of the random numbers.
-        options: settings that replace the scene's.
+        settings: settings of the run by path; see `closed_loop`.
+        options: deprecated; give `settings`.
         log: file to write the run's log to.
         force: replace the log of another run there.
         live: show the run in the viewer while it happens.
@@ -573,7 +583,7 @@ def run(
             display for a live view.
         GoalMissed: there is no reference to follow, or no controller can be made for it.
     """
-    chosen = _options(options, mismatch, plant)
+    chosen = _settings(settings, options, mismatch=mismatch, plant=plant)
     with reporting(progress, "run") as report:
         loop = _closed(planned, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
         return loop.run(seed=seed, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
@@ -585,14 +595,15 @@ def export(
     folder: Place | None = None,
     *,
     single: bool = False,
-    options: RunOptions | None = None,
+    settings: Mapping[str, object] | None = None,
+    options: Mapping[str, object] | None = None,
     force: bool = False,
     yes: bool = False,
     progress: Reporting = None,
 ) -> "ControllerSource":
     """Return the controller of a plan, or of an itinerary by name, as C99, and write it to `folder` if one is given.
 
-    single: in single precision; options: settings of the run that take the place of the scene's. force: replace files
+    single: in single precision; settings: see `closed_loop`. force: replace files
     of the same names in a folder that is there. yes: however long its plan takes.
 
     >>> sorted(dp.export("outer-turn", single=True).files)[:2]
@@ -603,7 +614,7 @@ def export(
         GoalMissed: there is no reference to follow, or no controller can be made for it.
     """
     with reporting(progress, "export") as report:
-        loop = _closed(planned, _options(options), yes=yes, progress=part_of(report, 0.0, 0.5))
+        loop = _closed(planned, _settings(settings, options), yes=yes, progress=part_of(report, 0.0, 0.5))
         return loop.export(folder, single=single, force=force, progress=part_of(report, 0.5, 1.0))
 
 
@@ -614,7 +625,8 @@ def campaign(
     runs: Count = 100,
     mismatch: float | None = None,
     plant: Place | None = None,
-    options: RunOptions | None = None,
+    settings: Mapping[str, object] | None = None,
+    options: Mapping[str, object] | None = None,
     over: Mapping[str, object] | None = None,
     first_seed: Seed = 0,
     transitions: bool = False,
@@ -626,7 +638,7 @@ def campaign(
 ) -> "Campaign":
     """Run a plan, or an itinerary by name, with many seeds, and count how often it is completed.
 
-    mismatch, plant, options: see `run`; over: values of options that are varied by name, each combination a case of
+    mismatch, plant, settings: see `run`; over: values of settings by path, each combination a case of
     `runs` seeds from `first_seed` on. transitions: each transfer from hold to hold alone. workers: processes, 0 for one
     on each processor. out: the Parquet file to write the rows to, if any; force: also where there is that of another
     campaign. yes: however long it takes.
@@ -640,11 +652,12 @@ def campaign(
     """
     from dpcontrol.runs.campaign import CampaignSettings
 
-    settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
+    counts = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
     with reporting(progress, "campaign") as report:
-        loop = _closed(planned, _options(options, mismatch, plant), yes=yes, progress=part_of(report, 0.0, 0.1))
+        chosen = _settings(settings, options, mismatch=mismatch, plant=plant)
+        loop = _closed(planned, chosen, yes=yes, progress=part_of(report, 0.0, 0.1))
         return loop.campaign(
-            over=over, settings=settings, transitions=transitions, out=out, force=force, yes=yes,
+            over=over, settings=counts, transitions=transitions, out=out, force=force, yes=yes,
             progress=part_of(report, 0.1, 1.0),
         )  # fmt: skip
 
@@ -864,6 +877,24 @@ def picture(
     if file is not None:
         save_figure(figure, file)
     return figure
+
+
+@checked
+def schema(of: Literal["itinerary", "model"]) -> dict[str, Any]:
+    """Return the JSON Schema of itinerary files or model files.
+
+    Args:
+        of: "itinerary" or "model".
+
+    >>> dp.schema("model")["title"]
+    'Model of dpcontrol'
+
+    Raises:
+        InputError: another kind of file.
+    """
+    from dpcontrol.plans.tables import schema as schema_of
+
+    return schema_of(of)
 
 
 @checked
@@ -1291,7 +1322,8 @@ def start_bench(
     itinerary: str,
     *,
     seed: Seed = 0,
-    options: RunOptions | None = None,
+    settings: Mapping[str, object] | None = None,
+    options: Mapping[str, object] | None = None,
     hanging: bool = False,
     faults: Sequence[str] = (),
     at: "BenchAddress | None" = None,
@@ -1303,7 +1335,8 @@ def start_bench(
     Args:
         itinerary: name or path of the itinerary whose arms and cart are simulated.
         seed: seed of the random numbers on the bench; by default 0.
-        options: settings that replace the itinerary's.
+        settings: settings of the bench by path, which replace the itinerary's; see `closed_loop`.
+        options: deprecated; give `settings`.
         hanging: begin with hanging arms, for `commission`; by default where the itinerary begins.
         faults: wiring mistakes for practice, such as "encoder-2-reversed"; by default none.
         at: host, port, key and watchdog; by default any free port of this computer.
@@ -1323,7 +1356,7 @@ def start_bench(
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.example_bench import BenchAddress, example_bench
 
-    scene = load_itinerary(itinerary).with_run(_options(options), seed=seed)
+    scene = load_itinerary(itinerary).with_run(_settings(settings, options), seed=seed)
     with reporting(progress, "rig") as report:
         where = BenchAddress() if at is None else at
         return example_bench(scene, where, hanging=hanging, faults=faults, say=remark, yes=yes, progress=report)
@@ -1335,7 +1368,8 @@ def commission(
     *,
     rig: "RigLink | str | None" = None,
     seed: Seed = 0,
-    options: RunOptions | None = None,
+    settings: Mapping[str, object] | None = None,
+    options: Mapping[str, object] | None = None,
     faults: Sequence[str] = (),
     switches: NotNegative = 0.0,
     write: bool = False,
@@ -1347,7 +1381,8 @@ def commission(
         itinerary: name or path of the itinerary.
         rig: address or link of the rig; by default the example bench in simulated time.
         seed: seed of the random numbers on the example bench; by default 0.
-        options: settings of the example bench that replace the itinerary's.
+        settings: settings of the example bench by path, which replace the itinerary's; see `closed_loop`.
+        options: deprecated; give `settings`.
         faults: wiring mistakes of the example bench; by default none.
         switches: distance in m to creep to either side until limit switches answer; by default 0, none.
         write: write measured values into the itinerary's [run] if nothing blocks; by default not.
@@ -1366,10 +1401,10 @@ def commission(
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text
 
-    scene, chosen = load_itinerary(itinerary), _options(options)
+    scene, chosen = load_itinerary(itinerary), _settings(settings, options)
     link = rig_link(rig) if isinstance(rig, str) else rig
-    if link is not None and link.address != OWN_BENCH and (faults or chosen.given()):
-        raise InputError(f"rig = {link.address}: faults and options are those of the example bench; omit them")
+    if link is not None and link.address != OWN_BENCH and (faults or chosen):
+        raise InputError(f"rig = {link.address}: faults and settings are those of the example bench; omit them")
     if write:
         # A file that cannot be changed is reported before the cart moves.
         measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
@@ -1761,16 +1796,20 @@ def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
     )
 
 
-def _closed(planned: "Plan | str", options: RunOptions, *, yes: bool, progress: Reporting) -> "ClosedLoop":
+def _closed(planned: "Plan | str", settings: Mapping[str, Any], *, yes: bool, progress: Reporting) -> "ClosedLoop":
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.closed_loop import ClosedLoop
 
     if isinstance(planned, str):
-        # A wrong option is reported before the plan is computed.
-        load_itinerary(planned).with_run(options)
-    return ClosedLoop(plan(planned, yes=yes, progress=progress) if isinstance(planned, str) else planned, options)
+        # A wrong setting is reported before the plan is computed.
+        load_itinerary(planned).with_run(settings)
+    return ClosedLoop(plan(planned, yes=yes, progress=progress) if isinstance(planned, str) else planned, settings)
 
 
-def _options(options: RunOptions | None, mismatch: float | None = None, plant: Place | None = None) -> RunOptions:
-    given = {"mismatch": mismatch, "plant": None if plant is None else str(plant)}
-    return (options or RunOptions()).over({name: value for name, value in given.items() if value is not None})
+def _settings(
+    settings: Mapping[str, object] | None, options: Mapping[str, object] | None = None, **named: object
+) -> dict[str, Any]:
+    """Return settings by path: those of the deprecated options, of the mapping, and of arguments by name."""
+    if isinstance(named.get("plant"), Path):
+        named["plant"] = str(named["plant"])
+    return {**canonical(options or {}), **canonical(settings or {}), **canonical(named)}

@@ -2,32 +2,38 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from ending_truth import Flight, flights
 
 from dpcontrol.plans.plan import Plan
-from dpcontrol.plans.run_options import RunOptions
 
-BENCH = RunOptions(
-    mismatch=0.05, initial_error=0.05, lag=0.005, command_noise=0.3, zero_error=0.02, travel=0.8, counts=40_000
-)
+BENCH = {
+    "mismatch": 0.05,
+    "initial_error": 0.05,
+    "lag": 0.005,
+    "command_noise": 0.3,
+    "zero_error": 0.02,
+    "travel": 0.8,
+    "counts": 40_000,
+}
 MOVED = 1e-3
 """Distance of the cart from which the delay of detection counts, m."""
 
 
-def flown(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> list[Flight]:
+def flown(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> list[Flight]:
     return flights(plan.itinerary.with_run(BENCH.over(options.given())), plan.reference, seeds)
 
 
-def completed(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> tuple[float, list[str]]:
+def completed(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> tuple[float, list[str]]:
     """Return the share of completed runs, and the reasons of failures."""
     problems = [flight.verdict.problem for flight in flown(plan, options, seeds) if flight.verdict.problem]
     return 1 - len(problems) / len(seeds), problems
 
 
-def delays_of_stuck_scales(plan: Plan, options: RunOptions, seeds: Sequence[int]) -> list[float]:
+def delays_of_stuck_scales(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> list[float]:
     """Return the delays from the cart's first millimetre to the detection of its stuck scale, s; infinite for none.
 
     The scale sticks at a random time of each run. An earlier detection has zero delay.

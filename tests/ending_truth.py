@@ -32,7 +32,6 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import BatchRun, Ending, JudgedTicks
 from dpcontrol.plans.itinerary import Itinerary
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
 
 Array = np.ndarray
@@ -216,7 +215,7 @@ MOVING = (
 """The shipped itineraries with motion that support lockstep."""
 
 
-def troubled(random: np.random.Generator, *, controller: str, troubles: int, faulty: bool = False) -> RunOptions:
+def troubled(random: np.random.Generator, *, controller: str, troubles: int, faulty: bool = False) -> dict[str, Any]:
     """Return a bench with severe disturbances, and sensor faults if `faulty`.
 
     TVLQR has the lab's travel of 0.4 m. Others have 0.8 m, so that the track is not the limit.
@@ -252,7 +251,7 @@ def troubled(random: np.random.Generator, *, controller: str, troubles: int, fau
         values |= kinds[k]()
     if faulty:
         values |= faults[random.integers(len(faults))]()
-    return RunOptions(**values)
+    return {**values}
 
 
 def class_of(flight: Flight) -> str:

@@ -75,14 +75,14 @@ def test_results_show_themselves_in_a_line(example: dict[str, Any]) -> None:
 
 
 def test_a_failure_is_a_value_and_bad_input_an_error(example: dict[str, Any]) -> None:
-    missed = dp.run(example["reference"], options=dp.RunOptions(controller="feedforward"), mismatch=0.05)
+    missed = dp.run(example["reference"], settings={"controller": "feedforward"}, mismatch=0.05)
     assert not missed.converged
     assert missed.status.startswith("NOT completed")
     with pytest.raises(dp.InputError, match="down-up"):
         dp.orbit(example["lab"], "down-upp", energy=-0.07)
     with pytest.raises(dp.InputError, match="mismatch = 2"):
         dp.run(example["reference"], mismatch=2.0)
-    with pytest.raises(dp.InputError, match="no such run setting"):
+    with pytest.raises(dp.InputError, match="no run has this setting; did you mean 'mismatch'"):
         dp.campaign(example["reference"], over={"mismach": [0.1]})
     with pytest.raises(dp.InputError, match="no arms"):
         _ = dp.load_model("three-body").arms

@@ -1,6 +1,6 @@
 """Runs with verdicts of two decoders, and failed runs derived from completed ones."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
@@ -12,7 +12,6 @@ from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.plans.itinerary import Itinerary
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
 
 Array = np.ndarray
@@ -30,7 +29,7 @@ class Case:
     accelerations: Array | None
 
 
-def drawn_options(random: np.random.Generator, *, recovers: bool = False) -> RunOptions:
+def drawn_options(random: np.random.Generator, *, recovers: bool = False) -> dict[str, Any]:
     """Return an easy, ordinary or hard bench, with recovery after falls if `recovers`."""
 
     def within(low: float, high: float) -> float:
@@ -48,10 +47,10 @@ def drawn_options(random: np.random.Generator, *, recovers: bool = False) -> Run
         values |= {
             "on_fall": str(random.choice(["resume", "restart"])), "knocks_per_minute": 20.0, "knock_impulse": 0.05,
         }  # fmt: skip
-    return RunOptions(**values)
+    return {**values}
 
 
-def runs(itinerary: Itinerary, reference: Reference, options: RunOptions, seeds: list[int]) -> Iterator[Case]:
+def runs(itinerary: Itinerary, reference: Reference, options: Mapping[str, Any], seeds: list[int]) -> Iterator[Case]:
     """Fly these seeds."""
     scene = itinerary.with_run(options)
     loop, arms = scene.loop, scene.model.arms
@@ -167,7 +166,7 @@ class Comparison:
     wrong: int = 0
     false: list[str] = field(default_factory=list)
 
-    def add(self, plan: Any, options: RunOptions, seeds: list[int], random: np.random.Generator) -> None:
+    def add(self, plan: Any, options: Mapping[str, Any], seeds: list[int], random: np.random.Generator) -> None:
         """Simulate these seeds of a plan, and failed runs derived from the first completed one."""
         reference, made = plan.reference, False
         for case in runs(plan.itinerary, reference, options, seeds):
@@ -190,9 +189,9 @@ class Comparison:
                     self.false.append(f"{plan.itinerary.name}, {mutant.text}: completed by the other decoder")
 
 
-def for_plan(options: RunOptions, plan: Any) -> RunOptions:
+def for_plan(options: Mapping[str, Any], plan: Any) -> dict[str, Any]:
     """Return suitable options for a plan; kept stops require a special law."""
     values = options.given()
     if "program" in plan.reference.notes:
         values.pop("controller", None)
-    return RunOptions(**values)
+    return {**values}

@@ -63,7 +63,6 @@ from dpcontrol.plans.itinerary import Itinerary, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.plans.planning import shadowing_orbit
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
@@ -972,7 +971,7 @@ def _failure_reason(run: BatchRun) -> str:
 @cache
 def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
     """Return an itinerary followed by a law; a stay for `STAYED` s."""
-    scene = load_itinerary(itinerary).with_run(RunOptions(controller=law, travel=0.8))
+    scene = load_itinerary(itinerary).with_run({"controller": law, "travel": 0.8})
     reference, arms = make_plan(scene).reference, scene.model.arms
     settings = LoopSettings(
         seed=0, controller=scene.loop.controller, estimator=scene.loop.estimator, initial_error=MARGIN_ERROR, travel=0.8

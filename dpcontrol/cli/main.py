@@ -20,7 +20,7 @@ from click.shell_completion import CompletionItem
 
 import dpcontrol
 from dpcontrol.cli.verbs import DEBUG, Call, print_json, say
-from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Remark
+from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark
 from dpcontrol.foundation.interrupts import interrupts, terminated
 
 GROUPS = {
@@ -28,6 +28,7 @@ GROUPS = {
         "demo": ("start", "Plan, run, score and draw one itinerary."),
         "model": ("start", "Show a model: parameters, equilibria, eigenvalues."),
         "guide": ("start", "Show a page of the guide, or list its pages."),
+        "config": ("start", "Show the defaults of the command line, and where each comes from."),
         "cache": ("start", "List the cached results with their sizes, or delete them."),
     },
     "Design": {
@@ -39,6 +40,7 @@ GROUPS = {
         "prove": ("prove", "Prove that an orbit or a closed walk exists, or check a certificate."),
         "plan": ("plan", "Plan an itinerary: shadowing orbit and reference."),
         "reference": ("plan", "Show a reference: limits, effort, mesh, error, picture."),
+        "schema": ("start", "Print the JSON Schema of itineraries or models, for editors."),
         "planner": ("planner", "Plan in the browser, from an energy to a run."),
     },
     "Run": {
@@ -141,15 +143,34 @@ class _Verbs(click.Group):
     dpcontrol.__version__, prog_name="dpcontrol", help="Version, and with --json the versions of all parts."
 )
 @click.option("--debug", **DEBUG)
-def cli() -> None:
+@click.pass_context
+def cli(ctx: click.Context) -> None:
     """Design trajectories of a double pendulum on a cart, and test closed loops that follow them.
 
-    An existing log, table or model is replaced only by the same command, or with --force. Files that are drawn or
-    computed from others, such as pictures and plans, are always replaced.
+    Default names are free names: logs/NAME.mcap, then logs/NAME.2.mcap. A file that --out names is replaced only by
+    the command that made it, or with --force. Pictures and plans are always replaced.
 
     Exit codes: 0 done, 1 goal missed (with the reason), 2 bad input, 70 internal error (with a file for the report),
     130 interrupted, 143 ended by SIGTERM, 137 killed because a computation did not stop.
     """
+    if ctx.invoked_subcommand in VERBS:
+        ctx.default_map = _defaults()
+
+
+def _defaults() -> dict[str, dict[str, Any]]:
+    """Return the defaults of options that the user has configured, by verb; apply the colour.
+
+    Raises:
+        InputError: a mistake in the configuration.
+    """
+    from dpcontrol.foundation.config import configured
+
+    own = {one.name: one.value for one in configured() if one.source != "default"}
+    if own.get("colour", "auto") != "auto":
+        os.environ["FORCE_COLOR" if own["colour"] == "always" else "NO_COLOR"] = "1"
+    everywhere = {name: own[name] for name in ("workers", "scheduler") if name in own}
+    folder = {"folder": own["logs"]} if "logs" in own else {}
+    return {verb: everywhere | (folder if verb == "demo" else {}) for verb in VERBS}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -207,8 +228,9 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
         print_json({"status": sentence, "error": code != 1})
     if call.debug:
         say("".join(traceback.format_exception(error)).rstrip())
-    # Names may contain line breaks, but the message is one line.
-    say(f"dpcontrol: {sentence.replace(chr(10), chr(92) + 'n')}")
+    # Names may hold line breaks; each mistake is one line.
+    for mistake in error.mistakes if isinstance(error, InputErrors) else (sentence,):
+        say(f"dpcontrol: {mistake.replace(chr(10), chr(92) + 'n')}")
     _echo_notes(error)
     return code
 

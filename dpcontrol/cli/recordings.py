@@ -1,6 +1,7 @@
 """The verbs of recordings: import, identify, replay."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from dpcontrol.cli.verbs import (
     TextTable,
     argument,
     claim,
+    claim_free,
     drawn_to,
     file_option,
     force_option,
@@ -19,6 +21,7 @@ from dpcontrol.cli.verbs import (
     table,
     verb,
 )
+from dpcontrol.foundation.config import log_folder
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -80,7 +83,8 @@ def import_command(
         else:
             recording = import_recording(file, mapping, repairs=repairs, progress=progress)
         progress("writing", 0.7)
-        log = write_recording(recording, claim(out or Path("logs") / f"{recording.name}.mcap"), force=force)
+        write, named = partial(write_recording, recording, force=force), log_folder() / f"{recording.name}.mcap"
+        log = claim_free(named, write) if out is None else write(claim(out))
     against = "" if own is None else contradiction(recording, own.arms, model=own.name)
     remarks = [*constant_angles(recording), *filter(None, [against])]
     for sentence in remarks:
@@ -233,8 +237,8 @@ def replay_command(
     from dpcontrol.recordings.checks import contradiction
     from dpcontrol.recordings.recording import load_recording
 
-    target = claim(out or Path("logs") / f"{log.stem}-replay.mcap")
-    checked_other_file(target, log, what="the log to replay")
+    if out is not None:
+        checked_other_file(claim(out), log, what="the log to replay")
     settings = ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
     filters = filter_settings(estimator, model_error=model_error)
     loaded, recording = load_model(model), load_recording(log)
@@ -242,7 +246,8 @@ def replay_command(
         result = replay_recording(
             recording, loaded.arms, filters, settings, zeros=loaded.encoder_zeros, progress=progress
         )
-        written = write_replay(result, target, model=loaded.name, model_text=loaded.text, force=force)
+        write = partial(write_replay, result, model=loaded.name, model_text=loaded.text, force=force)
+        written = claim_free(log_folder() / f"{log.stem}-replay.mcap", write) if out is None else write(out)
     if against := contradiction(recording, loaded.arms, model=loaded.name):
         remark(f"{log}: {against}")
     document = {"log": written, "model": loaded.name, "estimator": estimator, **result.document()}

@@ -5,7 +5,7 @@ campaign, preflight.
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.core import ParameterSource
 
-from dpcontrol.cli.completion import COMPLETERS, choosing
+from dpcontrol.cli.completion import COMPLETERS
 from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
     FILE,
@@ -26,6 +26,7 @@ from dpcontrol.cli.verbs import (
     TextTable,
     argument,
     claim,
+    claim_free,
     file_option,
     force_option,
     option,
@@ -34,6 +35,7 @@ from dpcontrol.cli.verbs import (
     table,
     verb,
 )
+from dpcontrol.foundation.config import log_folder
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target, write_whole
 from dpcontrol.foundation.interrupts import forget_interrupts
@@ -41,27 +43,92 @@ from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.rendering import live_view
 from dpcontrol.foundation.settings import suggest
-from dpcontrol.plans.run_options import RunOptions
+from dpcontrol.plans.overrides import NAMED, option_of, parsed, paths, resolved, typed
 
 if TYPE_CHECKING:
     from dpcontrol.judge.preflight import Preflight
     from dpcontrol.runs.campaign import Campaign, StandardScore
 
-KINDS: dict[str, type] = {
-    f.name: {"str": str, "int": int, "float": float}[str(f.type).partition(" ")[0]] for f in fields(RunOptions)
-}
-"""Type of every run setting that can be given on the command line."""
+SETTINGS = "Run settings"
+
+
+class _SettingOption(Option):
+    """The option of one setting; its help comes from the setting's declaration."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        name = path.rpartition(".")[2]
+        super().__init__(
+            [option_of(path), name], type=_Text(path), group=SETTINGS, help="", absent="the itinerary's",
+            shell_complete=COMPLETERS.get(("", name)),
+        )  # fmt: skip
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str]:
+        """Return the option, and help, unit and choices of its setting."""
+        leaf = paths()[self.path]
+        kind = {str: "TEXT", int: "INTEGER"}.get(leaf.hint, "FLOAT")
+        return f"{self.opts[0]} {kind}", f"{leaf.sentence} [default: the itinerary's]"
+
+
+class _Text(click.ParamType):
+    """The value of a setting."""
+
+    name = "value"
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return parsed(self.path, str(value))
+
+
+class _Setting(click.ParamType):
+    """PATH=VALUE: a setting of the run."""
+
+    name = "path=value"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, Any]:
+        name, equals, text = str(value).partition("=")
+        if not equals or not text.strip():
+            self.fail(f"{value!r} is not PATH=VALUE, as in drive.lag=0.005", param, ctx)
+        return resolved(name), parsed(name, text)
+
+
+class _Values(_Setting):
+    """PATH=V1,V2,…: a setting of the run and its values."""
+
+    name = "path=v1,v2,…"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, list[Any]]:
+        name, equals, texts = str(value).partition("=")
+        if not equals or not all(text.strip() for text in texts.split(",")):
+            self.fail(f"{value!r} is not PATH=VALUE,VALUE,…, as in mismatch=0.05,0.1", param, ctx)
+        resolved(name)
+        return name.strip().replace("-", "_"), [parsed(name, text) for text in texts.split(",")]
 
 
 def run_settings() -> Any:
-    """Declare `--mismatch`, `--lag` and the like, by part of the bench, as one parameter, a RunOptions."""
-    flags = {f.name: f"--{f.name.replace('_', '-')}" for f in fields(RunOptions)}
-    return Several([_run_option(f.name, flags[f.name], **f.metadata) for f in fields(RunOptions)], RunOptions)
+    """Declare the options of the named settings and `--set` as one parameter, a mapping by path."""
+    help = "Any setting by its path, or by the unique last part; repeatable. See `dpcontrol guide settings`."
+    each = Option(
+        ["--set", "settings"], type=_Setting(), multiple=True, group=SETTINGS, help=help,
+        shell_complete=COMPLETERS["", "over"],
+    )  # fmt: skip
+    return Several([*map(_SettingOption, NAMED), each], _given)
 
 
-def _run_option(name: str, flag: str, *, choices: tuple[str, ...], **others: Any) -> Option:
-    complete = choosing(choices) if choices else COMPLETERS.get(("", name))
-    return Option([flag, name], type=KINDS[name], absent="the itinerary's", shell_complete=complete, **others)
+def _given(settings: Sequence[tuple[str, Any]], **named: Any) -> dict[str, Any]:
+    """Return the settings that are given, by path.
+
+    Raises:
+        InputError: a setting is given twice.
+    """
+    given = {resolved(name): value for name, value in named.items() if value is not None}
+    for path, value in settings:
+        if path in given:
+            raise InputError(f"--set {path}={value}: {path} is given twice; give it once")
+        given[path] = value
+    return given
 
 
 BENCH = "Bench"
@@ -109,7 +176,7 @@ def run_command(
         default=1, metavar="N", group=NIGHT, help="Interval of the older logs to keep: each N-th."
     ),
     resume: bool = option(group=NIGHT, help="Go on with the night of this folder, which was interrupted."),
-    settings: RunOptions = run_settings(),
+    settings: dict[str, Any] = run_settings(),
     live: bool = option(group=OUTPUT, help="Show the run in the viewer while it happens."),
     out: Path | None = file_option(
         suffix=".mcap", help="Log to write [logs/NAME-SEED.mcap]; with --hours the folder of that name without .mcap."
@@ -151,11 +218,12 @@ def run_command(
         raise click.UsageError("--controller-program controls the example bench of a run: add --rig udp")
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"--controller-program {program}: no such executable program; compile it first")
+    from dpcontrol.logs import check_replaced
     from dpcontrol.loop.own import load_own
     from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
-    from dpcontrol.runs.run import default_log, rig_link, run_on_rig, run_plan, run_with_program
+    from dpcontrol.runs.run import default_log, rig_link, run_on_rig, run_plan, run_record, run_with_program
 
     # Before the plan, which can take minutes.
     if live:
@@ -167,11 +235,11 @@ def run_command(
     link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     rig = None if own is None else load_own("rig", own)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
-    out = claim(out or default_log(scene))
     if hours is not None:
         from dpcontrol.runs.night import (
             NightSettings,
             check_folder,
+            check_night,
             night_cost,
             night_folder,
             night_itinerary,
@@ -180,9 +248,17 @@ def run_command(
         )
 
         night = NightSettings(hours, file_minutes, keep_every)
-        scene = night_itinerary(scene, asked=settings.given())
+        scene = night_itinerary(scene, asked=settings)
+        record = run_record(scene, rig=None if link is None else link.address) if resume else {}
+
+        def checked_folder(log: Path) -> Path:
+            check_folder(night_folder(log), resume=resume, force=force)
+            if resume and out is None:
+                check_night(night_folder(log), record)
+            return log
+
         # Before the plan, which can take minutes.
-        check_folder(night_folder(out), resume=resume, force=force)
+        out = claim_free(default_log(scene), checked_folder) if out is None else checked_folder(claim(out))
         night_cost(scene, night, night_folder(out), real_time=address is not None, yes=yes)
         with progress_bar("night") as progress:
             plan = night_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
@@ -192,6 +268,17 @@ def run_command(
                 return Answer(done.document(), done.lines())
         done = fly()
         return Answer(done.document(), done.lines())
+    if out is None:
+        named = None if link is None else link.address
+        record = run_record(scene, rig=named if rig is None else rig.name, library=library)
+
+        def checked_log(log: Path) -> Path:
+            check_replaced(log, record, force=force)
+            return log
+
+        out = claim_free(default_log(scene), checked_log)
+    else:
+        claim(out)
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress, yes=yes)
         verdict = None
@@ -236,7 +323,8 @@ def _repeat(source: Path, out: Path | None, force: bool) -> Answer:
     from dpcontrol.runs.run import repeat_run, repeated_log
 
     with progress_bar("run") as progress:
-        done = repeat_run(source, claim(out or repeated_log(source)), force=force, progress=progress)
+        repeat = partial(repeat_run, source, force=force, progress=progress)
+        done = claim_free(repeated_log(source), repeat) if out is None else repeat(claim(out))
     same, verdict = done.comparison, done.score
     repeated = {"of": source, "identical_messages": same.messages, "difference": same.difference}
     lines = [*score_text(verdict), f"  repeats {source}: {same.messages:,} messages are identical"]
@@ -255,7 +343,7 @@ def export_command(
         help="Clock of a Cortex-M4, MHz. Rates beyond its speed are rejected.",
     ),
     unit: bool = option("--fmu", help="Write a co-simulation unit (FMI 2.0) for Simulink, Modelica tools, FMPy."),
-    settings: RunOptions = run_settings(),
+    settings: dict[str, Any] = run_settings(),
     out: Path = option(type=click.Path(path_type=Path), group=OUTPUT, help="Folder to write; with --fmu NAME.fmu."),
     force: bool = option("--force", group=OUTPUT, help="Replace files of these names in a folder that is there."),
     yes: bool = YES,
@@ -345,7 +433,7 @@ def rig_command(
     insecure: bool = option(group=SERVER, help="No key: anyone with access to --host can drive the cart."),
     hanging: bool = option(help="Begin with the arms hanging, as `dpcontrol commission` needs; nothing is planned."),
     fault: tuple[str, ...] = option(type=_FAULT, metavar="NAME", help=FAULT_HELP),
-    settings: RunOptions = run_settings(),
+    settings: dict[str, Any] = run_settings(),
     yes: bool = YES,
 ) -> None:
     """Start an example bench: the arms and cart of the itinerary, simulated in real time, with packets over UDP.
@@ -399,7 +487,7 @@ def commission_command(
     insecure: bool = option(group=BENCH, help="With --rig: no key for a bench on another computer."),
     seed: int = option(default=0, help="Seed of all random numbers on the example bench."),
     fault: tuple[str, ...] = option(type=_FAULT, metavar="NAME", help=FAULT_HELP),
-    settings: RunOptions = run_settings(),
+    settings: dict[str, Any] = run_settings(),
     write: bool = option(group=OUTPUT, help="Write delay, lag, zeros and counts as measured into ITINERARY's [run]."),
 ) -> Answer:
     """Measure a rig before its first run: signs, scales, zeros, delay, lag, switches.
@@ -415,7 +503,7 @@ def commission_command(
     own = address in (None, OWN_BENCH)
     if address is None and (real_time or key_file or insecure):
         raise click.UsageError("--real-time, --key-file and --insecure apply to a rig: add --rig")
-    if not own and (fault or settings.given()):
+    if not own and (fault or settings):
         raise click.UsageError("--fault and settings of the bench apply to the example bench: omit them with --rig")
     link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     scene = load_itinerary(itinerary)
@@ -462,34 +550,13 @@ SHOWN = 10
 """Number of failures to print; all of them are in the file."""
 
 
-class _Values(click.ParamType):
-    """NAME=V1,V2,…: a run setting and the values it takes."""
-
-    name = "name=v1,v2,…"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, list[Any]]:
-        name, equals, values = str(value).partition("=")
-        name = name.strip().replace("-", "_")
-        if not equals or not all(v.strip() for v in values.split(",")):
-            self.fail(f"{value!r} is not NAME=VALUE,VALUE,…, as in mismatch=0.05,0.1", param, ctx)
-        if name not in KINDS:
-            self.fail(f"{name!r} is not a run setting: {suggest(name, KINDS)}", param, ctx)
-        out = []
-        for text in values.split(","):
-            try:
-                out.append(KINDS[name](text.strip()))
-            except ValueError:
-                self.fail(f"{text.strip()!r} is not a value for {name}", param, ctx)
-        return name, out
-
-
 @verb("campaign", example="dpcontrol campaign outer-turn --runs 200 --mismatch 0.05 --lag 0.005")
 def campaign_command(
     *,
     itinerary: str = argument(),
     runs: int | None = option(type=click.IntRange(min=1), help="Number of seeds per case [100, or 8 with --standard]."),
     seed_from: int = option(type=click.IntRange(min=0), default=0, help="First seed."),
-    over: tuple[Any, ...] = option(type=_Values(), help="Vary a run setting: one case for each value."),
+    over: tuple[Any, ...] = option(type=_Values(), help="Vary a setting: one case for each value."),
     standard: bool = option(help="Robustness score: nine kinds of disturbances at 21 levels each."),
     transitions: bool = option(help="Separate runs of each transfer from hold to hold."),
     how: Literal["compiled", "ticks"] = option(
@@ -502,7 +569,7 @@ def campaign_command(
     scheduler: str = option(
         default="", metavar="ADDRESS", group=WORK, help="Dask cluster for the runs, such as tcp://host:8786."
     ),
-    fixed: RunOptions = run_settings(),
+    fixed: dict[str, Any] = run_settings(),
     out: Path | None = file_option(suffix=".parquet", help="Table to write [logs/NAME.parquet]."),
     force: bool = force_option(),
     yes: bool = YES,
@@ -515,7 +582,15 @@ def campaign_command(
     """
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
-    from dpcontrol.runs.campaign import CampaignSettings, cases_of, run_campaign, standard_cases, standard_scores
+    from dpcontrol.runs.campaign import (
+        CampaignSettings,
+        campaign_record,
+        cases_of,
+        check_parts,
+        run_campaign,
+        standard_cases,
+        standard_scores,
+    )
 
     scene = load_itinerary(itinerary)
     settings = CampaignSettings(
@@ -533,13 +608,21 @@ def campaign_command(
     if standard and transitions:
         raise InputError("--transitions: the robustness score needs the whole itinerary; omit --standard")
     if standard:
-        controllers = varied.pop("controller", [fixed.controller or scene.loop.controller.kind])
+        controllers = varied.pop("controller", [fixed.get("controller") or scene.loop.controller.kind])
         if varied:
             raise InputError(f"--over {next(iter(varied))}: with --standard only controllers can be varied")
         cases = standard_cases(scene, fixed=fixed, controllers=controllers)
     else:
         cases = cases_of(scene, fixed=fixed, over=varied)
-    file = claim(out or Path("logs") / f"{scene.name}{'-transitions' if transitions else ''}.parquet")
+    record = campaign_record(scene, cases, settings, transitions=transitions)
+
+    def checked_table(file: Path) -> Path:
+        if not force:
+            check_parts(file, record)
+        return file
+
+    named = log_folder() / f"{scene.name}{'-transitions' if transitions else ''}.parquet"
+    file = claim_free(named, checked_table) if out is None else claim(out)
     # Check for the writer of the table before the plan, which can take minutes.
     part("pyarrow")
     with progress_bar("campaign") as progress:
@@ -599,7 +682,7 @@ def preflight_command(
     ),
     seed_from: int = option(type=click.IntRange(min=0), default=1_000_000, help="First seed."),
     workers: int = WORKERS,
-    fixed: RunOptions = run_settings(),
+    fixed: dict[str, Any] = run_settings(),
     picture: Path | None = file_option(suffix=(".pdf", ".png"), help="Page to write [logs/NAME-preflight.pdf]."),
     yes: bool = YES,
 ) -> Answer:
@@ -617,8 +700,8 @@ def preflight_command(
     scene = load_itinerary(itinerary)
     settings = PreflightSettings(runs=runs, first_seed=seed_from, workers=workers)
     scene.with_run(fixed)
-    page = claim(picture or Path("logs") / f"{scene.name}-preflight.pdf")
-    checked_target(page)
+    named = log_folder() / f"{scene.name}-preflight.pdf"
+    page = claim_free(named, checked_target) if picture is None else checked_target(claim(picture))
     with progress_bar("preflight") as progress:
         plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
         found = preflight(plan, fixed, settings=settings, progress=part_of(progress, 0.05, 1.0), yes=yes)
@@ -649,7 +732,7 @@ def _preflight_text(found: "Preflight") -> Iterator[str | TextTable]:
             helping,
             {
                 "what would help": "{.text}",
-                "option": lambda c: RunOptions(**c.options).typed,
+                "option": lambda c: typed(c.options),
                 "gain": lambda c: f"{100 * c.gain:+.1f} ± {200 * c.error:.1f} points",
                 "rescued": "{0.rescued} of {0.failing}",
                 "lost": "{0.lost} of {0.completing}",

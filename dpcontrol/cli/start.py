@@ -1,9 +1,10 @@
-"""The verbs to start with: demo, model, guide, cache."""
+"""The verbs to start with: demo, model, guide, config, cache; and schema."""
 
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
@@ -15,6 +16,7 @@ from dpcontrol.cli.verbs import (
     TextTable,
     argument,
     claim,
+    claim_free,
     file_option,
     force_option,
     option,
@@ -56,8 +58,9 @@ def demo_command(
 
         plan = api.plan(itinerary, yes=yes, progress=part_of(progress, 0.05, 0.5))
         scene = plan.itinerary
-        log = claim(folder / f"{scene.name}-{seed}.mcap")
-        run = api.run(plan, seed=seed, log=log, force=force, progress=part_of(progress, 0.5, 0.75))
+        flown = partial(api.run, plan, seed=seed, force=force, progress=part_of(progress, 0.5, 0.75))
+        run = claim_free(folder / f"{scene.name}-{seed}.mcap", lambda file: flown(log=file))
+        log = run.log.path
         verdict, view = run.score(), run_view(run.log)
         recording = log.with_suffix(".rrd") if installed("rerun") else None
         if recording is not None:
@@ -163,3 +166,38 @@ def _text(loaded: "Model", points: "dict[str, Equilibrium]") -> Iterator[str | T
 
 def _eigenvalue(value: complex) -> str:
     return f"{value.imag:+.6f}i" if abs(value.imag) > abs(value.real) else f"{value.real:+.6f}"
+
+
+@verb("config", example="dpcontrol config")
+def config_command() -> Answer:
+    """Show the defaults of the command line, and where each comes from.
+
+    An option overrides the environment variable, which overrides the file, which overrides the default. The file is
+    $XDG_CONFIG_HOME/dpcontrol/config.toml, such as: logs = "~/runs".
+    """
+    from dpcontrol.foundation.config import config_file, configured, variable
+
+    found = list(configured())
+    document = {
+        "file": config_file(),
+        "settings": {one.name: {"value": one.value, "source": one.source} for one in found},
+    }
+    shown = table("", found, {
+        "setting": "{.name}", "value": lambda one: str(one.value) or "none", "from": "{.source}",
+        "variable": lambda one: variable(one.name), "meaning": "{.help}",
+    })  # fmt: skip
+    return Answer(document, [f"file  {config_file()}{'' if config_file().is_file() else ' (does not exist)'}", shown])
+
+
+@verb("schema", example="dpcontrol schema itinerary")
+def schema_command(*, of: Literal["itinerary", "model"] = argument()) -> Answer:
+    """Print the JSON Schema of itineraries or models, which editors use to complete and check files.
+
+    Save it beside the files, and name it in their first line, such as #:schema itinerary.schema.json.
+    """
+    import json
+
+    from dpcontrol.plans.tables import schema
+
+    document = schema(of)
+    return Answer(document, [json.dumps(document, indent=1, ensure_ascii=False)])

@@ -16,12 +16,14 @@ from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 import click
 
 from dpcontrol.cli.completion import COMPLETERS
 from dpcontrol.foundation.errors import GoalMissed, InputError, printable
+
+T = TypeVar("T")
 
 OUTPUT, WORK = "Output", "Work"
 """Groups of options: output files, and distribution of work."""
@@ -51,6 +53,13 @@ def claim(file: Path) -> Path:
         files.add(place)
         context.with_resource(claimed(file))
     return file
+
+
+def claim_free(file: Path, make: Callable[[Path], T]) -> T:
+    """Return the result of `make` for the first free name: `file`, NAME.2, NAME.3 …; see `free_name`."""
+    from dpcontrol.foundation.files import free_name
+
+    return click.get_current_context().with_resource(free_name(file, make))
 
 
 def note_debug(context: click.Context, param: click.Parameter, value: bool) -> None:
@@ -199,7 +208,7 @@ def file_option(*, suffix: str | tuple[str, ...] = (), help: str) -> Any:
 
 def force_option() -> Any:
     """Declare a parameter as the option that lifts the one rule of all writers of logs, tables and models."""
-    text = "Replace what is there, whatever it is. [without: only what this very command would make again]"
+    text = "Replace an existing file, whatever made it. [without: only a file that the same command made]"
     return option("--force", group=OUTPUT, help=text)
 
 

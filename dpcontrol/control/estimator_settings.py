@@ -23,7 +23,7 @@ Whether an estimator may be believed: NIS on every run, NEES where the truth is 
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
 from typing import Self
@@ -90,26 +90,42 @@ class FilterSettings(Settings, table="estimator"):
     """
 
     kind: str = "ekf"
-    parameter_error: float = setting(0.01, least=0, most=_MOST)
-    correlation_time: float = setting(0.02, above=0, most=_MOST)
-    nonlinearity: float = setting(2.5, least=0, most=_MOST)
-    dry_shape: float = setting(0.0, least=0, most=_MOST)
-    surprise: float = setting(0.0, least=0, most=4)
-    rate_noise: float = setting(0.03, above=0, most=_MOST)
-    cart_noise: float = setting(0.1, above=0, most=_MOST)
-    first_angle: float = setting(0.03, above=0, most=_MOST)
-    first_rate: float = setting(0.1, above=0, most=_MOST)
-    first_cart: float = setting(1e-3, above=0, most=_MOST)
-    augment: tuple[str, ...] = setting(("zeros", "drive"), choices=tuple(Augment))
-    zero_error: float = setting(0.012, above=0, most=_MOST)
-    disturbance: float = setting(1.0, above=0, most=_MOST)
-    disturbance_time: float = setting(0.1, above=0, most=_MOST)
-    drive_error: float = setting(3.0, above=0, most=_MOST)
-    drive_time: float = setting(0.01, above=0, most=_MOST)
-    late_drive: float = setting(0.0, least=0, most=_MOST)
-    friction_error: float = setting(0.3, above=0, most=_MOST)
-    dry_error: float = setting(0.005, above=0, most=_MOST)
-    model_error: float = setting(0.1, above=0, most=_MOST)
+    parameter_error: float = setting(0.01, least=0, most=_MOST, help="Relative error of the accelerations.")
+    correlation_time: float = setting(0.02, above=0, most=_MOST, help="Duration of such an error.")
+    nonlinearity: float = setting(
+        2.5, least=0, most=_MOST, help="Further relative error per variance of the estimated parameters."
+    )
+    dry_shape: float = setting(0.0, least=0, most=_MOST, help="Relative error of the law of dry friction.")
+    surprise: float = setting(0.0, least=0, most=4, help="Power of the mean NIS that scales the process noise.")
+    rate_noise: float = setting(0.03, above=0, most=_MOST, help="Floor of the process noise of the rates.")
+    cart_noise: float = setting(0.1, above=0, most=_MOST, help="Floor of the process noise of the cart's velocity.")
+    first_angle: float = setting(0.03, above=0, most=_MOST, help="Initial standard deviation of the angles.")
+    first_rate: float = setting(0.1, above=0, most=_MOST, help="Initial standard deviation of the rates.")
+    first_cart: float = setting(
+        1e-3, above=0, most=_MOST, help="Initial standard deviation of the cart's position and velocity."
+    )
+    augment: tuple[str, ...] = setting(
+        ("zeros", "drive"), choices=tuple(Augment), help="Quantities estimated besides the state."
+    )
+    zero_error: float = setting(0.012, above=0, most=_MOST, help="Standard deviation of the encoders' zeros.")
+    disturbance: float = setting(
+        1.0, above=0, most=_MOST, help="Standard deviation of the arms' further accelerations."
+    )
+    disturbance_time: float = setting(0.1, above=0, most=_MOST, help="Their correlation time.")
+    drive_error: float = setting(3.0, above=0, most=_MOST, help="Standard deviation of the drive's error.")
+    drive_time: float = setting(0.01, above=0, most=_MOST, help="Its correlation time.")
+    late_drive: float = setting(
+        0.0, least=0, most=_MOST, help="Share of each command change that adds to the drive's error."
+    )
+    friction_error: float = setting(
+        0.3, above=0, most=_MOST, help="Standard deviation of the relative friction errors."
+    )
+    dry_error: float = setting(
+        0.005, above=0, most=_MOST, help="Standard deviation of dry friction over gravity's torques."
+    )
+    model_error: float = setting(
+        0.1, above=0, most=_MOST, help="Standard deviation of the parameters' relative errors."
+    )
 
     def _check_together(self) -> None:
         """Check that nothing is augmented twice."""
@@ -220,8 +236,8 @@ class UkfSettings(FilterSettings):
     """
 
     kind: str = "ukf"
-    spread: float = field(default=0.5)
-    weight: float = field(default=2.0)
+    spread: float = setting(0.5, help="Distance of the sigma points in standard deviations, over √(N+E).")
+    weight: float = setting(2.0, help="Merwe's beta; 2 for a Gaussian.")
 
 
 @dataclass(frozen=True)

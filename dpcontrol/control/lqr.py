@@ -36,11 +36,11 @@ class QuadraticWeights(Settings, table="controller"):
     by 3 m/s; the cart's position by 1 m and the effort by 1 m/s².
     """
 
-    angle: float = setting(1000.0, least=0)
-    rate: float = setting(100.0, least=0)
-    position: float = setting(100.0, above=0)
-    velocity: float = setting(10.0, least=0)
-    effort: float = setting(1.0, above=0)
+    angle: float = setting(1000.0, least=0, help="Weight of the angles.")
+    rate: float = setting(100.0, least=0, help="Weight of the rates.")
+    position: float = setting(100.0, above=0, help="Weight of the cart's position.")
+    velocity: float = setting(10.0, least=0, help="Weight of the cart's velocity.")
+    effort: float = setting(1.0, above=0, help="Weight of the cart's acceleration.")
 
     def weights(self, arms: int, period: float) -> tuple[Array, float]:
         """Return Q's diagonal (N,) and r of one period in s."""
@@ -55,8 +55,8 @@ class ClosingWeights(QuadraticWeights):
     that they take and not along it, when they shall be on the model's own orbit whatever the arms would rather do.
     """
 
-    closing: float = setting(10.0, least=1, most=1e6)
-    closing_time: float = setting(1.6, least=0, most=1e4, unit="s")
+    closing: float = setting(10.0, least=1, most=1e6, help="Factor on the angles' weight at the end of a reference.")
+    closing_time: float = setting(1.6, least=0, most=1e4, unit="s", help="Duration of that end.")
 
 
 AT_REST = 1e-6
@@ -72,7 +72,7 @@ class HoldSettings(QuadraticWeights):
     """
 
     kind: str = "lqr"
-    damping: float = setting(0.03, least=0, most=10)
+    damping: float = setting(0.03, least=0, most=10, help="Assumed viscous friction of the joints beyond the model's.")
 
 
 @dataclass(frozen=True, eq=False)

@@ -206,8 +206,8 @@ class ClassicOgySettings(Settings, table="controller"):
     """OGY as published: sections in a period, and the largest pulse in m/s²."""
 
     kind: str = "ogy-classic"
-    sections: int = setting(16, least=1, most=1000)
-    pulse_limit: float = setting(5.0, above=0, unit="m/s²")
+    sections: int = setting(16, least=1, most=1000, help="Sections in a period.")
+    pulse_limit: float = setting(5.0, above=0, unit="m/s²", help="Largest pulse.")
 
 
 @dataclass(frozen=True)
@@ -222,9 +222,9 @@ class OgySettings(QuadraticWeights):
     velocity: float = 3.0
     effort: float = 0.3
     kind: str = "ogy"
-    sections: int = setting(16, least=1, most=1000)
-    pulse_limit: float = setting(5.0, above=0, unit="m/s²")
-    parameter_error: float = setting(0.05, least=0, most=1)
+    sections: int = setting(16, least=1, most=1000, help="Sections in a period.")
+    pulse_limit: float = setting(5.0, above=0, unit="m/s²", help="Largest pulse.")
+    parameter_error: float = setting(0.05, least=0, most=1, help="Assumed relative error of the plant's parameters.")
 
 
 @dataclass(frozen=True, eq=False)

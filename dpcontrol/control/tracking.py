@@ -204,7 +204,7 @@ class TvlqrSettings(ClosingWeights):
     rate: float = 1000.0
     position: float = 150.0
     kind: str = "tvlqr"
-    schedule: str = setting("time", choices=SCHEDULES)
+    schedule: str = setting("time", choices=SCHEDULES, help="Whether gains follow time or phase.")
 
 
 ControllerSettings = FeedforwardSettings | TvlqrSettings
@@ -253,7 +253,9 @@ class AdaptiveSettings(ClosingWeights):
     angle: float = 6000.0
     rate: float = 600.0
     closing: float = 120.0
-    trust: float = setting(0.8, least=0, most=1.9)
+    trust: float = setting(
+        0.8, least=0, most=1.9, help="Largest logarithmic error of a parameter that the law acts on."
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@
 # %%
 import dpcontrol as dp
 
-trouble = dp.RunOptions(on_fall="resume", pushes=2, push_impulse=0.03, lag=0.005, travel=0.8)
-run = dp.run("turn-from-rest", mismatch=0.05, seed=4, options=trouble)
+trouble = {"on_fall": "resume", "pushes": 2, "push_impulse": 0.03, "lag": 0.005, "travel": 0.8}
+run = dp.run("turn-from-rest", mismatch=0.05, seed=4, settings=trouble)
 print(run.score().sentence)
 
 # %%

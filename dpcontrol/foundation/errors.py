@@ -2,10 +2,48 @@
 
 import re
 import warnings
+from collections.abc import Sequence
 
 
 class InputError(Exception):
     """Bad input: one sentence with file, key, value and remedy. The exit code is 2."""
+
+
+class InputErrors(InputError):
+    """Several mistakes in one input, one sentence and one line each."""
+
+    def __init__(self, mistakes: Sequence[str]) -> None:
+        super().__init__("\n".join(mistakes))
+        self.mistakes = tuple(mistakes)
+
+
+class Mistakes:
+    """Collects the mistakes of one input: `with mistakes:` around each check, then `report`."""
+
+    def __init__(self) -> None:
+        self.sentences: list[str] = []
+
+    def __enter__(self) -> "Mistakes":
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        if isinstance(error, InputError):
+            self.sentences += mistakes_of(error)
+        return isinstance(error, InputError)
+
+    def report(self) -> None:
+        """Raise the mistakes that were found, if any.
+
+        Raises:
+            InputError: one mistake, or several (`InputErrors`).
+        """
+        if self.sentences:
+            raise InputErrors(self.sentences) if len(self.sentences) > 1 else InputError(self.sentences[0])
+
+
+def mistakes_of(error: InputError) -> tuple[str, ...]:
+    """Return the sentences of an error, one for each mistake."""
+    return getattr(error, "mistakes", (str(error),))
 
 
 class PartMissing(Exception):

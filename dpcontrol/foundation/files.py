@@ -11,6 +11,7 @@ Documents: what results are in JSON's terms.
 
 import errno
 import hashlib
+import itertools
 import json
 import math
 import os
@@ -20,17 +21,23 @@ import struct
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import fields
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import numpy as np
 
 from dpcontrol.foundation.errors import InputError
+
+T = TypeVar("T")
+
+
+class InTheWay(InputError):
+    """A file exists that another command made or is writing."""
 
 
 def checked_target(path: Path) -> Path:
@@ -60,7 +67,7 @@ def claimed(path: Path) -> Iterator[None]:
     nothing is claimed.
 
     Raises:
-        InputError: another command is writing it.
+        InTheWay: another command is writing it.
     """
     try:
         import fcntl
@@ -81,7 +88,7 @@ def claimed(path: Path) -> Iterator[None]:
         lost = False
     try:
         if lost:
-            raise InputError(
+            raise InTheWay(
                 f"cannot write {path}: another dpcontrol command is writing it; wait for it, or choose another name"
             )
         try:
@@ -90,6 +97,29 @@ def claimed(path: Path) -> Iterator[None]:
             os.unlink(place)
     finally:
         os.close(handle)
+
+
+@contextmanager
+def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
+    """Claim the first free name of NAME, NAME.2, NAME.3 … and yield the result of `make` for it.
+
+    Args:
+        path: the first name.
+        make: makes or checks the file of a name; raises `InTheWay` if another command made it.
+
+    Raises:
+        InputError: as `make`, except `InTheWay`.
+    """
+    for number in itertools.count(1):
+        place = path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(claimed(place))
+                made = make(place)
+            except InTheWay:
+                continue
+            yield made
+            return
 
 
 def checked_source(path: Path | str) -> Path:
@@ -141,9 +171,9 @@ def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
         raise InputError(f"--out {out}: that is {what}; choose another name")
 
 
-def in_the_way(path: Path | str, what: str) -> InputError:
+def in_the_way(path: Path | str, what: str) -> InTheWay:
     """Return the error of a file that is not replaced; what: how it came about, as in "holds another run"."""
-    return InputError(
+    return InTheWay(
         f"{path} is there already and {what}, which this would lose: choose another name, or replace it with --force"
     )
 

@@ -18,13 +18,13 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from numbers import Real
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_type_hints
+from typing import Any, ClassVar, TypeVar, get_origin, get_type_hints
 
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, InputErrors, Mistakes, mistakes_of
 
 T = TypeVar("T")
 
@@ -202,8 +202,8 @@ def nearest(value: str, choices: Iterable[str]) -> str:
     return spelt[close[0]] if close else ""
 
 
-def read_toml(path: Path) -> tuple[Table, str]:
-    """Return the file's top table and its text.
+def read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    """Return the contents of a TOML file, and its text.
 
     Raises:
         InputError: the file cannot be read, is not text, or is not TOML; names the line.
@@ -218,14 +218,14 @@ def read_toml(path: Path) -> tuple[Table, str]:
     return parse_toml(text, str(path)), text
 
 
-def parse_toml(text: str, file: str) -> Table:
-    """Return the top table of TOML text, `file` naming it in messages.
+def parse_toml(text: str, file: str) -> dict[str, Any]:
+    """Return the contents of TOML text; `file` names it in messages.
 
     Raises:
         InputError: the text is not TOML; names the line.
     """
     try:
-        return Table(tomllib.loads(text), file=file)
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{file} is not valid TOML: {error}") from error
     except (RecursionError, ValueError) as error:
@@ -353,6 +353,8 @@ class Bounds:
         """Return what is wrong with a value, empty where nothing is."""
         if self.choices:
             return "" if value in self.choices else suggest(str(value), self.choices)
+        if isinstance(value, str) and replace(self, unit="", key="") == Bounds():
+            return ""
         if not isinstance(value, Real):
             return "must be a number"
         try:
@@ -367,18 +369,24 @@ class Bounds:
         return "" if allowed else f"must be {self.range}"
 
 
-def setting(default: Any = MISSING, /, **bounds: Any) -> Any:
-    """Return a dataclass field with a default (required where there is none) and the `Bounds` of its values.
+def setting(default: Any = MISSING, /, *, help: str = "", **bounds: Any) -> Any:
+    """Declare a setting: a dataclass field with its default, its `Bounds` and its help.
 
-    Of a tuple every value is checked; None passes where it is the default.
+    Args:
+        default: required if there is none. None passes the bounds.
+        help: a noun phrase without the unit, for tables, `--help` and the schema.
+        bounds: fields of `Bounds`; they hold for every value of a tuple.
     """
-    return field(default=default, metadata={"bounds": Bounds(**bounds)})
+    return field(default=default, metadata={"bounds": Bounds(**bounds), "help": help})
 
 
 class Settings:
     """Base of settings: checks the fields' bounds on construction; `table` names the settings in messages."""
 
     TABLE: ClassVar[str] = ""
+    __pydantic_config__: ClassVar[Mapping[str, Any]] = {
+        "extra": "forbid", "strict": True, "arbitrary_types_allowed": True
+    }  # fmt: skip
 
     def __init_subclass__(cls, table: str | None = None, **others: Any) -> None:
         super().__init_subclass__(**others)
@@ -386,39 +394,175 @@ class Settings:
             cls.TABLE = table
 
     def __post_init__(self) -> None:
-        """Check every bounded field, then what they must be together.
+        """Check every bounded field, then their combination.
 
         Raises:
-            InputError: names table, key, value and what is allowed.
+            InputError: names table, key, value and the allowed range of every mistake.
         """
-        for name, bounds in bounds_of(type(self)).items():
-            value = getattr(self, name)
-            for one in value if isinstance(value, tuple | list) else (value,):
-                if one is not None and (complaint := bounds.complaint(one)):
-                    raise self.refusal(bounds.key or name, complaint, value=one)
+        mistakes = Mistakes()
+        for name in bounds_of(type(self)):
+            with mistakes:
+                self._check(name, getattr(self, name))
+        mistakes.report()
         self._check_together()
+
+    @classmethod
+    def _check(cls, name: str, value: Any) -> None:
+        bounds = bounds_of(cls)[name]
+        for one in value if isinstance(value, tuple | list) else (value,):
+            if one is not None and (complaint := bounds.complaint(one)):
+                raise cls._refused(bounds.key or name, one, complaint)
 
     def _check_together(self) -> None:
         """Reject values that are allowed each but not together; most settings have none."""
 
-    def refusal(self, key: str, complaint: str, *, value: Any = MISSING) -> InputError:
-        """Return the error of a setting's value, by default the present one."""
-        value = getattr(self, key) if value is MISSING else value
-        return InputError(f"{f'{self.TABLE}: ' if self.TABLE else ''}{key} = {value!r}: {complaint}")
+    @classmethod
+    def _refused(cls, key: str, value: Any, complaint: str) -> InputError:
+        return InputError(f"{f'{cls.TABLE}: ' if cls.TABLE else ''}{key} = {value!r}: {complaint}")
+
+    def refusal(self, key: str, complaint: str) -> InputError:
+        """Return the error of a setting's present value."""
+        return self._refused(key, getattr(self, key), complaint)
 
 
 @cache
 def bounds_of(kind: type) -> dict[str, Bounds]:
     """Return {field: bounds}; a field that a subclass gives another default keeps its bounds."""
-    found: dict[str, Bounds] = {}
-    for one in fields(kind):
-        for ancestor in kind.__mro__:
-            own = vars(ancestor).get("__dataclass_fields__", {}).get(one.name)
-            if own is not None and "bounds" in own.metadata:
-                found[one.name] = own.metadata["bounds"]
-                break
+    return {name: found["bounds"] for name, found in _declared(kind).items()}
+
+
+@cache
+def help_of(kind: type) -> dict[str, str]:
+    """Return {field: help}, inherited like the bounds."""
+    return {name: found["help"] for name, found in _declared(kind).items()}
+
+
+def _declared(kind: type) -> dict[str, Mapping[str, Any]]:
+    """Return the metadata of each declared setting; help that a subclass leaves out is inherited."""
+    found: dict[str, dict[str, Any]] = {}
+    for one in fields(kind):  # type: ignore[arg-type]
+        own = [
+            metadata
+            for ancestor in kind.__mro__
+            if one.name in vars(ancestor).get("__dataclass_fields__", {})
+            and "bounds" in (metadata := vars(ancestor)["__dataclass_fields__"][one.name].metadata)
+        ]
+        if own:
+            found[one.name] = {"bounds": own[0]["bounds"], "help": next((m["help"] for m in own if m["help"]), "")}
     return found
 
 
 def _digits(value: float) -> str:
     return f"{value}" if isinstance(value, int) else f"{value:g}"
+
+
+@dataclass(frozen=True)
+class Place:
+    """The place of a table in a file, for messages."""
+
+    file: str
+    table: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.file}:{f' [{self.table}]' if self.table else ''}"
+
+    def error(self, key: str, value: Any, complaint: str) -> InputError:
+        """Return the error of a key's value."""
+        return InputError(f"{self} {key} = {value!r}: {complaint}")
+
+
+def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iterable[str] = ()) -> T:
+    """Return settings of a dataclass from a table of TOML or an object of JSON.
+
+    Args:
+        kind: the dataclass; its base is `Settings`.
+        values: by key; lists become tuples.
+        place: for messages.
+        also: further keys that the file has there, for suggestions.
+
+    Raises:
+        InputError: names every unknown or missing key, and every value of another type or out of bounds.
+    """
+    from pydantic import ValidationError
+
+    values = frozen(values)
+    try:
+        # Python's own dictionaries are no dataclasses to a strict pydantic; those of JSON are.
+        return adapter(kind).validate_json(json.dumps(values, default=str))
+    except InputError as error:
+        # Settings name their table in front, as the place already does.
+        sentences = [f"{place} {one.removeprefix(f'{kind.TABLE}: ')}" for one in mistakes_of(error)]  # type: ignore[attr-defined]
+        raise InputErrors(sentences) if len(sentences) > 1 else InputError(sentences[0]) from error
+    except ValidationError as error:
+        wrong = {str(one["loc"][0]): one for one in error.errors(include_url=False, include_context=False)}
+    known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
+    mistakes = Mistakes()
+    unknown = [key for key in values if key not in known]
+    misspelt = {nearest(key, unknown) for key in wrong if key not in values}
+    for key in [*(key for key in values if key not in misspelt), *(key for key in wrong if key not in values)]:
+        with mistakes:
+            if key in wrong:
+                raise _mistake(kind, key, wrong[key], place, (values, sorted({*known, *also})))
+            if key in bounds_of(kind) and (text := _complaint(kind, key, values[key])):
+                raise InputError(f"{place} {text}")
+    mistakes.report()
+    raise AssertionError("pydantic rejected what has no mistake")
+
+
+def _complaint(kind: Any, key: str, value: Any) -> str:
+    try:
+        kind._check(key, value)
+    except InputError as error:
+        return str(error).removeprefix(f"{kind.TABLE}: ")
+    return ""
+
+
+def frozen(value: Any) -> Any:
+    """Return a value of TOML or JSON with tuples in place of lists."""
+    if isinstance(value, Mapping):
+        return {key: frozen(one) for key, one in value.items()}
+    return tuple(map(frozen, value)) if isinstance(value, list | tuple) else value
+
+
+@cache
+def adapter(kind: Any) -> Any:
+    """Return pydantic's adapter of a dataclass; the import takes a tenth of a second."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind)
+
+
+_TYPES = {
+    float: "must be a number",
+    int: "must be a whole number",
+    str: "must be text in quotes",
+    bool: "must be true or false",
+    tuple[str, ...]: "must be a list of texts in quotes",
+    tuple[int, ...]: "must be a list of whole numbers",
+    tuple[float, ...]: "must be a list of numbers",
+    float | tuple[float, ...]: "must be a number or a list of numbers",
+}
+"""Complaint about a value of another type."""
+
+
+def _mistake(
+    kind: type, key: str, wrong: Mapping[str, Any], place: Place, keys: tuple[Any, Sequence[str]]
+) -> InputError:
+    """Return the error of one key; keys: the file's values, and the known keys."""
+    values, known = keys
+    if wrong["type"] in ("missing", "missing_argument"):
+        close = nearest(key, [one for one in values if one not in known])
+        return InputError(
+            f"{place} the key {key!r} is missing{f'; is {close!r} a misspelling of it?' if close else ''}"
+        )
+    if wrong["type"] == "unexpected_keyword_argument":
+        where = "" if place.table else " at the top level,"
+        return InputError(f"{place}{where} the key {key!r} is unknown: {suggest(key, known)}")
+    hint, value = get_type_hints(kind)[key], values[key]
+    if isinstance(value, tuple) and get_origin(hint) is not None:
+        inside = next((value[k] for k in wrong["loc"] if isinstance(k, int)), value)
+        return InputError(f"{place} {key} holds {inside!r}: {_TYPES.get(hint, wrong['msg'])}")
+    text = _TYPES.get(hint, wrong["msg"])
+    if hint is int and (bounds := bounds_of(kind).get(key)):
+        text += f", {bounds.range}"
+    return place.error(key, list(value) if isinstance(value, tuple) else value, text)

@@ -64,20 +64,34 @@ class SensorSettings(Settings, table="sensors"):
     each arm's encoder drifts, either way.
     """
 
-    counts: int = setting(40_000, least=1, zero="no rounding")
-    cart_resolution: float = setting(1e-6, least=1e-12, most=1, zero="no rounding", unit="m")
-    zero_error: float = setting(0.0, least=0, most=np.pi, unit="rad")
-    noise: float = setting(0.0, least=0, most=np.pi, unit="rad")
-    cart_noise: float = setting(0.0, least=0, most=1, unit="m")
-    missed_counts: float = setting(0.0, least=0, most=1e6, unit="1/s")
-    dropout: float = setting(0.0, least=0, most=1)
-    stuck_at: float = setting(math.inf, least=0, infinite="never", unit="s")
-    stuck_sensor: int = setting(0, least=0)
-    stuck_for: float = setting(math.inf, above=0, infinite="for good", unit="s")
-    jitter: float = setting(0.0, least=0, most=1, unit="s")
-    ages: str = setting("unknown", choices=AGES)
-    rate_noise: float = setting(0.0, least=0, most=1000, unit="rad/s")
-    zero_drift: float = setting(0.0, least=0, most=1000, unit="rad/h")
+    counts: int = setting(40_000, least=1, zero="no rounding", help="Encoder counts per turn of a joint.")
+    cart_resolution: float = setting(
+        1e-6, least=1e-12, most=1, zero="no rounding", unit="m", help="Resolution of the cart's scale."
+    )
+    zero_error: float = setting(0.0, least=0, most=np.pi, unit="rad", help="Largest error of each encoder's zero.")
+    noise: float = setting(
+        0.0, least=0, most=np.pi, unit="rad", help="Standard deviation of the measured joint angles."
+    )
+    cart_noise: float = setting(
+        0.0, least=0, most=1, unit="m", help="Standard deviation of the measured cart position."
+    )
+    missed_counts: float = setting(
+        0.0, least=0, most=1e6, unit="1/s", help="Rate at which a moving encoder loses counts."
+    )
+    dropout: float = setting(0.0, least=0, most=1, help="Share of ticks without any reading.")
+    stuck_at: float = setting(math.inf, least=0, infinite="never", unit="s", help="Time at which a sensor sticks.")
+    stuck_sensor: int = setting(
+        0, least=0, help="Sensor that sticks: 0 the inner arm's encoder, then outwards, last the cart's scale."
+    )
+    stuck_for: float = setting(math.inf, above=0, infinite="for good", unit="s", help="Duration for which it sticks.")
+    jitter: float = setting(0.0, least=0, most=1, unit="s", help="Largest age of a reading.")
+    ages: str = setting("unknown", choices=AGES, help="Whether the bench reports the ages of its readings.")
+    rate_noise: float = setting(
+        0.0, least=0, most=1000, unit="rad/s", help="Standard deviation of noise added to the estimated rates."
+    )
+    zero_drift: float = setting(
+        0.0, least=0, most=1000, unit="rad/h", help="Drift of each encoder's zero, in either direction."
+    )
 
     def _check_together(self) -> None:
         """Check that an encoder which loses counts has some."""
@@ -119,17 +133,29 @@ class DriveSettings(Settings, table="drive"):
     of position. switch_margin m: so far before them the limit switches are touched.
     """
 
-    delay: float = setting(1.0, least=0, most=1000, unit="periods")
-    lag: float = setting(0.0, least=0, most=1, unit="s")
-    cart_mass: float = setting(0.0, least=0, most=1e6, unit="kg")
-    cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m")
-    velocity: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s")
-    acceleration: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s²")
-    jerk: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s³")
-    command_noise: float = setting(0.0, least=0, most=1e6, unit="m/s²")
-    response: float = setting(1.0, least=0, most=10)
-    track: float = setting(math.inf, above=0, infinite="none of its own", unit="m")
-    switch_margin: float = setting(0.0, least=0, most=1000, unit="m")
+    delay: float = setting(
+        1.0, least=0, most=1000, unit="periods", help="Delay from a reading to its command, also fractions."
+    )
+    lag: float = setting(0.0, least=0, most=1, unit="s", help="Time constant of the drive's velocity loop.")
+    cart_mass: float = setting(0.0, least=0, most=1e6, unit="kg", help="Mass of the cart, which the arms then push.")
+    cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m", help="Viscous friction of the cart.")
+    velocity: float = setting(
+        math.inf, above=0, infinite="none of its own", unit="m/s", help="Largest velocity of the drive."
+    )
+    acceleration: float = setting(
+        math.inf, above=0, infinite="none of its own", unit="m/s²", help="Largest acceleration of the drive."
+    )
+    jerk: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s³", help="Largest jerk of the drive.")
+    command_noise: float = setting(
+        0.0, least=0, most=1e6, unit="m/s²", help="Standard deviation of noise on the command."
+    )
+    response: float = setting(1.0, least=0, most=10, help="Share of a command that the drive gives.")
+    track: float = setting(
+        math.inf, above=0, infinite="none of its own", unit="m", help="Distance of the hard stops from the centre."
+    )
+    switch_margin: float = setting(
+        0.0, least=0, most=1000, unit="m", help="Distance of the limit switches from the hard stops."
+    )
 
     def limits(self, limits: Limits) -> Limits:
         """Return what the drive can do: its own bounds where it has them, else those of the scene."""
@@ -186,11 +212,11 @@ class Push(Settings, table="push"):
     jump of the cart's velocity.
     """
 
-    time: float = setting(least=0, unit="s")
-    arm: int = setting(0, least=0)
-    impulse: float = setting(0.0, least=-1000, most=1000, unit="N m s")
-    rate: float = setting(0.0, least=-1000, most=1000, unit="rad/s")
-    knock: float = setting(0.0, least=-1000, most=1000, unit="m/s")
+    time: float = setting(least=0, unit="s", help="Time of the blow.")
+    arm: int = setting(0, least=0, help="Arm that is struck, 0 the inner one.")
+    impulse: float = setting(0.0, least=-1000, most=1000, unit="N m s", help="Angular impulse on the arm.")
+    rate: float = setting(0.0, least=-1000, most=1000, unit="rad/s", help="Jump of the arm's rate.")
+    knock: float = setting(0.0, least=-1000, most=1000, unit="m/s", help="Jump of the cart's velocity.")
 
 
 @dataclass(frozen=True)
@@ -204,13 +230,21 @@ class DisturbanceSettings(Settings, table="disturbances"):
     explicit: further blows.
     """
 
-    pushes: int = setting(0, least=0, most=10_000)
-    push_impulse: float = setting(0.0, least=0, most=1000, unit="N m s")
-    knocks: int = setting(0, least=0, most=10_000)
-    knock_velocity: float = setting(0.0, least=0, most=1000, unit="m/s")
-    knocks_per_minute: float = setting(0.0, least=0, most=6000, unit="1/min")
-    knock_impulse: float = setting(0.03, least=0, most=1000, unit="N m s")
-    tilt: float = setting(0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad")
+    pushes: int = setting(0, least=0, most=10_000, help="Number of random blows on the arms.")
+    push_impulse: float = setting(0.0, least=0, most=1000, unit="N m s", help="Largest impulse of these blows.")
+    knocks: int = setting(0, least=0, most=10_000, help="Number of random blows on the cart.")
+    knock_velocity: float = setting(
+        0.0, least=0, most=1000, unit="m/s", help="Largest jump of the cart's velocity by such a blow."
+    )
+    knocks_per_minute: float = setting(
+        0.0, least=0, most=6000, unit="1/min", help="Rate of further blows on the arms at random times."
+    )
+    knock_impulse: float = setting(
+        0.03, least=0, most=1000, unit="N m s", help="Largest impulse of these further blows."
+    )
+    tilt: float = setting(
+        0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad", help="Tilt of the track, positive with the right end down."
+    )
     explicit: tuple[Push, ...] = ()
 
 
@@ -229,18 +263,45 @@ class MechanicsSettings(Settings, table="mechanics"):
     ignores them.
     """
 
-    belt: float = setting(0.0, least=1, most=1000, zero="a rigid belt", unit="Hz")
-    belt_damping: float = setting(0.05, least=0, most=1)
-    belt_scale: str = setting("motor", choices=("motor", "cart"))
-    play: float | tuple[float, ...] = setting(0.0, least=0, most=1, unit="rad")
-    cable_torque: float = setting(0.0, least=-1000, most=1000, unit="N m")
-    cable_stiffness: float = setting(0.0, least=0, most=1000, unit="N m/rad")
-    stiction: float | tuple[float, ...] = setting(0.0, least=0, most=1000, unit="N m")
-    kinetic: float = setting(0.8, least=0, most=1)
-    initial_rate: float = setting(0.0, least=0, most=1000, unit="rad/s")
-    initial_cart: float = setting(0.0, least=-100, most=100, unit="m")
-    known_belt: float = setting(math.inf, least=1, most=1000, zero="none", infinite="as belt", unit="Hz")
-    known_play: float | tuple[float, ...] = setting(math.inf, least=0, most=1, infinite="as play", unit="rad")
+    belt: float = setting(
+        0.0,
+        least=1,
+        most=1000,
+        zero="a rigid belt",
+        unit="Hz",
+        help="Frequency of the cart on an elastic belt with the motor held.",
+    )
+    belt_damping: float = setting(0.05, least=0, most=1, help="Damping ratio of the cart on its belt.")
+    belt_scale: str = setting("motor", choices=("motor", "cart"), help="Place of the cart's scale.")
+    play: float | tuple[float, ...] = setting(
+        0.0, least=0, most=1, unit="rad", help="Play between each joint and its encoder."
+    )
+    cable_torque: float = setting(
+        0.0, least=-1000, most=1000, unit="N m", help="Torque of a cable on the hanging inner arm."
+    )
+    cable_stiffness: float = setting(
+        0.0, least=0, most=1000, unit="N m/rad", help="Stiffness of the cable against turning."
+    )
+    stiction: float | tuple[float, ...] = setting(
+        0.0, least=0, most=1000, unit="N m", help="Break-away torque of the joints at rest."
+    )
+    kinetic: float = setting(
+        0.8, least=0, most=1, help="Torque of a sliding joint as a share of its break-away torque."
+    )
+    initial_rate: float = setting(0.0, least=0, most=1000, unit="rad/s", help="Largest initial rate of each arm.")
+    initial_cart: float = setting(0.0, least=-100, most=100, unit="m", help="Initial position of the cart.")
+    known_belt: float = setting(
+        math.inf,
+        least=1,
+        most=1000,
+        zero="none",
+        infinite="as belt",
+        unit="Hz",
+        help="Belt frequency that the controller assumes.",
+    )
+    known_play: float | tuple[float, ...] = setting(
+        math.inf, least=0, most=1, infinite="as play", unit="rad", help="Play that the estimator assumes."
+    )
 
     def of_each(self, name: str, arms: int) -> tuple[float, ...]:
         """Return the values of `play`, `known_play` or `stiction` for each arm.

@@ -319,16 +319,28 @@ class LoopSettings(Settings, table="run"):
     keep: the law that keeps the stops of a walk (`KEEPERS`), while TVLQR flies.
     """
 
-    seed: int = setting(least=0)
-    rate: float = setting(1000.0, least=1, most=10_000, unit="Hz")
-    initial_error: float = setting(0.0, least=0, most=np.pi, unit="rad")
-    mismatch: float = setting(0.0, least=0, most=0.9)
-    model_uncertainty: float = setting(0.0, least=0, most=100)
-    friction: float = setting(1.0, least=0, most=1000)
+    seed: int = setting(least=0, help="Seed of the random numbers.")
+    rate: float = setting(1000.0, least=1, most=10_000, unit="Hz", help="Rate of the loop.")
+    initial_error: float = setting(0.0, least=0, most=np.pi, unit="rad", help="Largest error of each initial angle.")
+    mismatch: float = setting(0.0, least=0, most=0.9, help="Largest relative error of the plant's parameters.")
+    model_uncertainty: float = setting(
+        0.0,
+        least=0,
+        most=100,
+        help="Factor on the standard errors of an identified model, from which the plant is drawn.",
+    )
+    friction: float = setting(1.0, least=0, most=1000, help="Factor on the plant's friction.")
     plant: ArmChainParameters | OwnPlant | None = None
-    travel: float = setting(0.0, least=0, most=1000, unit="m")
-    drive_lag: float = setting(0.0, least=1e-5, most=1, zero="a drive that follows at once", unit="s")
-    keep: str = setting("none", choices=KEEPERS)
+    travel: float = setting(0.0, least=0, most=1000, unit="m", help="Largest distance of the cart from the centre.")
+    drive_lag: float = setting(
+        0.0,
+        least=1e-5,
+        most=1,
+        zero="a drive that follows at once",
+        unit="s",
+        help="Drive lag that the controller assumes.",
+    )
+    keep: str = setting("none", choices=KEEPERS, help="Law that keeps the stops of a walk.")
     controller: ControllerSettings = field(default_factory=TvlqrSettings)
     estimator: EstimatorSettings | OwnEstimator = field(default_factory=EkfSettings)
     sensors: SensorSettings = field(default_factory=SensorSettings)
@@ -356,7 +368,7 @@ class LoopSettings(Settings, table="run"):
             raise self.refusal(
                 "keep",
                 f'what keeps stops has a clock of its own, and on_fall = "{self.supervisor.on_fall}" needs gains by '
-                'time: run with --keep none, or with on_fall = "stop"',
+                'time: run with --set keep=none, or with on_fall = "stop"',
             )
 
     @property

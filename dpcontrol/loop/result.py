@@ -121,16 +121,24 @@ class SupervisorSettings(Settings, table="supervisor"):
     until the run ends all the same.
     """
 
-    lost_tracking: float = setting(1.5, least=0.05, most=100, unit="rad")
-    resynchronise: float = setting(0.0, least=0, most=100, unit="rad")
-    lost_estimate: float = setting(100_000.0, least=5, most=1e12)
-    restarts: int = setting(2, least=0, most=1000)
-    missing: float = setting(0.1, least=1e-4, most=60, unit="s")
-    braking: float = setting(0.5, least=0.01, most=1)
-    margin: float = setting(0.002, least=0, most=1, unit="m")
-    hold: str = setting("none", choices=HOLDS)
-    on_fall: str = setting("stop", choices=ON_FALL)
-    attempts: int = setting(10, least=1, most=1_000_000, zero="no limit")
+    lost_tracking: float = setting(
+        1.5, least=0.05, most=100, unit="rad", help="Mean error of an angle from which tracking is lost."
+    )
+    resynchronise: float = setting(
+        0.0, least=0, most=100, unit="rad", help="Error from which the reference's clock moves to the nearest phase."
+    )
+    lost_estimate: float = setting(
+        100_000.0, least=5, most=1e12, help="Mean NIS per degree of freedom from which the estimate is lost."
+    )
+    restarts: int = setting(2, least=0, most=1000, help="Restarts of the estimator within a second.")
+    missing: float = setting(0.1, least=1e-4, most=60, unit="s", help="Longest time without a measurement.")
+    braking: float = setting(0.5, least=0.01, most=1, help="Share of the largest acceleration that stopping assumes.")
+    margin: float = setting(0.002, least=0, most=1, unit="m", help="Free track that must remain after stopping.")
+    hold: str = setting("none", choices=HOLDS, help="Motion to hold after lost tracking.")
+    on_fall: str = setting("stop", choices=ON_FALL, help="Action after a fall.")
+    attempts: int = setting(
+        10, least=1, most=1_000_000, zero="no limit", help="Attempts of one symbol until the run ends."
+    )
 
 
 EVENTS = {

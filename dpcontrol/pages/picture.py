@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from dpcontrol.foundation.config import configuration
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive_format, is_archive, write_whole
 from dpcontrol.foundation.parts import installed, part
@@ -84,7 +85,12 @@ def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
         PartMissing: rerun-sdk is not installed.
     """
     part("rerun")
-    program = viewer_program()
+    named = configuration().viewer
+    program = Path(os.path.expanduser(named)) if named else viewer_program()
+    if named and not os.access(str(program), os.X_OK):
+        raise InputError(
+            f"viewer = {named!r}: there is no such program; correct it (`dpcontrol config` shows where it is set)"
+        )
     if program is None:
         raise InputError("the installed rerun-sdk holds no viewer; install rerun-sdk from PyPI again")
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):

@@ -143,7 +143,7 @@ def read_draft(text: str) -> Draft:
     values: dict[str, Any] = {}
     model = None
     try:
-        values = parse_toml(text, f"{_NAME}.toml").remaining()
+        values = parse_toml(text, f"{_NAME}.toml")
         model = fitting_model(str(values.get("model", "lab")))
         if values.get("walk") == [] and not values.get("wraps") and "parts" not in values:
             # If the walk is empty, the other keys are validated with a placeholder symbol.

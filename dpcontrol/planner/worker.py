@@ -28,7 +28,6 @@ from dpcontrol.planner.shown import energies_of, figures_of, fitting_model, show
 from dpcontrol.plans.atlas import make_atlas, make_branches
 from dpcontrol.plans.itinerary import itinerary_from
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.run import Run, run_plan
 
 SEEDS = 20
@@ -132,13 +131,13 @@ JOBS: dict[str, Callable[..., Any]] = {
 
 
 def _planned(text: str, progress: Progress) -> Plan:
-    model = fitting_model(parse_toml(text, f"{_NAME}.toml").text("model", "lab"))
+    model = fitting_model(str(parse_toml(text, f"{_NAME}.toml").get("model", "lab")))
     return make_plan(itinerary_from(text, _NAME, model), progress=progress)
 
 
 def _flown(text: str, seed: int, progress: Progress, log: Path | None = None) -> Run:
     plan = _planned(text, part_of(progress, 0.0, 0.1))
-    scene = plan.itinerary.with_run(RunOptions(), seed=seed)
+    scene = plan.itinerary.with_run({}, seed=seed)
     return run_plan(replace(plan, itinerary=scene), log, force=True, progress=part_of(progress, 0.1, 1.0))
 
 

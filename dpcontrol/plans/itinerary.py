@@ -6,10 +6,8 @@ Either the file's top level gives one part's keys, or [[parts]] lists several:
     hold = "up-up", seconds = 2.0                       a stay at an equilibrium
     orbit = "down-up", energy = -0.07, seconds = 60     a stay on a periodic orbit; the only part of its itinerary
 
-In [run] the keys of sensors, drive and disturbances stand side by side, as a user thinks of one bench; [[run.blows]]
-lists blows at given times; plant names the model file of a plant of its own. `RunOptions` has the same names:
-`mismatch = 0.05` in the file is `--mismatch 0.05`. zeros are of the rig that a run takes place on: what its hanging
-arms read, rad, as `dpcontrol commission` measures it.
+[run] lists the keys of sensors, drive, disturbances and mechanics side by side. [[run.blows]] lists blows at given
+times, plant names a model file for the plant's own arms, and zeros are the readings of the rig's hanging arms, rad.
 [controller], [estimator] and [supervisor] have the rest of a run's settings.
 """
 
@@ -22,135 +20,117 @@ from dpcontrol.control.estimator_settings import Augment, FilterSettings
 from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.plant import check_component
-from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
+from dpcontrol.foundation.errors import InputError, Mistakes, remark
+from dpcontrol.foundation.settings import Place, decode, nearest, parse_toml, read_toml, suggest
 from dpcontrol.foundation.shipped import find
-from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, Push, SensorSettings
+from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, KEEPERS, estimators_of
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.own import OwnEstimator, OwnExpressions, OwnLaw, OwnPlant, own_object
 from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.lyapunov import equilibria
+from dpcontrol.plans.layout import BENCH, Header, HoldPart, OrbitPart, Part, RunTable, WalkPart
 from dpcontrol.plans.model import Model, load_model, model_from, quoted
+from dpcontrol.plans.overrides import OBJECTS, canonical, resolved
 from dpcontrol.plans.plausible import rig_oddities
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.walks.symbols import expanded, parse_walk
 
 
-@dataclass(frozen=True)
-class WalkPart:
-    """A walk at one energy in J; walk and wraps are those of the file done `repeat` times."""
+def _parts(
+    document: Mapping[str, Any], listed: Any, model: Model, top: Place, mistakes: Mistakes
+) -> tuple[Part | None, ...]:
+    """Return the parts of an itinerary's file, None for those with mistakes.
 
-    energy: float
-    walk: tuple[str, ...]
-    wraps: tuple[int, ...]
-    repeat: int
-    lead_in: int
-    lead_out: int
-
-
-@dataclass(frozen=True)
-class HoldPart:
-    """A stay at an equilibrium, s."""
-
-    hold: str
-    seconds: float
-
-
-@dataclass(frozen=True)
-class OrbitPart:
-    """A stay on the sustained orbit about a saddle, energy in J, for about `seconds` s: whole periods."""
-
-    orbit: str
-    energy: float
-    seconds: float
-    family: int
-
-
-Part = WalkPart | HoldPart | OrbitPart
+    Args:
+        document: keys of the file's one part.
+        listed: its [[parts]], if any.
+        model: gives equilibria and energies.
+        top: of the file.
+        mistakes: collects them.
+    """
+    if listed is None:
+        with mistakes:
+            return (_part(document, model, top, also=[*_names(Header), *_TABLES, "parts"]),)
+        return (None,)
+    if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
+        with mistakes:
+            raise top.error("parts", listed, "must be tables, each under [[parts]]")
+        return ()
+    found: list[Part | None] = []
+    for number, one in enumerate(listed, start=1):
+        place, part = replace(top, table=f"parts {number}"), None
+        with mistakes:
+            if "orbit" in one:
+                raise InputError(f"{place} orbit: an orbit is kept in an itinerary of its own, without [[parts]]")
+            part = _part(one, model, place)
+        found.append(part)
+    return tuple(found)
 
 
-def read_parts(table: Table, model: Model) -> tuple[Part, ...]:
-    """Return the parts of an itinerary's file.
+def _part(values: Mapping[str, Any], model: Model, place: Place, *, also: Sequence[str] = ()) -> Part:
+    """Return one part of an itinerary.
 
     Raises:
         InputError: an impossible walk, wraps, energy or hold; names file, table, key, value and remedy.
     """
-    listed = table.tables("parts")
-    if not listed:
-        return (_part(table, model),)
-    for key in ("walk", "energy", "wraps", "hold", "orbit"):
-        if key in table:
-            raise InputError(f"{table.where(key)}: the file lists [[parts]]; the key belongs into one of them")
-    parts = []
-    for one in listed:
-        parts.append(_part(one, model))
-        if isinstance(parts[-1], OrbitPart):
-            raise InputError(f"{one.where('orbit')}: an orbit is kept in an itinerary of its own, without [[parts]]")
-        one.finish()
-    return tuple(parts)
-
-
-def _part(table: Table, model: Model) -> Part:
     saddles = model.system.saddles
-    if "hold" in table:
-        if "walk" in table:
-            raise InputError(f"{table.where('hold')}: this part has a walk as well; give each its own [[parts]]")
-        return HoldPart(table.text("hold", allowed=equilibria(model.system)), _seconds(table, 2.0))
-    if "orbit" in table:
-        if "walk" in table:
-            raise InputError(
-                f"{table.where('orbit')}: an itinerary that keeps an orbit has no walk; remove one of them"
-            )
-        name = table.text("orbit", allowed=saddles)
-        energy = _energy(table, [name], model)
-        return OrbitPart(name, energy, _seconds(table, 10.0), table.integer("family", 0))
-    # What is impossible at any energy comes first.
-    walk, wraps, repeat = _walk(table, saddles)
-    visited = [name for symbol in parse_walk(walk, saddles) for name in (symbol.source, symbol.target)]
-    energy = _energy(table, visited, model)
-    return WalkPart(energy, walk, wraps, repeat, table.integer("lead_in", 2), table.integer("lead_out", 2))
+    if "hold" in values:
+        if "walk" in values:
+            raise InputError(f"{place} hold: this part has a walk as well; give each its own [[parts]]")
+        stay = decode(HoldPart, values, place, also=also)
+        if stay.hold not in (names := equilibria(model.system)):
+            raise place.error("hold", stay.hold, suggest(stay.hold, names))
+        return stay
+    if "orbit" in values:
+        if "walk" in values:
+            raise InputError(f"{place} orbit: an itinerary that keeps an orbit has no walk; remove one of them")
+        kept = decode(OrbitPart, values, place, also=also)
+        if kept.orbit not in saddles:
+            raise place.error("orbit", kept.orbit, suggest(kept.orbit, saddles))
+        _check_energy(kept.energy, [kept.orbit], model, place)
+        return kept
+    # A walk that is impossible at any energy is reported first.
+    part = _expanded(decode(WalkPart, values, place, also=also), saddles, place)
+    visited = [name for symbol in parse_walk(part.walk, saddles) for name in (symbol.source, symbol.target)]
+    _check_energy(part.energy, visited, model, place)
+    return part
 
 
-def _seconds(table: Table, default: float) -> float:
-    seconds = table.number("seconds", default)
-    if not 0.5 <= seconds <= 3600:
-        raise InputError(f"{table.where('seconds')} = {seconds!r}: must be 0.5 to 3600 s")
-    return seconds
+def _check_energy(energy: float, saddles: Sequence[str], model: Model, place: Place) -> None:
+    """Reject an energy at which one of these saddles has no orbits.
 
-
-def _energy(table: Table, saddles: Sequence[str], model: Model) -> float:
-    """Return the energy, at which each of these saddles has orbits."""
-    energy, points = table.number("energy"), equilibria(model.system)
+    Raises:
+        InputError: names the saddle and its energy.
+    """
+    points = equilibria(model.system)
     for saddle in saddles:
         if energy <= points[saddle].energy:
             raise InputError(
-                f"{table.where('energy')} = {energy!r} J: {saddle} has Lyapunov orbits only above its own "
+                f"{place} energy = {energy!r} J: {saddle} has Lyapunov orbits only above its own "
                 f"{points[saddle].energy!r} J; choose a higher energy"
             )
-    return energy
 
 
-def _walk(table: Table, saddles: Sequence[str]) -> tuple[tuple[str, ...], tuple[int, ...], int]:
-    """Return the expanded and repeated walk, its wraps, and the number of repetitions.
+def _expanded(part: WalkPart, saddles: Sequence[str], place: Place) -> WalkPart:
+    """Return a walk with its powers and repetitions written out.
 
     Raises:
-        InputError: a walk or wraps that are impossible at any energy; before anything is computed.
+        InputError: a walk or wraps that are impossible at any energy.
     """
-    walk, wraps, repeat = table.texts("walk"), table.integers("wraps", ()), table.integer("repeat", 1, least=1)
+    walk, wraps, repeat = part.walk, part.wraps, part.repeat
     try:
         symbols = parse_walk(walk, saddles)
     except InputError as error:
-        raise InputError(f"{table.where('walk')}: {error}") from error
+        raise InputError(f"{place} walk: {error}") from error
     stops = len(walk) - 1
     of = f"a walk of {len(walk)} symbols has {stops} interior stops"
     if repeat > 1:
         if symbols[0].source != symbols[-1].target:
             raise InputError(
-                f"{table.where('repeat')} = {repeat}: the walk starts at {symbols[0].source} and ends at "
+                f"{place} repeat = {repeat}: the walk starts at {symbols[0].source} and ends at "
                 f"{symbols[-1].target}; only a walk that ends where it starts can be repeated"
             )
         stops = len(walk)
@@ -159,90 +139,91 @@ def _walk(table: Table, saddles: Sequence[str]) -> tuple[tuple[str, ...], tuple[
             "first"
         )
     if len(wraps) != stops:
-        raise InputError(
-            f"{table.where('wraps')} = {list(wraps)}: {of}; give one whole number for each{table.misspelt('wraps')}"
-        )
+        raise place.error("wraps", list(wraps), f"{of}; give one whole number for each")
     walk, wraps = expanded(symbols, wraps)
-    return walk * repeat, (wraps * repeat)[: len(walk) * repeat - 1], repeat
+    return replace(part, walk=walk * repeat, wraps=(wraps * repeat)[: len(walk) * repeat - 1])
 
 
-_PARTS: Mapping[str, type] = {
-    "sensors": SensorSettings,
-    "drive": DriveSettings,
-    "disturbances": DisturbanceSettings,
-    "mechanics": MechanicsSettings,
-}
-_HOMES = {f.name: part for part, kind in _PARTS.items() for f in fields(kind) if f.name != "explicit"}
-"""Which part of the loop's settings has a key of [run]; those of none are the loop's own."""
-_OPTION_HOMES = {**_HOMES, **dict.fromkeys(("hold", "on_fall", "attempts"), "supervisor")}
-"""The same for the options of a run."""
+def _names(kind: type) -> list[str]:
+    return [one.name for one in fields(kind)]
 
 
 def read_run_settings(
-    run: Table, *, controller: Table, estimator: Table, supervisor: Table, plant: ArmChainParameters | None = None
-) -> LoopSettings:
-    """Return the settings of a scene's runs, with seed 0; plant: its arms where they are others than the model's.
+    tables: Mapping[str, Mapping[str, Any]],
+    top: Place,
+    *,
+    arms: ArmChainParameters | None = None,
+    folder: Path = Path(),
+) -> tuple[LoopSettings, tuple[float, ...]]:
+    """Return the settings of an itinerary's runs, with seed 0, and the zeros of its rig.
+
+    Args:
+        tables: run, controller, estimator and supervisor of the file.
+        top: of the file.
+        arms: of the model; None if there is no own plant.
+        folder: of the file, which a relative path of a plant starts from.
 
     Raises:
-        InputError: an unknown key or an impossible value; names file, table, key, value and what is allowed.
+        InputError: names file, table, key, value and the allowed range of every mistake.
     """
-    blows = [table.settings(Push) for table in run.tables("blows")]
-    values = run.remaining()
-    known = (
-        "rate", "initial_error", "mismatch", "model_uncertainty", "friction", "plant", "travel", "drive_lag",
-        "zeros", *_HOMES,
-    )  # fmt: skip
-    parts = {}
-    for part, kind in _PARTS.items():
-        own = {k: v for k, v in values.items() if _HOMES.get(k) == part}
-        given = {"explicit": tuple(blows)} if part == "disturbances" else {}
-        parts[part] = Table(own, file=run.file, name=run.name).settings(kind, also=known, **given)
-    rest = Table({k: v for k, v in values.items() if k not in _HOMES}, file=run.file, name=run.name)
-    keep = controller.text("keep", "none", allowed=KEEPERS)
-    law = _kind(controller, CONTROLLERS, "adaptive" if keep == "none" else "tvlqr")
-    if keep != "none" and not isinstance(law, TvlqrSettings):
-        raise InputError(
-            f'{controller.where("keep")} = {keep!r}: what flies between the stops is kind = "tvlqr", not "{law.kind}"'
-        )
-    filters = estimators_of(law)
-    return rest.settings(
-        LoopSettings, also=known, seed=0, keep=keep, plant=plant, controller=law,
-        estimator=_kind(estimator, filters, "ekf"), supervisor=supervisor.settings(SupervisorSettings), **parts,
-    )  # fmt: skip
+    places = {name: replace(top, table=name) for name in ("run", "controller", "estimator", "supervisor")}
+    run, law_keys = dict(tables.get("run", {})), dict(tables.get("controller", {}))
+    mistakes, parts, blows, keep = Mistakes(), dict[str, Any](), list[Push](), law_keys.pop("keep", "none")
+    law: Any = None
+    for number, one in enumerate(run.pop("blows", ()), start=1):
+        with mistakes:
+            blows.append(decode(Push, one, replace(top, table=f"blows {number}")))
+    with mistakes:
+        given = decode(RunTable, run, places["run"], also=["blows"])
+        for part, kind in BENCH.items():
+            own = {name: getattr(given, name) for name in _names(kind) if name != "explicit"}
+            with mistakes:
+                parts[part] = decode(kind, own, places["run"])
+        parts |= {name: getattr(given, name) for name in _names(RunTable) if name in _names(LoopSettings)}
+        parts["plant"] = None
+        if given.plant and arms is not None:
+            parts["plant"] = own_plant(given.plant, arms, where=f"{places['run']} plant", beside=folder)
+    with mistakes:
+        if keep not in KEEPERS:
+            raise places["controller"].error("keep", keep, suggest(str(keep), KEEPERS))
+        law = _kind(law_keys, CONTROLLERS, "adaptive" if keep == "none" else "tvlqr", places["controller"])
+        if keep != "none" and not isinstance(law, TvlqrSettings):
+            raise places["controller"].error(
+                "keep", keep, f'what flies between the stops is kind = "tvlqr", not "{law.kind}"'
+            )
+    with mistakes:
+        parts["estimator"] = _kind(tables.get("estimator", {}), estimators_of(law), "ekf", places["estimator"])
+    with mistakes:
+        parts["supervisor"] = decode(SupervisorSettings, tables.get("supervisor", {}), places["supervisor"])
+    mistakes.report()
+    parts["disturbances"] = replace(parts["disturbances"], explicit=tuple(blows))
+    try:
+        return LoopSettings(seed=0, keep=keep, controller=law, **parts), given.zeros
+    except InputError as error:
+        raise InputError(f"{places['run']} {str(error).removeprefix('run: ')}") from error
 
 
-def _kind(table: Table, kinds: Mapping[str, type], default: str) -> Any:
-    return table.settings(kinds[table.text("kind", default, allowed=kinds)])
+def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, place: Place) -> Any:
+    """Return the settings of a controller or an estimator by its kind."""
+    kind = values.get("kind", default)
+    if kind not in kinds:
+        raise place.error("kind", kind, suggest(str(kind), kinds))
+    return decode(kinds[kind], values, place)
 
 
-def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
-    """Return the settings with those that are given replaced. A controller or estimator is named by its kind.
+def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
+    """Return a run's settings with those at the given paths replaced; see `dpcontrol.plans.overrides`.
 
-    The plant, which is a file, stays as it is: see `Itinerary.with_run`. A controller that cannot hand over to what
-    keeps the stops follows the whole reference itself.
+    `plant`, which is a file, stays as it is: see `Itinerary.with_run`. A controller that cannot hand over to what keeps
+    the stops follows the whole reference itself.
 
     Raises:
-        InputError: an unknown kind, or an impossible value.
+        InputError: an unknown name, an unknown kind, or an impossible value.
     """
-    kinds: Mapping[str, Mapping[str, type]] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}
-    changes: dict[str, dict[str, Any]] = {}
-    own: dict[str, Any] = {}
-    for name, value in options.given().items():
-        if name == "plant":
-            continue
-        if name in _OPTION_HOMES:
-            changes.setdefault(_OPTION_HOMES[name], {})[name] = value
-        elif name not in kinds:
-            own[name] = value
-        elif not isinstance(value, str) or ".py:" in value:
-            made = own_object(name, value)
-            law_of = OwnExpressions if made.symbolic else OwnLaw
-            own[name] = law_of(made.name, made) if name == "controller" else OwnEstimator(kind=made.name, own=made)
-        elif value not in kinds[name]:
-            raise InputError(f"{name} = {value!r}: {suggest(str(value), kinds[name])}")
-        elif value != getattr(loop, name).kind:
-            default: Any = kinds[name][value]
-            own[name] = default()
+    given = canonical(settings)
+    own = {
+        role: _of_kind(role, given[role], getattr(loop, role)) for role in ("controller", "estimator") if role in given
+    }
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
     adaptive, knows = isinstance(law, AdaptiveSettings), Augment.PARAMETERS in filters.augments
     defaults = estimators_of(law).get(filters.kind, OwnEstimator)
@@ -251,34 +232,63 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
             f'controller: kind = "adaptive" needs the errors of the model, which {filters.kind} does not estimate; use '
             '"tvlqr"'
         )
-    others = not isinstance(filters, OwnEstimator) and own.keys() & kinds
-    if others and (type(filters) is not defaults or (adaptive and not knows)):
+    if own and not isinstance(filters, OwnEstimator) and (type(filters) is not defaults or (adaptive and not knows)):
         # The adaptive law needs the parameters' errors.
         needed = {"augment": defaults.augment} if adaptive and not knows else {}
         own["estimator"] = defaults(**{**_changed(filters), **needed})
-    if not isinstance(law, TvlqrSettings):
-        own.setdefault("keep", "none")
-    own |= {part: replace(getattr(loop, part), **values) for part, values in changes.items()}
-    return replace(loop, **own)
+    loop, changes, mistakes = replace(loop, **own, **_followed(law)), dict[str, dict[str, Any]](), Mistakes()
+    for path, value in given.items():
+        if path not in OBJECTS:
+            part, _, name = path.rpartition(".")
+            changes.setdefault("" if path == "controller.keep" else part, {})[name] = value
+    top = changes.pop("", {})
+    for part, values in changes.items():
+        now = getattr(loop, part)
+        for name in values:
+            if name not in (there := [one for one in _names(type(now)) if one != "kind"]):
+                raise InputError(f"{part}.{name}: {now.kind} has no such setting; it has {', '.join(there)}")
+        with mistakes:
+            top[part] = replace(now, **values)
+    with mistakes:
+        loop = replace(loop, **top)
+    mistakes.report()
+    return loop
+
+
+def _followed(law: Any) -> dict[str, Any]:
+    """Return the change of `keep` that goes with a law: only TVLQR hands over to a keeper of stops."""
+    return {} if isinstance(law, TvlqrSettings) else {"keep": "none"}
+
+
+def _of_kind(role: str, value: Any, now: Any) -> Any:
+    """Return the settings of a controller or an estimator, named by its kind or given as an object.
+
+    Raises:
+        InputError: an unknown kind.
+    """
+    kinds: Mapping[str, Any] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}[role]
+    if not isinstance(value, str) or ".py:" in value:
+        made = own_object(role, value)
+        law = OwnExpressions if made.symbolic else OwnLaw
+        return law(made.name, made) if role == "controller" else OwnEstimator(kind=made.name, own=made)
+    if value not in kinds:
+        raise InputError(f"{role} = {value!r}: {suggest(value, kinds)}")
+    return now if value == now.kind else kinds[value]()
 
 
 def setting_of(loop: LoopSettings, name: str) -> Any:
-    """Return the value of the setting that `overridden` would replace by this name: the loop's own, or a part's.
-
-    Of controller and estimator it is the kind.
-    """
-    value = getattr(getattr(loop, _OPTION_HOMES[name]) if name in _OPTION_HOMES else loop, name)
-    return value.kind if name in ("controller", "estimator") else value
+    """Return the value of a setting of a run; of controller and estimator it is the kind."""
+    path = resolved(name)
+    if path in ("controller", "estimator"):
+        return getattr(loop, path).kind
+    part, _, last = path.rpartition(".")
+    return loop.keep if path == "controller.keep" else getattr(getattr(loop, part) if part else loop, last, None)
 
 
 def _changed(filters: FilterSettings) -> dict[str, Any]:
     """Return what a filter's settings do not have by default: what the file asks for, whatever the controller."""
     default = type(filters)()
     return {name: value for name, value in vars(filters).items() if value != getattr(default, name)}
-
-
-ENDS = ("orbit", "rest", "hold")
-"""Where an itinerary may start and finish."""
 
 
 @dataclass(frozen=True)
@@ -339,22 +349,23 @@ class Itinerary:
         """
         return self.model.known_to if self.loop.model_uncertainty else None
 
-    def with_run(self, options: RunOptions, *, seed: int | None = None) -> "Itinerary":
-        """Return the scene with run settings replaced, such as mismatch or controller, and the seed where it is given.
+    def with_run(self, settings: Mapping[str, Any], *, seed: int | None = None) -> "Itinerary":
+        """Return the itinerary with settings of its runs replaced by path, and the seed if it is given.
 
         Raises:
             InputError: an unknown kind or an impossible value; a plant whose file is missing or faulty or that has
                 other arms; an uncertainty to draw the plant from that the model's file does not give.
         """
         loop = self.loop
-        if options.plant is not None:
-            named = isinstance(options.plant, str) and ".py:" not in options.plant
-            made = None if named else own_object("plant", options.plant)
+        plant = canonical(settings).get("plant")
+        if plant is not None:
+            named = isinstance(plant, str) and ".py:" not in plant
+            made = None if named else own_object("plant", plant)
             if made is not None and made.symbolic:
                 check_component(made.thing, self.model.arms.count)
-            arms = None if made else own_plant(str(options.plant), self.model.arms, where="plant")
+            arms = None if made else own_plant(str(plant), self.model.arms, where="plant")
             loop = replace(loop, plant=arms if made is None else OwnPlant(made.name, made))
-        loop = overridden(loop, options)
+        loop = overridden(loop, settings)
         scene = replace(self, loop=loop if seed is None else replace(loop, seed=seed))
         _ = scene.uncertainty
         scene.remark_on_rig()
@@ -384,8 +395,8 @@ def load_itinerary(name: str) -> Itinerary:
     if name.endswith(".npz"):
         return stored_itinerary(Path(name), load_reference(Path(name)))
     path = find("itineraries", name)
-    table, text = read_toml(path)
-    scene = _itinerary(table, text, path, None)
+    document, text = read_toml(path)
+    scene = _itinerary(document, text, path, None)
     scene.remark_on_rig()
     return scene
 
@@ -442,62 +453,111 @@ def itinerary_from(text: str, name: str, model: Model, *, folder: Path = Path())
     return _itinerary(parse_toml(text, str(file)), text, file, model)
 
 
-def _itinerary(table: Table, text: str, path: Path, model: Model | None) -> Itinerary:
-    """Return the itinerary of a file's table and text."""
-    title = table.text("title", path.stem)
-    model = _model(table, path, model)
-    _ = model.arms  # an itinerary needs arms on a cart
-    parts = read_parts(table, model)
-    start = table.text("start", "orbit", allowed=ENDS)
-    finish = table.text("finish", start if start == "hold" else "orbit", allowed=ENDS)
+_TABLES = ("limits", "reference", "run", "controller", "estimator", "supervisor")
+_SAME_IN_PARTS = {name for kind in (WalkPart, HoldPart, OrbitPart) for name in _names(kind)}
+
+
+def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model | None) -> Itinerary:
+    """Return the itinerary of a file's contents and text.
+
+    Raises:
+        InputError: names every mistake.
+    """
+    top, mistakes, rest = Place(str(path)), Mistakes(), dict(document)
+    tables: dict[str, Any] = {name: rest.pop(name) for name in _TABLES if name in rest}
+    for name, table in list(tables.items()):
+        with mistakes:
+            if not isinstance(table, dict):
+                tables[name] = {}
+                raise top.error(name, table, f"must be a table, [{name}]")
+    listed, head = rest.pop("parts", None), {name: rest.pop(name) for name in _names(Header) if name in rest}
+    if listed is None:
+        kind: type = HoldPart if "hold" in rest else OrbitPart if "orbit" in rest else WalkPart
+        unknown = [key for key in rest if key not in _SAME_IN_PARTS]
+        # The part reports a misspelling of a key that it lacks.
+        misspelt = {nearest(name, unknown) for name in _names(kind) if name not in rest}
+        head |= {key: rest.pop(key) for key in unknown if key not in misspelt}
+    with mistakes:
+        for key in rest if listed is not None else ():
+            if key in _SAME_IN_PARTS:
+                raise InputError(f"{top} {key}: the file lists [[parts]]; the key belongs into one of them")
+    header = Header()
+    with mistakes:
+        more = {key: one for key, one in rest.items() if key not in _SAME_IN_PARTS} if listed is not None else {}
+        header = decode(Header, {**head, **more}, top, also=[*_TABLES, *_SAME_IN_PARTS, "parts"])
+    with mistakes:
+        model = model or _named_model(header.model, where=f"{top} model", beside=path.parent)
+        _ = model.arms  # an itinerary needs arms on a cart
+    if model is None:
+        mistakes.report()
+    assert model is not None
+    parts = _parts(rest, listed, model, top, mistakes)
+    limits, reference, loop, zeros = Limits(), ReferenceSettings(), None, ()
+    with mistakes:
+        limits = decode(Limits, tables.get("limits", {}), replace(top, table="limits"))
+    with mistakes:
+        reference = _reference(tables.get("reference", {}), replace(top, table="reference"))
+    with mistakes:
+        loop, zeros = read_run_settings(tables, top, arms=model.arms, folder=path.parent)
+        if zeros and len(zeros) != model.arms.count:
+            raise InputError(f"{top} [run] zeros has {len(zeros)} values; give one for each of {model.arms.count} arms")
+    known = tuple(part for part in parts if part is not None)
+    start, finish = header.start, head.get("finish", header.start if header.start == "hold" else "orbit")
+    if known and len(known) == len(parts):
+        with mistakes:
+            _check_ends(known, start, finish, top)
+        with mistakes:
+            _check_level(known, start, finish, reference, "none" if loop is None else loop.keep, path)
+    mistakes.report()
+    assert loop is not None
+    return Itinerary(
+        path.stem, path, header.title or path.stem, model, known, start, finish, limits, reference, loop, text,
+        loop.keep != "none", zeros,
+    )  # fmt: skip
+
+
+def _check_ends(parts: tuple[Part, ...], start: str, finish: str, top: Place) -> None:
+    """Reject ends that the parts do not have.
+
+    Raises:
+        InputError: names the end.
+    """
     if "hold" in (start, finish) and not (start == finish and all(isinstance(parts[k], HoldPart) for k in (0, -1))):
         raise InputError(
-            f'{table.where("start")} = "hold": for an itinerary whose first and last part are holds, and its finish as '
+            f'{top} start = "hold": for an itinerary whose first and last part are holds, and its finish as '
             'well; others start at "rest", or in simulation at "orbit"'
         )
     if isinstance(parts[0], OrbitPart) and (start, finish) != ("orbit", "orbit"):
-        raise InputError(f'{table.where("orbit")}: an orbit is kept from "orbit" to "orbit"; remove start and finish')
+        raise InputError(f'{top} orbit: an orbit is kept from "orbit" to "orbit"; remove start and finish')
     for key, which, part in (("start", start, parts[0]), ("finish", finish, parts[-1])):
         if which == "orbit" and isinstance(part, HoldPart):
-            raise InputError(
-                f"{table.where(key)} = {which!r}: the part there is a hold, which no orbit leads to; {key} at rest"
-            )
-    limits = table.table("limits").settings(Limits)
-    reference = _reference(table.table("reference"))
+            raise top.error(key, which, f"the part there is a hold, which no orbit leads to; {key} at rest")
+
+
+def _check_level(
+    parts: tuple[Part, ...], start: str, finish: str, reference: ReferenceSettings, keep: str, path: Path
+) -> None:
+    """Reject a level of the reference, or a keeper of stops, that does not fit the itinerary.
+
+    Raises:
+        InputError: names the setting.
+    """
     if reference.level == "conservative" and (start, finish, len(parts)) != ("orbit", "orbit", 1):
         raise InputError(
             f'{path}: [reference] level = "conservative": rest, holds and changes of energy need the cart; use "cart"'
         )
-    run = table.table("run")
-    zeros = run.numbers("zeros", ())
-    if zeros and len(zeros) != model.arms.count:
-        raise InputError(f"{run.where('zeros')} has {len(zeros)} values; give one for each of {model.arms.count} arms")
-    own = run.text("plant", "")
-    plant = own_plant(own, model.arms, where=run.where("plant"), beside=path.parent) if own else None
-    loop = read_run_settings(
-        run, plant=plant, controller=table.table("controller"), estimator=table.table("estimator"),
-        supervisor=table.table("supervisor"),
-    )  # fmt: skip
-    keeps = loop.keep != "none"
-    if keeps and not (len(parts) == 1 and isinstance(parts[0], WalkPart) and (start, finish) == ("orbit", "orbit")):
+    if keep == "none":
+        return
+    if not (len(parts) == 1 and isinstance(parts[0], WalkPart) and (start, finish) == ("orbit", "orbit")):
         raise InputError(
-            f'{path}: [controller] keep = "{loop.keep}": keeps the stops of one walk from orbit to orbit; remove it, '
+            f'{path}: [controller] keep = "{keep}": keeps the stops of one walk from orbit to orbit; remove it, '
             "or start, finish and [[parts]]"
         )
-    if keeps and reference.level == "conservative":
+    if reference.level == "conservative":
         raise InputError(
             f'{path}: [reference] level = "conservative": orbits are kept by the cart\'s motion; use "cart", or remove '
             "keep under [controller]"
         )
-    table.finish()
-    return Itinerary(path.stem, path, title, model, parts, start, finish, limits, reference, loop, text, keeps, zeros)
-
-
-def _model(table: Table, path: Path, given: Model | None) -> Model:
-    name = table.text("model", "lab")
-    if given is not None:
-        return given
-    return _named_model(name, where=table.where("model"), beside=path.parent)
 
 
 def _named_model(name: str, *, where: str, beside: Path | None) -> Model:
@@ -524,10 +584,10 @@ def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path |
     return own.arms
 
 
-def _reference(table: Table) -> ReferenceSettings:
-    settings = table.settings(ReferenceSettings)
+def _reference(values: Mapping[str, Any], place: Place) -> ReferenceSettings:
+    settings = decode(ReferenceSettings, values, place)
     try:
         method_named(settings.method)
     except InputError as error:
-        raise InputError(f"{table.where('method')}: {error}") from error
+        raise InputError(f"{place} method: {error}") from error
     return settings

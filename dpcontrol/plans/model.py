@@ -3,8 +3,8 @@
 Identified arms as a model file: where each number comes from, and how well it is known.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
@@ -24,9 +24,9 @@ from dpcontrol.dynamics.chain import (
 )
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.arguments import path as path_of
-from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.errors import InputError, Mistakes, remark
 from dpcontrol.foundation.files import in_the_way, write_whole
-from dpcontrol.foundation.settings import Table, parse_toml, read_toml
+from dpcontrol.foundation.settings import Place, Settings, decode, nearest, parse_toml, read_toml, setting
 from dpcontrol.foundation.shipped import find
 from dpcontrol.foundation.units import Usual
 
@@ -132,8 +132,8 @@ def load_model(name: str) -> Model:
         InputError: no such model, or a mistake in its file: names file, table, key, value and what is allowed.
     """
     path = find("models", path_of("name", name))
-    table, text = read_toml(path)
-    model = _model(table, text, path)
+    document, text = read_toml(path)
+    model = _model(document, text, path)
     for sentence in model.remarks:
         remark(f"{path}: {sentence}")
     return model
@@ -149,63 +149,149 @@ def model_from(text: str, name: str) -> Model:
     return _model(parse_toml(text, str(file)), text, file)
 
 
-def _model(table: Table, text: str, path: Path) -> Model:
-    title = table.text("title")
-    if table.text("system", "arm-chain", allowed=SYSTEMS) == "three-body":
-        return _three_body(table, title, text, path)
-    arms, gravity = table.table("arms", required=True), table.table("gravity", required=True)
-    friction = table.table("friction", required=True)
-    sources = {t.name: t.text("source") for t in (arms, gravity, friction)}
-    columns = {key: arms.numbers(key) for key in ("mass", "centre_of_mass", "length", "inertia")}
-    acceleration, viscous = gravity.number("acceleration"), friction.numbers("viscous")
-    laws: dict[str, Any] = {law.value: friction.numbers(law.value, ()) for law in Friction}
-    smoothed = "smoothing" in friction
-    if smoothed:
-        laws["smoothing"] = friction.number("smoothing")
-    encoders, uncertain = table.table("encoders"), table.table("uncertainty")
-    zeros: tuple[float, ...] = ()
-    if "encoders" in table:
-        sources["encoders"] = encoders.text("source")
-        zeros = encoders.numbers("zeros")
-    uncertainty = None
-    if "uncertainty" in table:
-        sources["uncertainty"] = uncertain.text("source")
-        uncertainty = Uncertainty(uncertain.texts("names"), uncertain.numbers("covariance"))
-    for part in (table, arms, gravity, friction, encoders, uncertain):
-        part.finish()
-    if smoothed and not any(laws[law.value] for law in Friction):
-        raise InputError(
-            f"{friction.where('smoothing')}: there is neither coulomb nor quadratic friction to smooth; give one or "
-            "leave it out"
-        )
+@dataclass(frozen=True)
+class Title(Settings):
+    """The top level of a model's file."""
+
+    title: str = setting(help="Title of pages and logs.")
+    system: str = setting("arm-chain", choices=SYSTEMS, help="System that the parameters belong to.")
+
+
+@dataclass(frozen=True)
+class _Sourced(Settings):
+    """A table with the source of its numbers."""
+
+    source: str = setting(help="Source of the numbers.")
+
+
+@dataclass(frozen=True)
+class _Arms(_Sourced, table="arms"):
+    """Inertial parameters, one number for each arm from the pivot outwards."""
+
+    mass: tuple[float, ...] = setting(unit="kg", help="Masses.")
+    centre_of_mass: tuple[float, ...] = setting(
+        unit="m", help="Distances of the centres of mass from the upper joints."
+    )
+    length: tuple[float, ...] = setting(unit="m", help="Lengths from joint to joint.")
+    inertia: tuple[float, ...] = setting(unit="kg m²", help="Moments of inertia about the centres of mass.")
+
+
+@dataclass(frozen=True)
+class _Gravity(_Sourced, table="gravity"):
+    """Gravity."""
+
+    acceleration: float = setting(unit="m/s²", help="Acceleration of gravity.")
+
+
+@dataclass(frozen=True)
+class _Friction(_Sourced, table="friction"):
+    """Friction of the joints, one number for each."""
+
+    viscous: tuple[float, ...] = setting(unit="N m s/rad", help="Viscous friction.")
+    coulomb: tuple[float, ...] = setting((), unit="N m", help="Dry friction.")
+    quadratic: tuple[float, ...] = setting((), unit="N s²/m²", help="Drag of the air at the centres of oscillation.")
+    smoothing: float | None = setting(None, unit="rad/s", help="Rate below which dry friction is smoothed.")
+
+
+@dataclass(frozen=True)
+class _Encoders(_Sourced, table="encoders"):
+    """Encoders of recordings."""
+
+    zeros: tuple[float, ...] = setting(unit="rad", help="Recorded angles at which the true ones are zero.")
+
+
+@dataclass(frozen=True)
+class _Uncertain(_Sourced, table="uncertainty"):
+    """Uncertainty of the identified ratios."""
+
+    names: tuple[str, ...] = setting(help="Names of the ratios.")
+    covariance: tuple[float, ...] = setting(help="Covariance of the ratios, row by row.")
+
+
+@dataclass(frozen=True)
+class _Primaries(_Sourced, table="primaries"):
+    """The two heavy bodies of a restricted three-body problem."""
+
+    mass_ratio: float = setting(help="Mass of the lighter body as a share of both.")
+
+
+REQUIRED: dict[str, dict[str, type]] = {
+    "arm-chain": {"arms": _Arms, "gravity": _Gravity, "friction": _Friction},
+    "three-body": {"primaries": _Primaries},
+}
+"""The tables of a model's file, by system."""
+OPTIONAL: dict[str, type] = {"encoders": _Encoders, "uncertainty": _Uncertain}
+"""Further tables of arms."""
+
+
+def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
+    """Return the model of a file's contents and text.
+
+    Raises:
+        InputError: names every mistake.
+    """
+    top, mistakes, found = Place(str(path)), Mistakes(), dict[str, Any]()
+    system = document.get("system", "arm-chain")
+    required = REQUIRED.get(str(system), {})
+    kinds = {**required, **(OPTIONAL if system == "arm-chain" else {})}
+    known = kinds or {name: _Sourced for tables in REQUIRED.values() for name in tables} | OPTIONAL
+    with mistakes:
+        found["title"] = decode(
+            Title, {key: value for key, value in document.items() if key not in known}, top, also=known
+        ).title
+    for name, kind in kinds.items():
+        with mistakes:
+            if name not in document and name in required:
+                close = nearest(name, [key for key in document if key not in known])
+                raise InputError(
+                    f"{top} the key {name!r} is missing{f'; is {close!r} a misspelling of it?' if close else ''}"
+                )
+            values = document.get(name, {})
+            if not isinstance(values, dict):
+                raise top.error(name, values, f"must be a table, [{name}]")
+            found[name] = decode(kind, values, replace(top, table=name)) if name in document else None
+    mistakes.report()
+    title, sources = found.pop("title"), {name: one.source for name, one in found.items() if one is not None}
+    if system == "three-body":
+        try:
+            parameters = ThreeBodyParameters(mass_ratio=found["primaries"].mass_ratio)
+        except InputError as error:
+            message = str(error).removeprefix(f"{ThreeBodyParameters.TABLE}: ")
+            raise InputError(f"{top} [primaries] {message}") from error
+        return Model(path.stem, path, title, parameters, sources, text)
+    arms, friction, encoders, uncertain = (found[name] for name in ("arms", "friction", "encoders", "uncertainty"))
+    laws: dict[str, Any] = {law.value: getattr(friction, law.value) for law in Friction}
+    if friction.smoothing is not None:
+        if not any(laws.values()):
+            raise InputError(
+                f"{top} [friction] smoothing: there is neither coulomb nor quadratic friction to smooth; give one or "
+                "leave it out"
+            )
+        laws["smoothing"] = friction.smoothing
+    columns = {key: getattr(arms, key) for key in ("mass", "centre_of_mass", "length", "inertia")}
     try:
-        parameters = ArmChainParameters(**columns, gravity=acceleration, viscous=viscous, **laws)
-        remarks = oddities(parameters)
+        chain = ArmChainParameters(**columns, gravity=found["gravity"].acceleration, viscous=friction.viscous, **laws)
+        remarks = oddities(chain)
     except InputError as error:
         key = str(error).split()[0]
-        home = {"acceleration": gravity}.get(key, friction if key in ("viscous", "smoothing", *Friction) else arms)
-        raise InputError(f"{home.where()} {error}") from error
+        table = {"acceleration": "gravity"}.get(
+            key, "friction" if key in ("viscous", "smoothing", *Friction) else "arms"
+        )
+        raise InputError(f"{top} [{table}] {error}") from error
+    zeros = () if encoders is None else encoders.zeros
     try:
         remarks += tuple(_ZEROS.oddities("zeros", zeros))
     except InputError as error:
-        raise InputError(f"{encoders.where()} {error}") from error
-    if zeros and len(zeros) != parameters.count:
-        raise InputError(f"{encoders.where('zeros')} has {len(zeros)} values; give one for each arm")
+        raise InputError(f"{top} [encoders] {error}") from error
+    if zeros and len(zeros) != chain.count:
+        raise InputError(f"{top} [encoders] zeros has {len(zeros)} values; give one for each arm")
+    uncertainty = None if uncertain is None else Uncertainty(uncertain.names, uncertain.covariance)
     if uncertainty is not None:
         try:
-            uncertainty.check(parameters)
+            uncertainty.check(chain)
         except InputError as error:
-            raise InputError(f"{uncertain.where()} {error}") from error
-    return Model(path.stem, path, title, parameters, sources, text, zeros, uncertainty, remarks)
-
-
-def _three_body(table: Table, title: str, text: str, path: Path) -> Model:
-    primaries = table.table("primaries", required=True)
-    source, ratio = primaries.text("source"), primaries.number("mass_ratio")
-    for part in (table, primaries):
-        part.finish()
-    parameters = primaries.checked(ThreeBodyParameters, mass_ratio=ratio)
-    return Model(path.stem, path, title, parameters, {"primaries": source}, text)
+            raise InputError(f"{top} [uncertainty] {error}") from error
+    return Model(path.stem, path, title, chain, sources, text, zeros, uncertainty, remarks)
 
 
 def model_text(found: "Identification", *, title: str, logs: Sequence[str], starting_model: str) -> str:

@@ -149,7 +149,7 @@ def load_mapping(name: str) -> Mapping:
             raise InputError(
                 f"there is no mapping named {name!r}; {suggest(name, known)}; the path of a TOML file works"
             )
-    table, _ = read_toml(path)
+    table = Table(read_toml(path)[0], file=str(path))
     return _mapping(table, path.stem)
 
 

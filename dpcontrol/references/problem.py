@@ -41,10 +41,10 @@ class Limits(Settings, table="limits"):
     jerk: zero for none; a bound makes the acceleration continuous.
     """
 
-    position: float = setting(0.4, least=1e-6, most=1e6, unit="m")
-    velocity: float = setting(3.0, least=1e-6, most=1e6, unit="m/s")
-    acceleration: float = setting(30.0, least=1e-6, most=1e6, unit="m/s²")
-    jerk: float = setting(0.0, least=1e-6, most=1e6, zero="no limit", unit="m/s³")
+    position: float = setting(0.4, least=1e-6, most=1e6, unit="m", help="Largest distance of the cart from the centre.")
+    velocity: float = setting(3.0, least=1e-6, most=1e6, unit="m/s", help="Largest velocity of the cart.")
+    acceleration: float = setting(30.0, least=1e-6, most=1e6, unit="m/s²", help="Largest acceleration of the cart.")
+    jerk: float = setting(0.0, least=1e-6, most=1e6, zero="no limit", unit="m/s³", help="Largest jerk of the cart.")
 
     def named(self) -> dict[str, float]:
         """Return {name: bound} of those that there are."""
@@ -68,7 +68,7 @@ class EndConditions(Settings, table="ends"):
     end: Array | None = None
     closing: Array | None = None
     energy: float | None = None
-    stretch: float = setting(0.0, least=0, most=0.999)
+    stretch: float = setting(0.0, least=0, most=0.999, help="Share by which the duration may change.")
 
 
 def state_scale(dimension: int, limits: Limits) -> Array:
@@ -170,17 +170,17 @@ class ReferenceSettings(Settings, table="reference"):
     limits; iterations: of the solver, each round.
     """
 
-    level: str = setting("cart", choices=LEVELS)
-    method: str = "radau-7"
-    solver: str = setting("ipopt", choices=SOLVERS)
+    level: str = setting("cart", choices=LEVELS, help="Equations: with friction and cart, or conservative.")
+    method: str = setting("radau-7", help="Collocation method.")
+    solver: str = setting("ipopt", choices=SOLVERS, help="Solver of the nonlinear program.")
     # Below the least interval a mesh may have more intervals than memory holds.
-    interval: float = setting(0.05, least=1e-3, most=10, unit="s")
-    tolerance: float = setting(1e-6, least=1e-20, most=1)
-    pendulum_weight: float = setting(0.1, least=0)
-    cart_weight: float = setting(10.0, least=0)
-    end_tolerance: float = setting(0.0, least=0)
-    rounds: int = setting(8, least=1)
-    iterations: int = setting(100, least=1)
+    interval: float = setting(0.05, least=1e-3, most=10, unit="s", help="Initial length of the mesh intervals.")
+    tolerance: float = setting(1e-6, least=1e-20, most=1, help="Allowed scaled error between nodes.")
+    pendulum_weight: float = setting(0.1, least=0, help="Weight of the distance from the guess.")
+    cart_weight: float = setting(10.0, least=0, help="Weight of the cart's distance from the centre.")
+    end_tolerance: float = setting(0.0, least=0, help="Allowed scaled distance from the guess's end.")
+    rounds: int = setting(8, least=1, help="Rounds of mesh refinement.")
+    iterations: int = setting(100, least=1, help="Solver iterations in each round.")
 
     def __post_init__(self) -> None:
         """Check the bounds.

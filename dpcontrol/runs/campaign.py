@@ -40,6 +40,7 @@ import shutil
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -52,7 +53,7 @@ import dpcontrol
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.checked import is_list
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file
+from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file, write_whole
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.processes import in_processes, on_cluster, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
@@ -63,8 +64,8 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.plans.itinerary import Itinerary
+from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan, recoverable
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, transitions_in
 
 if TYPE_CHECKING:
@@ -227,6 +228,8 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
 
 METADATA = b"dpcontrol.campaign"
 """Key of the file's own metadata: JSON with the settings, version and commit."""
+RECORD = "campaign.json"
+"""The same of an interrupted campaign, beside its finished jobs."""
 
 
 def _schema(extra: Sequence[str], metadata: Mapping[str, Any] | None = None) -> "pa.Schema":
@@ -454,10 +457,10 @@ def share_document(share: Share) -> dict[str, Any]:
     }
 
 
-def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Any]) -> tuple[Case, ...]:
+def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[str, Any]) -> tuple[Case, ...]:
     """Return the cases: every combination of the values in `over`, on top of `fixed`.
 
-    Names are those of `RunOptions`. A value that is no list is the only one.
+    Names are paths of a run's settings. A value that is no list is the only one.
 
     Raises:
         InputError: an unknown name, an impossible value or an empty list.
@@ -471,7 +474,9 @@ def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Any]
         raise InputError(f"over: {count:,} cases, every combination of the values; at most {MOST_CASES:,} are compared")
     cases = []
     for values in itertools.product(*(zip(given, _shown(given), strict=True) for given in over.values())):
-        scene = itinerary.with_run(fixed.over({name: value for name, (value, _) in zip(names, values, strict=True)}))
+        scene = itinerary.with_run(
+            {**canonical(fixed), **canonical({name: value for name, (value, _) in zip(names, values, strict=True)})}
+        )
         chosen = {name: shown for name, (_, shown) in zip(names, values, strict=True)}
         label = ", ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
         cases.append(Case(label or "as the scene", tuple(chosen.items()), scene.loop))
@@ -558,10 +563,11 @@ def run_campaign(
         scene = replace(itinerary, loop=recovers[0])
         plan = replace(recoverable(replace(plan, itinerary=scene)), itinerary=itinerary)
     jobs = [job for one in (plans if transitions else (plan,)) for job in _jobs(one, cases, settings)]
+    record = campaign_record(itinerary, cases, settings, transitions=transitions)
     if file is not None and not force:
-        _check_replaced(file, _metadata(itinerary, cases, settings, transitions))
+        check_table(file, record)
     extra = tuple(dict.fromkeys(name for case in cases for name in _numbers(case)))
-    parts = None if file is None else file.with_name(file.name + ".parts")
+    parts = None if file is None else parts_of(file)
     kept: dict[str, Any] = {}
     if parts is not None:
         kept = {job.key: rows for job in jobs if (rows := _kept(parts / f"{job.key}.parquet", extra)) is not None}
@@ -572,9 +578,11 @@ def run_campaign(
         for job, rows in run_locally(left, workers) if local else on_cluster(run_job, left, settings.scheduler):
             kept[job.key] = _table(({**row, **_numbers(job.case)} for row in rows), extra)
             if parts is not None:
+                if not (parts / RECORD).exists():
+                    write_whole(parts / RECORD, json.dumps(record))
                 _write(parts / f"{job.key}.parquet", kept[job.key])
             progress(f"{len(kept)} of {len(jobs)} jobs", len(kept) / len(jobs))
-    metadata = _schema(extra, _metadata(itinerary, cases, settings, transitions)).metadata
+    metadata = _schema(extra, record).metadata
     table = pa.concat_tables(kept[job.key] for job in jobs).replace_schema_metadata(metadata)
     if file is not None and parts is not None:
         _write(file, table)
@@ -589,22 +597,49 @@ def _ends(plan: Plan) -> tuple[str, str, float]:
     return symbol["source"], symbol["target"], end - begin
 
 
-def _check_replaced(file: Path, metadata: Mapping[str, Any]) -> None:
+def check_table(file: Path, record: Mapping[str, Any]) -> None:
     """Reject a file in the table's place, unless it is of the same campaign, and no more of it.
 
     Raises:
-        InputError: there is another file.
+        InTheWay: there is another file.
     """
     if not file.is_file():
         return
     if (table := _read(file)) is None:
         raise in_the_way(file, "is no table of a campaign")
-    there, seeds = json.loads((table.schema.metadata or {}).get(METADATA, b"{}")), table["seed"].to_numpy()
-    decisive = ("itinerary", "model", "scene_hash", "model_hash", "cases", "transitions")
-    same = all(there.get(key) == metadata.get(key) for key in decisive)
-    first, runs, path = (metadata["settings"][key] for key in ("first_seed", "runs", "path"))
-    covered = bool(((seeds >= first) & (seeds < first + runs)).all())
-    if not same or not covered or there["settings"]["path"] != path:
+    _check_same(file, record, json.loads((table.schema.metadata or {}).get(METADATA, b"{}")))
+
+
+def check_parts(file: Path, record: Mapping[str, Any]) -> None:
+    """Reject a file and the finished jobs beside it, unless they are of the same campaign.
+
+    Raises:
+        InTheWay: they are of another campaign.
+    """
+    check_table(file, record)
+    with suppress(OSError, ValueError):
+        _check_same(file, record, json.loads((parts_of(file) / RECORD).read_bytes()))
+
+
+def parts_of(file: Path) -> Path:
+    """Return the folder of the finished jobs of an interrupted campaign."""
+    return file.with_name(file.name + ".parts")
+
+
+_DECISIVE = ("itinerary", "model", "scene_hash", "model_hash", "cases", "transitions")
+
+
+def _check_same(file: Path, record: Mapping[str, Any], there: Mapping[str, Any]) -> None:
+    """Reject another campaign, or one with seeds that this one lacks.
+
+    Raises:
+        InTheWay: it is one.
+    """
+    own, other = record["settings"], there.get("settings", {})
+    first, runs = other.get("first_seed", -1), other.get("runs", 0)
+    covered = own["first_seed"] <= first and first + runs <= own["first_seed"] + own["runs"]
+    same = all(there.get(key) == record.get(key) for key in _DECISIVE) and other.get("path") == own["path"]
+    if not same or not covered:
         raise in_the_way(file, "holds another campaign, or more runs of this one")
 
 
@@ -644,9 +679,10 @@ def _numbers(case: Case) -> dict[str, float]:
     return {name: float(value) for name, value in case.values if not isinstance(value, str) and name != "mismatch"}
 
 
-def _metadata(
-    itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSettings, transitions: bool
+def campaign_record(
+    itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSettings, *, transitions: bool = False
 ) -> dict[str, Any]:
+    """Return the metadata that identify a campaign before it starts."""
     return {
         **({"transitions": True} if transitions else {}),
         "version": dpcontrol.__version__,
@@ -716,7 +752,7 @@ def _by_ratio(first: float, last: float) -> tuple[float, ...]:
 
 STANDARD = (
     Trouble("model error", "mismatch", _evenly(0.0, 0.25)),
-    Trouble("velocity noise", "rate_noise", _evenly(0.0, 3.0)),
+    Trouble("velocity noise", "sensors.rate_noise", _evenly(0.0, 3.0)),
     Trouble("command noise", "command_noise", _evenly(0.0, 75.0)),
     Trouble("response", "response", _evenly(0.1, 2.0)),
     Trouble("delay", "delay", _evenly(0.0, 0.3), in_periods=True),
@@ -728,7 +764,7 @@ STANDARD = (
 """Nine kinds; SI units, encoders in counts per turn."""
 
 
-def standard_cases(itinerary: Itinerary, *, fixed: RunOptions, controllers: Sequence[str]) -> tuple[Case, ...]:
+def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[str]) -> tuple[Case, ...]:
     """Return the cases of every controller, kind and level, on top of `fixed`.
 
     Raises:
@@ -739,7 +775,7 @@ def standard_cases(itinerary: Itinerary, *, fixed: RunOptions, controllers: Sequ
         for kind in STANDARD:
             for k in range(LEVELS):
                 level = {"controller": controller, **kind.level(k, rate=itinerary.loop.rate)}
-                (case,) = cases_of(itinerary, fixed=fixed.over(level), over={})
+                (case,) = cases_of(itinerary, fixed={**canonical(fixed), **canonical(level)}, over={})
                 label = f"{controller}, {kind.name} {k} of {LEVELS - 1}"
                 named = (("controller", controller), ("kind", kind.name), ("level", float(k)))
                 cases.append(Case(label, named, case.loop))

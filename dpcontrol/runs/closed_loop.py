@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from dpcontrol.control.export import ControllerSource
 from dpcontrol.control.margins import Margins
@@ -17,7 +18,6 @@ from dpcontrol.logs import read_log
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.own import OwnObject, load_own
 from dpcontrol.plans.plan import Plan, recoverable, with_kept_starts
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import (
     STANDARD_CAMPAIGN,
     Campaign,
@@ -62,7 +62,7 @@ class ClosedLoop:
     """
 
     planned: Plan
-    options: RunOptions = field(default_factory=RunOptions)
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -173,7 +173,7 @@ class ClosedLoop:
         """
         night = hours if isinstance(hours, NightSettings) else NightSettings(hours)
         out, link = Path(folder), linked(rig)
-        scene = night_itinerary(self.plan.itinerary, asked=self.options.given())
+        scene = night_itinerary(self.plan.itinerary, asked=self.options)
         check_folder(night_folder(out), resume=resume, force=force)
         night_cost(scene, night, night_folder(out), real_time=link is not None, yes=yes)
         with reporting(progress, "night") as report:

@@ -29,6 +29,7 @@ from dpcontrol.control.estimator_settings import extra_names
 from dpcontrol.control.interface import GainSchedule
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
+from dpcontrol.foundation.files import InTheWay
 from dpcontrol.foundation.processes import end_with_parent, ignoring_interrupts
 from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -43,6 +44,7 @@ from dpcontrol.loop.recovery import LAST_SECONDS, RecoveryPlan, meeting_tick
 from dpcontrol.loop.result import LogSink, LoopSink, SinkBeside
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.plans.itinerary import Itinerary, stored_itinerary
+from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan, expected_seconds, make_plan, recoverable, with_kept_starts
 from dpcontrol.references.reference import Reference, StartNote, load_reference, plan_notes, start_reference
 from dpcontrol.runs.run import (
@@ -101,15 +103,16 @@ def night_itinerary(itinerary: Itinerary, *, asked: Mapping[str, object]) -> Iti
 
     What keeps its stops by a clock of its own is left out then, and what flies keeps them too, by time.
     """
+    asked = canonical(asked)
     supervisor, keep = itinerary.loop.supervisor, itinerary.loop.keep
-    if supervisor.on_fall == "stop" and "on_fall" not in asked:
+    if supervisor.on_fall == "stop" and "supervisor.on_fall" not in asked:
         supervisor = replace(supervisor, on_fall="resume")
-    if "attempts" not in asked:
+    if "supervisor.attempts" not in asked:
         supervisor = replace(supervisor, attempts=0)
-    if keep != "none" and supervisor.on_fall != "stop" and "keep" not in asked:
+    if keep != "none" and supervisor.on_fall != "stop" and "controller.keep" not in asked:
         remark(
             f'{itinerary.path}: [controller] keep = "{keep}" has a clock of its own, by which nothing is taken up '
-            "again after a fall; this long run keeps its stops by gains by time instead, as with --keep none"
+            "again after a fall; this long run keeps its stops by gains by time instead, as with --set keep=none"
         )
         keep = "none"
     return replace(itinerary, loop=replace(itinerary.loop, supervisor=supervisor, keep=keep))
@@ -387,6 +390,21 @@ def _switching_soon() -> Iterator[None]:
         sys.setswitchinterval(was)
 
 
+def check_night(folder: Path, record: Mapping[str, str]) -> None:
+    """Reject a folder that holds another long run, or none that can be resumed.
+
+    Raises:
+        InTheWay: the last log there is of another run, or cannot be read.
+        InputError: there is no long run.
+    """
+    check_folder(folder, resume=True, force=False)
+    for log in sorted(folder.glob(f"{folder.resolve().name}-[0-9]*.mcap"))[-1:]:
+        try:
+            check_same_run(log, record, also=(NIGHT_METADATA,))
+        except InputError as error:
+            raise InTheWay(str(error)) from error
+
+
 def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
     """Return the files of the long run in a folder, before anything is planned.
 
@@ -398,12 +416,12 @@ def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
     name = folder.resolve().name
     there = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
     if there and not resume and not force:
-        raise InputError(
+        raise InTheWay(
             f"{folder} holds a long run already; go on with it by --resume, choose another --out, or replace it "
             "with --force"
         )
     if resume and not there:
-        raise InputError(f"{folder} holds no long run to be resumed; leave out --resume to begin one")
+        raise InputError(f"{folder} holds no long run to resume; omit --resume to begin one")
     return there
 
 

@@ -21,7 +21,7 @@ Source of isotonic regression: Barlow et al., Statistical Inference under Order 
 import json
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -40,8 +40,8 @@ from dpcontrol.judge.preflight import EndingShare, HazardBorder, Improvement, Kn
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
+from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
 
 
@@ -53,13 +53,13 @@ class SceneChange:
     """
 
     text: str
-    options: RunOptions
+    options: Mapping[str, Any]
     advice: str = ""
 
 
 @dataclass(frozen=True)
 class _Trouble:
-    """A setting of the bench that can be reduced, by its name in RunOptions.
+    """A setting of the bench that can be reduced, by the path in a run's settings.
 
     what: its name in a sentence. remedy: how a laboratory halves it. nothing: the value without the trouble. halves,
     removed: whether half of it, or nothing of it, is tried.
@@ -87,7 +87,7 @@ _TROUBLES = (
     _Trouble("zero_error", "zero error", "set the encoders' zeros"),
     _Trouble("zero_drift", "zero drift"),
     _Trouble("noise", "encoder noise", "use quieter encoders"),
-    _Trouble("rate_noise", "rate noise"),
+    _Trouble("sensors.rate_noise", "rate noise"),
     _Trouble("missed_counts", "missed counts"),
     _Trouble("dropout", "dropouts"),
     _Trouble("jitter", "jitter"),
@@ -112,8 +112,8 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
     limit, drive, counts = loop.travel or scene.limits.position, loop.drive, loop.sensors.counts
     wide, *wider = map(_short, (1.5 * limit, 2 * limit, max(4 * limit, 2 * scene.limits.position)))
     yield (
-        SceneChange(f"a travel of ±{wide:g} m", RunOptions(travel=wide), f"more travel: ±{wide:g} m"),
-        *(SceneChange(f"a travel of ±{more:g} m", RunOptions(travel=more)) for more in wider),
+        SceneChange(f"a travel of ±{wide:g} m", {"travel": wide}, f"more travel: ±{wide:g} m"),
+        *(SceneChange(f"a travel of ±{more:g} m", {"travel": more}) for more in wider),
     )
     for one in _TROUBLES:
         value = setting_of(loop, one.setting)
@@ -124,28 +124,28 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
             smaller = (
                 tuple(_short(v / 2) for v in value) if isinstance(value, tuple) else _short((value + one.nothing) / 2)
             )
-            half, text = RunOptions().over({one.setting: smaller}), f"half the {one.what}"
+            half, text = {one.setting: smaller}, f"half the {one.what}"
             tried.append(SceneChange(text, half, one.remedy and f"{one.remedy}: {text}"))
         if one.removed:
-            tried.append(SceneChange(f"no {one.what}", RunOptions().over({one.setting: one.nothing})))
+            tried.append(SceneChange(f"no {one.what}", {one.setting: one.nothing}))
         yield tried
     if drive.lag and loop.drive_lag != drive.lag:
         known = "a controller that knows the drive's lag"
-        yield (SceneChange(known, RunOptions(drive_lag=drive.lag), "give the controller the drive's lag"),)
+        yield (SceneChange(known, {"drive_lag": drive.lag}, "give the controller the drive's lag"),)
     if counts:
-        finer = RunOptions(counts=4 * counts)
+        finer = {"counts": 4 * counts}
         yield (SceneChange(f"{4 * counts} counts a turn", finer, "finer encoders: four times the counts"),)
     if loop.rate < _QUICK:
         # The delay stays the same in seconds.
-        delay = _short(drive.delay * _QUICK / loop.rate) if drive.delay else None
-        yield (SceneChange(f"a rate of {_QUICK:g} Hz", RunOptions(rate=_QUICK, delay=delay)),)
+        delay = {"delay": _short(drive.delay * _QUICK / loop.rate)} if drive.delay else {}
+        yield (SceneChange(f"a rate of {_QUICK:g} Hz", {"rate": _QUICK, **delay}),)
     if loop.estimator.kind != "ekf":
-        yield (SceneChange("the ekf as the estimator", RunOptions(estimator="ekf")),)
+        yield (SceneChange("the ekf as the estimator", {"estimator": "ekf"}),)
     if loop.keep != "none":
-        yield (SceneChange("no keeper of the stops", RunOptions(keep="none")),)
+        yield (SceneChange("no keeper of the stops", {"keep": "none"}),)
     elif scene.stay is None:
         other = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
-        yield (SceneChange(f"{other} as the law", RunOptions(controller=other), f"another law: {other}"),)
+        yield (SceneChange(f"{other} as the law", {"controller": other}, f"another law: {other}"),)
 
 
 def _short(value: float) -> float:
@@ -213,9 +213,9 @@ class Hazard:
         value = math.exp(-place if self.falling else place)
         return max(round(value / self.step), 1) * self.step if self.step else value
 
-    def options(self, value: float) -> RunOptions:
+    def options(self, value: float) -> dict[str, Any]:
         """Return the run settings of a value."""
-        return RunOptions(**{self.setting: int(value) if self.setting == "counts" else value, **dict(self.besides)})
+        return {self.setting: int(value) if self.setting == "counts" else value, **dict(self.besides)}
 
 
 @dataclass(frozen=True)
@@ -379,7 +379,7 @@ def _change(trial: _Trial) -> Improvement:
     rescued = sum(now and not then for now, then in zip(done, before, strict=True))
     lost = sum(then and not now for now, then in zip(done, before, strict=True))
     change = trial.change
-    return Improvement(change.advice, change.options.given(), rescued, failing, lost, completing, trial.rate)
+    return Improvement(change.advice, dict(change.options), rescued, failing, lost, completing, trial.rate)
 
 
 _TICK, _TICK_ALONE = 1.8e-6, 2e-4
@@ -435,7 +435,7 @@ def _amounts(asked: int, seconds: float, *, lockstep: bool) -> _Amounts:
 
 def preflight(
     plan: Plan,
-    options: RunOptions | None = None,
+    options: Mapping[str, Any] | None = None,
     *,
     settings: PreflightSettings | None = None,
     progress: Progress = no_progress,
@@ -449,7 +449,7 @@ def preflight(
         InputError: an impossible setting, or it would take too long.
         GoalMissed: the plan did not converge, no controller can be made for it, or workers died again and again.
     """
-    began, options, settings = time.perf_counter(), options or RunOptions(), settings or PreflightSettings()
+    began, options, settings = time.perf_counter(), options or {}, settings or PreflightSettings()
     scene, known = as_known(plan.followed().itinerary, options)
     loop, name = scene.loop, scene.name
     ticks = max(round(plan.reference.duration * loop.rate), 1)
@@ -516,20 +516,20 @@ def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
     return tuple(EndingShare(*words, len(rows), rows[0].seed, rows[0].reason) for words, rows in ordered)
 
 
-def as_known(scene: Itinerary, options: RunOptions) -> tuple[Itinerary, list[Known]]:
+def as_known(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Known]]:
     """Return the scene with its runs drawn from what is known of the arms and the bench, and what that is.
 
     Raises:
         InputError: an impossible setting.
     """
-    given = options.given()
+    given = {path.rpartition(".")[2] for path in canonical(options)}
     identified = scene.model.uncertainty is not None
     chosen = scene.with_run(options)
-    if identified and not {"mismatch", "model_uncertainty"} & given.keys() and not scene.loop.model_uncertainty:
-        chosen = chosen.with_run(RunOptions(model_uncertainty=1.0, mismatch=0.0))
+    if identified and not {"mismatch", "model_uncertainty"} & given and not scene.loop.model_uncertainty:
+        chosen = chosen.with_run({"model_uncertainty": 1.0, "mismatch": 0.0})
     assumed = not chosen.loop.model_uncertainty and not chosen.loop.mismatch and "mismatch" not in given
     if assumed and chosen.loop.plant is None:
-        chosen = chosen.with_run(RunOptions(mismatch=ASSUMED_MISMATCH))
+        chosen = chosen.with_run({"mismatch": ASSUMED_MISMATCH})
     else:
         assumed = False
     loop, file = chosen.loop, f"[run] of {scene.path.name}"

@@ -12,7 +12,7 @@ It is a remedy if it meets three conditions:
 Changes of one kind are tried from the smallest; the first remedy of a kind ends it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -22,8 +22,8 @@ from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.statistics import paired
 from dpcontrol.judge.score import Score
+from dpcontrol.plans.overrides import typed as typed_options
 from dpcontrol.plans.plan import Plan, recoverable
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import Case, Job
 from dpcontrol.runs.preflight import SceneChange, changes, outcomes, seconds_of
 from dpcontrol.runs.run import run_plan
@@ -131,7 +131,7 @@ _Group = tuple[Sequence[tuple[SceneChange, Job]], Sequence[bool]]
 def why(
     plan: Plan,
     failed: Score,
-    typed: Callable[[RunOptions], Plan],
+    typed: Callable[[Mapping[str, Any]], Plan],
     *,
     workers: int = 0,
     yes: bool = False,
@@ -167,7 +167,7 @@ def why(
         return tuple(made)
 
     progress("harmless changes", 0.0)
-    before, _ = _tried(([(SceneChange("", RunOptions()), _job(plan, size))], ()))[0]
+    before, _ = _tried(([(SceneChange("", {}), _job(plan, size))], ()))[0]
     null, trials = Completed(sum(before[:size]), sum(before[size:]), size), list[TriedChange]()
 
     pieces: list[_Group] = [(made, before) for group in groups if (made := jobs(group))]
@@ -233,12 +233,12 @@ def _judged(
     done: Sequence[bool],
     verdict: str,
     before: Sequence[bool],
-    typed: Callable[[RunOptions], Plan],
+    typed: Callable[[Mapping[str, Any]], Plan],
 ) -> TriedChange:
     """Return a change with its verdict; one that beats the null group is typed."""
     half = len(before) // 2
     counts = Completed(sum(done[:half]), sum(done[half:]), half) if len(done) == len(before) else None
-    tried = partial(TriedChange, change.text, change.options.typed, counts=counts)
+    tried = partial(TriedChange, change.text, typed_options(change.options), counts=counts)
     if not (done and done[0] and _beats(done, before)):
         return tried(completed=bool(done and done[0]), verdict=verdict)
     alone = run_plan(recoverable(typed(change.options))).score()

@@ -9,28 +9,27 @@ that speaks `dpcontrol.rig.packets`; the example is the simulated one, by its ow
 """
 
 import json
-import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import dpcontrol
-from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, extra_names
+from dpcontrol.control.estimator_settings import extra_names
 from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
 from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.margins import Margins
 from dpcontrol.control.tick import TickProgram
-from dpcontrol.control.tracking import AdaptiveSettings
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.cache import commit
-from dpcontrol.foundation.errors import GoalMissed, InputError, remark
+from dpcontrol.foundation.config import log_folder
+from dpcontrol.foundation.errors import GoalMissed, InputError, mistakes_of, remark
 from dpcontrol.foundation.files import (
     checked_other_file,
     checked_source,
@@ -42,7 +41,7 @@ from dpcontrol.foundation.files import (
 )
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.rendering import Figure, render
-from dpcontrol.foundation.settings import with_values
+from dpcontrol.foundation.settings import Place, decode, frozen, with_values
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.judge.score import (
     DRAWN_METADATA,
@@ -68,14 +67,15 @@ from dpcontrol.logs import (
     slow_numbers,
 )
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, filter_of, law_of
+from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
-from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink, Sinks, Ticks
+from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink, Sinks, SupervisorSettings, Ticks
 from dpcontrol.plans.itinerary import Itinerary, itinerary_from, setting_of
+from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.model import model_from
+from dpcontrol.plans.overrides import canonical, paths
 from dpcontrol.plans.plan import Plan, plan_key, recoverable
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
 
@@ -93,8 +93,8 @@ _LIBRARY = "controller_library"
 
 
 def default_log(itinerary: Itinerary) -> Path:
-    """Return logs/NAME-SEED.mcap in the working folder."""
-    return Path("logs") / f"{itinerary.name}-{itinerary.loop.seed}.mcap"
+    """Return NAME-SEED.mcap in the folder of logs."""
+    return log_folder() / f"{itinerary.name}-{itinerary.loop.seed}.mcap"
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ class Run:
             plan = _plan(self.log, Path(folder))
             scene = itinerary_from(plan.itinerary.text, plan.itinerary.name, plan.itinerary.model)
 
-            def typed(change: RunOptions) -> Plan:
+            def typed(change: Mapping[str, Any]) -> Plan:
                 return _with_options(plan, scene, change)
 
             return why(plan, self.score(), typed, workers=workers, yes=yes, progress=progress)
@@ -177,7 +177,7 @@ class Run:
         """
         text = self.log.metadata.get(PLANT_METADATA)
         try:
-            return None if text is None else _settings(ArmChainParameters, json.loads(text))
+            return None if text is None else ArmChainParameters(**frozen(json.loads(text)))
         except (TypeError, ValueError, AttributeError) as error:
             raise InputError(f"{self.log.path}: its {PLANT_METADATA} do not read: {error}; run it again") from error
 
@@ -245,18 +245,40 @@ def run_plan(
             raise GoalMissed(flown.reason)
         return flown
 
-    made_by = drawn_metadata(scene) if rig is None else {"rig": rig.name}
     if out is None:
         with watched(plan, sink, live=live) as sinks:
             result = run(sink=sinks)
+        made_by = _made_by(scene, None if rig is None else rig.name)
         return Run(_log_in_memory(plan, result.ticks, sink.kept, **made_by, **outcome(result)))
-    if library is not None:
-        check_exportable(scene)
-        made_by[_LIBRARY] = content_hash(checked_source(library).read_bytes()) if library.is_file() else str(library)
-    check_replaced(out, {**run_metadata(plan.itinerary), **made_by}, force=force)
+    made_by = _made_by(scene, None if rig is None else rig.name, library)
+    check_replaced(out, {**run_metadata(scene), **made_by}, force=force)
     with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sinks:
         writer.result(**outcome(run(sink=sinks)))
     return Run(read_log(out))
+
+
+def _made_by(itinerary: Itinerary, rig: str | None, library: Path | None = None) -> dict[str, str]:
+    """Return the metadata of a run that depend on the bench: the drawn plant or the rig's name, and the library."""
+    made_by = drawn_metadata(itinerary) if rig is None else {"rig": rig}
+    if library is not None:
+        check_exportable(itinerary)
+        made_by[_LIBRARY] = content_hash(checked_source(library).read_bytes()) if library.is_file() else str(library)
+    return made_by
+
+
+def run_record(itinerary: Itinerary, *, rig: str | None = None, library: Path | None = None) -> dict[str, str]:
+    """Return the metadata that identify a run before it starts.
+
+    Args:
+        itinerary: with the run's settings.
+        rig: its address or name; None for the simulated bench.
+        library: shared library of the controller, if any.
+
+    Raises:
+        InputError: the controller cannot leave as C.
+        GoalMissed: no plant can be drawn.
+    """
+    return {**run_metadata(itinerary), **_made_by(itinerary, rig, library)}
 
 
 @contextmanager
@@ -382,9 +404,6 @@ def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
     }
 
 
-_KINDS: Mapping[str, Mapping[str, type]] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}
-
-
 @dataclass(frozen=True)
 class Repeat:
     """A run repeated: its score, the comparison with the log it was repeated from, and a word on another version."""
@@ -395,8 +414,8 @@ class Repeat:
 
 
 def repeated_log(source: Path) -> Path:
-    """Return logs/NAME-again.mcap in the working folder."""
-    return Path("logs") / f"{source.name.removesuffix('.mcap')}-again.mcap"
+    """Return NAME-again.mcap in the folder of logs."""
+    return log_folder() / f"{source.name.removesuffix('.mcap')}-again.mcap"
 
 
 def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progress = no_progress) -> Repeat:
@@ -452,20 +471,21 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
     return Plan(_with_settings(itinerary, log, cannot=cannot), load_reference(file), file, cached=True)
 
 
-def _with_options(plan: Plan, scene: Itinerary, change: RunOptions) -> Plan:
+def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Plan:
     """Return the plan of a logged run with options added to its command line.
 
     scene: the itinerary without any options. The run's own options are those settings in which it differs from that;
     where they do not account for all that the log notes, the options are applied to the noted settings.
     """
     then = plan.itinerary
-    names = [field.name for field in fields(RunOptions) if field.name != "plant"]
-    pairs = {name: (setting_of(scene.loop, name), setting_of(then.loop, name)) for name in names}
-    own = RunOptions(**{name: noted for name, (before, noted) in pairs.items() if before != noted})
+    pairs = {path: (setting_of(scene.loop, path), setting_of(then.loop, path)) for path in paths() if path != "plant"}
+    own = {path: noted for path, (before, noted) in pairs.items() if noted is not None and before != noted}
+    # Another law or filter brings its own defaults.
+    switched = {"controller": ("controller.", "estimator."), "estimator": ("estimator.",)}
+    reset = tuple(start for role, starts in switched.items() if role in own for start in starts)
+    own = {path: noted for path, noted in own.items() if not path.startswith(reset)} if reset else own
     accounted = scene.with_run(own, seed=then.loop.seed).loop == then.loop
-    chosen = (scene.with_run(own, seed=then.loop.seed) if accounted else then).with_run(
-        own.over(change.given()) if accounted else change
-    )
+    chosen = scene.with_run({**own, **canonical(change)}, seed=then.loop.seed) if accounted else then.with_run(change)
     reference = plan.reference
     if chosen.loop.travel != then.loop.travel and "starts" in reference.notes:
         # Starts are planned for the travel.
@@ -474,52 +494,42 @@ def _with_options(plan: Plan, scene: Itinerary, change: RunOptions) -> Plan:
     return replace(plan, itinerary=chosen, reference=reference)
 
 
-def _says(now: Any, noted: Any) -> bool:
-    """Return whether settings are as a log notes them; those that came later are at their defaults."""
-    if isinstance(now, dict) and isinstance(noted, dict):
-        return all(key in now and _says(now[key], value) for key, value in noted.items())
-    return bool(now == noted)
-
-
 def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinerary:
     """Return the itinerary with the run's settings as the log notes them: overrides and all."""
     text = log.metadata["run_settings"]
     try:
-        loop = _settings(LoopSettings, json.loads(text))
-        same = _says(json.loads(json.dumps(asdict(loop))), json.loads(text))
+        return replace(itinerary, loop=stored_settings(json.loads(text), str(log.path)))
     except (TypeError, ValueError, LookupError) as error:
         raise InputError(f"{log.path} cannot {cannot}: its run settings do not read: {error}") from error
-    if not same:
+    except InputError as error:
         raise InputError(
             f"{log.path} cannot {cannot}: its run settings are of another version; use the one that wrote it "
-            f"({log.metadata.get('version', '?')}, commit {log.metadata.get('commit') or 'unknown'})"
-        )
-    return replace(itinerary, loop=loop)
+            f"({log.metadata.get('version', '?')}, commit {log.metadata.get('commit') or 'unknown'}): "
+            f"{mistakes_of(error)[0]}"
+        ) from error
 
 
-def _settings(kind: type, values: Mapping[str, Any]) -> Any:
-    """Return settings of dataclass `kind` from what `asdict` and JSON made of them."""
-    hints = get_type_hints(kind)
-    names = [field.name for field in fields(kind) if field.init and field.name in values]
-    read = {name: _value(name, hints[name], values[name]) for name in names}
-    if isinstance(read.get("controller"), AdaptiveSettings) and isinstance(read.get("estimator"), EkfSettings):
-        # As itineraries read it: with the defaults that go with an adaptive law.
-        read["estimator"] = _settings(AdaptiveEkfSettings, values["estimator"])
-    return kind(**read)
+def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
+    """Return a run's settings from the JSON of a log; those that came later are at their defaults.
 
-
-def _value(name: str, hint: Any, value: Any) -> Any:
-    if isinstance(value, list):
-        inner = next(iter(get_args(hint)), Any)
-        return tuple(_value(name, inner, item) for item in value)
-    if not isinstance(value, Mapping):
-        return value
-    if name in _KINDS:
-        if value["kind"] not in _KINDS[name]:
-            raise LookupError(f"{name} = {value['kind']} is a user's object, which is not in the log")
-        return _settings(_KINDS[name][value["kind"]], value)
-    options = get_args(hint) if get_origin(hint) is types.UnionType else (hint,)
-    return _settings(next(option for option in options if is_dataclass(option) and isinstance(option, type)), value)
+    Raises:
+        InputError: an unknown setting or an impossible value.
+        LookupError: a user's object, which the log does not hold.
+    """
+    own, parts = dict(values), dict[str, Any]()
+    kinds: Mapping[str, Any] = CONTROLLERS
+    for name in ("controller", "estimator"):
+        part = own.pop(name)
+        if part["kind"] not in kinds:
+            raise LookupError(f"{name} = {part['kind']} is a user's object, which is not in the log")
+        parts[name] = decode(kinds[part["kind"]], part, Place(file, name))
+        kinds = estimators_of(parts["controller"])
+    for name, kind in {**BENCH, "supervisor": SupervisorSettings}.items():
+        if name in own:
+            parts[name] = decode(kind, own.pop(name), Place(file, name))
+    if own.get("plant") is not None:
+        own["plant"] = ArmChainParameters(**frozen(own["plant"]))
+    return LoopSettings(**own, **parts)
 
 
 _CHECKED_TICKS = 4000
@@ -849,7 +859,7 @@ def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, liv
     """
     itinerary, assembly = plan.itinerary, assembled(plan)
     # What a rig does is not what any log there says, whatever its settings.
-    check_replaced(out, {**run_metadata(itinerary), "rig": link.address}, force=force)
+    check_replaced(out, run_record(itinerary, rig=link.address), force=force)
     # All is made before the log is begun.
     _ = assembly.controller, assembly.fallback, assembly.recovery
     with log_writer(plan, out) as writer, watched(plan, LogSink(writer), live=live) as sink:
@@ -882,7 +892,7 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
     """
     from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
 
-    check_replaced(out, {**run_metadata(plan.itinerary), "rig": OWN_BENCH}, force=force)
+    check_replaced(out, run_record(plan.itinerary, rig=OWN_BENCH), force=force)
     loop = plan.itinerary.loop
     # A program does not get up after a fall, and takes no zeros off its readings.
     stops = replace(loop, supervisor=replace(loop.supervisor, on_fall="stop"))

@@ -2,21 +2,27 @@
 
 import math
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from command_line import dpcontrol
 
 from dpcontrol.plans.plan import Plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import Case, Job
 from dpcontrol.runs.preflight import outcomes
 
-BENCH = RunOptions(
-    mismatch=0.1, initial_error=0.05, lag=0.005, command_noise=0.3, zero_error=0.02, counts=40_000, travel=0.8
-)
+BENCH = {
+    "mismatch": 0.1,
+    "initial_error": 0.05,
+    "lag": 0.005,
+    "command_noise": 0.3,
+    "zero_error": 0.02,
+    "counts": 40_000,
+    "travel": 0.8,
+}
 """An ordinary rig; each cause makes one thing of it worse."""
 CAUSES = {
     "mismatch": ("mismatch", 0.2, 0.35),
@@ -45,7 +51,7 @@ class Failing:
 
     itinerary: str
     cause: str
-    options: RunOptions
+    options: Mapping[str, Any]
     seed: int
 
 
@@ -58,7 +64,7 @@ class Typed:
     sentence: str
 
 
-def drawn_options(cause: str, random: np.random.Generator) -> RunOptions:
+def drawn_options(cause: str, random: np.random.Generator) -> dict[str, Any]:
     """Return the options of a rig with one cause of failures."""
     name, low, high = CAUSES[cause]
     if name == "controller":

@@ -27,7 +27,6 @@ from verdict_runs import disagreement, runs
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.score import verdict_on
 from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import load_reference
 
 ATTEMPTS = 8
@@ -112,7 +111,7 @@ def flown_scene(scene: Scene, folder: Path, *, seeds: Sequence[int], planned: Pl
     plan = plan_of(reference, loop.rate, (limits.position, limits.velocity, limits.acceleration))
     flights = []
     try:
-        for case in runs(itinerary, reference, RunOptions(), list(seeds)):
+        for case in runs(itinerary, reference, {}, list(seeds)):
             problem = verdict_on(case.flown, reference).problem
             flights.append(Flight(problem, disagreement(case, reference, plan)))
     except Exception as error:  # noqa: BLE001

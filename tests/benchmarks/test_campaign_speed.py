@@ -8,14 +8,13 @@ import pytest
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import CampaignSettings, Job, cases_of, run_job
 
 pytestmark = pytest.mark.benchmark
 
 PACE = 300
 """Times quicker than real time on one core."""
-BENCH = RunOptions(mismatch=0.05, initial_error=0.05, lag=0.005, command_noise=0.3)
+BENCH = {"mismatch": 0.05, "initial_error": 0.05, "lag": 0.005, "command_noise": 0.3}
 
 
 def pace(job: Job, *, tries: int = 3) -> float:

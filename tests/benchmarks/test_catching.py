@@ -19,24 +19,34 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import BatchRun, Ending, NoSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.night import night_itinerary
 
 pytestmark = pytest.mark.benchmark
 
-BENCH = RunOptions(
-    mismatch=0.05, lag=0.005, drive_lag=0.005, command_noise=0.3, zero_error=0.01, knocks_per_minute=2.0,
-    knock_impulse=0.03,
-)  # fmt: skip
+BENCH = {
+    "mismatch": 0.05,
+    "lag": 0.005,
+    "drive_lag": 0.005,
+    "command_noise": 0.3,
+    "zero_error": 0.01,
+    "knocks_per_minute": 2.0,
+    "knock_impulse": 0.03,
+}
 SEEDS, SECONDS = range(40_001, 40_009), 300
 EDGES = (10.0, 30.0, 100.0, 300.0, math.inf)
 """Of costs to go."""
 
 
-TWICE = RunOptions(
-    on_fall="resume", mismatch=0.05, lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.01, travel=0.8,
-    pushes=2,
-)  # fmt: skip
+TWICE = {
+    "on_fall": "resume",
+    "mismatch": 0.05,
+    "lag": 0.005,
+    "command_noise": 0.3,
+    "initial_error": 0.05,
+    "zero_error": 0.01,
+    "travel": 0.8,
+    "pushes": 2,
+}
 
 
 class Told(NoSink):

@@ -5,15 +5,15 @@ Each table is printed. A small one of each runs with the slow tests, in `tests/l
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
+from typing import Any
 
 import pytest
 from coarse_benches import completed, delays_of_stuck_scales
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.run_options import RunOptions
 
 pytestmark = pytest.mark.benchmark
 
@@ -29,7 +29,7 @@ def planned(name: str) -> Plan:
     return make_plan(load_itinerary(name))
 
 
-def row(title: str, options: RunOptions, seeds: Sequence[int]) -> list[float]:
+def row(title: str, options: Mapping[str, Any], seeds: Sequence[int]) -> list[float]:
     """Print a row of the table and return the shares of completed runs, by itinerary."""
     found = [completed(planned(name), options, seeds) for name in ITINERARIES]
     assert not any("stuck" in reason for _, reasons in found for reason in reasons)
@@ -43,7 +43,7 @@ def test_ordinary_encoders_complete_98_runs_of_100_and_no_scale_is_called_stuck(
     sys.stdout.write(f"\n{'rate, scale, counts':28s}  {'  '.join(ITINERARIES)}\n")
     for scale in (1e-6, 2e-5, 1e-4, 2e-4):
         for counts in (1000, 4000, 40_000):
-            options = RunOptions(rate=rate, cart_resolution=scale, counts=counts)
+            options = {"rate": rate, "cart_resolution": scale, "counts": counts}
             title = f"{rate:6.0f} Hz {1e6 * scale:4.0f} µm {counts:6d}"
             assert min(row(title, options, range(RUNS))) >= SHARE
 
@@ -53,7 +53,7 @@ def test_ordinary_encoders_complete_98_runs_of_100_and_no_scale_is_called_stuck(
 def test_readings_that_vary_in_age_by_up_to_a_period_complete(rate: float, counts: int) -> None:
     sys.stdout.write(f"\n{'rate, counts, jitter':28s}  {'  '.join(ITINERARIES)}\n")
     for periods, share in JITTER_SHARES.items():
-        options = RunOptions(rate=rate, counts=counts, jitter=periods / rate)
+        options = {"rate": rate, "counts": counts, "jitter": periods / rate}
         title = f"{rate:6.0f} Hz {counts:6d} {periods:.1f} periods"
         assert min(row(title, options, range(JITTERED_RUNS))) >= share
 
@@ -62,7 +62,7 @@ def test_readings_that_vary_in_age_by_up_to_a_period_complete(rate: float, count
 def test_a_stuck_scale_is_found_soon_after_the_cart_has_moved_a_millimetre(scale: float, share: float) -> None:
     delays = [
         delay for name in ITINERARIES
-        for delay in delays_of_stuck_scales(planned(name), RunOptions(cart_resolution=scale), range(20))
+        for delay in delays_of_stuck_scales(planned(name), {"cart_resolution": scale}, range(20))
     ]  # fmt: skip
     soon = sum(delay <= 0.05 for delay in delays) / len(delays)
     sys.stdout.write(f"\n{1e6 * scale:.0f} µm: {soon:.0%} of {len(delays)} within 50 ms of a millimetre\n")

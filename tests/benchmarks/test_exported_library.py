@@ -11,7 +11,6 @@ import pytest
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.run import export_plan, run_plan
 
 pytestmark = pytest.mark.benchmark
@@ -33,7 +32,7 @@ def test_runs_by_the_library_end_as_runs_by_the_loop(tmp_path: Path) -> None:
             subprocess.run(["make", "-s", "libdpc.so"], cwd=folder, check=True)
             made[precision] = folder / "libdpc.so"
         for seed in SEEDS:
-            scene = load_itinerary(name).with_run(RunOptions(mismatch=0.05), seed=seed)
+            scene = load_itinerary(name).with_run({"mismatch": 0.05}, seed=seed)
             scores = {
                 kind: run_plan(replace(plan, itinerary=scene), library=library).score()
                 for kind, library in made.items()

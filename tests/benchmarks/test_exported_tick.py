@@ -14,7 +14,6 @@ import pytest
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.run import export_plan
 
 pytestmark = pytest.mark.benchmark
@@ -31,7 +30,7 @@ def test_a_tick_takes_microseconds(
 ) -> None:
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
-    scene = load_itinerary("outer-turn").with_run(RunOptions(controller=law))
+    scene = load_itinerary("outer-turn").with_run({"controller": law})
     folder = tmp_path / "controller"
     export_plan(make_plan(scene), folder, single=single)
     rows = np.genfromtxt(folder / "readings.csv", delimiter=",", skip_header=1)

@@ -26,7 +26,6 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
 from dpcontrol.runs.campaign import cases_of
 
@@ -34,9 +33,15 @@ pytestmark = pytest.mark.benchmark
 
 Array = NDArray[np.float64]
 
-BENCH = RunOptions(
-    lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.02, counts=40_000, travel=0.8, mismatch=0.05
-)  # fmt: skip
+BENCH = {
+    "lag": 0.005,
+    "command_noise": 0.3,
+    "initial_error": 0.05,
+    "zero_error": 0.02,
+    "counts": 40_000,
+    "travel": 0.8,
+    "mismatch": 0.05,
+}
 RUNS, FIRST_SEED = 100, 70_000
 TICKS = 20
 BAR = 0.025

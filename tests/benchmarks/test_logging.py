@@ -25,7 +25,6 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import LogSink, NoSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
 
 pytestmark = pytest.mark.benchmark
@@ -44,7 +43,7 @@ GIGABYTES = 1.0
 
 @pytest.fixture(scope="module")
 def planned():
-    scene = load_itinerary("outer-turn").with_run(RunOptions(mismatch=0.02, initial_error=0.02), seed=3)
+    scene = load_itinerary("outer-turn").with_run({"mismatch": 0.02, "initial_error": 0.02}, seed=3)
     return scene, make_plan(scene)
 
 

@@ -11,12 +11,11 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import LogSink, Reading
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.run import log_writer
 
 pytestmark = pytest.mark.benchmark
 
-BENCH = RunOptions(mismatch=0.05, initial_error=0.05, lag=0.005, command_noise=0.3)
+BENCH = {"mismatch": 0.05, "initial_error": 0.05, "lag": 0.005, "command_noise": 0.3}
 PACE, PACE_WITH_LOG, PACE_TOGETHER = 60.0, 25.0, 700.0
 """Times quicker than real time: one run, one with its log, 64 together."""
 MEDIAN, NEARLY_ALL = 12e-6, 50e-6
@@ -85,7 +84,7 @@ def test_a_tick_of_three_arms_takes_at_most_twice_that_of_two(one_core, tmp_path
     scene.write_text('model = "lab"\nstart = "rest"\nfinish = "rest"\nhold = "down-up"\nseconds = 2.0\n')
     medians: dict[str, list[float]] = {}
     for name in (str(scene), "third-arm"):
-        itinerary = load_itinerary(name).with_run(RunOptions(delay=1, lag=0.005))
+        itinerary = load_itinerary(name).with_run({"delay": 1, "lag": 0.005})
         plan = make_plan(itinerary)
         arms, loop = itinerary.model.arms, itinerary.loop
         controller = Assembly(plan.reference, arms, loop).controller

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import Case, Job, run_job
 
 BENCH = {
@@ -48,7 +47,7 @@ def plan_of(name: str) -> Plan:
 def completed(name: str, runs: int, **options: object) -> int:
     """Return the number of completed runs with these options."""
     plan = plan_of(name)
-    scene = plan.followed().itinerary.with_run(RunOptions(**{**BENCH, **options}))
+    scene = plan.followed().itinerary.with_run({**{**BENCH, **options}})
     done = 0
     for first in range(0, runs, 64):
         seeds = tuple(range(first, min(first + 64, runs)))

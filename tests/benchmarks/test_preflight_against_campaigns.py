@@ -16,16 +16,21 @@ from scipy.optimize import isotonic_regression
 from dpcontrol.judge.preflight import HazardBorder, Preflight
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import CampaignSettings, Case, cases_of, run_campaign
 from dpcontrol.runs.preflight import preflight
 
 pytestmark = pytest.mark.benchmark
 
 SCENES = ("turn-from-rest", "up-up", "round-trip-from-rest", "outer-turn", "cross", "turn-cross-turn-return")
-BENCH = RunOptions(
-    lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.02, counts=40_000, travel=0.8, mismatch=0.1
-)  # fmt: skip
+BENCH = {
+    "lag": 0.005,
+    "command_noise": 0.3,
+    "initial_error": 0.05,
+    "zero_error": 0.02,
+    "counts": 40_000,
+    "travel": 0.8,
+    "mismatch": 0.1,
+}
 RUNS, FINER_RUNS, FIRST_SEED = 1000, 300, 30_000
 NEAR = 1.25
 RATIOS = NEAR ** np.array([-1.0, 0.0, 1.0])

@@ -35,7 +35,6 @@ from dpcontrol.pages import style
 from dpcontrol.plans.itinerary import Itinerary, load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.plans.planning import shadowing_orbit
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import Job, cases_of, run_job
 from dpcontrol.shooting.newton import solve_shooting
 from dpcontrol.walks.shadowing import ShadowingOrbit, described
@@ -44,7 +43,7 @@ pytestmark = pytest.mark.benchmark
 
 SCENES = ("cross", "outer-turn", "turn-from-rest")
 MISMATCHES = (0.2, 0.3)
-BENCH = RunOptions(lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.02, counts=40_000, travel=0.8)
+BENCH = {"lag": 0.005, "command_noise": 0.3, "initial_error": 0.05, "zero_error": 0.02, "counts": 40_000, "travel": 0.8}
 RUNS, FIRST_SEED = 128, 40_000
 FAILED, COMPLETED = 16, 6
 """Largest number of seeds of each kind with new plans."""

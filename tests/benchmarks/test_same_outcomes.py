@@ -7,7 +7,6 @@ import pytest
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import Job, cases_of, run_job
 
 pytestmark = pytest.mark.benchmark
@@ -16,9 +15,9 @@ SEEDS = 300
 SAME = 0.99
 """Share of seeds whose outcome is the same."""
 BENCHES = {
-    "as it should be": RunOptions(mismatch=0.05, initial_error=0.05, counts=40_000, delay=1, lag=0.005),
+    "as it should be": {"mismatch": 0.05, "initial_error": 0.05, "counts": 40_000, "delay": 1, "lag": 0.005},
     # Where many runs fail, each by its own way out: the hardest place to come to the same outcome.
-    "too hard": RunOptions(mismatch=0.2, initial_error=0.1, counts=40_000, delay=1, lag=0.005),
+    "too hard": {"mismatch": 0.2, "initial_error": 0.1, "counts": 40_000, "delay": 1, "lag": 0.005},
 }
 
 

@@ -11,6 +11,7 @@ of one core.
 import json
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,6 @@ from dpcontrol.control.tracking import AdaptiveSettings
 from dpcontrol.pages import style
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import Case, Job, cases_of, run_job
 
 pytestmark = pytest.mark.benchmark
@@ -33,15 +33,21 @@ FACTORS = (0.5, 1.0, 2.0, 4.0)
 FIRST = (0.03, 0.07)
 """Standard deviations of the parameters' relative errors at the start."""
 FAR_OFF = ("turn-from-rest", "outer-turn", "cross")
-BENCH = RunOptions(
-    lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.02, counts=40_000, travel=0.8, mismatch=0.3
-)  # fmt: skip
+BENCH = {
+    "lag": 0.005,
+    "command_noise": 0.3,
+    "initial_error": 0.05,
+    "zero_error": 0.02,
+    "counts": 40_000,
+    "travel": 0.8,
+    "mismatch": 0.3,
+}
 QUIET, RUNS, FIRST_SEED = 24, 100, 30_000
 STORED = Path(__file__).with_name("weights.json")
 PICTURE = Path(__file__).parents[2] / ".assets" / "weights.png"
 
 
-def rows(name: str, options: RunOptions, factor: float, first: float, runs: int) -> list[dict[str, Any]]:
+def rows(name: str, options: Mapping[str, Any], factor: float, first: float, runs: int) -> list[dict[str, Any]]:
     plan = make_plan(load_itinerary(name))
     (case,) = cases_of(plan.itinerary, fixed=options, over={})
     law, default = case.loop.controller, AdaptiveSettings()
@@ -57,7 +63,7 @@ def rows(name: str, options: RunOptions, factor: float, first: float, runs: int)
 
 
 def measured(factor: float, first: float) -> dict[str, float]:
-    quiet = rows("outer-turn", RunOptions(), factor, first, QUIET)
+    quiet = rows("outer-turn", {}, factor, first, QUIET)
     done = [row["completed"] for name in FAR_OFF for row in rows(name, BENCH, factor, first, RUNS)]
     feedback, error = (float(np.median([row[key] for row in quiet])) for key in ("rms_feedback", "rms_tracking_error"))
     return {

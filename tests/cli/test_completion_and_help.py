@@ -31,7 +31,7 @@ def offered(line: str) -> list[str]:
         ("dpcontrol plan ", {file.stem for file in (ROOT / "itineraries").glob("*.toml")}),
         ("dpcontrol run outer", {"outer-turn"}),
         ("dpcontrol model ", {file.stem for file in (ROOT / "models").glob("*.toml")}),
-        ("dpcontrol run outer-turn --plant lab-", {"lab-identified"}),
+        ("dpcontrol run outer-turn --set plant=lab-", {"lab-identified"}),
         ("dpcontrol guide ", {file.stem for file in GUIDE.glob("*.md")} - {"README"}),
         ("dpcontrol run outer-turn --controller ", set(CONTROLLERS)),
         ("dpcontrol campaign outer-turn --estimator ", set(ESTIMATORS)),

@@ -1,5 +1,8 @@
-"""A log, table or model is replaced by the very command that would make it again, and by no other without --force."""
+"""A file that --out names is replaced by the command that made it, and by no other without --force. Default names are
+free names.
+"""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +10,9 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import claimed
 from dpcontrol.logs import LogWriter, check_replaced, recover
+from dpcontrol.runs.campaign import Job, run_job
 
 STILL = "still.toml"
 SCENE = """
@@ -48,13 +53,13 @@ def kept(file: Path, line: str, naming: str) -> None:
 def test_a_run_with_other_settings_leaves_the_log_of_a_run() -> None:
     assert dpcontrol("run", STILL).code == 0
     assert dpcontrol("run", STILL).code == 0
-    kept(LOG, f"run {STILL} --mismatch 0.07", "holds another log (not the same: run_settings)")
+    kept(LOG, f"run {STILL} --mismatch 0.07 --out {LOG}", "holds another log (not the same: run_settings)")
     kept(LOG, f"run {STILL} --seed 5 --out {LOG}", "holds another log (not the same: ")
 
 
 def test_a_file_that_is_not_a_log_is_not_replaced() -> None:
     LOG.write_text("my notes")
-    kept(LOG, f"run {STILL}", "is not a complete log")
+    kept(LOG, f"run {STILL} --out {LOG}", "is not a complete log")
 
 
 def written(path: Path, *, rig: str | None = None, ticks: int = 50) -> None:
@@ -69,7 +74,7 @@ def test_logs_of_a_rig_are_always_kept() -> None:
     with pytest.raises(InputError, match="is a log from a rig"):
         check_replaced(LOG, {"seed": "0"})
     # Before any bench is looked for: nothing answers there.
-    ended = dpcontrol("run", STILL, "--rig", "udp://127.0.0.1:9")
+    ended = dpcontrol("run", STILL, "--rig", "udp://127.0.0.1:9", "--out", str(LOG))
     assert ended.code == 2
     assert "is a log from a rig" in ended.message
     written(LOG)
@@ -80,7 +85,7 @@ def test_logs_of_a_rig_are_always_kept() -> None:
 
 def test_a_campaign_goes_on_in_its_own_table_and_leaves_every_other() -> None:
     table = Path("logs/still.parquet")
-    line = f"campaign {STILL} --workers 1 --runs"
+    line = f"campaign {STILL} --workers 1 --out {table} --runs"
     assert dpcontrol(*line.split(), "1").code == 0
     assert dpcontrol(*line.split(), "2").code == 0
     kept(table, f"{line} 1", "holds another campaign, or more runs of this one")
@@ -91,7 +96,7 @@ def test_a_campaign_goes_on_in_its_own_table_and_leaves_every_other() -> None:
 
 def test_an_import_leaves_the_log_of_another_recording() -> None:
     log = Path("logs/lab-swings-0.mcap")
-    line = "import --simulated lab --seconds 0.5 --swings"
+    line = f"import --simulated lab --seconds 0.5 --out {log} --swings"
     assert dpcontrol(*line.split(), "2").code == 0
     assert dpcontrol(*line.split(), "2").code == 0
     kept(log, f"{line} 1", "holds another log (not the same: ")
@@ -126,3 +131,62 @@ def test_a_recovered_log_takes_no_other_logs_place(folder: Path) -> None:
     recover(folder / "cut.mcap", folder / "new.mcap")
     recover(folder / "cut.mcap", folder / "whole.mcap", force=True)
     assert (folder / "whole.mcap").read_bytes() != content
+
+
+def named(line: str) -> str:
+    """Return the file or folder that a command wrote, as it printed it."""
+    ended = dpcontrol(*line.split(), "--json")
+    assert ended.code == 0, ended.stderr
+    written = ended.document.get("log") or ended.document["file"]
+    return str(written)
+
+
+def test_a_default_name_is_a_free_name_and_the_same_command_keeps_its_own() -> None:
+    first, second, third = f"run {STILL}", f"run {STILL} --mismatch 0.07", f"run {STILL} --mismatch 0.08"
+    for _ in range(2):
+        assert named(first) == "logs/still-0.mcap"
+        assert named(second) == "logs/still-0.2.mcap"
+        assert named(third) == "logs/still-0.3.mcap"
+    assert named(f"{third} --force") == "logs/still-0.mcap"
+    line = "import --simulated lab --seconds 0.5 --swings"
+    assert [named(f"{line} {k}") for k in (1, 2, 1)] == [f"logs/lab-swings-0{k}.mcap" for k in ("", ".2", "")]
+    line = "replay logs/lab-swings-0.mcap --counts"
+    assert [named(f"{line} {k}") for k in (400, 500)] == [f"logs/lab-swings-0-replay{k}.mcap" for k in ("", ".2")]
+
+
+def test_a_log_that_is_being_written_gives_the_next_name() -> None:
+    with claimed(LOG):
+        assert named(f"run {STILL}") == "logs/still-0.2.mcap"
+    assert named(f"run {STILL} --seed 0") == "logs/still-0.mcap"
+
+
+def test_a_campaign_with_other_settings_gets_a_table_of_the_next_name() -> None:
+    line = f"campaign {STILL} --workers 1 --runs"
+    assert [named(f"{line} {k}") for k in ("1", "2", "1", "2 --mismatch 0.07")] == [
+        "logs/still.parquet", "logs/still.parquet", "logs/still.2.parquet", "logs/still.3.parquet",
+    ]  # fmt: skip
+
+
+def test_an_interrupted_campaign_continues_its_own_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[dict[str, object]]]]:
+        yield jobs[0], run_job(jobs[0])
+        raise KeyboardInterrupt
+
+    line = f"campaign {STILL} --workers 1 --runs 2 --over mismatch=0.01,0.02"
+    with monkeypatch.context() as patched:
+        patched.setattr("dpcontrol.runs.campaign.run_locally", interrupted)
+        assert dpcontrol(*line.split()).code == 130
+    kept = list(Path("logs/still.parquet.parts").glob("*.parquet"))
+    assert len(kept) == 1
+    assert named(f"campaign {STILL} --workers 1 --runs 2 --mismatch 0.07") == "logs/still.2.parquet"
+    assert list(Path("logs/still.parquet.parts").glob("*.parquet")) == kept
+    asked: list[int] = []
+
+    def counted(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[dict[str, object]]]]:
+        asked.append(len(jobs))
+        return ((job, run_job(job)) for job in jobs)
+
+    monkeypatch.setattr("dpcontrol.runs.campaign.run_locally", counted)
+    assert named(line) == "logs/still.parquet"
+    assert asked == [1]
+    assert not Path("logs/still.parquet.parts").exists()

@@ -37,7 +37,7 @@ def test_the_document_has_the_probability_endings_limits_and_helpful_changes(tmp
         (("outer-turm",), "outer-turn"),
         (("outer-turn", "--mismatch", "2"), "mismatch = 2"),
         (("outer-turn", "--controller", "tvlqg"), "tvlqr"),
-        (("outer-turn", "--model-uncertainty", "1"), "[uncertainty]"),
+        (("outer-turn", "--set", "model_uncertainty=1"), "[uncertainty]"),
         (("outer-turn", "--runs", "3"), "runs = 3"),
         (("outer-turn", "--picture", "page.svg"), "--picture"),
         (("outer-turn", "--picture", "."), "--picture"),

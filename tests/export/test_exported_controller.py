@@ -18,7 +18,6 @@ from dpcontrol.foundation.files import write_folder
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.run import export_plan, run_plan
 
 SAME = {"double": 1e-9, "float": 1e-2}  # m/s²: rounding of sines times the law's gains.
@@ -116,7 +115,7 @@ def test_a_law_with_a_known_lag_is_exported_with_it(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, controller: str
 ) -> None:
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))
-    scene = plan.itinerary.with_run(RunOptions(lag=0.02, drive_lag=0.02, controller=controller))
+    scene = plan.itinerary.with_run({"lag": 0.02, "drive_lag": 0.02, "controller": controller})
     source = export_plan(replace(plan, itinerary=scene), tmp_path / "lag")
     assert "gain 6, acceleration, gain on acceleration" in source.files["dpc_tables.h"]
     program = compiled("gcc", "-O0", folder=tmp_path / "lag", out="replay", sources=[*SOURCES, "main_replay.c"])
@@ -220,7 +219,7 @@ def test_the_library_takes_the_ticks_place_in_a_run(plan: Plan, exported: Export
     made = library(exported[0])
     log = tmp_path / "run.mcap"
     ended = dpcontrol("run", "outer-turn", "--seed", "1", "--controller-library", made, "--out", log, "--json")
-    own = run_plan(replace(plan, itinerary=load_itinerary("outer-turn").with_run(RunOptions(), seed=1))).score()
+    own = run_plan(replace(plan, itinerary=load_itinerary("outer-turn").with_run({}, seed=1))).score()
     assert ended.code == 0, ended.message
     shown = ended.document
     assert (shown["completed"], shown["symbols_completed"]) == (True, own.symbols_completed)
@@ -241,8 +240,8 @@ def test_the_library_takes_the_ticks_place_in_a_run(plan: Plan, exported: Export
         (["--controller", "feedforward"], "law"),
         (["--travel", "0.3"], "limits"),
         (["--counts", "5000"], "settings of estimator"),
-        (["--hold", "nearest"], "hold"),
-        (["--rate-noise", "0.1"], "measured rates"),
+        (["--set", "hold=nearest"], "hold"),
+        (["--set", "sensors.rate_noise=0.1"], "measured rates"),
         (["--controller", "ogy"], "clock of its own"),
         (["--estimator", "ukf"], "ukf"),
     ],
@@ -259,7 +258,7 @@ def test_a_library_of_other_settings_is_rejected(
 
 
 def test_a_library_for_another_bench_runs_with_any_mismatch_and_seed(double: Exported, plan: Plan) -> None:
-    scene = load_itinerary("outer-turn").with_run(RunOptions(mismatch=0.05, lag=0.002, zero_error=0.02), seed=7)
+    scene = load_itinerary("outer-turn").with_run({"mismatch": 0.05, "lag": 0.002, "zero_error": 0.02}, seed=7)
     assert run_plan(replace(plan, itinerary=scene), library=library(double[0])).converged
 
 
@@ -284,7 +283,7 @@ def test_a_file_that_is_not_a_library_is_rejected(tmp_path: Path, double: Export
     [
         ("keep-down-up", [], 'kind = "ogy"'),
         ("linger", [], 'keep = "tvlqr"'),
-        ("outer-turn", ["--hold", "nearest"], 'hold = "nearest"'),
+        ("outer-turn", ["--set", "hold=nearest"], 'hold = "nearest"'),
         ("outer-turn", ["--estimator", "ukf"], 'kind = "ukf"'),
         ("outer-turn", ["--estimator", "ekf-filterpy"], 'kind = "ekf-filterpy"'),
         ("outer-turn", ["--delay", "9"], "8 ahead"),

@@ -13,13 +13,12 @@ from dpcontrol.loop.bench import Push
 from dpcontrol.pages.series import strips
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.run import run_plan
 
 
 @pytest.fixture(scope="module")
 def log():
-    scene = load_itinerary("outer-turn").with_run(RunOptions(on_fall="resume", lag=0.005, travel=0.8), seed=3)
+    scene = load_itinerary("outer-turn").with_run({"on_fall": "resume", "lag": 0.005, "travel": 0.8}, seed=3)
     blows = (Push(1.7, 0, 0.02), Push(3.0, 1, 0.02))
     loop = replace(scene.loop, disturbances=replace(scene.loop.disturbances, explicit=blows))
     return run_plan(make_plan(replace(scene, loop=loop))).log

@@ -7,7 +7,6 @@ from coarse_benches import completed, delays_of_stuck_scales, flown
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.run_options import RunOptions
 
 pytestmark = pytest.mark.slow
 
@@ -21,14 +20,14 @@ def turn_from_rest() -> Plan:
     ("rate", "scale", "counts"), [(200.0, 2e-4, 1000), (200.0, 1e-4, 40_000), (1000.0, 2e-4, 4000)]
 )
 def test_runs_with_coarse_encoders_complete(turn_from_rest: Plan, rate: float, scale: float, counts: int) -> None:
-    options = RunOptions(rate=rate, cart_resolution=scale, counts=counts)
+    options = {"rate": rate, "cart_resolution": scale, "counts": counts}
     assert completed(turn_from_rest, options, range(32)) == (1.0, [])
 
 
 # The cart must move by ten counts, which are 2 mm on the coarse scale.
 @pytest.mark.parametrize(("scale", "within"), [(1e-6, 0.05), (2e-4, 0.25)])
 def test_a_stuck_scale_is_found(turn_from_rest: Plan, scale: float, within: float) -> None:
-    delays = delays_of_stuck_scales(turn_from_rest, RunOptions(cart_resolution=scale), range(6))
+    delays = delays_of_stuck_scales(turn_from_rest, {"cart_resolution": scale}, range(6))
     # The others wait for a cart that creeps to move on.
     assert sorted(delays)[2] <= within
     # At 1 µm the run of seed 3 ends before its scale is called stuck.
@@ -37,5 +36,5 @@ def test_a_stuck_scale_is_found(turn_from_rest: Plan, scale: float, within: floa
 
 def test_arms_held_for_a_minute_have_no_stuck_sensor() -> None:
     plan = make_plan(load_itinerary("hold-up-up"))
-    options = RunOptions(cart_resolution=2e-4, counts=1000, rate=200.0)
+    options = {"cart_resolution": 2e-4, "counts": 1000, "rate": 200.0}
     assert not [flight.run.reason for flight in flown(plan, options, range(8)) if "stuck" in flight.run.reason]

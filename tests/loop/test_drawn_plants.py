@@ -22,7 +22,6 @@ from dpcontrol.loop.bench import (
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
 from dpcontrol.runs.campaign import Case, Job
 
@@ -90,7 +89,7 @@ def test_asking_for_what_is_not_known_is_refused() -> None:
     with pytest.raises(InputError, match="model_uncertainty = -1"):
         LoopSettings(seed=0, model_uncertainty=-1.0)
     with pytest.raises(InputError, match=r"lab.toml has no \[uncertainty\]"):
-        load_itinerary("outer-turn").with_run(RunOptions(model_uncertainty=1.0))
+        load_itinerary("outer-turn").with_run({"model_uncertainty": 1.0})
 
 
 def test_an_itinerary_may_ask_for_it_where_its_model_tells(tmp_path: Path) -> None:
@@ -100,7 +99,7 @@ def test_an_itinerary_may_ask_for_it_where_its_model_tells(tmp_path: Path) -> No
     scene = load_itinerary(str(file))
     assert scene.loop.model_uncertainty == 2.0
     assert scene.uncertainty == load_model("lab-identified").uncertainty
-    assert scene.with_run(RunOptions(model_uncertainty=0.0)).uncertainty is None
+    assert scene.with_run({"model_uncertainty": 0.0}).uncertainty is None
 
 
 def test_rows_of_a_campaign_are_told_apart_by_what_their_plants_are_drawn_from() -> None:

@@ -11,14 +11,19 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 
 HELD = 0.1  # rad: as the score allows.
 SECONDS = 5.0
 ROUGH = replace(LAB, coulomb=(0.002, 0.001), smoothing=0.005)
-BENCH = RunOptions(
-    initial_error=0.05, lag=0.005, command_noise=0.3, zero_error=0.02, counts=40_000, travel=0.8, mismatch=0.05
-)
+BENCH = {
+    "initial_error": 0.05,
+    "lag": 0.005,
+    "command_noise": 0.3,
+    "zero_error": 0.02,
+    "counts": 40_000,
+    "travel": 0.8,
+    "mismatch": 0.05,
+}
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import Ending, SupervisorSettings
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 
 TRAVEL = 0.4
 NEAR_ORBIT = 0.2
@@ -71,7 +70,7 @@ def test_the_nearest_orbit_is_held_to_the_end_of_the_run(tmp_path: Path) -> None
 
 
 def test_without_it_the_same_push_ends_the_run_with_the_cart_at_rest(tmp_path: Path) -> None:
-    ended, log = pushed(tmp_path, "--hold", "none")
+    ended, log = pushed(tmp_path, "--set", "hold=none")
     assert ended.code == 1
     assert log.metadata["ending"] == Ending.TRACKING_LOST.value
     assert log.time[-1] < 3.0
@@ -87,11 +86,11 @@ def test_what_cannot_be_held_is_refused() -> None:
 
 @pytest.mark.parametrize(("name", "own"), [("hold-up-up", "up-up"), ("keep-up-down", "the orbit about up-down")])
 def test_the_orbits_and_equilibria_of_a_reference_and_hanging_still_are_candidates(name: str, own: str) -> None:
-    itinerary = load_itinerary(name).with_run(RunOptions(hold="nearest"))
+    itinerary = load_itinerary(name).with_run({"hold": "nearest"})
     reference = make_plan(itinerary).reference
     fallback = Assembly(reference, itinerary.model.arms, itinerary.loop).fallback
     assert fallback is not None
     assert fallback.session(0, reference.state(0.0))[1].startswith(f"holds {own}")
     hanging = np.array([2 * np.pi, 0.02, 0.0, 0.0, 0.1, 0.0])
     assert fallback.session(0, hanging)[1] == "holds down-down, 0.0064 (scaled) away, by lqr"
-    assert Assembly(reference, itinerary.model.arms, itinerary.with_run(RunOptions(hold="none")).loop).fallback is None
+    assert Assembly(reference, itinerary.model.arms, itinerary.with_run({"hold": "none"}).loop).fallback is None

@@ -5,8 +5,10 @@ rounding errors of arms at rest are not white, and at ±20 % squares of the erro
 """
 
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +24,6 @@ from dpcontrol.loop.bench import DriveSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference
 
 QUICK = (0.35, 1.6)
@@ -34,9 +35,15 @@ EARLY = (0.4, 1.75)
 STATES = (0.55, 1.25)
 SLOW = (0.35, 1.8)
 """Of angles: rounding of an arm that hardly moves is no white noise, and a zero is first known by its prior."""
-SAME_BENCH = RunOptions(
-    lag=0.005, drive_lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.02, counts=40_000, travel=0.8
-)  # fmt: skip
+SAME_BENCH = {
+    "lag": 0.005,
+    "drive_lag": 0.005,
+    "command_noise": 0.3,
+    "initial_error": 0.05,
+    "zero_error": 0.02,
+    "counts": 40_000,
+    "travel": 0.8,
+}
 UNTOLD = replace(SAME_BENCH, drive_lag=None)
 
 
@@ -63,7 +70,7 @@ def test_states_and_parameters_err_by_what_the_filter_expects(turn: tuple[StandI
 def flown(request: pytest.FixtureRequest):
     plan = make_plan(load_itinerary(request.param))
 
-    def fly(options: RunOptions, mismatch: float) -> Beliefs:
+    def fly(options: Mapping[str, Any], mismatch: float) -> Beliefs:
         loop = plan.itinerary.with_run(replace(options, mismatch=mismatch)).loop
         arms = plan.itinerary.model.arms
         law = Assembly(plan.reference, arms, loop).controller

@@ -14,14 +14,19 @@ from dpcontrol.loop.recovery import Reach, meeting_tick
 from dpcontrol.loop.result import Ending, NoSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 
 pytestmark = pytest.mark.slow
 """Ways from rest to the stops take most of a minute to plan."""
 
-BENCH = RunOptions(
-    on_fall="resume", lag=0.005, command_noise=0.3, zero_error=0.01, initial_error=0.05, mismatch=0.05, travel=0.8
-)
+BENCH = {
+    "on_fall": "resume",
+    "lag": 0.005,
+    "command_noise": 0.3,
+    "zero_error": 0.01,
+    "initial_error": 0.05,
+    "mismatch": 0.05,
+    "travel": 0.8,
+}
 FALLS = (Push(1.7, 0, 0.02), Push(3.0, 1, 0.02))
 """Blows that the law does not bear on seed 3."""
 

@@ -8,7 +8,7 @@ from shadowing_stand_in import LAB
 
 from dpcontrol.control.tick import KnownMechanics
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import parse_toml
+from dpcontrol.foundation.settings import Place, parse_toml
 from dpcontrol.loop.bench import BenchSettings, MechanicsSettings, Unlike, draw_bench
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.simulated import SimulatedRig
@@ -19,9 +19,8 @@ LIMITS = Limits(position=0.4, velocity=3.0, acceleration=30.0)
 
 
 def read(text: str) -> MechanicsSettings:
-    table = parse_toml(f"[run]\n{text}\n", "scene.toml")
-    none = {name: table.table(name) for name in ("controller", "estimator", "supervisor")}
-    return read_run_settings(table.table("run"), **none).mechanics
+    document = parse_toml(f"[run]\n{text}\n", "scene.toml")
+    return read_run_settings(document, Place("scene.toml"))[0].mechanics
 
 
 @pytest.mark.parametrize(

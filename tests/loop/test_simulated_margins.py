@@ -13,7 +13,6 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 
 NEAR, NEAR_IN_FLIGHT = 0.25, 0.5
 """Share by which a margin may miss the border of the simulated runs. In flight the border is no line: runs with other
@@ -24,7 +23,7 @@ SHAKEN = 0.5
 """rms of what feedback moves the cart by, as a share of its greatest acceleration: more is a swing that limits contain.
 """
 SEEDS = range(8)
-BENCH = RunOptions(initial_error=2e-3, counts=40_000, travel=0.8)
+BENCH = {"initial_error": 2e-3, "counts": 40_000, "travel": 0.8}
 
 
 def keeps(run: BatchRun, most: float) -> bool:

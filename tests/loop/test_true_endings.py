@@ -13,7 +13,6 @@ from ending_truth import Flight, class_of, flights, untrue, untrue_score
 from dpcontrol.loop.result import Ending
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.run_options import RunOptions
 
 BENCH = {"initial_error": 0.05, "command_noise": 0.3, "controller": "tvlqr"}
 
@@ -24,7 +23,7 @@ def plan() -> Plan:
 
 
 def flown(plan: Plan, *, seed: int = 0, **options: Any) -> Flight:
-    (flight,) = flights(plan.itinerary.with_run(RunOptions(**{**BENCH, **options})), plan.reference, [seed])
+    (flight,) = flights(plan.itinerary.with_run({**{**BENCH, **options}}), plan.reference, [seed])
     return flight
 
 
@@ -48,7 +47,7 @@ def test_an_ending_says_what_was_true(plan: Plan, options: dict[str, Any], kind:
 def test_the_carts_velocity_is_told_where_its_scale_bears_it_out(plan: Plan) -> None:
     with_and_without = []
     for knocks in (0, 5):
-        options = RunOptions(**BENCH, travel=0.25, rate=200.0, knocks=knocks, knock_velocity=1.5, mismatch=0.25)
+        options = {**BENCH, "travel": 0.25, "rate": 200.0, "knocks": knocks, "knock_velocity": 1.5, "mismatch": 0.25}
         stopped = [
             flight for flight in flights(plan.itinerary.with_run(options), plan.reference, range(16))
             if flight.run.ending is Ending.CART_STOP
@@ -65,7 +64,7 @@ def test_the_carts_velocity_is_told_where_its_scale_bears_it_out(plan: Plan) -> 
 
 
 def test_a_lost_estimate_is_one_that_was_wrong(plan: Plan) -> None:
-    scene = plan.itinerary.with_run(RunOptions(**BENCH, mismatch=0.8, lag=0.03, travel=10.0))
+    scene = plan.itinerary.with_run({**BENCH, "mismatch": 0.8, "lag": 0.03, "travel": 10.0})
     # A filter that knows nothing of its model's errors.
     strict = replace(scene.loop.estimator, augment=("zeros",), parameter_error=0.0, rate_noise=1e-5, cart_noise=1e-3)
     found = flights(replace(scene, loop=replace(scene.loop, estimator=strict)), plan.reference, range(8))
@@ -75,7 +74,7 @@ def test_a_lost_estimate_is_one_that_was_wrong(plan: Plan) -> None:
 
 
 def test_a_limit_switch_is_where_it_is_said_to_be(plan: Plan) -> None:
-    scene = plan.itinerary.with_run(RunOptions(**BENCH, mismatch=0.1))
+    scene = plan.itinerary.with_run({**BENCH, "mismatch": 0.1})
     short = replace(scene.loop, drive=replace(scene.loop.drive, track=0.02))
     (flight,) = flights(replace(scene, loop=short), plan.reference, range(1))
     assert class_of(flight) == "limit switch"

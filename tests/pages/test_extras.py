@@ -11,7 +11,6 @@ from dpcontrol.pages.page import draw
 from dpcontrol.pages.series import extra_charts
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.run import Run, run_plan
 
 SIGMAS = 5.0
@@ -22,7 +21,7 @@ KNOWN = ("M11", "M22", "S1", "S2")
 
 def run_of(log: Path | None = None, **options: float | str) -> Run:
     plan = make_plan(load_itinerary("outer-turn"))
-    return run_plan(replace(plan, itinerary=plan.itinerary.with_run(RunOptions(**options), seed=3)), log)
+    return run_plan(replace(plan, itinerary=plan.itinerary.with_run({**options}, seed=3)), log)
 
 
 @pytest.fixture(scope="module")

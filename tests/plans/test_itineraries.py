@@ -10,7 +10,6 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan, plan_key
 from dpcontrol.plans.planning import shadowing_orbit
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.run import run_plan
 from tests.command_line import dpcontrol
 
@@ -136,7 +135,7 @@ def test_two_turns_are_planned_and_run(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["ukf", "ekf-filterpy"])
 def test_another_estimator_asks_for_what_the_adaptive_law_counts_on(kind: str) -> None:
-    loop = load_itinerary("outer-turn").with_run(RunOptions(estimator=kind)).loop
+    loop = load_itinerary("outer-turn").with_run({"estimator": kind}).loop
     assert loop.controller.kind == "adaptive"
     assert loop.estimator.kind == kind
     assert set(loop.estimator.augment) == {"zeros", "drive", "friction", "dry", "parameters"}

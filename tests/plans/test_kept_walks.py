@@ -21,7 +21,6 @@ from dpcontrol.logs import RunLog, read_log
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan, plan_key
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.problem import state_scale
 from dpcontrol.references.trajectory import power_coefficients
 from dpcontrol.runs.run import run_plan
@@ -124,13 +123,13 @@ def test_a_stop_without_room_for_a_period_is_flown_through(scene: Writer) -> Non
 
 def test_only_the_file_decides_the_plan(scene: Writer) -> None:
     kept = load_itinerary(str(scene()))
-    assert plan_key(kept.with_run(RunOptions(keep="none", controller="adaptive"))) == plan_key(kept)
+    assert plan_key(kept.with_run({"keep": "none", "controller": "adaptive"})) == plan_key(kept)
     assert plan_key(load_itinerary(str(scene(keep="")))) != plan_key(kept)
-    assert kept.with_run(RunOptions(controller="adaptive")).loop.keep == "none"
+    assert kept.with_run({"controller": "adaptive"}).loop.keep == "none"
 
 
 def flown(plan: Plan, out: Path, seed: int, **settings: float | str) -> RunLog:
-    itinerary = plan.itinerary.with_run(RunOptions(**settings), seed=seed)
+    itinerary = plan.itinerary.with_run({**settings}, seed=seed)
     run_plan(replace(plan, itinerary=itinerary), out)
     return read_log(out)
 
@@ -165,7 +164,7 @@ def test_ogy_hands_over_to_tvlqr_and_back_with_a_plant_five_per_cent_off(
 @pytest.mark.slow
 def test_a_run_is_repeated_from_its_log_message_for_message(scene: Writer, tmp_path: Path) -> None:
     log = tmp_path / "first.mcap"
-    done = dpcontrol("run", scene(), "--mismatch", "0.03", "--seed", "4", "--hold", "nearest", "--out", log)
+    done = dpcontrol("run", scene(), "--mismatch", "0.03", "--seed", "4", "--set", "hold=nearest", "--out", log)
     assert done.code == 0, done.message
     again = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap")
     assert again.code == 0
@@ -190,14 +189,14 @@ def test_programs_and_fallbacks_are_left_to_the_loop(scene: Writer) -> None:
     assert isinstance(kept.controller, Program)
     assert kept.controller.kind == "tvlqr, stays by ogy"
     assert not kept.lockstep
-    tracking = Assembly(plan.reference, arms, itinerary.with_run(RunOptions(keep="none")).loop)
+    tracking = Assembly(plan.reference, arms, itinerary.with_run({"keep": "none"}).loop)
     assert tracking.lockstep
-    assert not tracking.under(itinerary.with_run(RunOptions(keep="none", hold="nearest")).loop).lockstep
+    assert not tracking.under(itinerary.with_run({"keep": "none", "hold": "nearest"}).loop).lockstep
 
 
 def test_a_reference_without_stays_has_nothing_to_keep() -> None:
     plan = make_plan(load_itinerary("outer-turn"))
-    loop = plan.itinerary.with_run(RunOptions(controller="tvlqr", keep="ogy")).loop
+    loop = plan.itinerary.with_run({"controller": "tvlqr", "keep": "ogy"}).loop
     with pytest.raises(InputError, match="the reference was planned without stays"):
         _ = Assembly(plan.reference, plan.itinerary.model.arms, loop).controller
 
@@ -222,8 +221,8 @@ def test_a_mistake_is_one_sentence(changes: dict[str, str], naming: str, scene: 
 
 
 @pytest.mark.parametrize(
-    ("option", "naming"), [(("--keep", "ogi"), "'ogy'"), (("--hold", "neares"), "'nearest'"),
-                           (("--controller", "adaptive", "--keep", "ogy"), 'not "adaptive"')],
+    ("option", "naming"), [(("--set", "keep=ogi"), "'ogy'"), (("--set", "hold=neares"), "'nearest'"),
+                           (("--controller", "adaptive", "--set", "keep=ogy"), 'not "adaptive"')],
 )  # fmt: skip
 def test_a_mistaken_option_is_one_sentence(option: tuple[str, ...], naming: str, scene: Writer) -> None:
     ended = dpcontrol("run", scene(), *option)
@@ -233,6 +232,6 @@ def test_a_mistaken_option_is_one_sentence(option: tuple[str, ...], naming: str,
 
 
 def test_a_walk_whose_stops_are_kept_cannot_get_up_and_says_so_before_it_is_planned() -> None:
-    with pytest.raises(InputError, match=r"keep = 'tvlqr'.* run with --keep none"):
-        load_itinerary("linger").with_run(RunOptions(on_fall="resume"))
-    assert load_itinerary("linger").with_run(RunOptions(on_fall="resume", keep="none")).loop.keep == "none"
+    with pytest.raises(InputError, match=r"keep = 'tvlqr'.* run with --set keep=none"):
+        load_itinerary("linger").with_run({"on_fall": "resume"})
+    assert load_itinerary("linger").with_run({"on_fall": "resume", "keep": "none"}).loop.keep == "none"

@@ -1,7 +1,9 @@
 """A plant with arms and laws of friction of its own, which the controller's model does not have."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,6 @@ from dpcontrol.foundation.shipped import find
 from dpcontrol.plans.itinerary import Itinerary, itinerary_from, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.campaign import CampaignSettings, cases_of, run_campaign
 from dpcontrol.runs.run import run_plan
 
@@ -35,20 +36,20 @@ def turn() -> Itinerary:
 
 
 def test_the_plant_is_the_files_and_the_model_stays(turn: Itinerary, rusty: Path) -> None:
-    scene = turn.with_run(RunOptions(plant=str(rusty), mismatch=0.0))
+    scene = turn.with_run({"plant": str(rusty), "mismatch": 0.0})
     assert scene.loop.draw(scene.model.arms, ticks=2).plant.arms == load_model(str(rusty)).arms
     assert scene.model.arms == load_model("lab").arms
 
 
 def test_mismatch_and_the_factor_on_friction_go_with_the_plants_own(turn: Itinerary, rusty: Path) -> None:
     own = load_model(str(rusty)).arms
-    scene = turn.with_run(RunOptions(plant=str(rusty), mismatch=0.05, friction=3.0), seed=4)
+    scene = turn.with_run({"plant": str(rusty), "mismatch": 0.05, "friction": 3.0}, seed=4)
     drawn = scene.loop.draw(scene.model.arms, ticks=2).plant.arms
     assert np.all(np.abs(np.divide(drawn.mass, own.mass) - 1) <= 0.05)
     for law in ("viscous", "coulomb", "quadratic"):
         factor = np.divide(getattr(drawn, law), getattr(own, law))
         assert np.all((factor >= 3 * 0.75) & (factor <= 3 * 1.25))
-    plain = turn.with_run(RunOptions(mismatch=0.05), seed=4)
+    plain = turn.with_run({"mismatch": 0.05}, seed=4)
     tripled = replace(plain.loop, friction=3.0).draw(plain.model.arms, ticks=2).plant.arms
     as_before = plain.loop.draw(plain.model.arms, ticks=2).plant.arms
     assert tripled == replace(as_before, viscous=tuple(3.0 * k for k in as_before.viscous))
@@ -72,27 +73,27 @@ def test_an_itinerary_names_its_plant_from_its_own_folder(rusty: Path) -> None:
 @pytest.mark.slow
 def test_lockstep_and_loop_run_the_same_plant_and_a_log_repeats_it(turn: Itinerary, rusty: Path) -> None:
     plan = make_plan(turn)
-    cases = cases_of(turn, fixed=RunOptions(plant=str(rusty), friction=1.5), over={})
+    cases = cases_of(turn, fixed={"plant": str(rusty), "friction": 1.5}, over={})
     rows = {}
     for path in ("compiled", "ticks"):
         settings = CampaignSettings(runs=2, workers=1, path=path)
         rows[path] = run_campaign(plan, cases, settings=settings, yes=True).rows
     for together, alone in zip(rows["compiled"], rows["ticks"], strict=True):
         assert together["rms_tracking_error"] == pytest.approx(alone["rms_tracking_error"], rel=SAME)
-    run = run_plan(replace(plan, itinerary=turn.with_run(RunOptions(plant=str(rusty), friction=1.5), seed=0)))
+    run = run_plan(replace(plan, itinerary=turn.with_run({"plant": str(rusty), "friction": 1.5}, seed=0)))
     assert run.score().rms_tracking_error == pytest.approx(rows["ticks"][0]["rms_tracking_error"], rel=SAME)
 
 
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (RunOptions(plant="nowhere.toml"), "plant = 'nowhere.toml': there is no file nowhere.toml"),
-        (RunOptions(plant="triple"), "the plant has 3 arms, the itinerary's model 2"),
-        (RunOptions(plant="three-body"), "has no arms and no cart"),
-        (RunOptions(plant="lab-identified", model_uncertainty=1.0), "model_uncertainty = 1.0: the plant has arms"),
-        (RunOptions(friction=-1.0), "friction = -1.0"),
+        ({"plant": "nowhere.toml"}, "plant = 'nowhere.toml': there is no file nowhere.toml"),
+        ({"plant": "triple"}, "the plant has 3 arms, the itinerary's model 2"),
+        ({"plant": "three-body"}, "has no arms and no cart"),
+        ({"plant": "lab-identified", "model_uncertainty": 1.0}, "model_uncertainty = 1.0: the plant has arms"),
+        ({"friction": -1.0}, "friction = -1.0"),
     ],
 )
-def test_an_impossible_plant_is_refused_in_one_sentence(turn: Itinerary, options: RunOptions, told: str) -> None:
+def test_an_impossible_plant_is_refused_in_one_sentence(turn: Itinerary, options: Mapping[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=told):
         turn.with_run(options)

@@ -10,7 +10,6 @@ from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.problem import state_scale
 from dpcontrol.references.trajectory import power_coefficients
 from dpcontrol.runs.run import run_plan
@@ -85,7 +84,7 @@ def test_a_run_through_two_energies_and_a_hold_is_completed(two_energies, tmp_pa
 
 @pytest.mark.slow
 def test_a_hold_that_is_lost_is_named(tmp_path):
-    itinerary = load_itinerary("up-up").with_run(RunOptions(controller="feedforward"))
+    itinerary = load_itinerary("up-up").with_run({"controller": "feedforward"})
     done = run_plan(make_plan(itinerary), tmp_path / "run.mcap").score()
     assert done.completed is False
     assert "rest to up-up" in done.reason or "up-up to rest" in done.reason

@@ -20,7 +20,6 @@ from dpcontrol.logs import RunLog
 from dpcontrol.plans import atlas
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan, plan_key
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.references.reference import Reference, load_reference, save_reference
 from dpcontrol.runs.run import run_plan
 
@@ -93,7 +92,7 @@ def test_a_changed_title_or_limit_asks_for_another_plan() -> None:
     scene = load_itinerary("outer-turn")
     assert plan_key(replace(scene, title="Another")) != plan_key(scene)
     assert plan_key(replace(scene, limits=replace(scene.limits, position=0.3))) != plan_key(scene)
-    assert plan_key(scene.with_run(RunOptions(mismatch=0.1), seed=5)) == plan_key(scene)
+    assert plan_key(scene.with_run({"mismatch": 0.1}, seed=5)) == plan_key(scene)
 
 
 ATLAS = atlas.__name__

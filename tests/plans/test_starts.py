@@ -11,13 +11,12 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import Push
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan, recoverable
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.plans.starts import planned_starts
 from dpcontrol.references.reference import plan_notes, start_reference
 from dpcontrol.runs.campaign import CampaignSettings, cases_of, run_campaign
 from dpcontrol.runs.run import check_exportable, repeat_run, run_plan
 
-RESUME = RunOptions(on_fall="resume", lag=0.005, mismatch=0.05, travel=0.8)
+RESUME = {"on_fall": "resume", "lag": 0.005, "mismatch": 0.05, "travel": 0.8}
 
 
 @pytest.fixture(scope="module")

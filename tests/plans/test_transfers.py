@@ -271,8 +271,8 @@ def test_each_transition_is_flown_alone_from_hold_to_hold(there_and_back: Plan, 
     # The whole itinerary's table is another one.
     with pytest.raises(dp.InputError, match="another campaign"):
         dp.campaign(there_and_back, runs=2, over={"mismatch": (0.01, 0.5)}, workers=1, out=table)
-    resume = dp.RunOptions(on_fall="resume")
+    resume = {"on_fall": "resume"}
     with pytest.raises(dp.InputError, match="leave on_fall at stop"):
-        dp.campaign(there_and_back, runs=1, options=resume, transitions=True, workers=1)
+        dp.campaign(there_and_back, runs=1, settings=resume, transitions=True, workers=1)
     with pytest.raises(dp.InputError, match="no transitions"):
         dp.campaign("cross", runs=1, transitions=True, workers=1)

@@ -10,7 +10,6 @@ from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.foundation.shipped import find, known
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
-from dpcontrol.plans.run_options import RunOptions
 
 MODEL = find("models", "lab").read_text()
 SCENE = """
@@ -114,9 +113,9 @@ def test_settings_of_one_run_are_judged_as_those_of_the_file(tmp_path: Path) -> 
     (tmp_path / "scene.toml").write_text(SCENE)
     scene = load_itinerary(str(tmp_path / "scene.toml"))
     with pytest.raises(InputError, match="stuck_sensor = 9: must be 0 to 2"):
-        scene.with_run(RunOptions(stuck_sensor=9))
+        scene.with_run({"stuck_sensor": 9})
     with pytest.warns(Remark, match=re.escape("[run] travel = 40 m")):
-        scene.with_run(RunOptions(travel=40.0))
+        scene.with_run({"travel": 40.0})
 
 
 def test_nothing_is_remarked_on_in_what_is_shipped() -> None:

@@ -15,7 +15,6 @@ from dpcontrol.loop.bench import Push
 from dpcontrol.loop.result import Ending, NoSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
 from dpcontrol.rig.client import LinkSettings, UdpRig
 from dpcontrol.runs.night import NightSettings, run_night
@@ -25,7 +24,7 @@ pytestmark = pytest.mark.slow  # most of a minute of real time
 
 
 def falling() -> Plan:
-    scene = load_itinerary("turn-from-rest").with_run(RunOptions(on_fall="resume", lag=0.005, travel=0.8), seed=3)
+    scene = load_itinerary("turn-from-rest").with_run({"on_fall": "resume", "lag": 0.005, "travel": 0.8}, seed=3)
     blows = (Push(3.2, 1, 0.02), Push(3.4, 0, 0.02))
     loop = replace(scene.loop, disturbances=replace(scene.loop.disturbances, explicit=blows))
     return make_plan(replace(scene, loop=loop))

@@ -19,7 +19,7 @@ class Gains:
 
     def __init__(self) -> None:
         plan = dp.plan("outer-turn")
-        scene = plan.itinerary.with_run(dp.RunOptions(controller="tvlqr"))
+        scene = plan.itinerary.with_run({"controller": "tvlqr"})
         self.gains = Assembly(plan.reference, LAB, scene.loop).controller.gains
         self.asked, self.resets = 0, 0
 

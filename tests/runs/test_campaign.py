@@ -29,7 +29,6 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.statistics import paired, wilson
 from dpcontrol.plans.itinerary import Itinerary, load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs import campaign as campaign_jobs
 from dpcontrol.runs import campaign as campaign_module
 from dpcontrol.runs import campaign as workers
@@ -48,7 +47,7 @@ DIGITS = 1e-12
 """Of an interval: two ways to add up the same terms."""
 A_RUN = 500
 """Bytes of the parent's memory: 50 MB for 100,000 runs, beside 270 MB of libraries and plan."""
-HARD = RunOptions(mismatch=0.15, initial_error=0.1)
+HARD = {"mismatch": 0.15, "initial_error": 0.1}
 """Bench on which some runs fail and some do not."""
 
 
@@ -166,11 +165,9 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
 @pytest.mark.parametrize("loop", [{"path": "ticks"}, {"hold": "nearest"}, {"estimator": "ukf"}, {"missed_counts": 1.0}])
 def test_runs_that_go_one_by_one_are_kept_a_few_at_a_time(turn: Itinerary, loop: dict[str, Any]) -> None:
     settings = CampaignSettings(runs=100, path=loop.pop("path", "compiled"))
-    cases = cases_of(turn, fixed=RunOptions(**loop), over={})
+    cases = cases_of(turn, fixed={**loop}, over={})
     assert max(len(job.seeds) for job in campaign_module._jobs(make_plan(turn), cases, settings)) <= 25
-    (whole,) = campaign_module._jobs(
-        make_plan(turn), cases_of(turn, fixed=RunOptions(), over={}), CampaignSettings(runs=100)
-    )
+    (whole,) = campaign_module._jobs(make_plan(turn), cases_of(turn, fixed={}, over={}), CampaignSettings(runs=100))
     assert len(whole.seeds) == 100
 
 
@@ -424,7 +421,7 @@ def test_impossible_campaigns_are_refused(values: dict[str, Any], naming: str) -
 
 
 def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) -> None:
-    cases = standard_cases(turn, fixed=RunOptions(), controllers=["tvlqr", "feedforward"])
+    cases = standard_cases(turn, fixed={}, controllers=["tvlqr", "feedforward"])
     assert len(cases) == 2 * 9 * LEVELS == len({case.label for case in cases})
     by_kind = {
         kind.name: [c.loop for c in cases[: 9 * LEVELS] if dict(c.values)["kind"] == kind.name] for kind in STANDARD
@@ -438,7 +435,7 @@ def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) 
 
 
 def test_a_score_is_the_mean_share_over_the_kinds(turn: Itinerary, tmp_path: Path) -> None:
-    every = standard_cases(turn, fixed=RunOptions(), controllers=["tvlqr"])
+    every = standard_cases(turn, fixed={}, controllers=["tvlqr"])
     chosen = [case for case in every if dict(case.values)["level"] in (0.0, 20.0)]
     found = run_campaign(make_plan(turn), chosen[-2:] + chosen[:2], tmp_path / "score.parquet",
         settings=CampaignSettings(runs=2, workers=1, replayed=0),

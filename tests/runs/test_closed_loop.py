@@ -17,9 +17,9 @@ def loop() -> ClosedLoop:
 
 
 def test_a_run_of_the_object_has_the_messages_of_the_shortcuts(loop: ClosedLoop, tmp_path: Path) -> None:
-    options = dp.RunOptions(lag=0.002)
+    options = {"lag": 0.002}
     loop.run(seed=3, log=tmp_path / "object.mcap")
-    dp.run("outer-turn", mismatch=0.02, seed=3, options=options, log=tmp_path / "shortcut.mcap")
+    dp.run("outer-turn", mismatch=0.02, seed=3, settings=options, log=tmp_path / "shortcut.mcap")
     assert compare_messages(tmp_path / "object.mcap", tmp_path / "shortcut.mcap").difference is None
 
 
@@ -38,7 +38,7 @@ def test_the_controller_is_made_once_for_runs_margins_and_export(monkeypatch: py
         return make(*of, **how)
 
     monkeypatch.setattr(assembly, "make_controller", counted)
-    loop = dp.closed_loop("outer-turn", options=dp.RunOptions(mismatch=0.02))
+    loop = dp.closed_loop("outer-turn", settings={"mismatch": 0.02})
     assert loop.run(seed=1).converged
     assert loop.run(seed=2).converged
     assert loop.margins().least().keys() >= {"delay"}
@@ -47,9 +47,9 @@ def test_the_controller_is_made_once_for_runs_margins_and_export(monkeypatch: py
 
 
 def test_a_campaign_of_the_object_counts_as_the_shortcut_does(loop: ClosedLoop) -> None:
-    options = dp.RunOptions(lag=0.002)
+    options = {"lag": 0.002}
     own = loop.campaign(runs=4).table.to_pylist()
-    assert own == dp.campaign("outer-turn", runs=4, mismatch=0.02, options=options).table.to_pylist()
+    assert own == dp.campaign("outer-turn", runs=4, mismatch=0.02, settings=options).table.to_pylist()
 
 
 def test_an_unknown_setting_is_named_before_anything_is_planned() -> None:

@@ -20,7 +20,6 @@ from dpcontrol.loop.recovery import FRESH_SECONDS, REST_ANGLE, REST_RATE, REST_S
 from dpcontrol.loop.result import Ending
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.night import (
     _START_TICKS,
     NightSettings,
@@ -36,7 +35,7 @@ from dpcontrol.runs.night import (
 
 TURN = load_itinerary("outer-turn")
 # As tests of recovery have it, with whose plan it is shared.
-BENCH = RunOptions(mismatch=0.02, initial_error=0.01, travel=0.8)
+BENCH = {"mismatch": 0.02, "initial_error": 0.01, "travel": 0.8}
 
 
 def test_a_night_goes_on_after_falls_unless_it_is_told_not_to() -> None:
@@ -51,7 +50,7 @@ def test_what_keeps_stops_by_its_own_clock_is_left_out_of_a_night_and_that_is_sa
     with pytest.warns(Remark, match=r'linger.toml: \[controller\] keep = "tvlqr" has a clock of its own'):
         loop = night_itinerary(linger, asked={}).loop
     assert (loop.keep, loop.supervisor.on_fall) == ("none", "resume")
-    with pytest.raises(InputError, match="run with --keep none"):
+    with pytest.raises(InputError, match="run with --set keep=none"):
         night_itinerary(linger, asked={"keep": "tvlqr"})
     assert night_itinerary(linger, asked={"on_fall": "stop"}).loop.keep == "tvlqr"
 
@@ -92,7 +91,7 @@ def test_the_time_of_a_night_follows_from_its_pace_and_from_waiting(tmp_path: Pa
 
 def test_a_night_is_expected_to_wait_only_if_it_needs_a_way_from_rest() -> None:
     references, hour = np.zeros((5000, 6)), 3_600_000
-    calm, blown = TURN.loop, TURN.with_run(RunOptions(knocks_per_minute=6)).loop
+    calm, blown = TURN.loop, TURN.with_run({"knocks_per_minute": 6}).loop
     # It ends where it begins, so laps need no way from rest.
     assert _waits(calm, references, hour) == 0
     assert _waits(blown, references, 9_999) == 0
@@ -190,7 +189,7 @@ def test_a_short_night_is_repeated_interrupted_resumed_and_told(tmp_path: Path) 
         run_night(plan, out, night)
     with pytest.raises(InputError, match=r"is complete: .* ask for more --hours"):
         run_night(plan, out, night, resume=True)
-    with pytest.raises(InputError, match="holds no long run to be resumed"):
+    with pytest.raises(InputError, match="holds no long run to resume"):
         run_night(plan, tmp_path / "other.mcap", night, resume=True)
     other = replace(scene, loop=replace(scene.loop, mismatch=0.03))
     longer = NightSettings(hours=8 / 3600, file_minutes=0.05)

@@ -17,7 +17,6 @@ from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs import preflight as module
 from dpcontrol.runs.campaign import CampaignSettings, Job, cases_of, run_campaign
 from dpcontrol.runs.preflight import (
@@ -30,7 +29,7 @@ from dpcontrol.runs.preflight import (
     preflight,
 )
 
-HARD = RunOptions(mismatch=0.2, initial_error=0.05, lag=0.005, command_noise=0.3, controller="tvlqr")
+HARD = {"mismatch": 0.2, "initial_error": 0.05, "lag": 0.005, "command_noise": 0.3, "controller": "tvlqr"}
 """Bench on which some runs fail and some do not."""
 SMALL = PreflightSettings(runs=16, workers=1, first_seed=40_000)
 ROUNDING = 1e-9
@@ -72,7 +71,7 @@ def test_a_border_is_the_median_of_the_seeds_own_thresholds(
 ) -> None:
     """Seeds with log-normal thresholds of lag, a third of a factor e wide: the median to two standard errors."""
     made_up(monkeypatch, lambda loop, random: loop.drive.lag < median * math.exp(random.normal() / 3))
-    found = preflight(turn, RunOptions(lag=0.003), settings=PreflightSettings(runs=256, workers=1))
+    found = preflight(turn, {"lag": 0.003}, settings=PreflightSettings(runs=256, workers=1))
     lag = border(found, "lag")
     assert None not in (lag.border, lag.low, lag.high)
     # The median of 128 has a standard error of √(π/2)/√128 of the thresholds' own.
@@ -133,13 +132,13 @@ def test_a_plan_tells_it_in_python_and_runs_that_cannot_go_side_by_side_are_few(
     turn: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made_up(monkeypatch, lambda loop, random: random.uniform() < 0.9)
-    found = preflight(turn, RunOptions(missed_counts=1.0), settings=PreflightSettings(workers=1))
+    found = preflight(turn, {"missed_counts": 1.0}, settings=PreflightSettings(workers=1))
     assert (found.borders, found.changes) == ((), ())
     assert any("one after the other" in note for note in found.notes)
     assert 32 <= found.share.runs < preflight(turn, settings=PreflightSettings(workers=1)).share.runs
     assert len(repr(found)) < 300
     # More that are asked for by number are run.
-    assert preflight(turn, RunOptions(missed_counts=1.0), settings=PreflightSettings(runs=16, workers=1)).borders
+    assert preflight(turn, {"missed_counts": 1.0}, settings=PreflightSettings(runs=16, workers=1)).borders
 
 
 @pytest.mark.slow
@@ -148,7 +147,7 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
 ) -> None:
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(module, "hazards", lambda plan, scene, **most: [])
-    half = RunOptions(mismatch=0.1)
+    half = {"mismatch": 0.1}
     changed = SceneChange("", half, "half")
     monkeypatch.setattr(module, "changes", lambda scene: [[changed]])
     found = preflight(turn, HARD, settings=SMALL)
@@ -175,19 +174,19 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
 
 def test_arms_are_drawn_from_what_is_known_of_them(turn: Plan) -> None:
     scene = turn.itinerary
-    assert as_known(scene, RunOptions())[0].loop.mismatch == scene.loop.mismatch
-    unknown, said = as_known(replace(scene, loop=replace(scene.loop, mismatch=0.0)), RunOptions())
+    assert as_known(scene, {})[0].loop.mismatch == scene.loop.mismatch
+    unknown, said = as_known(replace(scene, loop=replace(scene.loop, mismatch=0.0)), {})
     assert unknown.loop.mismatch == ASSUMED_MISMATCH
     assert said[0].source.startswith("assumed")
     # Asked for by name, no mismatch is none.
-    assert as_known(scene, RunOptions(mismatch=0.0))[0].loop.mismatch == 0
+    assert as_known(scene, {"mismatch": 0.0})[0].loop.mismatch == 0
     names = ratio_names(scene.model.arms)
     covariance = tuple((1e-4 * np.eye(len(names))).ravel().tolist())
     model = replace(scene.model, uncertainty=Uncertainty(names, covariance))
-    known, said = as_known(replace(scene, model=model), RunOptions())
+    known, said = as_known(replace(scene, model=model), {})
     assert (known.loop.model_uncertainty, known.loop.mismatch) == (1.0, 0.0)
     assert said[0].source.startswith("identified")
-    assert as_known(replace(scene, model=model), RunOptions(mismatch=0.1))[0].loop.model_uncertainty == 0
+    assert as_known(replace(scene, model=model), {"mismatch": 0.1})[0].loop.model_uncertainty == 0
 
 
 def test_the_falling_sequence_next_to_values_is_that_of_the_textbook() -> None:
@@ -214,7 +213,7 @@ def test_points_without_completing_seeds_have_no_share() -> None:
 
 
 def test_borders_of_belt_play_and_stiction_are_sought_and_what_the_loop_knows_stays(turn: Plan) -> None:
-    rough = RunOptions(belt=60.0, play=0.004, cable_torque=-0.001)
+    rough = {"belt": 60.0, "play": 0.004, "cable_torque": -0.001}
     scene = turn.followed().itinerary.with_run(rough)
     found = {one.name: one for one in hazards(turn, scene, most_delay=10)}
     assert {"belt", "play", "stiction", "cable torque"} <= found.keys()

@@ -128,7 +128,7 @@ def test_a_plant_of_expressions_flies_in_lockstep_as_alone_and_keeps_its_arms(tm
     assert alone.plant is not None
     kinds = [type(one).__name__ for one in loop.assembly.draw().plant.components]
     assert kinds == ["Belt", "Stiction", "Spring"]
-    done = dpcontrol("run", "hold-up-up", "--plant", f"{file}:Spring", "--out", str(tmp_path / "run.mcap"))
+    done = dpcontrol("run", "hold-up-up", "--set", f"plant={file}:Spring", "--out", str(tmp_path / "run.mcap"))
     assert done.code == 0, done.stderr
 
 

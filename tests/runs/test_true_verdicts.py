@@ -12,7 +12,6 @@ from dpcontrol.judge.decoding import decode_run, shortfall
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan, recoverable
-from dpcontrol.plans.run_options import RunOptions
 
 CROSS_AND_HOLD = """
 model = "lab"
@@ -57,10 +56,10 @@ def outer_turn() -> Plan:
 def test_a_wide_orbit_between_a_transfer_and_a_hold_is_a_stop(tmp_path: Path) -> None:
     plan, random, found = planned(tmp_path, CROSS_AND_HOLD.format(seconds=1.5)), np.random.default_rng(1), Comparison()
     assert verdict_on(exact(plan), plan.reference).problem == ""
-    found.add(plan, RunOptions(mismatch=0.0), list(range(8)), random)
+    found.add(plan, {"mismatch": 0.0}, list(range(8)), random)
     assert found.completed == 8
-    found.add(plan, RunOptions(mismatch=0.3), list(range(16)), random)
-    found.add(plan, RunOptions(mismatch=0.02, controller="feedforward"), list(range(8)), random)
+    found.add(plan, {"mismatch": 0.3}, list(range(16)), random)
+    found.add(plan, {"mismatch": 0.02, "controller": "feedforward"}, list(range(8)), random)
     assert found.completed < found.runs
     assert not found.false
 
@@ -91,7 +90,7 @@ def test_drawn_itineraries_are_judged_as_a_second_decoder_judges_them(seed: int,
     assert verdict_on(exact(plan), plan.reference).problem == ""
     for _ in range(1 if seed == 11 else 4):
         found.add(plan, for_plan(drawn_options(random), plan), list(range(2 if seed == 11 else 16)), random)
-    found.add(plan, RunOptions(mismatch=0.0), [0], random)
+    found.add(plan, {"mismatch": 0.0}, [0], random)
     assert found.completed > 0
     assert found.wrong > 0
     assert not found.false
@@ -100,7 +99,7 @@ def test_drawn_itineraries_are_judged_as_a_second_decoder_judges_them(seed: int,
 @pytest.mark.slow
 @pytest.mark.parametrize("on_fall", ["resume", "restart"])
 def test_runs_that_fall_and_go_on_are_judged_as_a_second_decoder_judges_them(on_fall: str, outer_turn: Plan) -> None:
-    options = RunOptions(on_fall=on_fall, knocks_per_minute=20.0, knock_impulse=0.05, travel=0.8, mismatch=0.05)
+    options = {"on_fall": on_fall, "knocks_per_minute": 20.0, "knock_impulse": 0.05, "travel": 0.8, "mismatch": 0.05}
     plan = recoverable(replace(outer_turn, itinerary=outer_turn.itinerary.with_run(options)))
     found = Comparison()
     found.add(plan, options, [0, 1], np.random.default_rng(0))

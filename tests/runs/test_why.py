@@ -10,13 +10,13 @@ from command_line import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter
 from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.overrides import typed
 from dpcontrol.plans.plan import Plan, make_plan
-from dpcontrol.plans.run_options import RunOptions
 from dpcontrol.runs.preflight import changes
 from dpcontrol.runs.remedies import Completed, TriedChange, Why, _beats
 from dpcontrol.runs.run import Run, _plan, _with_options, run_metadata, run_plan
 
-SHORT = RunOptions(controller="tvlqr", travel=0.015, mismatch=0.0)
+SHORT = {"controller": "tvlqr", "travel": 0.015, "mismatch": 0.0}
 """A track that the plan itself nearly fills."""
 
 
@@ -58,26 +58,27 @@ def test_each_remedy_completes_the_run_and_beats_harmless_changes(plan: Plan, fo
 
 
 def test_a_change_alters_one_setting_and_keeps_the_seed(plan: Plan) -> None:
-    troubles = RunOptions(lag=0.01, cart_mass=0.3, zero_error=0.01, tilt=0.02, stuck_at=1.0)
+    troubles = {"lag": 0.01, "cart_mass": 0.3, "zero_error": 0.01, "tilt": 0.02, "stuck_at": 1.0}
     scene = plan.itinerary.with_run(troubles, seed=7)
     tried = [change for group in changes(scene) for change in group]
     assert len({change.text for change in tried}) == len(tried)
-    options = [change.options.typed for change in tried]
-    for expected in ("--lag 0.005", "--drive-lag 0.01", "--zero-error 0.005", "--zero-error 0.0", "--tilt 0.0",
-                     "--stuck-at inf", "--cart-mass 0.0", "--controller adaptive"):  # fmt: skip
+    options = [typed(change.options) for change in tried]
+    for expected in ("--lag 0.005", "--set drive_lag=0.01", "--set sensors.zero_error=0.005",
+                     "--set sensors.zero_error=0.0", "--set disturbances.tilt=0.0",
+                     "--set sensors.stuck_at=inf", "--set drive.cart_mass=0.0", "--controller adaptive"):  # fmt: skip
         assert expected in options
-    assert all(len(change.options.given()) == 1 for change in tried)
+    assert all(len(change.options) == 1 for change in tried)
 
 
 def test_options_read_from_a_log_give_the_settings_of_the_command_line(failed: Run, tmp_path: Path) -> None:
     """An adaptive run that gets another law loses the adaptive filter, as on the command line."""
     scene = load_itinerary("outer-turn")
-    typed = RunOptions(mismatch=0.2, lag=0.005, counts=4000)
-    asked = scene.with_run(typed, seed=3)
+    asked_for = {"mismatch": 0.2, "lag": 0.005, "counts": 4000}
+    asked = scene.with_run(asked_for, seed=3)
     log = replace(failed.log, metadata={**failed.log.metadata, **run_metadata(asked)})
     logged = _plan(log, tmp_path)
     assert logged.itinerary.loop == asked.loop
-    for change in (RunOptions(controller="tvlqr"), RunOptions(estimator="ukf"), RunOptions(travel=0.3, counts=0)):
+    for change in ({"controller": "tvlqr"}, {"estimator": "ukf"}, {"travel": 0.3, "counts": 0}):
         expected = scene.with_run(typed.over(change.given()), seed=3)
         assert _with_options(logged, scene, change).itinerary.loop == expected.loop
 

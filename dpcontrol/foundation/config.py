@@ -1,0 +1,103 @@
+"""The user's configuration: defaults of the command line, from the environment and from a file.
+
+File: $XDG_CONFIG_HOME/dpcontrol/config.toml, else ~/.config/dpcontrol/config.toml. An option overrides the environment,
+the environment overrides the file, and the file overrides the default.
+"""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Place, Settings, decode, help_of, read_toml, setting
+
+
+@dataclass(frozen=True)
+class Config(Settings):
+    """Defaults of the command line."""
+
+    logs: str = setting("logs", help="Folder of logs, tables and pages.")
+    workers: int = setting(0, least=1, most=4096, zero="one for each processor", help="Processes.")
+    scheduler: str = setting("", help="Address of a Dask cluster.")
+    viewer: str = setting("", help="Program that shows recordings; by default that of rerun-sdk.")
+    colour: str = setting("auto", choices=("auto", "always", "never"), help="Colour in the terminal.")
+
+
+class Configured(NamedTuple):
+    """A setting's value, and where it comes from: environment, file or default."""
+
+    name: str
+    value: Any
+    source: str
+    help: str
+
+
+def config_file() -> Path:
+    """Return the place of the configuration file; it need not exist."""
+    folder = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
+    return Path(os.path.expanduser(folder)) / "dpcontrol" / "config.toml"
+
+
+def variable(name: str) -> str:
+    """Return the environment variable of a setting."""
+    return f"DPCONTROL_{name.upper()}"
+
+
+@cache
+def _read(path: Path, given: tuple[tuple[str, str], ...]) -> tuple[Config, frozenset[str]]:
+    """Return the configuration of a file and of variables, and the names that the file gives."""
+    values = read_toml(path)[0] if path.is_file() else {}
+    if values:
+        decode(Config, values, Place(str(path)))
+    own: dict[str, Any] = {}
+    for name, text in given:
+        try:
+            own[name] = int(text) if name == "workers" else text
+        except ValueError:
+            raise InputError(f"{variable(name)} = {text!r}: must be a whole number") from None
+    for name, value in own.items():
+        try:
+            Config(**{name: value})
+        except InputError as error:
+            raise InputError(f"{variable(name)}: {error}") from error
+    return Config(**{**values, **own}), frozenset(values)
+
+
+def configuration() -> Config:
+    """Return the configuration.
+
+    Raises:
+        InputError: a mistake in the file or in a variable.
+    """
+    return _now()[0]
+
+
+def _now() -> tuple[Config, frozenset[str]]:
+    names = [one.name for one in fields(Config)]
+    return _read(
+        config_file(), tuple((name, os.environ[variable(name)]) for name in names if variable(name) in os.environ)
+    )
+
+
+def configured() -> Iterator[Configured]:
+    """Yield each setting with its source.
+
+    Raises:
+        InputError: a mistake in the file or in a variable.
+    """
+    config, of_file = _now()
+    for name, text in help_of(Config).items():
+        in_file = str(config_file()) if name in of_file else "default"
+        yield Configured(name, getattr(config, name), variable(name) if variable(name) in os.environ else in_file, text)
+
+
+def log_folder() -> Path:
+    """Return the folder of logs, tables and pages.
+
+    Raises:
+        InputError: a mistake in the configuration.
+    """
+    return Path(os.path.expanduser(configuration().logs))

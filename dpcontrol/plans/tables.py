@@ -1,0 +1,172 @@
+"""The guide's tables of settings and the JSON Schema of files, made from the declarations of the settings."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any, get_type_hints
+
+from dpcontrol.foundation.settings import adapter, bounds_of, help_of
+from dpcontrol.loop.bench import Push
+from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, KEEPERS
+from dpcontrol.loop.result import SupervisorSettings
+from dpcontrol.plans.layout import BENCH, Header, HoldPart, OrbitPart, RunTable, WalkPart
+from dpcontrol.plans.model import OPTIONAL, REQUIRED, Title
+from dpcontrol.references.problem import Limits, ReferenceSettings
+
+_PAGE = """\
+# Settings
+
+All settings of itineraries and runs, with their defaults and allowed values. This page is generated from the program.
+
+The headings name the tables of an itinerary's file. On the command line, `--set PATH=VALUE` overrides a setting of a
+run, and `campaign --over PATH=V1,V2` varies it. In Python, `settings={"drive.lag": 0.005}` does the same. The last part
+of a path is enough if it is unique: `--set jerk=100`. Ten settings have options: `--mismatch`, `--initial-error`,
+`--lag`, `--delay`, `--counts`, `--travel`, `--controller`, `--estimator`, `--rate` and `--on-fall`.
+
+`dpcontrol schema itinerary` and `dpcontrol schema model` print the JSON Schema of files. Save it, and name it in the
+first line of a file, such as `#:schema itinerary.schema.json`. Editors with a TOML language server, such as Taplo, then
+complete and check the keys.
+"""
+
+
+def settings_page() -> str:
+    """Return the guide's page on settings."""
+    bench = {name for kind in BENCH.values() for name in bounds_of(kind)}
+    tables: list[tuple[str, str, Mapping[str, type], set[str]]] = [
+        ("Top level", "", {"": Header}, set()),
+        ("A walk", "", {"": WalkPart}, set()),
+        ("A hold", "", {"": HoldPart}, set()),
+        ("An orbit", "", {"": OrbitPart}, set()),
+        ("[limits]", "", {"": Limits}, set()),
+        ("[reference]", "", {"": ReferenceSettings}, set()),
+        ("[run]: the run", "", {"": RunTable}, {*bench, "blows"}),
+        *((f"[run]: {name}", f"{name}.", {"": kind}, set()) for name, kind in BENCH.items()),
+        ("[[run.blows]]", "", {"": Push}, set()),
+        ("[controller]", "controller.", CONTROLLERS, set()),
+        ("[estimator]", "estimator.", ESTIMATORS, set()),
+        ("[supervisor]", "supervisor.", {"": SupervisorSettings}, set()),
+    ]
+    return _PAGE + "".join(
+        f"\n## {title}\n\n{_table(prefix, kinds, without)}" for title, prefix, kinds, without in tables
+    )
+
+
+def _table(prefix: str, kinds: Mapping[str, type], without: set[str]) -> str:
+    """Return a table in Markdown; with several kinds, each has its own default."""
+    rows: dict[str, list[str]] = {}
+    for kind, declared in kinds.items():
+        bounds, helps = bounds_of(declared), help_of(declared)
+        for one in fields(declared):  # type: ignore[arg-type]
+            if one.name not in bounds or one.name in without:
+                continue
+            allowed = ", ".join(bounds[one.name].choices) or bounds[one.name].range
+            text = "" if "str" in str(get_type_hints(declared)[one.name]) and not bounds[one.name].choices else allowed
+            row = rows.setdefault(one.name, [f"`{prefix}{one.name}`", "", text, helps[one.name]])
+            value = "required" if one.default is MISSING else _shown(one.default)
+            row[1] += f"{', ' if row[1] else ''}{value}{f' ({kind})' if kind else ''}"
+    if set(kinds) == set(CONTROLLERS):
+        rows["kind"] = ["`controller`", "adaptive", ", ".join(CONTROLLERS), "Law; the key is `kind`."]
+        rows["keep"] = ["`controller.keep`", "none", ", ".join(KEEPERS), "Law that keeps the stops of a walk."]
+    if set(kinds) == set(ESTIMATORS):
+        rows["kind"] = ["`estimator`", "ekf", ", ".join(ESTIMATORS), "Filter; the key is `kind`."]
+    head = "| setting | default | allowed | meaning |\n|---|---|---|---|\n"
+    return head + "".join(f"| {' | '.join(row)} |\n" for row in rows.values())
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(map(str, value)) or "none"
+    if isinstance(value, float):
+        return f"{value:g}"
+    return "none" if value in ("", None) else str(value)
+
+
+def schema(of: str) -> dict[str, Any]:
+    """Return the JSON Schema of the files of models ("model") or itineraries ("itinerary")."""
+    return {"itinerary": _itinerary_schema, "model": _model_schema}[of]()
+
+
+_DRAFT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def _itinerary_schema() -> dict[str, Any]:
+    parts = [_object(kind) for kind in (WalkPart, HoldPart, OrbitPart)]
+    part_keys = {key: value for part in reversed(parts) for key, value in part["properties"].items()}
+    run = _object(RunTable)
+    run["properties"]["blows"] = {"type": "array", "items": _object(Push)}
+    tables = {
+        "limits": _object(Limits),
+        "reference": _object(ReferenceSettings),
+        "run": run,
+        "controller": _kinds(CONTROLLERS, "adaptive", {"keep": {"enum": list(KEEPERS), "default": "none"}}),
+        "estimator": _kinds(ESTIMATORS, "ekf", {}),
+        "supervisor": _object(SupervisorSettings),
+        "parts": {"type": "array", "items": {"anyOf": parts}, "minItems": 1},
+    }
+    return {
+        "$schema": _DRAFT,
+        "title": "Itinerary of dpcontrol",
+        "type": "object",
+        "properties": {**_object(Header)["properties"], **part_keys, **tables},
+        "anyOf": [{"required": [key]} for key in ("walk", "hold", "orbit", "parts")],
+        "additionalProperties": False,
+    }
+
+
+def _model_schema() -> dict[str, Any]:
+    top = _object(Title)
+    systems = []
+    for system, required in REQUIRED.items():
+        optional = OPTIONAL if system == "arm-chain" else {}
+        tables = {name: _object(kind) for name, kind in {**required, **optional}.items()}
+        own = {**top["properties"], "system": {"const": system, "default": "arm-chain"}}
+        needed = ["title", *required, *(["system"] if system != "arm-chain" else [])]
+        systems.append(
+            {"type": "object", "properties": {**own, **tables}, "required": needed, "additionalProperties": False}
+        )
+    return {"$schema": _DRAFT, "title": "Model of dpcontrol", "anyOf": systems}
+
+
+def _kinds(kinds: Mapping[str, type], default: str, more: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the schema of a table whose `kind` chooses its keys."""
+    found = []
+    for name, kind in kinds.items():
+        one = _object(kind)
+        one["properties"] |= {**more, "kind": {"const": name}}
+        found.append(one | ({} if name == default else {"required": ["kind"]}))
+    return {"anyOf": found}
+
+
+def _object(kind: type) -> dict[str, Any]:
+    """Return the schema of a dataclass: pydantic's, with bounds, units and help."""
+    made = adapter(kind).json_schema()
+    helps = help_of(kind)
+    for name, bounds in bounds_of(kind).items():
+        own = made["properties"][name]
+        if name == "blows":
+            continue
+        own.pop("title", None)
+        if own.get("default") in (math.inf, None):
+            own.pop("default", None)
+        values = [own, *own.get("anyOf", ()), *([own["items"]] if "items" in own else [])]
+        for one in [*values, *(value["items"] for value in own.get("anyOf", ()) if "items" in value)]:
+            if one.get("type") in ("number", "integer"):
+                _bound(one, bounds)
+            elif one.get("type") == "string" and bounds.choices:
+                one["enum"] = list(bounds.choices)
+        own["description"] = helps[name] + (f" Unit: {bounds.unit}." if bounds.unit else "")
+    made.pop("$defs", None)
+    made.pop("title", None)
+    return {**made, "additionalProperties": False}
+
+
+def _bound(number: dict[str, Any], bounds: Any) -> None:
+    """Add bounds to the schema of a number; zero or infinity may be allowed besides."""
+    limits = {"minimum": bounds.least, "exclusiveMinimum": bounds.above, "maximum": bounds.most}
+    limits = {key: float(value) for key, value in limits.items() if math.isfinite(value)}
+    if bounds.zero and limits.get("minimum", 0.0) > 0:
+        number["anyOf"] = [{"const": 0}, limits]
+    elif not bounds.infinite:
+        number.update(limits)
+    else:
+        number.update({key: value for key, value in limits.items() if key != "maximum"})

@@ -1,0 +1,250 @@
+"""Settings are declared once: files, logs, options, paths, tables and schema agree with the declaration."""
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import dpcontrol
+from jsonschema import Draft202012Validator
+
+import dpcontrol as dp
+from dpcontrol.foundation.errors import InputError, mistakes_of
+from dpcontrol.foundation.shipped import folders
+from dpcontrol.logs import compare_messages
+from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
+from dpcontrol.plans.model import load_model, model_from
+from dpcontrol.plans.overrides import NAMED, parsed, paths, typed
+from dpcontrol.plans.tables import settings_page
+from dpcontrol.runs.run import stored_settings
+
+OLD = Path(__file__).parent / "version-0.2.0"
+"""A log and a plan that version 0.2.0 wrote."""
+TURN = """
+model = "lab"
+energy = -0.07
+walk = ["down-up +"]
+"""
+STILL = """
+title = "Hold both arms hanging"
+start = "hold"
+hold = "down-down"
+seconds = 0.5
+[run]
+rate = 200
+[controller]
+kind = "lqr"
+"""
+LAB = folders("models")[1].joinpath("lab.toml").read_text()
+
+
+def test_the_guides_page_on_settings_is_the_one_that_the_declarations_give() -> None:
+    page = Path(dp.__file__).parent / "guide" / "settings.md"
+    assert page.read_text() == settings_page()
+    assert all(f"`{path}`" in settings_page() for path in paths())
+
+
+@pytest.mark.parametrize(("of", "folder"), [("itinerary", "itineraries"), ("model", "models")])
+def test_the_schema_is_valid_accepts_every_shipped_file_and_rejects_mistakes(of: Any, folder: str) -> None:
+    schema = dp.schema(of)
+    Draft202012Validator.check_schema(schema)
+    assert json.loads(json.dumps(schema, allow_nan=False)) == dpcontrol("schema", of, "--json").document
+    valid = Draft202012Validator(schema).is_valid
+    files = sorted(folders(folder)[1].glob("*.toml"))
+    assert len(files) > 5
+    for file in files:
+        document = tomllib.loads(file.read_text())
+        assert valid(document), file.name
+        assert not valid({**document, "tittle": "x"}), file.name
+        assert not valid({**document, "title": 3}), file.name
+    if of == "itinerary":
+        turn = tomllib.loads(TURN)
+        assert valid({**turn, "run": {"lag": 0.01, "play": [0.1, 0.2], "belt": 0}})
+        for run in ({"lag": 2}, {"lag": "x"}, {"belt": 0.5}, {"ages": "old"}, {"counts": 1.5}, {"stuck_for": 0}):
+            assert not valid({**turn, "run": run}), run
+        assert valid({**turn, "controller": {"kind": "lqr", "damping": 0.1}})
+        assert not valid({**turn, "controller": {"kind": "tvlqr", "damping": 0.1}})
+
+
+def value_of(path: str) -> Any:
+    """Return a value of a setting that differs from its default."""
+    leaf = paths()[path]
+    others = [choice for choice in leaf.bounds.choices if choice != leaf.default]
+    if isinstance(leaf.default, tuple):
+        return ("zeros",)
+    if others:
+        return others[0]
+    low = max(leaf.bounds.least, leaf.bounds.above, -1.0)
+    high = min(leaf.bounds.most, low + 50)
+    return int(low + 1) if leaf.hint is int else low + 0.25 * (high - low)
+
+
+APART = ("plant", "controller", "model_uncertainty")
+
+
+@pytest.mark.parametrize("path", [path for path in paths() if path.partition(".")[0] not in APART])
+def test_a_setting_by_path_is_that_of_a_file_and_is_typed_and_parsed_back(path: str) -> None:
+    value = value_of(path)
+    scene = itinerary_from(f'{TURN}[controller]\nkind = "tvlqr"\n', "turn", load_model("lab"))
+    if path.startswith("estimator."):
+        scene = scene.with_run({"estimator": "ukf"})
+    loop = scene.with_run({path: value}).loop
+    assert setting_of(loop, path) == value != setting_of(scene.loop, path)
+    word = typed({path: value}).split()
+    text = word[1] if path in NAMED else word[1].partition("=")[2]
+    assert parsed(path, text) == value
+    part, _, key = path.rpartition(".")
+    table = part if part in ("estimator", "supervisor") else "run"
+    kind = 'kind = "ukf"\n' if table == "estimator" else ""
+    if path == "estimator":
+        key, kind = "kind", ""
+        table = "estimator"
+    shown = list(value) if isinstance(value, tuple) else value
+    text = f'{TURN}[controller]\nkind = "tvlqr"\n[{table}]\n{kind}{key} = {json.dumps(shown)}\n'
+    assert itinerary_from(text, "turn", load_model("lab")).loop == loop
+
+
+def test_settings_of_a_law_have_paths_too() -> None:
+    loop = load_itinerary("outer-turn").with_run({"controller": "lqr", "controller.damping": 0.2}).loop
+    assert asdict(loop.controller)["damping"] == 0.2
+    with pytest.raises(InputError, match=r"controller.damping: adaptive has no such setting; it has angle, rate"):
+        load_itinerary("outer-turn").with_run({"damping": 0.2})
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"lagg": 1}, "lagg: no run has this setting; did you mean 'drive.lag'?"),
+        ({"drive.lagg": 1}, "drive.lagg: no run has this setting; did you mean 'drive.lag'?"),
+        ({"xyz": 1}, "xyz: no run has this setting; `dpcontrol guide settings` lists all"),
+        ({"cart_noise": 1}, "several settings have this name; give estimator.cart_noise or sensors.cart_noise"),
+        ({"lag": 0.1, "drive.lag": 0.2}, "drive.lag = 0.2: drive.lag is given twice; give it once"),
+        ({"lag": "x"}, "lag = 'x': must be a number"),
+        ({"counts": 1.5}, "counts = 1.5: must be a whole number"),
+        ({"lag": True}, "lag = True: must be a number"),
+        ({"ages": 3}, "ages = 3: must be text"),
+        ({"lag": -1}, "drive: lag = -1.0: must be 0 to 1 s"),
+        ({"controller": "tvlq"}, "controller = 'tvlq': did you mean 'tvlqr'?"),
+        ({"hold": "neares"}, "supervisor: hold = 'neares': did you mean 'nearest'?"),
+    ],
+)
+def test_a_mistaken_override_is_one_sentence(given: Mapping[str, Any], told: str) -> None:
+    with pytest.raises(InputError) as refused:
+        load_itinerary("outer-turn").with_run(given)
+    assert told in str(refused.value)
+    assert "\n" not in str(refused.value)
+    if len(given) == 1:
+        ((name, value),) = given.items()
+        ended = dpcontrol("run", "outer-turn", "--set", f"{name}={value}")
+        assert ended.code == 2
+        assert len(ended.stderr.splitlines()) == 1
+
+
+def test_overrides_mean_the_same_in_python_and_on_the_command_line(tmp_path: Path) -> None:
+    command, short, own = tmp_path / "a.mcap", tmp_path / "b.mcap", tmp_path / "c.mcap"
+    given = {"drive.lag": 0.002, "sensors.counts": 4000, "drive.jerk": 2000.0}
+    scene = tmp_path / "still.toml"
+    scene.write_text(STILL)
+    line = ("run", scene, "--seed", "3", "--out")
+    assert dpcontrol(*line, command, *[w for k, v in given.items() for w in ("--set", f"{k}={v}")]).code == 0
+    assert dpcontrol(*line, short, "--lag", "0.002", "--counts", "4000", "--set", "jerk=2000").code == 0
+    dp.run(str(scene), settings=given, seed=3, log=own)
+    assert compare_messages(command, short).difference is None
+    assert compare_messages(command, own).difference is None
+    assert dp.closed_loop("hold-down-down", settings=given).plan.itinerary.loop.drive.lag == 0.002
+
+
+def test_run_options_still_work_and_are_deprecated() -> None:
+    with pytest.warns(DeprecationWarning, match=r"dp\.RunOptions will go: give settings="):
+        options = {"lag": 0.002, "rate_noise": 0.1}
+    loop = dp.closed_loop("hold-down-down", options=options).plan.itinerary.loop
+    assert (loop.drive.lag, loop.sensors.rate_noise) == (0.002, 0.1)
+
+
+def test_a_log_of_version_0_2_0_is_read_and_its_run_repeated(tmp_path: Path) -> None:
+    again = dpcontrol("run", "--from", OLD / "run-0.2.0.mcap", "--out", tmp_path / "again.mcap", "--json")
+    assert again.code == 0, again.stderr
+    assert again.document["repeated"]["difference"] is None
+    log = dp.open_log(OLD / "run-0.2.0.mcap").log
+    loop = stored_settings(json.loads(log.metadata["run_settings"]), "run")
+    assert (loop.drive.lag, loop.sensors.stuck_at, loop.mechanics.play) == (0.002, 0.45, (0.001, 0.0))
+    assert json.loads(json.dumps(asdict(loop))) == json.loads(log.metadata["run_settings"])
+
+
+def test_a_plan_of_version_0_2_0_is_read() -> None:
+    plan = dp.open_plan(OLD / "plan-0.2.0.npz")
+    assert plan.itinerary.loop.supervisor.lost_tracking == 1.4
+    assert plan.itinerary.loop.disturbances.explicit[0].impulse == 0.001
+
+
+def test_mistakes_in_one_file_are_reported_together_one_line_each(tmp_path: Path) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text(
+        'tittle = "x"\nenergy = -0.07\nwalk = ["down-up +", "down-up"]\n[limits]\nposition = -1\n'
+        '[run]\nlag = "x"\ncounts = -4\nzeors = [0.1]\n[controller]\nkind = "lqrr"\n[supervisor]\nhold = 3\n'
+    )
+    ended = dpcontrol("run", file)
+    assert ended.code == 2
+    said = ended.stderr.splitlines()
+    assert all(line.startswith(f"dpcontrol: {file}: ") for line in said)
+    for expected in (
+        "at the top level, the key 'tittle' is unknown: did you mean 'title'?", "walk: ",
+        "[limits] position = -1.0: must",
+        "[run] lag = 'x': must be a number", "[run] counts = -4: must be at least 1, or 0 for no rounding",
+        "[run] the key 'zeors' is unknown: did you mean 'zeros'?",
+        "[controller] kind = 'lqrr': did you mean 'lqr'?",
+        "[supervisor] hold = 3: ",
+    ):  # fmt: skip
+        assert sum(expected in line for line in said) == 1, expected
+    assert len(said) == 8
+
+
+MISTAKES: list[tuple[str, str, str]] = [
+    ("unknown key", f"{TURN}[run]\nlagg = 0.1\n", "[run] the key 'lagg' is unknown: did you mean 'lag'?"),
+    ("unknown table", f"{TURN}[runs]\nlag = 0.1\n", "at the top level, the key 'runs' is unknown: did you mean 'run'?"),
+    ("unknown top key", f"tilte = 'x'\n{TURN}", "at the top level, the key 'tilte' is unknown: did you mean 'title'?"),
+    ("missing key", 'walk = ["down-up +"]\n', "the key 'energy' is missing"),
+    ("misspelt required key", 'walk = ["down-up +"]\nenergie = -0.07', "the key 'energy' is missing; is 'energie'"),
+    ("text for number", f"{TURN}[run]\nlag = 'x'\n", "[run] lag = 'x': must be a number"),
+    ("number for text", f"{TURN}[run]\nages = 1\n", "[run] ages = 1: must be text in quotes"),
+    ("fraction for whole number", f"{TURN}[run]\ncounts = 1.5\n", "[run] counts = 1.5: must be a whole number"),
+    ("truth for number", f"{TURN}[run]\nlag = true\n", "[run] lag = True: must be a number"),
+    ("below the range", f"{TURN}[run]\nlag = -1\n", "[run] lag = -1.0: must be 0 to 1 s"),
+    ("above the range", f"{TURN}[limits]\nposition = 1e9\n", "[limits] position = 1000000000.0: must be"),
+    ("wrong choice", f"{TURN}[reference]\nsolver = 'ipot'\n", "[reference] solver = 'ipot': did you mean 'ipopt'?"),
+    ("wrong kind", f"{TURN}[estimator]\nkind = 'efk'\n", "[estimator] kind = 'efk': did you mean 'ekf'?"),
+    ("another kind's key", f"{TURN}[controller]\nkind = 'lqr'\ntrust = 1\n", "[controller] the key 'trust' is unknown"),
+    ("text in a list", f"{TURN}[run]\nplay = [0.1, 'x']\n", "[run] play holds 'x': must be"),
+    ("value for a table", f"run = 3\n{TURN}", "run = 3: must be a table, [run]"),
+    ("impossible walk", 'energy = -0.07\nwalk = ["down-up ?"]\n', "walk: "),
+    (
+        "number of wraps",
+        'energy = -0.07\nwalk = ["down-up +"]\nwraps = [1]\n',
+        "wraps = [1]: a walk of 1 symbols has 0",
+    ),
+    ("energy below the saddle", 'energy = -9\nwalk = ["down-up +"]\n', "energy = -9.0 J: down-up has Lyapunov orbits"),
+    ("error of a blow", f"{TURN}[[run.blows]]\ntime = -1\n", "[blows 1] time = -1.0: must be zero or positive"),
+]
+
+
+@pytest.mark.parametrize(("what", "text", "told"), MISTAKES, ids=[one[0] for one in MISTAKES])
+def test_each_of_twenty_mistakes_is_one_sentence(what: str, text: str, told: str) -> None:
+    with pytest.raises(InputError) as refused:
+        itinerary_from(text, "scene", load_model("lab"))
+    (sentence,) = mistakes_of(refused.value)
+    assert sentence.startswith("scene.toml: ")
+    assert told in sentence
+
+
+def test_mistakes_in_a_model_are_reported_together() -> None:
+    text = re.sub(r"(?m)^mass\s*=\s*\[", "mass = ['x', ", LAB.replace("acceleration =", "aceleration ="))
+    with pytest.raises(InputError) as refused:
+        model_from(text, "mine")
+    told = mistakes_of(refused.value)
+    assert len(told) == 2
+    assert "mine.toml: [arms] mass holds 'x': must be a list of numbers" in told
+    assert "mine.toml: [gravity] the key 'acceleration' is missing; is 'aceleration' a misspelling of it?" in told
