@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.orbits.cut import section_points
 from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas import (
@@ -23,7 +24,6 @@ from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import MOST_IN_KEY, Draw, Page, Panel, key
 from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_space, wrapped_runs
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
-from dpcontrol.tubes.cut import section_points
 from dpcontrol.tubes.intersections import search_settings
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind
 from dpcontrol.walks.shadowing import WalkSolver

@@ -32,10 +32,10 @@ from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.orbits.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingOrbit, solve_shooting
-from dpcontrol.tubes.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, balanced, intersect_cuts
 
 _ROUNDING = 1e-13

@@ -31,9 +31,9 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.cut import Cut, section_points
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.tubes.cut import Cut, section_points
 from dpcontrol.tubes.intersections import TubeSide
 
 Labels = NDArray[np.int8]

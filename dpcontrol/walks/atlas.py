@@ -20,10 +20,10 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
+from dpcontrol.orbits.cut import Piece
 from dpcontrol.orbits.lyapunov import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingRecord
 from dpcontrol.tubes.connections import ConnectionRecord
-from dpcontrol.tubes.cut import Piece
 
 
 def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str, Any]]) -> "nx.MultiDiGraph[str]":
