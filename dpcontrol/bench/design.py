@@ -256,7 +256,7 @@ def crossing_problem() -> ReferenceProblem:
     orbit = WalkSolver(found).solve(found[:1], [])
     if not orbit.converged:
         raise GoalMissed(orbit.status)
-    return ReferenceProblem(equations_of(model.arms, Level.CART), model.arms.base(), orbit.sample, orbit.duration)
+    return ReferenceProblem(equations_of(model.arms, Level.CART), model.arms.base(), orbit.states, orbit.duration)
 
 
 def transcribed(problem: ReferenceProblem, name: str, interval: float, solver: str = "ipopt") -> Solved:

@@ -473,8 +473,8 @@ def shadowing_page(gallery: Gallery) -> PaperFigure:
     for title, found in shapes.items():
         assert found.converged, found.status
         times = np.linspace(0.0, found.duration, 1500)
-        above.append(partial(_outer_arm, states=found.sample(times), title=title))
-        below.append(partial(_both_arms, times=times, states=found.sample(times)))
+        above.append(partial(_outer_arm, states=found.states(times), title=title))
+        below.append(partial(_both_arms, times=times, states=found.states(times)))
         words.append(f"{title[0]} {found.duration:.2f} s, residual {found.residual:.0e}")
     page.row(*above, height=3.2).row(*below, height=3.0)
     return PaperFigure(

@@ -23,6 +23,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import SECONDS
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import MOST_SECONDS
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.cut import Cut, CutSettings, Piece, longest_flight, section_points
 from dpcontrol.orbits.manifold import UnstableManifold
 
@@ -228,7 +229,7 @@ class TubeSide:
 
 
 @dataclass(frozen=True)
-class Intersection:
+class Intersection(Brief):
     """An intersection of two cuts.
 
     Attributes:
