@@ -100,9 +100,9 @@ class WalkClassifier:
     def complaints(self, orbit: ShadowingOrbit, *, gap: float = 1e-11) -> list[str]:
         """Return the differences of a converged orbit from the requested walk, ideally none."""
         if orbit.periodic:
-            seen = self.closed_walk(orbit.sample, orbit.duration)
+            seen = self.closed_walk(orbit.states, orbit.duration)
         else:
-            seen = self.open_walk(orbit.sample, orbit.duration)
+            seen = self.open_walk(orbit.states, orbit.duration)
         found = []
         if seen.names != orbit.walk:
             found.append(f"follows {seen.names}, not {orbit.walk}")

@@ -24,6 +24,7 @@ from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
+from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.lyapunov import ContinuationSettings, LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import local_manifold
 from dpcontrol.plans.model import load_model
@@ -35,7 +36,6 @@ from dpcontrol.references.trajectory import Solved, error_between_nodes, even_me
 from dpcontrol.references.transcription import solve
 from dpcontrol.shooting.extended import refine, refine_orbit
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections, orbits_between
-from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 from dpcontrol.walks.shadowing import WalkSolver
 
@@ -256,7 +256,7 @@ def crossing_problem() -> ReferenceProblem:
     orbit = WalkSolver(found).solve(found[:1], [])
     if not orbit.converged:
         raise GoalMissed(orbit.status)
-    return ReferenceProblem(equations_of(model.arms, Level.CART), model.arms.base(), orbit.sample, orbit.duration)
+    return ReferenceProblem(equations_of(model.arms, Level.CART), model.arms.base(), orbit.states, orbit.duration)
 
 
 def transcribed(problem: ReferenceProblem, name: str, interval: float, solver: str = "ipopt") -> Solved:

@@ -410,7 +410,7 @@ def references_chart(quick: bool, progress: Progress) -> EdgeChart:
 def _walk() -> tuple[Itinerary, Callable[[Array], Array], float]:
     itinerary = load_itinerary(WALK)
     orbit = shadowing_orbit(itinerary)
-    return itinerary, orbit.sample, orbit.duration
+    return itinerary, orbit.states, orbit.duration
 
 
 def problem_of(friction: float = 1.0, limits: Limits | None = None) -> ReferenceProblem:

@@ -133,7 +133,7 @@ def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> C
     if missed := [one.status for one in orbits if not one.converged]:
         raise GoalMissed(f"{name}: {missed[0]}")
     ends = [on_turns(one, state[:2]) for one, state in zip(orbits, (goal.start, goal.end), strict=True)]
-    sample = orbit.sample
+    sample = orbit.states
     problem = ReferenceProblem(
         equations_of(model.arms, Level.CART), model.arms.base(), lambda times: sample(times + goal.begin), goal.seconds,
         limits=LIMITS, ends=EndConditions(start=ends[0], end=ends[1]),

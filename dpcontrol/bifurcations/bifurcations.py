@@ -62,15 +62,16 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.shown import Brief
+from dpcontrol.orbits.cut import section_points, tube_cut
 from dpcontrol.orbits.lyapunov import equilibrium
-from dpcontrol.tubes.cut import section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 
 _HALVINGS = 8  # largest number of bisections of a path around a turn
 
 
 @dataclass(frozen=True)
-class Located:
+class Located(Brief):
     """A solved event.
 
     Attributes:

@@ -34,6 +34,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import (
     LyapunovOrbit,
     SymmetricShooting,
@@ -85,7 +86,7 @@ class PathPoint:
 
 
 @dataclass(frozen=True)
-class Match:
+class Match(Brief):
     """The gap between two tubes at a connection's middle.
 
     Attributes:
@@ -102,7 +103,7 @@ class Match:
 
 
 @dataclass(frozen=True)
-class MirrorMatch:
+class MirrorMatch(Brief):
     """The scaled gap (n,) between a tube and a fixed set."""
 
     miss: Array
@@ -478,7 +479,7 @@ _SAMPLES = 300  # per half of a flight, about twenty per swing of an arm
 
 
 @dataclass(frozen=True)
-class Profile:
+class Profile(Brief):
     """Heights of a connection over its section.
 
     Attributes:

@@ -34,6 +34,7 @@ from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import Limits
 
 SWITCH_MARGIN = 0.05
@@ -76,7 +77,7 @@ class CalmingSettings(Settings, table="calming"):
 
 
 @dataclass(frozen=True, eq=False)
-class CalmingController:
+class CalmingController(Brief):
     """Controller that calms the arms from any state; see `calming_controller`."""
 
     law: Compiled

@@ -22,6 +22,7 @@ from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 
 Present = NDArray[np.bool_] | None
@@ -206,7 +207,7 @@ class ClockedSession(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class GainSchedule:
+class GainSchedule(Brief):
     """Inputs, gains and references by the loop's own clock, for K ticks, N states, E extras and n arms.
 
     rows (K, ·): see `TickEquations.row`; references (K, N); queued (lead,) m/s²: what acts before the first

@@ -27,6 +27,7 @@ from dpcontrol.dynamics.chain import damping_scales
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE
 
 
@@ -76,7 +77,7 @@ class HoldSettings(QuadraticWeights):
 
 
 @dataclass(frozen=True, eq=False)
-class HoldController:
+class HoldController(Brief):
     """Gain (N,) about the equilibrium `state` (N,), cart in the middle; for so many ticks.
 
     drive_gain: on the cart's acceleration, for a drive that lags. extra_gains (E,): on the estimator's extras `names`.
@@ -147,7 +148,7 @@ class HoldSession:
 
 
 @dataclass(frozen=True, eq=False)
-class ExtraEffects:
+class ExtraEffects(Brief):
     """What an estimator estimates besides the state: names (E,), effects E (N, E) in a period, share D (E,) kept."""
 
     names: tuple[str, ...]

@@ -41,6 +41,7 @@ from dpcontrol.control.tick import UNROLLED, TickEquations, TickProgram
 from dpcontrol.control.tracking import PhaseController, TimedController, TrackingController
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.shown import Brief
 
 GROWTH = 1.5
 """By which errors may grow in a wobble of a flight."""
@@ -68,7 +69,7 @@ _BATCH = 32
 
 
 @dataclass(frozen=True, eq=False)
-class LinearLoop:
+class LinearLoop(Brief):
     """Loop of K ticks, `period` s apart, in w: plant (N,), the tick's memory, a clock by phase.
 
     moves T (K, d, d), pushes b (K, N), commands γ (K, d); delay, in periods, and known_lag, in s: those believed.
@@ -138,7 +139,7 @@ class LinearLoop:
 
 
 @dataclass(frozen=True, eq=False)
-class Margins:
+class Margins(Brief):
     """Margins of W windows, each beginning at its time in s, and the limit that its largest multiplier has to keep.
 
     growth (W,): that multiplier with nothing changed. low, high (W,): factors on the commanded acceleration between

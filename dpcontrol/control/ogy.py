@@ -42,6 +42,7 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.shown import Brief
 
 if TYPE_CHECKING:
     from dpcontrol.references.sustained import SectionMap, SustainedOrbit
@@ -61,7 +62,7 @@ _MOST_PERIODS = 5000
 
 
 @dataclass(frozen=True, eq=False)
-class Learning:
+class Learning(Brief):
     """What sections teach: sensitivities D (k, 2n, m), noise (k, 2n, 2n), shifts s (k, m) in m/s², prior (m, m)."""
 
     sensitivities: Array
@@ -228,7 +229,7 @@ class OgySettings(QuadraticWeights):
 
 
 @dataclass(frozen=True, eq=False)
-class OgyController:
+class OgyController(Brief):
     """Sections (k) with their times (k,) s, states, normals and gains (k, N), and the pendulum's projections onto them
     (k, 2n, 2n); pulses of `duration` s.
 

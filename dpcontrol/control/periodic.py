@@ -35,6 +35,7 @@ from dpcontrol.control.interface import (
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.shown import Brief
 
 if TYPE_CHECKING:
     from dpcontrol.references.sustained import SustainedOrbit
@@ -47,7 +48,7 @@ COARSE = 8
 
 
 @dataclass(frozen=True, eq=False)
-class PhaseTable:
+class PhaseTable(Brief):
     """One period in s of a motion: states (M+1, N) and inputs (M+1,) m/s² at even times, the last as at time zero."""
 
     period: float
@@ -151,7 +152,7 @@ def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArr
 
 
 @dataclass(frozen=True, eq=False)
-class OrbitController:
+class OrbitController(Brief):
     """Holds a sustained orbit by gains at every tick: TVLQR that never ends.
 
     table: one period at its ticks, of which there are `gains` (M, N); normals (M, N): see `PhaseSection`; ticks: for

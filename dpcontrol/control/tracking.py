@@ -69,6 +69,7 @@ from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import setting
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.reference import Reference
 
 STANDSTILL = 0.1
@@ -80,7 +81,7 @@ MOST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class ReferenceController:
+class ReferenceController(Brief):
     """What follows a reference: its states (K+1, N) and inputs (K,) in m/s² at the ticks, gains (K, N) on the state."""
 
     kind: str

@@ -54,6 +54,7 @@ from dpcontrol.dynamics.system import System, described_system
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.foundation.units import Usual
 
 LARGEST = 1e6
@@ -214,7 +215,7 @@ class Level(StrEnum):
 
 
 @dataclass(frozen=True)
-class ChainEnergies:
+class ChainEnergies(Brief):
     """The chain's energies as functions of (position (n+1,), velocity (n+1,), parameters), the cart last.
 
     parameters: the base parameters' symbols, which the functions hold already; coupling (n,): S among them.

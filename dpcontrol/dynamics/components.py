@@ -23,6 +23,7 @@ import numpy as np
 
 from dpcontrol.dynamics.equations import solve_symmetric
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.shown import Brief
 
 
 class Sizes(NamedTuple):
@@ -34,7 +35,7 @@ class Sizes(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ComponentFrame:
+class ComponentFrame(Brief):
     """The symbols from which a component builds its expressions.
 
     position, velocity (n+1,): the arms' angles and the cart; demand m/s²: acceleration of the drive. states,

@@ -19,10 +19,11 @@ import casadi as ca
 import numpy as np
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.shown import Brief
 
 
 @dataclass(frozen=True)
-class Mechanics:
+class Mechanics(Brief):
     """A mechanical system, symbolically; every entry is a casadi SX expression in the first four.
 
     position (n + m,), velocity (n + m,): free coordinates first, then m prescribed ones; acceleration (m,) of the
@@ -100,7 +101,7 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
+class Equations(Brief):
     """One level's equations as casadi SX: state (N,), inputs (m,), parameters (p,), rate = f (N,).
 
     linear_parameters (p,), expressions of parameters: those at which a sampled step is linearised, for a law such as
@@ -243,7 +244,7 @@ class _Buffered:
 
 
 @dataclass(frozen=True)
-class NumericEquations:
+class NumericEquations(Brief):
     """Equations with numbers for parameters (p,): numpy in, numpy out, many states at once.
 
     States are (N,) or (K, N); results follow with the same leading shape. Inputs are taken as zero. Not to be shared

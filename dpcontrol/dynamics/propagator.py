@@ -30,6 +30,7 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arguments import number, numbers
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.shown import Brief
 
 Row = Sequence[float] | Array
 
@@ -123,7 +124,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Crossing:
+class Crossing(Brief):
     """Where a trajectory met a section: state (N,), time in s. None in its place means it never did."""
 
     state: Array

@@ -38,6 +38,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
 from dpcontrol.foundation.settings import Settings, setting, suggest
+from dpcontrol.foundation.shown import Brief
 
 EnergyFunction = Callable[[tuple[ca.SX, ...], tuple[ca.SX, ...], dict[str, ca.SX]], ca.SX]
 """(coordinates, their velocities or momenta, parameters by name) -> energy, casadi scalars throughout."""
@@ -73,7 +74,7 @@ class SystemOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class System:
+class System(Brief):
     """A Hamiltonian system with N = 2n states.
 
     equilibria: name -> state (N,). periods (N,): 2π for angles, infinity otherwise. reversers: matrices (N, N)
@@ -147,10 +148,25 @@ class System:
         equations = hamiltonian_equations(energy, count=2, parameters=symbols)
         return described_system(name, equations, numbers, coordinates, equilibria, **options)
 
+    def __repr__(self) -> str:
+        return f"<system {self.name!r}: {', '.join(self.coordinates)}; saddles {', '.join(self.saddles)}>"
+
     @property
     def dimension(self) -> int:
         """Length N of the state."""
         return self.equations.dimension
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state: coordinates, then their rates (v_x) or momenta (p_x)."""
+        names, state = self.coordinates, np.linspace(0.1, 0.9, self.dimension)
+        letter = "p" if np.allclose(self.numeric.momentum(state), state[len(names) :]) else "v"
+        rates = (f"rate_{one[6:]}" if one.startswith("angle_") else f"{letter}_{one}" for one in names)
+        return (*names, *rates)
+
+    def unit(self, name: str, form: str = " {}") -> str:
+        """Return a unit of SI as texts have it after a number, or "" if the system's units are its own."""
+        return form.format(name) if self.si else ""
 
     def worded(self, text: str) -> str:
         """Return a text that has energies in J without their unit where the system's units are its own."""

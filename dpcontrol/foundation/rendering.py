@@ -44,8 +44,19 @@ def render(result: object, axes: Axes | None = None) -> Figure:
             if axes is not None:
                 raise InputError(f"the picture of a {kind.__name__} has several panels; plot it without axes")
             return table.renderer(table.RENDERERS[name])(result)
+        if name in table.PANELS:
+            return render(result, table.new_axes(7.0, 5.0))
     known = ", ".join(sorted(name.rpartition(".")[2] for name in table.RENDERERS))
     raise InputError(f"a {type(result).__name__} has no picture; results with one are {known}")
+
+
+def thumbnail(result: object) -> Figure:
+    """Return a small picture of a result: its most important chart.
+
+    Raises:
+        InputError: the result has no chart that fits in one panel.
+    """
+    return render(result, import_module(_TABLE).new_axes(5.2, 3.6))
 
 
 def live_view(start: Any) -> AbstractContextManager[Any]:

@@ -59,6 +59,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.recordings.recording import smoothed_derivative
 
 LONGEST_STEP = 2e-3
@@ -149,7 +150,7 @@ _GAP_WEIGHT = 1e3
 
 
 @dataclass(frozen=True, eq=False)
-class Swing:
+class Swing(Brief):
     """K measured samples of one uninterrupted swing."""
 
     angles: Array
@@ -313,7 +314,7 @@ class FitSettings(Settings, table="fit"):
 
 
 @dataclass(frozen=True, eq=False)
-class SwingFit:
+class SwingFit(Brief):
     """Fitted ratios (m,) and zeros (groups, n), rad, with residuals and information."""
 
     parameters: Array
@@ -531,7 +532,7 @@ class DesignSettings(Settings, table="design"):
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class Experiment(Brief):
     """One recording: "swing" from rest at angles (n,) rad, or "cart" with a sinusoidal acceleration.
 
     Attributes:

@@ -47,6 +47,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
 from dpcontrol.recordings.recording import Recording, cart_motion
 
@@ -283,7 +284,7 @@ class IdentificationSettings(Settings, table="identify"):
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Candidate(Brief):
     """A set of terms, its fit, and the rms error (L,) in rad on each held-out segment."""
 
     laws: tuple[Friction, ...]
@@ -304,7 +305,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Shown):
     """Result of an identification."""
 
     arms: ArmChainParameters
@@ -512,7 +513,7 @@ _AT = (-3.0, -1.5, 1.5, 3.0)
 
 
 @dataclass(frozen=True, eq=False)
-class LossProfile:
+class LossProfile(Brief):
     """Profile of one unknown: values (K,), relative rise of the loss (K,), and its linearised prediction."""
 
     name: str

@@ -42,6 +42,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting, suggest
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import ESTIMATORS, make_estimator
 from dpcontrol.loop.result import inside_95
@@ -64,7 +65,7 @@ _GUESS_SECONDS = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class CartDrive:
+class CartDrive(Brief):
     """Cart motion of C stretches; its position does not affect the arms.
 
     Attributes:
@@ -136,7 +137,7 @@ def first_guess(angles: Array, period: float) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class FittedPath:
+class FittedPath(Brief):
     """Motion nearest to a stretch: states (K, 2n), residual (n,) rad rms per angle, and status."""
 
     states: Array
@@ -237,7 +238,7 @@ _INDEPENDENT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class RecordedEstimate:
+class RecordedEstimate(Brief):
     """States (K, 2n) and standard deviations at each sample; nis (K,), NaN except at the end of a mean."""
 
     states: Array
@@ -380,7 +381,7 @@ class ReplaySettings(Settings, table="replay"):
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class Replay(Brief):
     """A recording of K samples and the model's predictions for it."""
 
     recording: Recording

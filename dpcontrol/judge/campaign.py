@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import check_seal, checked_size, checked_source, picked
 from dpcontrol.foundation.parts import part
+from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
 
 SPREADS = ("max_cart_position", "rms_tracking_error")
@@ -62,7 +63,7 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class CampaignSummary:
+class CampaignSummary(Shown):
     """Summary of a campaign's table.
 
     Attributes:
@@ -133,7 +134,19 @@ def campaign_summary(path: Path) -> CampaignSummary:
     Raises:
         InputError: the file is missing, not a Parquet table, has no runs, or no column of completed runs.
     """
-    columns = _columns(Path(path))
+    return summary_of(_columns(Path(path)), Path(path))
+
+
+def summary_of(columns: dict[str, list[Any]], path: Path) -> CampaignSummary:
+    """Return the summary of the columns of a campaign's table.
+
+    Args:
+        columns: values of each run by column.
+        path: place of the table, for messages and titles.
+
+    Raises:
+        InputError: the table has no runs, or no column of completed runs.
+    """
     if "completed" not in columns:
         found = ", ".join(sorted(columns)) or "no columns"
         raise InputError(f"{path} has no column of completed runs, only {found}; give a table of `dpcontrol campaign`")
@@ -150,7 +163,7 @@ def campaign_summary(path: Path) -> CampaignSummary:
     groups = _groups(table, [*families, _KIND] if standard else families, done)
     alone = _groups(table, families, done)
     return CampaignSummary(
-        path=Path(path),
+        path=path,
         runs=len(rows),
         unknown=len(columns["completed"]) - len(rows),
         share=wilson(int(done.sum()), len(done)),

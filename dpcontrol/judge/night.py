@@ -19,6 +19,7 @@ import numpy as np
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shown import Shown
 from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import CATCH, LAP, REST, RESUME, RETURN, START
 from dpcontrol.logs.reader import read_log
@@ -89,7 +90,7 @@ def cause_of(text: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Night:
+class Night(Shown):
     """A long run, represented by its digests in order."""
 
     folder: Path

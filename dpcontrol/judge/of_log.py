@@ -39,6 +39,7 @@ from dpcontrol.judge.score import (
 )
 from dpcontrol.logs import RunLog
 from dpcontrol.logs.layout import SLOW_RATE
+from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.recordings.recording import SUMMARY
@@ -52,7 +53,6 @@ from dpcontrol.references.reference import (
     summarised,
 )
 from dpcontrol.references.sustained import SustainedOrbit
-from dpcontrol.tubes.cut import CutSettings, tube_cut
 
 STRANDS = 24
 INSTANTS = 160

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from dpcontrol.foundation.files import picked
-from dpcontrol.foundation.rendering import Figure, render
+from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share
 
 
@@ -184,7 +184,7 @@ class Improvement:
 
 
 @dataclass(frozen=True)
-class Preflight:
+class Preflight(Shown):
     """Forecast before the first run.
 
     Attributes:
@@ -255,7 +255,3 @@ class Preflight:
             "changes": [{**asdict(one), "gain": one.gain, "error": one.error} for one in self.changes],
             "seconds": self.seconds,
         }
-
-    def plot(self) -> Figure:
-        """Return the page to print."""
-        return render(self)

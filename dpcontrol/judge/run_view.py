@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Extras, Mode, RunLog
 from dpcontrol.logs.reader import Event
 from dpcontrol.recordings.recording import REPLAYED
@@ -20,7 +21,7 @@ from dpcontrol.references.reference import ReferenceSummary
 
 
 @dataclass(frozen=True)
-class PlacedOrbit:
+class PlacedOrbit(Brief):
     """A periodic orbit or an equilibrium at a stop of a plan.
 
     Attributes:
@@ -35,7 +36,7 @@ class PlacedOrbit:
 
 
 @dataclass(frozen=True)
-class TubeCurve:
+class TubeCurve(Brief):
     """The part of a tube that a plan uses.
 
     Its trajectories lie between a stop's orbit and a symbol's section.
@@ -115,7 +116,7 @@ _DRIVEN = ("command", "applied", "feedforward")
 
 
 @dataclass(frozen=True, eq=False)
-class RunView:
+class RunView(Brief):
     """Data to draw of a run, a recording or a reference.
 
     There are N ticks of a pendulum of n arms, and their plan.

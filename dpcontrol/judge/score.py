@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.estimator_settings import NisMeans, nis_means
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.judge.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_run, last_gap
 from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
 from dpcontrol.loop.result import inside_95
@@ -157,7 +158,7 @@ def _whole(reference: Reference, log: RunLog) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Flown:
+class Flown(Brief):
     """Basis of the verdict on a run: K ticks, n arms.
 
     Attributes:

@@ -18,7 +18,7 @@ from functools import cached_property
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 import zstandard
@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import checked_size, checked_source, in_the_way
+from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import CHUNK_HEAD, MAGIC, ZSTD, partials_of, unsealed
 from dpcontrol.logs.layout import TickLayout
@@ -538,7 +539,7 @@ class Event(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Extras:
+class Extras(Brief):
     """Parameters estimated in addition to the state.
 
     Attributes:
@@ -555,7 +556,7 @@ class Extras:
 
 
 @dataclass(frozen=True)
-class RunLog:
+class RunLog(Shown):
     """A log in memory; arrays are read-only.
 
     Attributes:
@@ -594,6 +595,17 @@ class RunLog:
     limits: tuple[float, float, float] | None
     recovered: str | None = None
     extras: Extras | None = None
+
+    def __repr__(self) -> str:
+        return f"<log {self.path}: {len(self.time):,} rows at {self.rate_hz:g} Hz>"
+
+    def document(self) -> dict[str, Any]:
+        """Return what the log holds, without its rows."""
+        return {
+            "log": self.path, "rows": len(self.time), "duration": float(np.ptp(self.time)) if len(self.time) else 0.0,
+            "parts": sorted(self.parts), "events": len(self.events), "attachments": sorted(self.attachments),
+            "metadata": self.metadata,
+        }  # fmt: skip
 
     @property
     def parts(self) -> frozenset[str]:
@@ -658,10 +670,7 @@ class RunLog:
         Raises:
             InputError: pandas is not installed.
         """
-        try:
-            from pandas import DataFrame, Index
-        except ImportError as error:
-            raise InputError("a table of a log needs pandas; install it with `pip install pandas`") from error
+        data_frame, index = pandas_classes()
         columns = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}
         if self.rates is not None:
             columns |= {f"rates.{name}": self.rates[:, i] for i, name in enumerate(self.joint_names)}
@@ -674,7 +683,7 @@ class RunLog:
             for of, values in (("extra", self.extras.values), ("sigma", self.extras.sigmas)):
                 held = np.where((last >= 0)[:, None], values[last], np.nan)
                 columns |= {f"{of}.{name}": held[:, i] for i, name in enumerate(self.extras.names)}
-        return DataFrame(columns, index=Index(self.time, name="time"))
+        return data_frame(columns, index=index(self.time, name="time"))
 
 
 def read_log(path: Path | str) -> RunLog:

@@ -19,6 +19,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import layout
 from dpcontrol.logs.layout import TickLayout
 
@@ -114,7 +115,7 @@ def _joints(body: bytes) -> tuple[tuple[str, ...], tuple[float, ...], tuple[floa
 
 
 @dataclass(frozen=True)
-class Rewritten:
+class Rewritten(Brief):
     """A log read topic by topic.
 
     It consists of tick layout, rows and a description in the form of the layout record.

@@ -37,6 +37,7 @@ from dpcontrol.dynamics.plant import PlantParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import Limits
 
 Clip = Callable[[Any, Any, Any], Any]
@@ -375,7 +376,7 @@ _BLOCK = 1 << 14
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
+class Stream(Brief):
     """What is drawn for each tick of a run: `make` turns a generator and a count into as many ticks' (count, …).
 
     Blocks one after the other hold the numbers of one long draw.
@@ -426,7 +427,7 @@ def _drawn(name: str) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class BenchDraw:
+class BenchDraw(Brief):
     """One run's draws for n arms and K ticks.
 
     plant; initial_error (n,) rad on the angles, initial_rate (n,) rad/s on the rates; zeros (n,) rad of the encoders,

@@ -31,6 +31,7 @@ from dpcontrol.control.calming import CalmingController
 from dpcontrol.control.interface import Controller, GainSchedule, whole_turns
 from dpcontrol.control.tick import BRAKING, Outcome
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import CATCH, LAP, REST, RESUME, RETURN, START, Flight, joined_text
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
@@ -90,7 +91,7 @@ def calming_bounds(limits: Limits) -> Mapping[str, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class StartController:
+class StartController(Brief):
     """A transfer onto the itinerary and its continuation, from rest or from a nearby state."""
 
     stop: int
@@ -131,7 +132,7 @@ def started(before: GainSchedule, main: GainSchedule, *, lead_in: int, place: in
 
 
 @dataclass(frozen=True, eq=False)
-class Reach:
+class Reach(Brief):
     """Places of a reference, `every` ticks apart: states (M, N) and cost-to-go matrices P (M, N, N)."""
 
     every: int
@@ -165,7 +166,7 @@ class Reach:
 
 
 @dataclass(frozen=True, eq=False)
-class RecoveryPlan:
+class RecoveryPlan(Brief):
     """Data shared by all recoveries of an itinerary; starts may be appended during a run."""
 
     calming: CalmingController

@@ -22,6 +22,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Flight, LogWriter
 from dpcontrol.logs.rolling import RollingLog
 
@@ -213,7 +214,7 @@ def ending(outcome: Outcome) -> Ending:
 
 
 @dataclass(frozen=True, eq=False)
-class Ticks:
+class Ticks(Brief):
     """K ticks, n arms.
 
     times (K,) s; measured (K, n+1), not-a-number where an encoder gave nothing; estimates, references (K, 2n+2) in
@@ -326,7 +327,7 @@ class Sinks:
 
 
 @dataclass(frozen=True, eq=False)
-class LoopResult:
+class LoopResult(Brief):
     """A run of K ticks, n arms.
 
     ticks: its rows. ending, and reason, a sentence. late: ticks that began too late; elapsed s. thinking (K,) s: what
@@ -381,7 +382,7 @@ def rms(values: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class BatchRun:
+class BatchRun(Brief):
     """One run of K ticks: what it is judged by, and a few of its figures.
 
     times (K,) s; truth (K, 2n+2); references (K, n): angles; applied (K,) m/s²; ending and why; falls, flights and

@@ -20,7 +20,7 @@ Sources: Doedel et al., Computation of periodic solutions of conservative system
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.orbits.lyapunov import (
     LinearCentre,
     LyapunovOrbit,
@@ -38,6 +39,9 @@ from dpcontrol.orbits.lyapunov import (
     described_orbit,
     symmetric_shooting,
 )
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 SLOPE = "slope"
 """Measure of every point: the scaled derivative of the energy along the curve, zero at a fold."""
@@ -47,7 +51,7 @@ FIRST_STEP = 0.01
 
 
 @dataclass(frozen=True)
-class FamilyPoint:
+class FamilyPoint(Brief):
     """A point of the curve.
 
     Attributes:
@@ -70,7 +74,7 @@ class FamilyPoint:
 
 
 @dataclass(frozen=True)
-class FamilyCurve:
+class FamilyCurve(Brief):
     """The curve of solutions of one shooting problem.
 
     Attributes:
@@ -367,12 +371,15 @@ Member = TypeVar("Member")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Family(Generic[Member]):
+class Family(Shown, Generic[Member]):
     """K members along a family's curve; `status` describes the continuation."""
 
     members: tuple[Member, ...]
     converged: bool
     status: str
+
+    def __repr__(self) -> str:
+        return f"<family of orbits: {self.status}>"
 
     @property
     def energies(self) -> Array:
@@ -393,6 +400,15 @@ class Family(Generic[Member]):
     def floquet_multipliers(self) -> NDArray[np.complex128]:
         """Floquet multipliers (K, …), largest first in each row."""
         return self.column("floquet_multipliers")
+
+    def frame(self) -> "DataFrame":
+        """Return a pandas table, one row per member: energy, period and the largest multiplier's modulus.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        sizes = np.abs(self.floquet_multipliers[:, 0])
+        return pandas_classes()[0]({"energy": self.energies, "period": self.periods, "multiplier": sizes})
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one attribute of all members, (K, …)."""

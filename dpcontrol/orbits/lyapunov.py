@@ -17,7 +17,8 @@ Source: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998), theo
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +26,18 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.system import System, saddle_index
 from dpcontrol.foundation.arguments import number, whole
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import fields_of
+from dpcontrol.foundation.shown import Brief, Timed, checked_times
+
+if TYPE_CHECKING:
+    from dpcontrol.orbits.manifold import OrbitCurve
+    from dpcontrol.orbits.tube import Tube
 
 
 @dataclass(frozen=True)
-class Equilibrium:
+class Equilibrium(Brief):
     """An equilibrium.
 
     Attributes:
@@ -83,7 +90,7 @@ _LONGEST = 3.0
 
 
 @dataclass(frozen=True)
-class SymmetricShooting:
+class SymmetricShooting(Brief):
     """The shooting problem about one saddle.
 
     Attributes:
@@ -197,7 +204,7 @@ class SymmetricShooting:
 
 
 @dataclass(frozen=True)
-class FamilyMember:
+class FamilyMember(Brief):
     """A member of a family, found by Newton's method.
 
     Attributes:
@@ -222,7 +229,7 @@ def fixed_and_moved(reverser: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class LinearCentre:
+class LinearCentre(Brief):
     """The linear limit of a family at its saddle.
 
     Attributes:
@@ -306,7 +313,7 @@ class ContinuationSettings:
 
 
 @dataclass(frozen=True)
-class OrbitRecord:
+class OrbitRecord(Brief):
     """Properties of a periodic orbit about a saddle.
 
     Attributes:
@@ -338,7 +345,7 @@ class OrbitRecord:
 
 
 @dataclass(frozen=True)
-class LyapunovOrbit(OrbitRecord):
+class LyapunovOrbit(OrbitRecord, Timed):
     """A periodic orbit about a saddle.
 
     Attributes:
@@ -353,6 +360,53 @@ class LyapunovOrbit(OrbitRecord):
 
     def __repr__(self) -> str:
         return f"<orbit about {self.saddle} at {self.energy:g}: {self.status}>"
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """Zero and the period, s."""
+        return 0.0, self.period
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        return self.system.columns
+
+    @cached_property
+    def _curve(self) -> "OrbitCurve":
+        from dpcontrol.orbits.manifold import OrbitCurve
+
+        return OrbitCurve(self)
+
+    def states(self, times: Any = None) -> Array:
+        """Return the states at given times.
+
+        Args:
+            times: times (K,) from the orbit's start, s; by default 200 over one period.
+
+        Returns:
+            States (K, N), with whole turns counted.
+
+        Raises:
+            InputError: the times are not finite numbers.
+        """
+        return self.sample() if times is None else self._curve.states(checked_times(times) / self.period)
+
+    @checked
+    def manifold(self, *, stable: bool = False, branch: Literal[-1, 0, 1] = 0) -> "Tube":
+        """Return the orbit's tube.
+
+        Args:
+            stable: the stable tube, whose trajectories approach the orbit; by default the unstable one.
+            branch: +1 or -1, by default 0 for both.
+
+        Raises:
+            GoalMissed: the orbit did not converge.
+        """
+        from dpcontrol.orbits.tube import Tube
+
+        if not self.converged:
+            raise GoalMissed(f"the orbit about {self.saddle}: {self.status}")
+        return Tube(self, stable, branch)
 
     @property
     def unstable_multiplier(self) -> float:

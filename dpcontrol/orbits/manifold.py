@@ -23,6 +23,7 @@ from scipy.spatial import KDTree
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import RotatingOrbit
 
@@ -31,7 +32,7 @@ _PROBES = 96  # number of phases at which vector lengths are compared
 
 
 @dataclass(frozen=True)
-class Frame:
+class Frame(Brief):
     """States γ(φ) and unstable vectors v(φ), with derivatives by phase.
 
     The vectors are v(φ) = e^(-μφ) Φ(φT) v(0) with μ = ln λ. During a time t, the flow therefore moves γ(φ) + a v(φ)
@@ -52,7 +53,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class UnstableManifold:
+class UnstableManifold(Brief):
     """The local unstable manifold of a hyperbolic orbit, branches +1 and -1."""
 
     orbit: LyapunovOrbit
@@ -349,7 +350,7 @@ SAMPLES = 512  # a periodic cubic spline through them has a scaled error of abou
 
 
 @dataclass(frozen=True)
-class OrbitCurve:
+class OrbitCurve(Brief):
     """The curve of a periodic orbit, with phases of period 1."""
 
     orbit: LyapunovOrbit

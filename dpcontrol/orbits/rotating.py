@@ -30,6 +30,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.shown import Brief, Timed, checked_times
 from dpcontrol.orbits.family import (
     LINGERS,
     SLOPE,
@@ -68,7 +69,7 @@ class RotatingSettings:
 
 
 @dataclass(frozen=True)
-class RotatingRecord:
+class RotatingRecord(Brief):
     """Properties of a symmetric orbit with one turn per period.
 
     The kind is "hyperbolic", "inverse hyperbolic", "elliptic", or "parabolic" if |trace| = 2 to rounding.
@@ -101,12 +102,49 @@ class RotatingRecord:
 
 
 @dataclass(frozen=True)
-class RotatingOrbit(RotatingRecord):
+class RotatingOrbit(RotatingRecord, Timed):
     """A symmetric rotating orbit with the scaled residual of its shooting equations."""
 
     system: System
     newton_residual: float
     converged: bool
+
+    def __repr__(self) -> str:
+        return f"<{self.name} at {self.energy:g}: {self.kind}, {self.status}>"
+
+    @property
+    def name(self) -> str:
+        """Name of the arm that rotates."""
+        return f"{('inner', 'outer')[self.arm - 1]}-rotating"
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """Zero and the period, s."""
+        return 0.0, self.period
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        return self.system.columns
+
+    def states(self, times: Any = None) -> Array:
+        """Return the states at given times.
+
+        Args:
+            times: times (K,) from the orbit's start, s; by default 200 over one period.
+
+        Returns:
+            States (K, N), with whole turns counted.
+
+        Raises:
+            InputError: the times are not finite numbers.
+        """
+        if times is None:
+            return self.sample()
+        laps, within = np.divmod(checked_times(times), self.period)
+        wanted, places = np.unique(within, return_inverse=True)
+        turn = np.concatenate([self.winding, np.zeros(len(self.winding))]) * self.system.turn_lengths
+        return self.system.propagator.sample(self.state, wanted)[places] + laps[..., None] * turn
 
 
 @dataclass(frozen=True)
@@ -235,7 +273,7 @@ def _check(system: System, arm: int, energy: float, sense: int) -> None:
 
 
 @dataclass(frozen=True)
-class _Arrival:
+class _Arrival(Brief):
     """Final angle of the other arm, if any, and flight time (s)."""
 
     angle: float

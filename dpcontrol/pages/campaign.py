@@ -24,7 +24,7 @@ def draw_campaign(summary: CampaignSummary) -> Figure:
     """Return a campaign's page as a figure."""
     page = Page(f"Campaign {summary.path.stem}", summary.status, summary.good)
     groups = min(len(_bars_of(summary)), _MOST)
-    above: list[Panel] = [Panel(partial(_draw_groups, summary=summary), 1.3)]
+    above: list[Panel] = [Panel(partial(draw_groups, summary=summary), 1.3)]
     if summary.levels:
         above.append(Panel(partial(_draw_levels, summary=summary)))
     page.row(*above, height=max(2.6, 0.8 + 0.21 * groups))
@@ -46,7 +46,7 @@ def _bars_of(summary: CampaignSummary) -> list[tuple[Group, str]]:
     return [(group, group.label) for group in groups]
 
 
-def _draw_groups(axes: Axes, summary: CampaignSummary) -> None:
+def draw_groups(axes: Axes, summary: CampaignSummary) -> None:
     every = _bars_of(summary)
     shown = every[:_MOST]
     more = f"… and {len(every) - len(shown)} groups more" if len(every) > len(shown) else ""

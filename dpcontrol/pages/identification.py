@@ -21,7 +21,7 @@ def draw_identification(found: Identification, curves: tuple[LossProfile, ...], 
     page = Page(title)
     candidates = 1.0 + 0.2 * (len(found.candidates) + 1)
     page.row(
-        Panel(partial(_candidates, found=found), 1.4), partial(_segments, found=found), height=max(candidates, 2.4)
+        Panel(partial(draw_candidates, found=found), 1.4), partial(_segments, found=found), height=max(candidates, 2.4)
     )
     correlation = Panel(partial(_correlation, found=found), 0.9)
     page.row(Panel(partial(_errors, found=found), 1.4), correlation, height=0.9 + max(2.4, 0.19 * len(found.names)))
@@ -40,7 +40,7 @@ def _nothing(axes: Axes) -> None:
     axes.axis("off")
 
 
-def _candidates(axes: Axes, found: Identification) -> None:
+def draw_candidates(axes: Axes, found: Identification) -> None:
     """Draw each candidate's errors on the segments left out."""
     rows = [("the starting model", found.started_at), *((" + ".join(c.terms), c.left_out) for c in found.candidates)]
     for y, (_, rms) in enumerate(rows):

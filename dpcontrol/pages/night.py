@@ -38,7 +38,7 @@ def draw_night(night: Night) -> Figure:
     zeros = [name for name in names if name.startswith("zero_")]
     page = Page(night.folder.name, night.sentence)
     page.strip(partial(_draw_strip, night=night, row=row, rows=rows), height=1.0 + 0.36 * rows)
-    causes = Panel(partial(_draw_causes, night=night), 1.1)
+    causes = Panel(partial(draw_causes, night=night), 1.1)
     page.row(Panel(partial(_draw_times, night=night)), causes, partial(_draw_returns, night=night), height=2.1)
     return page.row(
         partial(_draw_drift, night=night, title="Encoder zeros, change since the first file", names=zeros),
@@ -113,7 +113,7 @@ def _draw_returns(axes: Axes, night: Night) -> None:
     axes.set(xlim=(0, 1.3 * returns[-1]), ylim=(0, 1.03))
 
 
-def _draw_causes(axes: Axes, night: Night) -> None:
+def draw_causes(axes: Axes, night: Night) -> None:
     quiet(axes, "Falls by cause, in the triangles' colours")
     causes = night.causes
     axes.barh(range(len(causes)), list(causes.values()), color=[_FALLS.get(c, style.INK) for c in causes], height=0.6,

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.orbits.cut import section_points
 from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
 from dpcontrol.pages import style
 from dpcontrol.pages.atlas import (
@@ -23,7 +24,6 @@ from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import MOST_IN_KEY, Draw, Page, Panel, key
 from dpcontrol.pages.panels import angle_axis, name_point, quiet, quiet_space, wrapped_runs
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
-from dpcontrol.tubes.cut import section_points
 from dpcontrol.tubes.intersections import search_settings
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind
 from dpcontrol.walks.shadowing import WalkSolver
@@ -473,8 +473,8 @@ def shadowing_page(gallery: Gallery) -> PaperFigure:
     for title, found in shapes.items():
         assert found.converged, found.status
         times = np.linspace(0.0, found.duration, 1500)
-        above.append(partial(_outer_arm, states=found.sample(times), title=title))
-        below.append(partial(_both_arms, times=times, states=found.sample(times)))
+        above.append(partial(_outer_arm, states=found.states(times), title=title))
+        below.append(partial(_both_arms, times=times, states=found.states(times)))
         words.append(f"{title[0]} {found.duration:.2f} s, residual {found.residual:.0e}")
     page.row(*above, height=3.2).row(*below, height=3.0)
     return PaperFigure(

@@ -18,9 +18,38 @@ RENDERERS = {
     "dpcontrol.judge.night.Night": "night:draw_night",
     "dpcontrol.judge.comparison.RunComparison": "comparison:draw_comparison",
     "dpcontrol.walks.atlas.Atlas": "atlas:draw_atlas",
+    "dpcontrol.orbits.family.LyapunovFamily": "single:family_page",
+    "dpcontrol.walks.shadowing.ShadowingOrbit": "single:walk_page",
+    "dpcontrol.plans.plan.Plan": "single:plan_page",
+    "dpcontrol.runs.closed_loop.ClosedLoop": "single:closed_loop_page",
+    "dpcontrol.runs.campaign.Campaign": "single:campaign_page",
+    "dpcontrol.identification.identify.Identification": "single:identification_page",
 }
 """Functions `draw(result) -> Figure`."""
-PANELS: dict[str, str] = {}
+PANELS: dict[str, str] = {
+    "dpcontrol.orbits.lyapunov.LyapunovOrbit": "single:orbit",
+    "dpcontrol.orbits.rotating.RotatingOrbit": "single:orbit",
+    "dpcontrol.orbits.family.LyapunovFamily": "single:family",
+    "dpcontrol.orbits.rotating.RotatingFamily": "single:family",
+    "dpcontrol.orbits.tube.Tube": "single:tube",
+    "dpcontrol.orbits.cut.Cut": "single:cut",
+    "dpcontrol.tubes.connections.ConnectionSearch": "single:search",
+    "dpcontrol.tubes.connections.Connection": "single:connection",
+    "dpcontrol.tubes.symmetric.SymmetricSearch": "single:symmetric",
+    "dpcontrol.walks.shadowing.ShadowingOrbit": "single:walk",
+    "dpcontrol.walks.edges.Edges": "single:edges",
+    "dpcontrol.walks.atlas.Atlas": "single:atlas",
+    "dpcontrol.plans.plan.Plan": "single:plan",
+    "dpcontrol.runs.closed_loop.ClosedLoop": "single:closed_loop",
+    "dpcontrol.runs.run.Run": "single:run",
+    "dpcontrol.logs.reader.RunLog": "single:log",
+    "dpcontrol.runs.campaign.Campaign": "single:whole_campaign",
+    "dpcontrol.judge.campaign.CampaignSummary": "single:campaign_summary",
+    "dpcontrol.judge.night.Night": "single:whole_night",
+    "dpcontrol.judge.preflight.Preflight": "single:whole_preflight",
+    "dpcontrol.identification.identify.Identification": "single:identification",
+    "dpcontrol.recordings.recording.Recording": "single:recording",
+}
 """Functions `draw(axes, result)`, for results that fit in one panel."""
 
 
@@ -36,6 +65,13 @@ def record(result: object, path: Path) -> None:
     """Write the Rerun recording of a result."""
     kind = type(result)
     renderer(RECORDINGS[f"{kind.__module__}.{kind.__qualname__}"])(result, path)
+
+
+def new_axes(width: float, height: float) -> Any:
+    """Return the axes of a new figure of this size, in inches."""
+    figure = renderer("layout:new_figure")(width, height)
+    figure.set_layout_engine("constrained")
+    return figure.add_subplot()
 
 
 def renderer(place: str) -> Callable[..., Any]:

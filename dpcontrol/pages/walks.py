@@ -81,12 +81,12 @@ class WalkStory:
     @cached_property
     def states(self) -> Array:
         """States (K, N) at the times, with whole turns counted."""
-        return self.orbit.sample(self.times)
+        return self.orbit.states(self.times)
 
     @cached_property
     def crossings(self) -> Array:
         """States (k, N) where the symbols cross their sections."""
-        return self.orbit.sample(self.orbit.symbol_times)
+        return self.orbit.states(self.orbit.symbol_times)
 
     @property
     def has_angles(self) -> bool:

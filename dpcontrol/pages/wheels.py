@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import hsv_to_rgb
 from matplotlib.figure import Figure
 
+from dpcontrol.orbits.cut import section_points, tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.rotating import RotatingOrbit, rotating_orbits
@@ -15,7 +16,6 @@ from dpcontrol.pages import style
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, Panel
 from dpcontrol.pages.panels import angle_axis, quiet
-from dpcontrol.tubes.cut import section_points, tube_cut
 from dpcontrol.tubes.interior import InteriorSettings, Outline, Returns, TubeInterior, inside, tube_interior
 
 

@@ -60,12 +60,12 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, content_hash, fields_of, picked, plain, write_archive
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.orbits.cut import Cut, Piece, section_points
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitRecord, equilibria
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.rotating import RotatingOrbit, RotatingRecord, can_rotate, rotating_orbits
 from dpcontrol.plans.model import Model
 from dpcontrol.tubes.connections import Connection, ConnectionRecord
-from dpcontrol.tubes.cut import Cut, Piece, section_points
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.atlas import (
     Atlas,

@@ -18,6 +18,7 @@ from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, resting_place
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.plans.itinerary import Itinerary
@@ -36,7 +37,7 @@ WOBBLES = 2
 
 
 @dataclass(frozen=True)
-class Goal:
+class Goal(Brief):
     """What a piece is to be: a walk's shadowing orbit, or a stay at an equilibrium of `seconds`.
 
     first, last (n,): angles of the saddles or equilibria at which it starts and ends, on its own lift; start, end
@@ -64,7 +65,7 @@ class Goal:
 
 
 @dataclass(frozen=True)
-class SolvedPiece:
+class SolvedPiece(Brief):
     """A solved piece. goal: None for a transfer; lift (n,): radians added to its angles."""
 
     text: str
@@ -89,7 +90,7 @@ def walk_goal(
         begin -= (_phase_at_start(orbit, chain[0].source) % 1.0) * chain[0].source.period
     if round_off[1]:
         end += (-_phase_at_end(orbit, chain[-1].target) % 1.0) * chain[-1].target.period
-    ends = orbit.sample(np.array([begin, end]))
+    ends = orbit.states(np.array([begin, end]))
     points = [
         (system.equilibrium(name) + offset * system.turn_lengths)[:n]
         for name, offset in zip(names, (orbit.offsets[0], orbit.offsets[-1]), strict=True)
@@ -173,7 +174,7 @@ def lifted(state: Array, lift: Array) -> Array:
 def lifted_guess(goal: Goal, lift: Array) -> Guess:
     """Return what follows a walk's shadowing orbit from its beginning, `lift` (n,) added to its angles."""
     assert goal.shadowing is not None
-    sample, turned = goal.shadowing.sample, np.concatenate([lift, np.zeros(len(lift))])
+    sample, turned = goal.shadowing.states, np.concatenate([lift, np.zeros(len(lift))])
     return lambda times: sample(times + goal.begin) + turned
 
 
@@ -295,7 +296,7 @@ def _blend(
         states[:, :n] += home
         return states
 
-    start, end = before.sample(np.array([before.duration]))[0], after.sample(np.array([0.0]))[0]
+    start, end = before.states(np.array([before.duration]))[0], after.states(np.array([0.0]))[0]
     ends = EndConditions(start=lifted(start, lift), end=lifted(end, onward))
     found = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
     if found.converged:
@@ -357,7 +358,7 @@ class _Story:
         for k, (text, connection, time) in enumerate(rows):
             target = connection.target.saddle
             home = self.system.equilibrium(target) + orbit.offsets[k + 1] * self.system.turn_lengths
-            crossing = orbit.sample(np.array([time]))[0] + lift
+            crossing = orbit.states(np.array([time]))[0] + lift
             symbol = _connection_note(text, connection, crossing, begin + float(time) - piece.goal.begin)
             wraps = orbit.wraps[k - 1] if k > 0 else piece.goal.wraps
             self._arrive(target, home[:n] + piece.lift, self._on(connection.target), symbol, wraps)

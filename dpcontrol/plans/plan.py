@@ -14,10 +14,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.shown import Timed, checked_times
+from dpcontrol.logs.layout import state_names
 from dpcontrol.plans.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
 from dpcontrol.references.problem import PLANNING
 from dpcontrol.references.reference import (
@@ -38,7 +41,7 @@ FORMAT = 2
 
 
 @dataclass(frozen=True)
-class Plan(ByReference):
+class Plan(ByReference, Timed):
     """An itinerary's reference with its notes; file: where it is kept; cached: whether it was found there.
 
     Of a reference that did not converge there is no file, nor where the cache cannot be written.
@@ -51,6 +54,31 @@ class Plan(ByReference):
 
     def __repr__(self) -> str:
         return f"<plan {self.itinerary.name!r}: {self.status}>"
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time, s."""
+        return float(self.reference.mesh[0]), float(self.reference.mesh[-1])
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        return state_names(self.itinerary.model.arms.count, has_cart=True)
+
+    def states(self, times: Any = None) -> Array:
+        """Return the states of arms and cart at given times.
+
+        Args:
+            times: times (K,) from the start, s; by default 200 over the whole plan. Times outside count as the nearest
+                end.
+
+        Returns:
+            States (K, N): angles, rates, and the cart's position and velocity.
+
+        Raises:
+            InputError: the times are not finite numbers.
+        """
+        return self.sample() if times is None else self.reference.state(checked_times(times))
 
     @property
     def notes(self) -> PlanNotes:

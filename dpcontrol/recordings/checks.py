@@ -27,6 +27,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import suggest
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.recordings.recording import Recording, cart_motion
 
 REPAIRS = {
@@ -55,7 +56,7 @@ _MOST_LEFT_OUT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class Samples(Brief):
     """K samples of a file in SI units and the package's directions.
 
     Attributes:

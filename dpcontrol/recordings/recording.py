@@ -24,7 +24,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,8 +33,12 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source, content_hash, picked
 from dpcontrol.foundation.progress import Cost
+from dpcontrol.foundation.shown import Brief, Timed, checked_times, pandas_classes
 from dpcontrol.logs import LogWriter, Mode, RunLog, check_replaced, control_fields, read_log
 from dpcontrol.logs.container import MAGIC
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 KIND, REPLAYED = "recording", "replay"
 """The metadata `kind` of an imported log, and of a replay's log."""
@@ -43,7 +47,7 @@ SUMMARY = "summary"
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(Timed):
     """K samples of n arms in SI units.
 
     Angles are absolute from hanging, counter-clockwise and unwrapped.
@@ -76,6 +80,44 @@ class Recording:
 
     def __repr__(self) -> str:
         return f"<recording {self.name!r}: {len(self.segments)} segments, {len(self.time)} samples>"
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time, s."""
+        return float(self.time[0]), float(self.time[-1])
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the measured columns."""
+        return (*(f"angle_{arm + 1}" for arm in range(self.arms)), *(["cart"] if self.cart is not None else []))
+
+    def states(self, times: Any = None) -> Array:
+        """Return the measured angles, and the cart's position if it moved, interpolated linearly.
+
+        Args:
+            times: times (K,) of the recording, s; by default 200 from the first to the last.
+
+        Returns:
+            Angles, rad, and position, m (K, N). Times outside count as the nearest end.
+
+        Raises:
+            InputError: the times are not finite numbers.
+        """
+        if times is None:
+            return self.sample()
+        measured = [*self.angles.T, *([] if self.cart is None else [self.cart])]
+        return np.stack([np.interp(checked_times(times), self.time, one) for one in measured], axis=-1)
+
+    def frame(self, count: int | None = None) -> "DataFrame":
+        """Return a pandas table with one row per sample, or `count` interpolated rows.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        if count is not None:
+            return super().frame(count)
+        data_frame, index = pandas_classes()
+        return data_frame(self.states(self.time), columns=list(self.columns), index=index(self.time, name="time"))
 
     @property
     def arms(self) -> int:
@@ -286,7 +328,7 @@ _EXPLAINED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class CartMotion:
+class CartMotion(Brief):
     """Cart motion at K samples.
 
     It has position m, velocity m/s, and acceleration m/s² held until the next sample.

@@ -18,10 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shown import Brief
 
 
 @dataclass(frozen=True, eq=False)
-class Method:
+class Method(Brief):
     """A collocation method on 0 ≤ τ ≤ 1 with K points.
 
     points (K,): where the rate is matched, rising. support (K+1,): where the state's polynomial has its values, from 0.

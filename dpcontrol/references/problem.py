@@ -16,6 +16,7 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
+from dpcontrol.foundation.shown import Brief
 
 if TYPE_CHECKING:
     from dpcontrol.dynamics.propagator import PolynomialInputPropagator
@@ -81,7 +82,7 @@ def state_scale(dimension: int, limits: Limits) -> Array:
 
 
 @dataclass(frozen=True)
-class ReferenceProblem:
+class ReferenceProblem(Brief):
     """A reference to be found.
 
     equations: at the cart level, state (N,) = angles, rates, cart position and velocity, one input;

@@ -39,6 +39,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.references.find import find_reference
@@ -80,7 +81,7 @@ SUSTAINED = ReferenceSettings(method="radau-8", tolerance=1e-9, pendulum_weight=
 
 
 @dataclass(frozen=True, eq=False)
-class PhaseSection:
+class PhaseSection(Brief):
     """The plane through the orbit at one of its phases, at right angles to it in the pendulum's scaled state.
 
     phase: 0 to 1; time: on the orbit's clock, s; state, rate, normal (N,): x*, ẋ* there, and the normal such that
@@ -104,7 +105,7 @@ class PhaseSection:
 
 
 @dataclass(frozen=True, eq=False)
-class SectionMap:
+class SectionMap(Brief):
     """From section j to section j + 1, the clock reset at j: ξ_{j+1} = matrix ξ_j + response p_j to first order.
 
     ξ (N,): state minus the orbit's at the section; p_j in m/s²: height of a half-sine pulse from j to j + 1 that is

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Brief):
     """Values on a mesh: mesh (N+1,) s, states (N, K+1, nx) at the method's support, inputs (N, K, nu) at its points."""
 
     method: Method

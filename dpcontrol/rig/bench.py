@@ -39,6 +39,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.processes import end_with_parent
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Reading, Rig
 from dpcontrol.loop.simulated import SimulatedRig
@@ -588,7 +589,7 @@ _FACTORS = (("encoder-1-reversed", 0, -1.0), ("encoder-2-reversed", 1, -1.0), ("
 
 
 @dataclass(frozen=True, eq=False)
-class BenchRecipe:
+class BenchRecipe(Brief):
     """What makes a simulated bench anew for each run: the model's arms, what is drawn; start (2n+2,), ticks.
 
     zeros (n,) rad: what its hanging arms read; faults: of `FAULTS`. recovering: further ticks that it can run for, so

@@ -58,6 +58,7 @@ from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.processes import in_processes, on_cluster, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
@@ -317,7 +318,7 @@ class CampaignSettings(Settings, table="campaign"):
 
 
 @dataclass(frozen=True)
-class CaseResult:
+class CaseResult(Brief):
     """One case's runs: how many were completed, and the rows of those that were not."""
 
     case: Case
@@ -352,7 +353,7 @@ class Transition:
 
 
 @dataclass(frozen=True)
-class Campaign:
+class Campaign(Shown):
     """The outcome of a campaign.
 
     completed: share of all runs.
@@ -381,6 +382,11 @@ class Campaign:
         share = self.completed
         band = f"{share.low:.1%} to {share.high:.1%}"
         return f"{share.successes} of {share.runs} runs completed, {share.rate:.1%} (95 %: {band})"
+
+    @property
+    def place(self) -> Path:
+        """The file of the table, or the itinerary's name if it was not written."""
+        return self.file or Path(self.itinerary)
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -414,11 +420,7 @@ class Campaign:
         Raises:
             InputError: pandas is not installed.
         """
-        try:
-            from pandas import DataFrame
-        except ImportError as error:
-            raise InputError("a table of runs needs pandas; install it with `pip install pandas`") from error
-        return DataFrame(self.table.to_pylist())
+        return pandas_classes()[0](self.table.to_pylist())
 
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol campaign --json` prints."""

@@ -9,9 +9,12 @@ from typing import Any
 from dpcontrol.control.export import ControllerSource
 from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.arguments import place
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import Count, Index, Seed, Workers, checked
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.progress import Reporting, reporting
 from dpcontrol.foundation.rendering import live_view
+from dpcontrol.foundation.shown import Timed
 from dpcontrol.judge.night import Night
 from dpcontrol.judge.preflight import Preflight
 from dpcontrol.logs import read_log
@@ -54,7 +57,7 @@ from dpcontrol.runs.run import (
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoop:
+class ClosedLoop(Timed):
     """A plan with the options of its runs. Controller, fallback and recovery are made at the first run, once.
 
     Raises:
@@ -71,6 +74,28 @@ class ClosedLoop:
     def __repr__(self) -> str:
         loop = self.plan.itinerary.loop
         return f"<closed loop {self.plan.itinerary.name!r}: {loop.controller.kind}, {loop.estimator.kind}>"
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time of the plan, s."""
+        return self.plan.time_range
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        return self.plan.columns
+
+    def states(self, times: Any = None) -> Array:
+        """Return the planned states at given times; see `Plan.states`."""
+        return self.plan.states(times)
+
+    def document(self) -> dict[str, Any]:
+        """Return the plan and the options as values for JSON."""
+        options = {
+            name: value if isinstance(value, int | float) else str(value)
+            for name, value in self.options.given().items()
+        }
+        return {"plan": self.plan.document(), "options": options}
 
     @cached_property
     def plan(self) -> Plan:
@@ -92,10 +117,11 @@ class ClosedLoop:
         plan = recoverable(self.plan.followed())
         return plan, replace(self.assembly, reference=plan.reference, law=self.assembly.controller)
 
+    @checked
     def run(
         self,
         *,
-        seed: int = 0,
+        seed: Seed = 0,
         rig: object = None,
         program: Path | str | None = None,
         library: Path | str | None = None,
@@ -182,10 +208,11 @@ class ClosedLoop:
                 force=force, live=live_view if live else None, progress=report,
             )  # fmt: skip
 
+    @checked
     def campaign(
         self,
         *,
-        runs: int = 100,
+        runs: Count = 100,
         over: Mapping[str, object] | None = None,
         settings: CampaignSettings | None = None,
         transitions: bool = False,
@@ -259,7 +286,10 @@ class ClosedLoop:
         """
         return self.assembly.margins()
 
-    def preflight(self, *, runs: int = 0, workers: int = 0, yes: bool = False, progress: Reporting = None) -> Preflight:
+    @checked
+    def preflight(
+        self, *, runs: Index = 0, workers: Workers = 0, yes: bool = False, progress: Reporting = None
+    ) -> Preflight:
         """Return how likely a run completes, what ends it otherwise, how far each border is, and what would help.
 
         Args:
@@ -278,6 +308,7 @@ class ClosedLoop:
                 progress=report,
             )  # fmt: skip
 
+    @checked
     def export(
         self,
         folder: Path | str | None = None,

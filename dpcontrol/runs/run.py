@@ -27,6 +27,7 @@ from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.margins import Margins
 from dpcontrol.control.tick import TickProgram
 from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.config import log_folder
 from dpcontrol.foundation.errors import GoalMissed, InputError, mistakes_of, remark
@@ -40,9 +41,9 @@ from dpcontrol.foundation.files import (
     write_whole,
 )
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.rendering import Figure, render
 from dpcontrol.foundation.settings import Place, decode, frozen, with_values
 from dpcontrol.foundation.shipped import folders
+from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.judge.score import (
     DRAWN_METADATA,
     HARDEST_METADATA,
@@ -66,6 +67,7 @@ from dpcontrol.logs import (
     read_log,
     slow_numbers,
 )
+from dpcontrol.logs.layout import state_names
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
@@ -98,7 +100,7 @@ def default_log(itinerary: Itinerary) -> Path:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(Timed):
     """A run, or what was recorded of a bench, as its log says; see `RunLog` for the arrays."""
 
     log: RunLog
@@ -181,17 +183,44 @@ class Run:
         except (TypeError, ValueError, AttributeError) as error:
             raise InputError(f"{self.log.path}: its {PLANT_METADATA} do not read: {error}; run it again") from error
 
-    def frame(self) -> "DataFrame":
-        """Return a pandas table, one row for each tick; see `RunLog.frame`.
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time, s."""
+        return float(self.log.time[0]), float(self.log.time[-1])
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        return state_names(len(self.log.arm_lengths), has_cart=self.log.has_cart)
+
+    def states(self, times: Any = None) -> Array:
+        """Return the states at given times, interpolated linearly between ticks.
+
+        They are the true states of a simulated run, otherwise the estimated ones.
+
+        Args:
+            times: times (K,) of the log, s; by default 200 from the first to the last.
+
+        Returns:
+            States (K, N). Times outside count as the nearest end.
+
+        Raises:
+            InputError: the log has no states, or the times are not finite numbers.
+        """
+        states = self.log.states.get("truth", self.log.states.get("estimate"))
+        if states is None or not len(states):
+            raise InputError(f"{self.log.path} has measurements and no states; use frame()")
+        if times is None:
+            return self.sample()
+        return np.stack([np.interp(checked_times(times), self.log.time, one) for one in states.T], axis=-1)
+
+    def frame(self, count: int | None = None) -> "DataFrame":
+        """Return a pandas table with one row per tick (see `RunLog.frame`), or `count` interpolated rows of states.
 
         Raises:
             InputError: pandas is not installed.
         """
-        return self.log.frame()
-
-    def plot(self) -> Figure:
-        """Return the page of the run: the itinerary as asked and as done, a film, series, errors, phase planes."""
-        return render(self)
+        return self.log.frame() if count is None else super().frame(count)
 
 
 LiveSink = Callable[[RunLog], AbstractContextManager[LoopSink]]

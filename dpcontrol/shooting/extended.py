@@ -20,6 +20,7 @@ from dpcontrol.dynamics.propagator import Exact, Extended, ExtendedPropagator, d
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import local_manifold
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingEquations, Unknowns
@@ -41,7 +42,7 @@ class RefinementSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class ExtendedOrbit:
+class ExtendedOrbit(Brief):
     """An orbit in extended precision: periodic, or between two periodic ones.
 
     times (K + 1,) s, zero at the first marked node; states (K + 1, N) of the nodes; marked (k,): nodes on the sections

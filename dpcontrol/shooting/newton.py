@@ -37,12 +37,13 @@ from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
 
 
 @dataclass(frozen=True)
-class ManifoldEnd:
+class ManifoldEnd(Brief):
     """A point γ(φ) + a v(φ) on a local manifold, lifted by whole turns.
 
     stable: the manifold is the unstable one turned around in time; then phase and amplitude are those of the
@@ -93,7 +94,7 @@ class ManifoldEnd:
 
 
 @dataclass(frozen=True)
-class ShootingOrbit:
+class ShootingOrbit(Brief):
     """Nodes of an orbit, and between them the flow.
 
     times (K + 1,) s; states (K + 1, N) on one lift. ends: of an open orbit, on its local manifolds; turn (N,): of a
@@ -159,7 +160,7 @@ class ShootingOrbit:
 
 
 @dataclass(frozen=True)
-class Guess:
+class Guess(Brief):
     """Where Newton's method starts.
 
     states (K + 1, N); durations (K,) s; owners (K + 1,): index of the symbol that a node belongs to, for naming who is
@@ -184,7 +185,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Unknowns:
+class Unknowns(Brief):
     """A point of Newton's method: states (K + 1, N), durations (K,) s, amplitudes (2,) or (0,), and ε."""
 
     states: Array
@@ -342,7 +343,7 @@ class NewtonSettings:
 
 
 @dataclass(frozen=True)
-class Shot:
+class Shot(Brief):
     """What Newton's method left.
 
     orbit: its time is zero at the first marked node. correction: scaled length of the last Newton step; lipschitz: the
@@ -538,7 +539,7 @@ def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:
 
 
 @dataclass(frozen=True)
-class ClosedMultipliers:
+class ClosedMultipliers(Brief):
     """Logarithms of |λ_u| (forward) and |λ_s| (backward, independently), and the sign of both."""
 
     log_unstable: float
@@ -578,7 +579,7 @@ def _growth(matrices: Array) -> tuple[float, int]:
 
 
 @dataclass(frozen=True)
-class ErrorEstimate:
+class ErrorEstimate(Brief):
     """Lengths are scaled (largest component of a node's state, durations over the mean segment).
 
     condition: of the scaled Jacobian, 1-norm; kantorovich: h, None where no step was long enough to show ω; radius:

@@ -29,13 +29,15 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import Budget
+from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.shown import Brief, Shown, Timed, checked_times
+from dpcontrol.orbits.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingOrbit, solve_shooting
-from dpcontrol.tubes.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, balanced, intersect_cuts
 
 _ROUNDING = 1e-13
@@ -49,7 +51,7 @@ _MIDDLE = 1e-3
 
 
 @dataclass(frozen=True)
-class ConnectionRecord:
+class ConnectionRecord(Brief):
     """Properties of an orbit between two periodic orbits.
 
     The winding counts whole turns of each coordinate between the named positions of the source and target saddles. The
@@ -88,12 +90,45 @@ class ConnectionRecord:
 
 
 @dataclass(frozen=True)
-class Connection(ConnectionRecord):
+class Connection(ConnectionRecord, Timed):
     """A connection with its orbit, whose time is zero at the section."""
 
     source: LyapunovOrbit
     target: LyapunovOrbit
     orbit: ShootingOrbit
+
+    def __repr__(self) -> str:
+        energy = f"{self.source.energy:g}{self.source.system.unit('J')}"
+        return f"<connection {self.name} at {energy}: largest defect {self.residual:.1e}>"
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time, s; zero is the crossing of the section."""
+        return float(self.orbit.times[0]), float(self.orbit.times[-1])
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        return self.source.system.columns
+
+    @property
+    def place(self) -> Array:
+        """Coordinates (q, p/p₀) of the crossing of the section."""
+        return section_points(self.source.system, self.section, self.state)
+
+    def states(self, times: Any = None) -> Array:
+        """Return the states at given times.
+
+        Args:
+            times: times (K,) from the section, s; by default 200 over the whole connection.
+
+        Returns:
+            States (K, N), with whole turns counted.
+
+        Raises:
+            InputError: the times are not finite numbers.
+        """
+        return self.sample() if times is None else self.orbit.sample(checked_times(times))
 
     @property
     def solution(self) -> Guess:
@@ -350,7 +385,7 @@ _TANGENT = 1e-5  # scaled; a larger rounding error of an intersection may hide o
 
 
 @dataclass(frozen=True)
-class ConnectionSearch:
+class ConnectionSearch(Shown):
     """All connections found between two orbits on one section.
 
     A search is complete if no intersection failed and the cuts are resolved and hide nothing. Also, closed cuts must
@@ -390,6 +425,7 @@ class ConnectionSearch:
             "section": self.cuts[0].section.name,
         }
 
+    @checked
     def named(self, name: str) -> Connection:
         """Return the connection with the given name.
 

@@ -31,16 +31,17 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shown import Brief
+from dpcontrol.orbits.cut import Cut, section_points
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.tubes.cut import Cut, section_points
 from dpcontrol.tubes.intersections import TubeSide
 
 Labels = NDArray[np.int8]
 
 
 @dataclass(frozen=True)
-class Outline:
+class Outline(Brief):
     """A closed cut in (q, p/p₀).
 
     Attributes:
@@ -179,7 +180,7 @@ class InteriorSettings:
 
 
 @dataclass(frozen=True)
-class Returns:
+class Returns(Brief):
     """R returns of K points in one direction of time.
 
     Entries are valid only if `arrived`. Arrays have shape (K, R) unless stated otherwise.
@@ -205,7 +206,7 @@ class Returns:
 
 
 @dataclass(frozen=True)
-class TubeInterior:
+class TubeInterior(Brief):
     """A grid of K points inside one tube's cut, with its returns.
 
     Attributes:

@@ -23,8 +23,9 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import SECONDS
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import MOST_SECONDS
+from dpcontrol.foundation.shown import Brief
+from dpcontrol.orbits.cut import Cut, CutSettings, Piece, longest_flight, section_points
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.tubes.cut import Cut, CutSettings, Piece, longest_flight, section_points
 
 _BLOCK = 32
 """Segments of the first curve per bounding box; only segments of the second that meet the box are compared."""
@@ -228,7 +229,7 @@ class TubeSide:
 
 
 @dataclass(frozen=True)
-class Intersection:
+class Intersection(Brief):
     """An intersection of two cuts.
 
     Attributes:

@@ -33,6 +33,7 @@ from dpcontrol.foundation.budget import SECONDS, Budget
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, SymmetricShooting, described_orbit, lyapunov_orbit
 from dpcontrol.orbits.lyapunov import symmetric_shooting as shooting_problem
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
@@ -72,7 +73,7 @@ class SymmetricSettings:
 
 
 @dataclass(frozen=True)
-class SymmetricSearch:
+class SymmetricSearch(Shown):
     """Symmetric homoclinic connections of one family between two energies.
 
     Attributes:

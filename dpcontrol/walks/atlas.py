@@ -20,10 +20,11 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.shown import Brief, Shown
+from dpcontrol.orbits.cut import Piece
 from dpcontrol.orbits.lyapunov import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingRecord
 from dpcontrol.tubes.connections import ConnectionRecord
-from dpcontrol.tubes.cut import Piece
 
 
 def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str, Any]]) -> "nx.MultiDiGraph[str]":
@@ -76,7 +77,7 @@ def _walks(graph: "nx.MultiDiGraph[str]", at: str, target: str | None, left: int
 
 
 @dataclass(frozen=True)
-class AtlasPoint:
+class AtlasPoint(Brief):
     """An equilibrium: state (N,), energy in J, kind: "centre" or "index-k saddle"."""
 
     name: str
@@ -113,7 +114,7 @@ class AtlasPiece(Piece):
 
 
 @dataclass(frozen=True)
-class AtlasCut:
+class AtlasCut(Brief):
     """The cut of an unstable tube at the `hit`-th section crossing.
 
     Attributes:
@@ -159,7 +160,7 @@ class AtlasConnection(ConnectionRecord):
 
 
 @dataclass(frozen=True)
-class AtlasKind:
+class AtlasKind(Brief):
     """Outcome of a search for given source, target and hits.
 
     Attributes:
@@ -183,7 +184,7 @@ class AtlasKind:
 
 
 @dataclass(frozen=True)
-class Atlas:
+class Atlas(Shown):
     """The atlas of one model at one energy.
 
     Attributes:

@@ -22,6 +22,8 @@ from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.shown import Brief, Shown
+from dpcontrol.orbits.cut import Cut, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import HyperbolicOrbit, UnstableManifold, local_manifold, rotating_vertex
 from dpcontrol.orbits.rotating import can_rotate, rotating_orbits
@@ -35,7 +37,6 @@ from dpcontrol.tubes.connections import (
     own_crossings,
     reversed_search,
 )
-from dpcontrol.tubes.cut import Cut, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.atlas import connection_graph
 from dpcontrol.walks.symbols import Symbol
@@ -131,7 +132,7 @@ def _section(lapping: HyperbolicOrbit, home: LyapunovOrbit, name: str | None) ->
 
 
 @dataclass(frozen=True)
-class Edges:
+class Edges(Shown):
     """All connections found at one energy.
 
     Attributes:
@@ -222,7 +223,7 @@ class TubeCuts:
 
 
 @dataclass(frozen=True)
-class PairSearch:
+class PairSearch(Brief):
     """One search between two saddle orbits.
 
     Attributes:

@@ -17,6 +17,7 @@ Source: Kaheman et al. (2023), theorem 4.1, made constructive.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.shooting.newton import (
     ErrorEstimate,
     Guess,
@@ -217,7 +220,7 @@ def _level(connection: Connection, shift: Array) -> tuple[Array, float]:
 
 
 @dataclass(frozen=True)
-class ShadowingOrbit:
+class ShadowingOrbit(Timed):
     """An orbit that realises a walk from time 0 to `duration` s.
 
     A walk of k symbols has k - 1 stops, or k if periodic. The last stop then leads back to the first symbol.
@@ -267,9 +270,45 @@ class ShadowingOrbit:
         """A sentence describing the outcome of the search."""
         return self.orbit.status
 
-    def sample(self, times: Array) -> Array:
-        """Return states (M, N) at times (M,) s."""
-        return self.orbit.sample(times)
+    @property
+    def system(self) -> System:
+        """The system of the walk."""
+        return self.orbit.system
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """Zero and the duration, s."""
+        return 0.0, self.duration
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        return self.system.columns
+
+    def states(self, times: Any = None) -> Array:
+        """Return the states at given times.
+
+        Args:
+            times: times (K,) from the start, s; by default 200 over the whole walk.
+
+        Returns:
+            States (K, N), with whole turns counted.
+
+        Raises:
+            InputError: the times are not finite numbers.
+        """
+        return self.sample() if times is None else self.orbit.sample(checked_times(times))
+
+    def document(self) -> dict[str, Any]:
+        """Return the walk as values for JSON."""
+        return {
+            **picked(
+                self, "walk", "wraps", "wraps_realised", "lead_in", "lead_out", "periodic", "duration", "residual"
+            ),
+            **picked(self, "symbol_times", "converged", "status", "fault"),
+            "energy": self.connections[0].source.energy,
+            "connections": [one.name for one in self.connections],
+        }
 
 
 def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:

@@ -11,8 +11,8 @@ import sys
 import pytest
 
 from dpcontrol.bifurcations.bifurcations import SweepSettings, find_bifurcations
+from dpcontrol.orbits.cut import CutSettings
 from dpcontrol.plans.model import load_model
-from dpcontrol.tubes.cut import CutSettings
 from dpcontrol.tubes.intersections import ConnectionSettings
 
 ENERGIES = 60

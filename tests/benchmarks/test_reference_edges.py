@@ -32,7 +32,7 @@ def problem_of(itinerary, orbit, *, friction=1.0, limits=None):
     return ReferenceProblem(
         equations=arm_chain_equations(2, Level.CART),
         parameters=arms.base(),
-        guess=orbit.sample,
+        guess=orbit.states,
         duration=orbit.duration,
         limits=limits or Limits(),
     )

@@ -14,9 +14,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import approx_fprime, root
 from uniform_rods import uniform_rods
 
+from dpcontrol.orbits.cut import section_points
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import section_points
 from dpcontrol.tubes.intersections import polyline_crossings, search_settings
 
 pytestmark = pytest.mark.benchmark

@@ -12,11 +12,11 @@ from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings, find_bifur
 from dpcontrol.bifurcations.links import LinkProblem, carry, follow
 from dpcontrol.cli.main import main
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.cut import CutSettings, section_points
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.newton import solve_shooting
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import CutSettings, section_points
 from dpcontrol.tubes.intersections import ConnectionSettings, Crossings, intersect_cuts
 
 REPEATABLE = 1e-7  # J: required; 1e-11 is achieved

@@ -5,11 +5,11 @@ import pytest
 from matplotlib.colors import to_hex
 
 from dpcontrol.cli.charts import FIGURES as NAMES
+from dpcontrol.orbits.cut import section_points
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.pages import figures, gallery, paper, style, wheels
 from dpcontrol.plans.atlas import AtlasSettings, make_atlas
 from dpcontrol.plans.model import load_model
-from dpcontrol.tubes.cut import section_points
 
 ROUNDING = 1e-9
 

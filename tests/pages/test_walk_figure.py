@@ -98,7 +98,7 @@ def test_coloured_parts_are_near_the_orbit() -> None:
     spans = [(stay.first, stay.last, stay.saddle) for stay in stays]
     assert [saddle for _, _, saddle in spans] == ["down-up", "up-down", "down-up"]
     for time in np.linspace(0.0, orbit.duration, 60):
-        state = orbit.sample(np.array([time]))[0]
+        state = orbit.states(np.array([time]))[0]
         inside = [saddle for start, end, saddle in spans if start <= time <= end]
         near = [name for name, curve in told.curves.items() if curve.nearest(state)[1] < NEAR]
         on_an_edge = any(abs(time - bound) < 0.02 for start, end, _ in spans for bound in (start, end))
@@ -143,7 +143,7 @@ def test_curves_on_the_page_are_the_orbits_own() -> None:
         assert times[0] == 0.0
         assert times[-1] == orbit.duration
         # The axis is ticked in units of π.
-        assert np.pi * np.asarray(line.get_ydata())[::50] == pytest.approx(orbit.sample(times[::50])[:, arm])
+        assert np.pi * np.asarray(line.get_ydata())[::50] == pytest.approx(orbit.states(times[::50])[:, arm])
 
 
 def test_a_closed_walk_is_labelled() -> None:
@@ -157,7 +157,7 @@ def test_whole_turns_are_counted_in_space_while_there_are_few() -> None:
     few, many = found(["down-up +", "down-up -"]), found(["down-up +"] * 4)
     assert is_lifted(story(few))
     assert not is_lifted(story(many))
-    assert np.ptp(many.sample(np.linspace(0, many.duration, 500))[:, 1]) > LIFTED_TURNS * 2 * np.pi
+    assert np.ptp(many.states(np.linspace(0, many.duration, 500))[:, 1]) > LIFTED_TURNS * 2 * np.pi
     assert "whole turns counted" in panel(drawn(few), "The orbit").get_title(loc="left")
     space = panel(drawn(many), "The orbit")
     assert "modulo 2π" in space.get_title(loc="left")

@@ -49,7 +49,7 @@ def test_a_shipped_itinerary_is_followed_by_an_orbit_with_its_stops_turns_and_wr
     assert [chain[0].source.saddle, *(c.target.saddle for c in chain)] == stops
     assert len(itinerary.walk) == len(stops) - 1
     system = itinerary.model.system
-    first, last = orbit.sample(np.array([0.0, orbit.duration]))
+    first, last = orbit.states(np.array([0.0, orbit.duration]))
     # Both ends are the orbit's own phase, but for whole turns: so whole turns are what lies between them.
     if turns is not None:
         change = (last - first)[:2] / (2 * np.pi)

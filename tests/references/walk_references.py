@@ -28,7 +28,7 @@ def problem_of(model: Model, orbit: ShadowingOrbit, friction: float = 1.0) -> Re
     """Return the problem of following a walk's orbit with scaled friction of the arms."""
     arms = replace(model.arms, viscous=tuple(friction * k for k in model.arms.viscous))
     return ReferenceProblem(
-        arm_chain_equations(model.arms.count, Level.CART), arms.base(), orbit.sample, orbit.duration
+        arm_chain_equations(model.arms.count, Level.CART), arms.base(), orbit.states, orbit.duration
     )  # fmt: skip
 
 

@@ -6,12 +6,12 @@ from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold, local_manifold
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes import intersections
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts, near_touches, polyline_crossings
 from tests.reference_values import CONNECTIONS
 from tests.uniform_rods import uniform_rods

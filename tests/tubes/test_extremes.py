@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from dpcontrol.dynamics.system import momentum_scale
+from dpcontrol.orbits.cut import tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
 from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.extended import refine
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import tube_cut
 
 STATE = 1e-9  # required; about 1e-13 is achieved
 PERIOD = 1e-11

@@ -7,12 +7,12 @@ from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.system import momentum_scale
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.cut import CutSettings, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.wheels import draw_interior
 from dpcontrol.plans.model import load_model
-from dpcontrol.tubes.cut import CutSettings, section_points, tube_cut
 from dpcontrol.tubes.interior import (
     InteriorSettings,
     inside,

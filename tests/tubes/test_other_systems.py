@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings
 
 ENERGY = -1.5175

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dpcontrol.cli.main import main
+from dpcontrol.orbits.cut import CutSettings
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import CutSettings
 from dpcontrol.tubes.intersections import ConnectionSettings
 from tests.tubes.test_connections import flown_by_scipy, on_torus
 

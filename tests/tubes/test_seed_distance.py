@@ -7,10 +7,10 @@ large distances, the linear approximation departs from the manifold. The default
 import numpy as np
 import pytest
 
+from dpcontrol.orbits.cut import tube_cut
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 from tests.reference_values import CONNECTIONS
 

@@ -81,13 +81,13 @@ def test_a_composite_edge_is_solved_from_its_parts(edges):
     (edge,) = resolve([GROWN], edges)
     plain = resolve(["down-up +", "down-up -"], edges)
     orbit = shadow(plain, wraps=[1])
-    assert np.abs(edge.state - orbit.sample(orbit.symbol_times[:1])[0]).max() < SAME_ORBIT
+    assert np.abs(edge.state - orbit.states(orbit.symbol_times[:1])[0]).max() < SAME_ORBIT
     # Its full name is also valid, and the dots are optional.
     assert resolve([edge.name], edges)[0].name == edge.name
     assert resolve([GROWN.replace("·", " ")], edges)[0].name == edge.name
     again = resolve([f"({edge.name})·2·(down-up +)"], edges)[0]
     twice = shadow(resolve(["down-up +", "down-up -", "down-up +"], edges), wraps=[1, 2])
-    assert np.abs(again.state - twice.sample(twice.symbol_times[:1])[0]).max() < SAME_ORBIT
+    assert np.abs(again.state - twice.states(twice.symbol_times[:1])[0]).max() < SAME_ORBIT
 
 
 def test_composite_edges_list_their_elementary_symbols():
@@ -141,7 +141,7 @@ def test_walks_turn_at_a_rotating_orbit_the_given_number_of_times(system):
     assert orbit.wraps_realised == (3,)
     longer = shadow(resolve(texts, found), wraps=[5], rivals=found.known)
     # Number of turns of the arm from end to end.
-    turned = [o.sample(np.array([o.duration]))[0, 1] - o.sample(np.zeros(1))[0, 1] for o in (orbit, longer)]
+    turned = [o.states(np.array([o.duration]))[0, 1] - o.states(np.zeros(1))[0, 1] for o in (orbit, longer)]
     assert turned[1] - turned[0] == pytest.approx(4 * np.pi, abs=1e-3)
     # Named connections and stops give the same walk.
     named = [c.name for c in resolve(texts, found)]

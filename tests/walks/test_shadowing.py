@@ -47,7 +47,7 @@ def test_a_turn_is_shadowed_with_its_leads(turns):
     assert orbit.residual < RESIDUAL
     period = turn.source.period
     assert orbit.duration == pytest.approx(turn.time_out + turn.time_in + 5 * period, rel=1e-12)
-    ends = orbit.sample(np.array([0.0, orbit.duration]))
+    ends = orbit.states(np.array([0.0, orbit.duration]))
     assert ends[1, 1] - ends[0, 1] == pytest.approx(2 * np.pi, abs=1.5)
 
 
@@ -57,7 +57,7 @@ def test_a_walk_over_both_saddles_conserves_energy_and_winding(system, connectio
     assert orbit.converged
     assert orbit.residual < RESIDUAL
     assert orbit.wraps_realised == (2, 3, 2)
-    states = orbit.sample(np.linspace(0, orbit.duration, 3000))
+    states = orbit.states(np.linspace(0, orbit.duration, 3000))
     assert np.abs(system.numeric.hamiltonian(states) - 0.2).max() < 1e-12
     # Its final lattice point is the sum of the windings.
     total = np.sum([c.winding for c in walked], axis=0)
@@ -69,7 +69,7 @@ def test_a_walk_over_both_saddles_conserves_energy_and_winding(system, connectio
 def test_samples_lie_on_one_trajectory(system, connections):
     orbit = shadow(chain(connections, ROUND_TRIP[:2]), wraps=[1])
     times = np.linspace(0.0, orbit.duration, 400)
-    states = orbit.sample(times)
+    states = orbit.states(times)
     for k in range(0, 399, 20):
         flown = system.propagator.flow(states[k], times[k + 1] - times[k])
         assert np.abs(flown - states[k + 1]).max() < 1e-10
@@ -94,7 +94,7 @@ def test_the_orbit_is_independent_of_the_number_of_segments(connections):
     assert coarse.converged
     assert fine.converged
     times = np.linspace(0, coarse.duration, 100)
-    assert np.abs(coarse.sample(times) - fine.sample(times)).max() < 1e-9
+    assert np.abs(coarse.states(times) - fine.states(times)).max() < 1e-9
 
 
 def test_segments_too_long_for_the_multiplier_are_detected(connections):
@@ -183,5 +183,5 @@ def test_twice_the_segments_give_the_same_orbit(system, connections, periodic):
 def _apart(system, first, second):
     """Return the largest scaled distance of two orbits, timed from their first symbol."""
     times = np.linspace(0.0, first.symbol_times[-1] - first.symbol_times[0], 400)
-    states = [orbit.sample(times + orbit.symbol_times[0]) for orbit in (first, second)]
+    states = [orbit.states(times + orbit.symbol_times[0]) for orbit in (first, second)]
     return float(np.max(np.abs(states[1] - states[0]) / system.scale))

@@ -50,7 +50,7 @@ def composite(turn, back):
 
 def around(orbit, times):
     """States at times since the first symbol's crossing."""
-    return orbit.sample(times + orbit.symbol_times[0])
+    return orbit.states(times + orbit.symbol_times[0])
 
 
 def test_a_walk_of_one_symbol_is_its_connection(found):

@@ -8,10 +8,10 @@ to the second crossing, errors grow by more than 1e10, which requires a wide acc
 import numpy as np
 import pytest
 
+from dpcontrol.orbits.cut import Cut, Piece, Sampler
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import Cut, Piece, Sampler
 from dpcontrol.tubes.intersections import ConnectionSettings, TubeSide
 from dpcontrol.walks.shadowing import WalkSolver
 

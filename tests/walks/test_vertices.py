@@ -132,7 +132,7 @@ def test_wraps_at_the_rotating_orbit_are_turns(system, rotating, into, out):
         assert orbit.converged
         assert orbit.wraps_realised == (wraps,)
         assert orbit.residual < RESIDUAL
-        states = orbit.sample(np.linspace(0.0, orbit.duration, 1500))
+        states = orbit.states(np.linspace(0.0, orbit.duration, 1500))
         assert np.abs(system.numeric.hamiltonian(states) - ENERGY).max() < ENERGY_ERROR
         # Samples lie on one trajectory without jumps of a turn.
         assert np.abs(np.diff(states[:, 1])).max() < 1.0
@@ -175,7 +175,7 @@ def test_a_walk_may_start_and_end_at_the_rotating_orbit(rotating, into, out):
     plain = shadow([into.connections[0], out.connections[0]] * 2, wraps=[1, 2, 2])
     assert longer.wraps_realised == (1, 2)
     times = np.linspace(-1.0, plain.symbol_times[-1] - plain.symbol_times[0] + 1.0, 200)
-    apart = longer.sample(times + longer.symbol_times[0]) - plain.sample(times + plain.symbol_times[0])
+    apart = longer.states(times + longer.symbol_times[0]) - plain.states(times + plain.symbol_times[0])
     assert np.abs(apart).max() < FLOWN
 
 

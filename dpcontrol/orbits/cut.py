@@ -15,7 +15,9 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.foundation.budget import Budget
+from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.manifold import UnstableManifold
 
 _THOROUGH = 20_000
@@ -79,7 +81,7 @@ def section_points(system: System, section: Section, states: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class CutSamples:
+class CutSamples(Brief):
     """Section crossings of trajectories from seeds at given phases.
 
     If a trajectory does not arrive, its time is infinite and other values are NaN.
@@ -122,7 +124,7 @@ class CutSamples:
 
 
 @dataclass(frozen=True)
-class Sampler:
+class Sampler(Brief):
     """Propagation of one branch's seeds to the section."""
 
     manifold: UnstableManifold
@@ -235,7 +237,7 @@ _AT_ONCE = 64
 
 
 @dataclass(frozen=True)
-class OpenEnd:
+class OpenEnd(Brief):
     """A phase interval in which a cut is open.
 
     Attributes:
@@ -254,7 +256,7 @@ class OpenEnd:
 
 
 @dataclass(frozen=True)
-class Piece:
+class Piece(Brief):
     """One connected piece of a cut.
 
     Attributes:
@@ -276,12 +278,13 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Cut:
+class Cut(Shown):
     """The pieces and open ends of a tube's cut, both branches.
 
     Attributes:
         trajectories: number of trajectories.
         resolved: True if all chords are short except at open ends.
+        stable: True for the image on the stable tube.
         spent: True if time ran out during refinement.
     """
 
@@ -293,6 +296,20 @@ class Cut:
     resolved: bool
     status: str
     spent: bool = False
+    stable: bool = False
+
+    def __repr__(self) -> str:
+        kind = "stable" if self.stable else "unstable"
+        return f"<cut of the {kind} tube at crossing {self.hit} of {self.section.name}: {self.status}>"
+
+    def document(self) -> dict[str, Any]:
+        """Return the cut as values for JSON."""
+        return {
+            **picked(self, "hit", "stable", "trajectories", "resolved", "status"),
+            "section": self.section.name,
+            "pieces": [picked(one, "branch", "direction", "closed", "phases", "points") for one in self.pieces],
+            "open_ends": [picked(one, "branch", "phase_interval", "reason") for one in self.open_ends],
+        }
 
 
 def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:

@@ -1,0 +1,176 @@
+"""Results that print themselves in one line, draw themselves, and tabulate their motion.
+
+The base classes leave the data to the dataclasses that derive from them. Pictures come from the table of renderers.
+"""
+
+from base64 import b64encode
+from collections.abc import Callable
+from dataclasses import fields
+from functools import wraps
+from html import escape
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import Count, checked
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.files import plain
+from dpcontrol.foundation.rendering import render, thumbnail
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+
+class Brief:
+    """Base of dataclasses whose repr is one line, and whose `document` is in JSON's terms."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Keep the inherited repr, which the dataclass decorator would replace by one of all fields."""
+        super().__init_subclass__(**options)
+        cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
+        if "document" in vars(cls):
+            cls.document = _in_json(vars(cls)["document"])  # type: ignore[attr-defined]
+
+    def __repr__(self) -> str:
+        named = [(one.name, getattr(self, one.name)) for one in fields(self) if one.repr]  # type: ignore[arg-type]
+        parts = [f"{name}={text}" for name, value in named if (text := _summary(value))]
+        return f"{type(self).__name__}({', '.join(parts)})"
+
+
+def _in_json(document: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a method `document` whose values are those of JSON."""
+
+    @wraps(document)
+    def call(self: Any) -> Any:
+        return plain(document(self))
+
+    return call
+
+
+def _summary(value: Any) -> str:
+    """Return a short text of a field's value, or "" if it needs more than a few words."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if value is None or isinstance(value, bool | int):
+        return repr(value)
+    if isinstance(value, str):
+        return repr(value if len(value) <= _LONGEST else f"{value[:_LONGEST]}…")
+    if isinstance(value, np.ndarray):
+        return f"array {value.shape}"
+    if isinstance(value, tuple | list | dict):
+        simple = not isinstance(value, dict) and all(isinstance(one, int | float | str) for one in value)
+        text = f"({', '.join(map(_summary, value))})" if simple else ""
+        return text if 0 < len(text) <= _LONGEST else f"{len(value)} items"
+    return ""
+
+
+_LONGEST = 60
+"""Characters of a value."""
+
+
+class Shown(Brief):
+    """Base of results that have a picture."""
+
+    @checked
+    def plot(self, axes: "Axes | None" = None) -> "Figure":
+        """Draw the result.
+
+        Args:
+            axes: matplotlib axes to draw the most important chart in; by default a new figure.
+
+        Returns:
+            The new figure, or the figure of `axes`.
+
+        Raises:
+            InputError: the result has no picture.
+        """
+        return render(self, axes)
+
+    def _repr_html_(self) -> str:
+        """Return the sentence and a small picture, for notebooks."""
+        picture = BytesIO()
+        try:
+            thumbnail(self).savefig(picture, format="png", dpi=70)
+        except (InputError, GoalMissed):
+            return f"<p>{escape(repr(self))}</p>"
+        data = b64encode(picture.getvalue()).decode()
+        return f'<p>{escape(repr(self))}</p><img alt="" src="data:image/png;base64,{data}">'
+
+
+class Timed(Shown):
+    """Base of results that follow a motion over time."""
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time, s."""
+        raise NotImplementedError
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        raise NotImplementedError
+
+    def states(self, times: Any = None) -> Array:
+        """Return the states at given times."""
+        raise NotImplementedError
+
+    @checked
+    def sample(self, count: Count = 200) -> Array:
+        """Return states at equally spaced times.
+
+        Args:
+            count: number of times, from the first to the last.
+
+        Returns:
+            States (count, N).
+        """
+        return self.states(np.linspace(*self.time_range, count))
+
+    @checked
+    def frame(self, count: Count = 200) -> "DataFrame":
+        """Return a pandas table of the motion.
+
+        Args:
+            count: number of rows at equally spaced times.
+
+        Returns:
+            Table with the index `time` (s) and a column for each entry of a state.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        data_frame, index = pandas_classes()
+        times = np.linspace(*self.time_range, count)
+        return data_frame(self.states(times), columns=list(self.columns), index=index(times, name="time"))
+
+
+def pandas_classes() -> tuple[Any, Any]:
+    """Return pandas' DataFrame and Index.
+
+    Raises:
+        InputError: pandas is not installed.
+    """
+    try:
+        from pandas import DataFrame, Index
+    except ImportError as error:
+        raise InputError("tables need pandas; install it with `pip install pandas`") from error
+    return DataFrame, Index
+
+
+def checked_times(times: Any) -> Array:
+    """Return times (…) as an array.
+
+    Raises:
+        InputError: they are not finite numbers.
+    """
+    try:
+        found = np.asarray(times, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"times: must be finite numbers, s ({error})") from error
+    if not np.isfinite(found).all():
+        raise InputError("times: must be finite numbers, s")
+    return found

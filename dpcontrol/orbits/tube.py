@@ -1,0 +1,124 @@
+"""Tubes: the stable or unstable manifold of a periodic orbit, followed away from it.
+
+The stable tube is the image of the unstable one under the orbit's reverser, so nothing is integrated backward.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import Count, Hit, checked
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shown import Shown
+from dpcontrol.orbits.cut import Cut, CutSettings, Piece, Sampler, section_points, tube_cut
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.manifold import UnstableManifold, local_manifold
+
+_MOMENTS = 160
+"""Samples of a strand."""
+
+
+@dataclass(frozen=True, repr=False)
+class Tube(Shown):
+    """The stable or unstable tube of a hyperbolic orbit.
+
+    Attributes:
+        branch: +1 or -1, or 0 for both branches.
+    """
+
+    orbit: LyapunovOrbit
+    stable: bool = False
+    branch: Literal[-1, 0, 1] = 0
+
+    def __repr__(self) -> str:
+        side = {1: "branch +1 of the ", -1: "branch -1 of the ", 0: ""}[self.branch]
+        return f"<{side}{'' if self.stable else 'un'}stable tube of {self.orbit!r}>"
+
+    @cached_property
+    def manifold(self) -> UnstableManifold:
+        """The local unstable manifold of the orbit."""
+        return local_manifold(self.orbit)
+
+    @property
+    def branches(self) -> tuple[int, ...]:
+        """Branches of the tube."""
+        return (self.branch,) if self.branch else (1, -1)
+
+    def _placed(self, states: Array) -> Array:
+        """Map states (…, N) of the unstable tube to this tube."""
+        centre = self.orbit.centre
+        return (states - centre) @ self.orbit.reverser.T + centre if self.stable else states
+
+    @checked
+    def strands(self, count: Count = 40) -> Array:
+        """Return trajectories on the tube, from the orbit to the default section.
+
+        Trajectories that do not meet it are followed while they leave the orbit.
+
+        Args:
+            count: number of trajectories of each branch.
+
+        Returns:
+            States (B, M, N), in the direction away from the orbit.
+        """
+        orbit, manifold, system = self.orbit, self.manifold, self.orbit.system
+        phases = np.arange(count) / count
+        section = system.sections.get((orbit.saddle, orbit.saddle))
+        leaving = (1 - np.log(manifold.distance) / manifold.exponent) * orbit.period
+        found = []
+        for branch in self.branches:
+            times = np.full(count, np.inf)
+            if section is not None:
+                times = Sampler(manifold, section, 1, branch, CutSettings()).fly(phases).times
+            for seed, time in zip(manifold.seeds(phases, branch)[0], times, strict=True):
+                found.append(_followed(system.propagator, seed, time if np.isfinite(time) else leaving))
+        return self._placed(np.array(found))
+
+    @checked
+    def cut(self, section: str | Section | None = None, *, hit: Hit = 1) -> Cut:
+        """Return the curves in which the tube meets a section.
+
+        Args:
+            section: section, or its name in the system; by default the one for connections of the orbit to itself.
+            hit: number of the crossing.
+
+        Raises:
+            InputError: there is no such section, or the reverser does not preserve it.
+        """
+        orbit = self.orbit
+        if not isinstance(section, Section):
+            section = orbit.system.section_between(orbit.saddle, orbit.saddle, section)
+        if self.stable and not section.kept_by(orbit.reverser, orbit.centre):
+            raise InputError(f"section {section.name}: not preserved by the reverser about {orbit.saddle}; use another")
+        cut = tube_cut(self.manifold, section, hit=hit)
+        pieces = [piece for piece in cut.pieces if piece.branch in self.branches]
+        ends = tuple(end for end in cut.open_ends if end.branch in self.branches)
+        pieces = tuple(self.placed(piece, section) for piece in pieces)
+        return replace(cut, pieces=pieces, open_ends=ends, stable=self.stable)
+
+    def placed(self, piece: Piece, section: Section) -> Piece:
+        """Return a piece of the unstable tube's cut as one of this tube."""
+        if not self.stable:
+            return piece
+        states = self._placed(piece.states)
+        normal = np.asarray(section.normal)
+        direction = -piece.direction * int(np.sign(normal @ self.orbit.reverser @ normal))
+        points = section_points(self.orbit.system, section, states)
+        return replace(piece, points=points, states=states, direction=direction)
+
+    def document(self) -> dict[str, Any]:
+        """Return the tube as values for JSON."""
+        return {"orbit": self.orbit.document(), "stable": self.stable, "branch": self.branch}
+
+
+def _followed(propagator: Any, seed: Array, seconds: float) -> Array:
+    """Return states (M, N) for a time, or while the trajectory is finite."""
+    while True:
+        try:
+            return propagator.sample(seed, np.linspace(0.0, seconds, _MOMENTS))
+        except ArithmeticError:
+            seconds /= 2

@@ -1,0 +1,260 @@
+"""One chart of each result, drawn in given axes: the chart that says most about it."""
+
+import networkx as nx
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.identification.identify import Identification
+from dpcontrol.judge.campaign import CampaignSummary, summary_of
+from dpcontrol.judge.night import Night
+from dpcontrol.judge.of_log import reference_view, run_view
+from dpcontrol.judge.preflight import Preflight
+from dpcontrol.judge.run_view import RunView, series_of
+from dpcontrol.logs import RunLog
+from dpcontrol.orbits.cut import Cut, Piece
+from dpcontrol.orbits.family import LyapunovFamily
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
+from dpcontrol.orbits.tube import Tube
+from dpcontrol.pages import campaign, night, orbits, style
+from dpcontrol.pages.atlas import BRANCHES, draw_cuts
+from dpcontrol.pages.charts import draw_chart
+from dpcontrol.pages.identification import draw_candidates, draw_identification
+from dpcontrol.pages.page import draw
+from dpcontrol.pages.panels import angle_axis, quiet
+from dpcontrol.pages.series import charts
+from dpcontrol.pages.walks import WalkStory, draw_walk
+from dpcontrol.pages.walks import plane as walk_plane
+from dpcontrol.plans.model import ModelSystem
+from dpcontrol.plans.plan import Plan
+from dpcontrol.recordings.recording import Recording
+from dpcontrol.references.reference import summarised
+from dpcontrol.runs.campaign import Campaign
+from dpcontrol.runs.closed_loop import ClosedLoop
+from dpcontrol.runs.run import Run
+from dpcontrol.tubes.connections import Connection, ConnectionSearch
+from dpcontrol.tubes.symmetric import SymmetricSearch
+from dpcontrol.walks.atlas import Atlas
+from dpcontrol.walks.edges import Edges
+from dpcontrol.walks.shadowing import ShadowingOrbit
+
+
+def _plane(axes: Axes, system: System, columns: tuple[int, int], title: str) -> None:
+    """Label axes that show two entries of a system's states."""
+    n = system.dimension // 2
+    names = [
+        (f"{'θω'[k >= n]}{style.number(k % n)} ({'rad' if k < n else 'rad/s'})" if system.si else system.columns[k])
+        for k in columns
+    ]
+    quiet(axes, title, x=names[0], y=names[1])
+    for k, which in zip(columns, "xy", strict=True):
+        if np.isfinite(system.periods[k]):
+            angle_axis(axes, which)
+
+
+def _rings(axes: Axes, orbit: LyapunovOrbit, turns: Array | None = None) -> None:
+    states = orbit.sample() + (0.0 if turns is None else turns)
+    axes.plot(*states[:, :2].T, color=style.saddle_colour(orbit.saddle), linewidth=2.5)
+
+
+def orbit(axes: Axes, found: LyapunovOrbit | RotatingOrbit) -> None:
+    """Draw an orbit in the phase plane of its most active arm, or in the plane of positions."""
+    states, n = found.sample(400), found.system.dimension // 2
+    arm = int(np.argmax(np.ptp(states[:, :n], axis=0)))
+    columns = (arm, n + arm) if found.system.si else (0, 1)
+    axes.plot(*states[:, list(columns)].T, color=style.saddle_colour(found.name), linewidth=1.8)
+    energy = f"{found.energy:g}{found.system.unit('J')}"
+    _plane(axes, found.system, columns, f"{found.name} at {energy}, period {found.period:.4g}{found.system.unit('s')}")
+
+
+def family(axes: Axes, found: LyapunovFamily | RotatingFamily) -> None:
+    """Draw the periods of a family over the energy."""
+    system = found.members[0].system
+    axes.plot(found.energies, found.periods, color=style.INK, linewidth=1.6)
+    units = (" (J)", " (s)") if system.si else ("", "")
+    quiet(axes, f"{len(found.members)} orbits about {found.members[0].name}", x=f"energy{units[0]}",
+          y=f"period{units[1]}")  # fmt: skip
+
+
+def family_page(found: LyapunovFamily) -> Figure:
+    """Return the page on one family."""
+    return orbits.draw_families([found], f"Lyapunov orbits of {found.system.name} about {found.saddle}")
+
+
+def tube(axes: Axes, found: Tube) -> None:
+    """Draw the trajectories of a tube in the plane of positions."""
+    strands = found.strands()
+    for k, strand in enumerate(strands):
+        branch = found.branches[k * len(found.branches) // len(strands)]
+        axes.plot(*strand[:, :2].T, color=BRANCHES[found.stable, branch], linewidth=0.5, alpha=0.8)
+    _rings(axes, found.orbit)
+    kind = "stable" if found.stable else "unstable"
+    _plane(axes, found.orbit.system, (0, 1), f"{kind} tube of {found.orbit.name}")
+
+
+def _curves(axes: Axes, pieces: tuple[Piece, ...], stable: bool) -> None:
+    for piece in pieces:
+        points = np.vstack([piece.points, piece.points[:1]]) if piece.closed else piece.points
+        line = "-" if piece.direction > 0 else "--"
+        axes.plot(*points.T, color=BRANCHES[stable, 1], linewidth=1.3, linestyle=line, zorder=2)
+
+
+def cut(axes: Axes, found: Cut) -> None:
+    """Draw a cut in the section's coordinates."""
+    _curves(axes, found.pieces, found.stable)
+    quiet(axes, f"crossing {found.hit} of {found.section.name}", x="q", y="p / p₀")
+
+
+def search(axes: Axes, found: ConnectionSearch) -> None:
+    """Draw the cuts of both tubes and the connections."""
+    tubes = (found.source.manifold(), found.target.manifold(stable=True))
+    for side, own in zip(tubes, found.cuts, strict=True):
+        pieces = tuple(side.placed(piece, own.section) for piece in own.pieces)
+        _curves(axes, pieces, side.stable)
+    for connection in found.connections:
+        axes.plot(*connection.place, "o", color=style.INK, markeredgecolor="white", markersize=6, zorder=4)
+    names = f"{found.source.saddle} → {found.target.saddle}"
+    quiet(axes, f"{names}: {len(found.connections)} connections on {found.cuts[0].section.name}", x="q", y="p / p₀")
+
+
+def connection(axes: Axes, found: Connection) -> None:
+    """Draw a connection between its orbits in the plane of positions."""
+    system = found.source.system
+    _rings(axes, found.source)
+    _rings(axes, found.target, np.asarray(found.orbit.end.turns) * system.turn_lengths)
+    axes.plot(*found.sample(600)[:, :2].T, color=style.INK, linewidth=1.0)
+    _plane(axes, system, (0, 1), found.name)
+
+
+def symmetric(axes: Axes, found: SymmetricSearch) -> None:
+    """Draw all connections of a search in the plane of positions."""
+    for one in found.connections:
+        axes.plot(*one.sample(600)[:, :2].T, linewidth=1.0, label=f"{one.source.energy:.6g}")
+        _plane(axes, one.source.system, (0, 1), f"{found.saddle}: {len(found.connections)} connections")
+
+
+def walk(axes: Axes, found: ShadowingOrbit) -> None:
+    """Draw the angles of a walk over time, or its orbit in the plane of positions."""
+    story = _story(found)
+    if not story.has_angles:
+        walk_plane(axes, story)
+        return
+    draw_chart(axes, story.coordinates(), story.view(found.system.name))
+    axes.set_xlabel(f"time{found.system.unit('s', ' ({})')}")
+
+
+def _story(found: ShadowingOrbit) -> WalkStory:
+    arms = found.system.model.parameters if isinstance(found.system, ModelSystem) else None
+    return WalkStory(found, arms.length if isinstance(arms, ArmChainParameters) else None)
+
+
+def walk_page(found: ShadowingOrbit) -> Figure:
+    """Return the page of a walk."""
+    return draw_walk(found, arm_lengths=_story(found).arm_lengths, model=found.system.name)
+
+
+def edges(axes: Axes, found: Edges) -> None:
+    """Draw a connection graph."""
+    graph = found.graph()
+    places = nx.circular_layout(graph)
+    nx.draw_networkx(graph, places, ax=axes, node_color="white", edgecolors=style.INK, node_size=2400, font_size=8)
+    counts = {pair: str(graph.number_of_edges(*pair)) for pair in {(a, b) for a, b, _ in graph.edges}}
+    nx.draw_networkx_edge_labels(graph, places, counts, ax=axes, font_size=8)
+    axes.set_title(f"{found.system.name} at {found.energy:g}{found.system.unit('J')}", loc="left", fontsize=9.5)
+    axes.margins(0.3)
+
+
+def atlas(axes: Axes, found: Atlas) -> None:
+    """Draw the cuts of the first kind of connections."""
+    if found.kinds:
+        draw_cuts(axes, found, max(found.kinds, key=lambda kind: kind.count), legend=False)
+
+
+def _angles(axes: Axes, view: RunView) -> None:
+    draw_chart(axes, charts(view)["angles"], view)
+    axes.set_xlabel("time (s)")
+
+
+def plan_view(found: Plan) -> RunView:
+    """Return the data to draw of a plan."""
+    return reference_view(summarised(found.reference), found.file)
+
+
+def plan(axes: Axes, found: Plan) -> None:
+    """Draw the angles of a plan."""
+    _angles(axes, plan_view(found))
+
+
+def plan_page(found: Plan) -> Figure:
+    """Return the page of a plan."""
+    return draw(plan_view(found))
+
+
+def closed_loop(axes: Axes, found: ClosedLoop) -> None:
+    """Draw the angles of the plan that a closed loop follows."""
+    plan(axes, found.plan)
+
+
+def closed_loop_page(found: ClosedLoop) -> Figure:
+    """Return the page of the plan that a closed loop follows."""
+    return plan_page(found.plan)
+
+
+def run(axes: Axes, found: Run) -> None:
+    """Draw the angles of a run."""
+    log(axes, found.log)
+
+
+def log(axes: Axes, found: RunLog) -> None:
+    """Draw the angles of a log."""
+    _angles(axes, run_view(found) if "reference.npz" in found.attachments else series_of(found))
+
+
+def campaign_summary(axes: Axes, found: CampaignSummary) -> None:
+    """Draw the share of completed runs of each group."""
+    campaign.draw_groups(axes, found)
+
+
+def whole_campaign(axes: Axes, found: Campaign) -> None:
+    """Draw the share of completed runs of each group."""
+    campaign.draw_groups(axes, summary_of(found.table.to_pydict(), found.place))
+
+
+def campaign_page(found: Campaign) -> Figure:
+    """Return the page of a campaign."""
+    return campaign.draw_campaign(summary_of(found.table.to_pydict(), found.place))
+
+
+def whole_night(axes: Axes, found: Night) -> None:
+    """Draw the causes of falls in a night."""
+    night.draw_causes(axes, found)
+
+
+def whole_preflight(axes: Axes, found: Preflight) -> None:
+    """Draw the endings that a preflight found."""
+    shares = [one.runs / found.share.runs for one in found.endings]
+    axes.barh([one.words for one in found.endings], shares, color=style.LIMIT, height=0.6)
+    axes.invert_yaxis()
+    quiet(axes, f"{found.status}", x="share of runs that end so")
+
+
+def identification(axes: Axes, found: Identification) -> None:
+    """Draw the errors of each candidate."""
+    draw_candidates(axes, found)
+
+
+def identification_page(found: Identification) -> Figure:
+    """Return the page of an identification, without profiles, which take a minute."""
+    return draw_identification(found, (), title="Identified arms")
+
+
+def recording(axes: Axes, found: Recording) -> None:
+    """Draw the measured angles, segment by segment."""
+    for part in found.split():
+        for arm in range(found.arms):
+            axes.plot(part.time, part.angles[:, arm], color=style.arm_colour(arm), linewidth=0.9)
+    quiet(axes, f"{found.name}: {len(found.segments)} segments", x="time (s)", y="angles (rad)")
