@@ -86,7 +86,7 @@ def entry(name: str) -> str:
     text = render_object_docs(found, {**OPTIONS, "heading_level": 2})
     text = re.sub(r"\[([^][]+)\]\(#[^)]*\)", r"\1", text)
     text = re.sub(r"</?code>", "`", text)
-    text = text.replace("```python\n>>>", "```pycon\n>>>").replace("```python\n", "```py\n")
+    text = text.replace("```python\n>>>", "```pycon\n>>>").replace("```python\n", "```text\n")
     text = re.sub(r"^(#+) `(?:[\w.]+\.)?(\w+)`$", lambda m: heading(m[1], m[2], name), text, flags=re.MULTILINE)
     return re.sub(r"\n{3,}", "\n\n", "\n".join(line.rstrip() for line in text.splitlines())).strip()
 
