@@ -87,13 +87,23 @@ _SWEPT, _SWEPT_BYTES = 2.0, 1e6
 
 @checked
 def orbit(model: Model | System | str, saddle: str, *, energy: float, family: Index = 0) -> "LyapunovOrbit":
-    """Return the Lyapunov orbit about a saddle, such as "down-up", at `energy` in J, zero at the pivot's height.
+    """Return the Lyapunov orbit about a saddle.
 
-    >>> dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07).period
-    0.75238...
+    Args:
+        model: model, its name, or a system.
+        saddle: saddle that the orbit surrounds, inner arm first, such as "down-up".
+        energy: energy, J, zero at the pivot's height.
+        family: which of the saddle's families, slowest first; by default 0.
+
+    Returns:
+        The orbit with state (N,), period (s) and Floquet multipliers; use it only if it `converged`.
 
     Raises:
-        InputError: an unknown saddle or family, or an energy on the wrong side of the saddle's.
+        InputError: an unknown saddle or family, or an energy below the saddle's.
+
+    Examples:
+        >>> dp.orbit("lab", "down-up", energy=-0.07).period
+        0.75238...
     """
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
 
@@ -134,23 +144,29 @@ def connections(
     seconds: Positive | None = None,
     progress: Reporting = None,
 ) -> "ConnectionSearch | SymmetricSearch":
-    """Find every connection from one orbit to another of the same energy, or back to itself where there is no other.
+    """Find every connection from one orbit to another.
 
-    hits: which crossings of the section count, of the unstable and the stable tube. section: by its short name, the
-    saddles' own by default. longest: time that trajectories are given to the section, in periods of their orbit.
-    thorough: go on where a search says "at least", for up to a minute. seconds: of processor time that the search may
-    take, a minute by default; when they are over, what was found is returned and marked `partial`.
+    Args:
+        source: orbit that the connections leave.
+        target: orbit of the same energy that they join; by default `source`.
+        energies: for three arms, lowest and highest energy, J, of symmetric connections.
+        hits: crossings of the section that count, of the unstable and the stable tube; by default (1, 1).
+        section: short name of the section; by default that of the saddles.
+        longest: time to reach the section, in periods of the orbit; by default the model's.
+        thorough: resolve parts that are reported as "at least", for up to a minute.
+        seconds: processor time of the search, s; by default 60. A partial result is marked.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    energies: of three arms, whose orbits have connections at isolated energies only, the range in J in which the
-    source's family is searched for symmetric ones.
-
-    >>> len(dp.connections(orbit).connections)
-    8
+    Returns:
+        The connections, and whether the list is complete.
 
     Raises:
-        InputError: the orbits differ in energy, or there is no such section between their saddles; three arms without
-            `energies`, or two with them.
+        InputError: the orbits differ in energy, an unknown section, three arms without `energies`, or two with them.
         GoalMissed: an orbit did not converge.
+
+    Examples:
+        >>> len(dp.connections(orbit).connections)
+        8
     """
     from dpcontrol.tubes.intersections import search_settings
 
@@ -187,15 +203,23 @@ def connections(
 def graph(
     model: Model | System | str, *, energy: float, symbols: Sequence[str] = (), progress: Reporting = None
 ) -> "Edges":
-    """Find the connection graph of an energy in J: the orbits of all saddles, and the connections between them.
+    """Find the connection graph of an energy.
 
-    symbols: of a walk that asks for connections on other sections or at other hits, or for rotating orbits.
+    Args:
+        model: model, its name, or a system.
+        energy: energy, J.
+        symbols: symbols of a walk, for other sections, later hits or rotating orbits; by default none.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    >>> dp.graph(lab, energy=-0.07).saddles
-    ('down-up',)
+    Returns:
+        Orbits of all saddles, and the connections between them.
 
     Raises:
-        InputError: no saddle has an orbit at this energy, or a symbol names what there is not.
+        InputError: no saddle has an orbit at this energy, or a symbol is unknown.
+
+    Examples:
+        >>> dp.graph("lab", energy=-0.07).saddles
+        ('down-up',)
     """
     from dpcontrol.walks.edges import find_edges
     from dpcontrol.walks.symbols import parse_walk
@@ -219,15 +243,27 @@ def find_bifurcations(
     yes: bool = False,
     progress: Reporting = None,
 ) -> "BifurcationSearch":
-    """Find the energies in J at which connections between two saddles appear, vanish or split.
+    """Find the energies at which connections appear, vanish or split.
 
-    samples: energies that are searched at first. yes: however long that takes.
+    Args:
+        model: model, its name, or a system.
+        source: saddle that the connections leave.
+        target: saddle that they join.
+        energies: lowest and highest energy, J.
+        hits: crossings of the section; by default 1.
+        samples: energies of the first search; by default 24.
+        yes: accept work of more than an hour or 4 GB; by default refused.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    >>> dp.find_bifurcations(lab, "down-up", "down-up", energies=(-0.08, -0.06), samples=2).events
-    ()
+    Returns:
+        Events in order of energy, and unexplained changes of the count.
 
     Raises:
-        InputError: saddles or energies between which nothing can be swept.
+        InputError: an unknown saddle, energies without both orbits, or too much work.
+
+    Examples:
+        >>> dp.find_bifurcations("lab", "down-up", "down-up", energies=(-0.08, -0.06), samples=2).events
+        ()
     """
     from dpcontrol.bifurcations.bifurcations import SweepSettings
     from dpcontrol.bifurcations.bifurcations import find_bifurcations as find
@@ -253,17 +289,27 @@ def atlas(
     yes: bool = False,
     progress: Reporting = None,
 ) -> "Atlas":
-    """Return the atlas of an energy in J: every orbit, tube and connection; kept by content unless `fresh`.
+    """Return all orbits, tubes and connections of an energy.
 
-    hits: of the unstable and the stable tube; by default the first at which they meet, up to the second. thorough: go
-    on where a search says "at least", for up to a minute each. seconds: of processor time that each search may take, a
-    minute by default; an atlas that is partial for lack of time is not kept. yes: however long all that takes.
+    Args:
+        model: model, its name, or a system.
+        energy: energy, J.
+        hits: crossings of the section; by default the first with connections, up to the second.
+        thorough: resolve parts that are reported as "at least", for up to a minute each.
+        seconds: processor time of each search, s; by default 60. A partial atlas is not cached.
+        fresh: compute it again even if it is cached.
+        yes: accept work of more than an hour or 4 GB; by default refused.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    >>> len(dp.atlas(lab, energy=-0.07).connections)
-    8
+    Returns:
+        The atlas, from the cache if possible.
 
     Raises:
-        InputError: no saddle has an orbit at this energy.
+        InputError: no saddle has an orbit at this energy, or too much work.
+
+    Examples:
+        >>> len(dp.atlas("lab", energy=-0.07).connections)
+        8
     """
     from dpcontrol.plans.atlas import AtlasSettings, make_atlas
     from dpcontrol.tubes.intersections import search_settings
@@ -291,18 +337,27 @@ def shadow(
     periodic: bool = False,
     yes: bool = False,
 ) -> "ShadowingOrbit":
-    """Return the orbit that follows a walk: symbols such as "down-up +", "down-up > up-down" or a connection's name.
+    """Return the orbit that follows a walk.
 
-    found: the graph, or searches for connections, that the symbols choose from. wraps: wobbles at each interior stop,
-    the fewest that suffice by default; lead_in, lead_out: those on the first and the last orbit. periodic: the walk
-    closes, with one more stop. Of three arms a walk is one symbol, the connection itself. yes: however long it takes.
+    Args:
+        found: graph, or searches for connections, from which symbols select.
+        walk: symbols such as "down-up +" and "down-up > up-down", names of connections, or a walk of `random_walks`.
+        wraps: oscillations at each interior stop; by default the fewest that suffice.
+        lead_in: oscillations on the first orbit; by default 2.
+        lead_out: oscillations on the last orbit; by default 2.
+        periodic: the walk closes, with one more stop; by default open.
+        yes: accept work of more than an hour or 4 GB; by default refused.
 
-    >>> dp.shadow(found, ["down-up +"]).converged
-    True
+    Returns:
+        The orbit with symbol times (s) and an estimate of its error; use it only if it `converged`.
 
     Raises:
-        InputError: a symbol that no connection fits, or wraps that do not fit the walk.
+        InputError: a symbol matches no connection, or a wrong number of wraps.
         GoalMissed: no number of wraps suffices.
+
+    Examples:
+        >>> dp.shadow(found, ["down-up +"]).converged
+        True
     """
     from dpcontrol.tubes.connections import ConnectionSearch
     from dpcontrol.tubes.symmetric import SymmetricSearch
@@ -338,18 +393,28 @@ def prove(
     settings: "ProofSettings | None" = None,
     progress: Reporting = None,
 ) -> "Proof":
-    """Prove in ball arithmetic that a computed orbit, closed walk or connections exist; needs the extra `proof`.
+    """Prove in ball arithmetic that orbits or connections exist.
 
-    Homoclinics of one orbit are proved together with the horseshoe that they make. energy in J, exact; by default the
-    shortest decimal that reads as the orbit's. rivals: the graph whose other connections the walk must not follow.
+    Homoclinic connections of one orbit are proved together with their horseshoe.
 
-    >>> dp.prove(dp.orbit(lab, "down-up", energy=-0.07)).proved
-    True
+    Args:
+        found: orbit, closed walk, or search for connections.
+        energy: exact energy, J; by default the shortest decimal that reads as the orbit's.
+        rivals: graph whose other connections the walk must not follow; by default not checked.
+        settings: precision and radii; by default those of `dpcontrol prove`.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        "proved" with enclosures and certificate, or the step that does not close.
 
     Raises:
-        InputError: an open walk, or a system that cannot be enclosed.
+        InputError: an open walk, or a system without enclosures.
         GoalMissed: the orbit did not converge.
-        PartMissing: python-flint is not installed.
+        PartMissing: the extra `proof` is not installed.
+
+    Examples:
+        >>> dp.prove(orbit).proved
+        True
     """
     from dpcontrol.foundation.parts import part
 
@@ -382,17 +447,28 @@ def reference(
     yes: bool = False,
     progress: Reporting = None,
 ) -> "Plan":
-    """Return the plan of following walks, one after the other, with the model's friction and cart within its limits.
+    """Plan one or more walks with friction and a cart.
 
-    start, finish: on the periodic orbit, or hanging at rest. What was planned before comes from the cache.
-    yes: however long it takes.
+    Args:
+        walks: orbit of `shadow`, or several in order.
+        limits: limits of the cart, m, m/s and m/s²; by default those of itineraries.
+        settings: method, mesh and tolerance of the collocation; by default those of itineraries.
+        start: begin on the "orbit", by default, or at "rest".
+        finish: end on the "orbit", by default, or at "rest".
+        name: name of the plan; by default "walk".
+        yes: accept work of more than an hour or 4 GB; by default refused.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    >>> dp.reference(walk, limits=dp.Limits(position=0.4)).converged
-    True
+    Returns:
+        The plan, from the cache if possible; use it only if it `converged`.
 
     Raises:
-        InputError: a walk is of a system without arms, is periodic, or an end cannot be reached.
-        GoalMissed: a walk's orbit did not converge, or there is no transfer between two of them.
+        InputError: a system without arms, a periodic walk, or an end that cannot be reached.
+        GoalMissed: a walk's orbit did not converge, or no transfer exists between two walks.
+
+    Examples:
+        >>> dp.reference(walk, limits=dp.Limits(position=0.4)).converged
+        True
     """
     from dpcontrol.plans.itinerary import WalkPart, itinerary_of
     from dpcontrol.plans.plan import make_plan
@@ -432,17 +508,26 @@ def plan(
     yes: bool = False,
     progress: Reporting = None,
 ) -> "Plan":
-    """Return the plan of an itinerary's file, by name or path, from the cache unless `fresh`.
+    """Plan an itinerary.
 
-    workers: processes that seek its transfers, 0 for as many as are worth it; scheduler: address of a Dask cluster in
-    their place. yes: however long it takes.
+    Args:
+        itinerary: name or path of an itinerary's file.
+        fresh: plan it again even if it is cached.
+        workers: processes that search for transfers, 0 for a useful number; by default 1.
+        scheduler: address of a Dask cluster that searches instead; by default none.
+        yes: accept work of more than an hour or 4 GB; by default refused.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    >>> dp.plan("outer-turn").itinerary.walk
-    ('down-up +',)
+    Returns:
+        The plan, from the cache if possible; use it only if it `converged`.
 
     Raises:
-        InputError: no such file, a mistake in it, or connections that do not exist at its energy.
-        GoalMissed: an orbit did not converge, or there is no transfer.
+        InputError: no such file, a mistake in it, or no such connections at its energy.
+        GoalMissed: an orbit did not converge, or no transfer exists.
+
+    Examples:
+        >>> dp.plan("outer-turn").itinerary.walk
+        ('down-up +',)
     """
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
@@ -463,23 +548,27 @@ def closed_loop(
     progress: Reporting = None,
     **named: object,
 ) -> "ClosedLoop":
-    """Return the closed loop of a plan, or of an itinerary by name: one object that runs, counts, measures and exports.
+    """Return the closed loop of a plan.
 
     Args:
-        planned: a plan, or an itinerary's name.
-        settings: settings of its runs by path, such as {"drive.lag": 0.005}; the unique last part of a path may stand
-            alone (`dpcontrol guide settings`). Controller, estimator and plant may be your own objects.
-        options: deprecated; give `settings`.
-        yes: True to plan however long that takes.
-        progress: receiver of progress; see the head of this module.
-        named: further settings, by the last part of their paths.
+        planned: plan, or name or path of an itinerary.
+        settings: run settings by path, such as {"drive.lag": 0.005}; by default none.
+        options: deprecated; use `settings`.
+        yes: accept work of more than an hour or 4 GB; by default refused.
+        progress: where progress goes; see `dpcontrol.api`.
+        named: further settings by the last part of their paths, such as `mismatch=0.02`; laws, estimators and plants
+            may be objects.
 
-    >>> dp.closed_loop("outer-turn", mismatch=0.02).run(seed=3).converged
-    True
+    Returns:
+        The loop, which runs, counts, measures and exports.
 
     Raises:
-        InputError: an unknown or impossible setting, or the plan would take too long.
-        GoalMissed: an orbit did not converge, or there is no transfer.
+        InputError: an unknown or impossible setting, or too much work.
+        GoalMissed: the itinerary cannot be planned.
+
+    Examples:
+        >>> dp.closed_loop("outer-turn", mismatch=0.02).run(seed=3).converged
+        True
     """
     with reporting(progress, "plan") as report:
         return _closed(planned, _settings(settings, options, **named), yes=yes, progress=report)
@@ -489,19 +578,23 @@ def closed_loop(
 def mjcf(
     model: Model | ArmChainParameters | str, *, cart_mass: float = CART_MASS, lag: float = LAG, out: Place | None = None
 ) -> str:
-    """Return the arms of a model on their cart as a model for MuJoCo.
+    """Return the arms on their cart as a model for MuJoCo.
 
     Args:
-        model: a model, or its arms.
+        model: model, its name, or arms.
         cart_mass: mass of the cart, kg.
-        lag: time constant of the servo that drives it, s; its control is the cart's velocity, m/s.
-        out: file to write the text to.
+        lag: time constant of the servo, s; its control is the cart's velocity, m/s.
+        out: file to write; by default none.
 
-    >>> dp.mjcf(dp.load_model("lab")).startswith("<mujoco")
-    True
+    Returns:
+        The model in MuJoCo's XML.
 
     Raises:
-        InputError: the model has no arms, or quadratic friction; a mass or lag that is not positive.
+        InputError: the model has no arms or has quadratic friction, or a mass or lag is not positive.
+
+    Examples:
+        >>> dp.mjcf("lab").startswith("<mujoco")
+        True
     """
     from dpcontrol.foundation.files import write_whole
 
@@ -522,21 +615,29 @@ def polish(
     yes: bool = False,
     progress: Reporting = None,
 ) -> "Polished":
-    """Return a plan from rest to rest, or that of an itinerary by name, beside its motion re-optimised as a whole.
+    """Re-optimise a motion from rest to rest as one problem.
 
-    The polished plan keeps crossings, windings and wraps for a fraction of the effort, and need not come near the
-    orbits: `sides` has what each takes, and how many of `runs` complete it at a mismatch of 5 and of 20 %. workers:
-    processes that fly them, 0 for one on each processor. yes: however long it takes.
+    The polished plan keeps crossings, windings and wraps at a fraction of the effort. It may stay far from the orbits.
 
-    >>> found = dp.polish("one-arm", runs=8)
-    >>> [side.name for side in found.sides]
-    ['robust', 'polished']
-    >>> found.sides[1].effort < found.sides[0].effort
-    True
+    Args:
+        planned: plan from rest to rest, or name or path of an itinerary.
+        fresh: compute it again even if it is cached.
+        runs: runs of each plan at a mismatch of 5 and of 20 %; by default 48.
+        workers: processes of these runs, 0 for one per processor.
+        yes: accept work of more than an hour or 4 GB; by default refused.
+        progress: where progress goes; see `dpcontrol.api`.
+
+    Returns:
+        Both plans, with effort, peak, travel and completed runs as `sides`.
 
     Raises:
-        InputError: the plan is not from rest to rest, or polished already, or it would take too long.
-        GoalMissed: the plan did not converge, or no controller can be made for it.
+        InputError: the plan is not from rest to rest or is polished already, or too much work.
+        GoalMissed: the plan did not converge, or no controller exists for it.
+
+    Examples:
+        >>> found = dp.polish("one-arm", runs=8)
+        >>> found.sides[1].effort < found.sides[0].effort
+        True
     """
     from dpcontrol.runs.polish import polish as polish_plan
 
@@ -560,28 +661,31 @@ def run(
     yes: bool = False,
     progress: Reporting = None,
 ) -> "Run":
-    """Run the closed loop of a plan, or of an itinerary by name, on the simulated bench.
+    """Run a closed loop once on the simulated bench.
 
     Args:
-        planned: a plan, or an itinerary's name.
-        mismatch: largest relative error of the plant's parameters.
-        plant: model file or name, for a plant with arms of its own.
-        seed: seed of the random numbers.
-        settings: settings of the run by path; see `closed_loop`.
-        options: deprecated; give `settings`.
-        log: file to write the run's log to.
+        planned: plan, or name or path of an itinerary.
+        mismatch: largest relative error of the plant's parameters; by default the itinerary's.
+        plant: name or path of a model for a plant with other arms; by default the same arms.
+        seed: seed of the random numbers; by default 0.
+        settings: run settings by path, such as {"drive.lag": 0.005}; by default none.
+        options: deprecated; use `settings`.
+        log: log to write; by default the run stays in memory.
         force: replace the log of another run there.
-        live: show the run in the viewer while it happens.
-        yes: plan it however long that takes.
-        progress: where progress goes; see the head of this module.
+        live: show the run in the viewer.
+        yes: accept work of more than an hour or 4 GB; by default refused.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
-    True
+    Returns:
+        The run, which scores, draws and explains itself.
 
     Raises:
-        InputError: an impossible setting, the plan would take too long, the log cannot be written, or there is no
-            display for a live view.
-        GoalMissed: there is no reference to follow, or no controller can be made for it.
+        InputError: an impossible setting, too much work, a log that cannot be written, or no display for a live view.
+        GoalMissed: the plan did not converge, or no controller exists for it.
+
+    Examples:
+        >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
+        True
     """
     chosen = _settings(settings, options, mismatch=mismatch, plant=plant)
     with reporting(progress, "run") as report:
@@ -601,17 +705,28 @@ def export(
     yes: bool = False,
     progress: Reporting = None,
 ) -> "ControllerSource":
-    """Return the controller of a plan, or of an itinerary by name, as C99, and write it to `folder` if one is given.
+    """Return the controller of a plan as C99.
 
-    single: in single precision; settings: see `closed_loop`. force: replace files
-    of the same names in a folder that is there. yes: however long its plan takes.
+    Args:
+        planned: plan, or name or path of an itinerary.
+        folder: folder to write, or NAME.fmu for a co-simulation unit; by default none.
+        single: use single precision; by default double.
+        settings: run settings by path, such as {"drive.lag": 0.005}; by default none.
+        options: deprecated; use `settings`.
+        force: replace files of the same names there.
+        yes: accept work of more than an hour or 4 GB; by default refused.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    >>> sorted(dp.export("outer-turn", single=True).files)[:2]
-    ['CMakeLists.txt', 'Makefile']
+    Returns:
+        The files, with code size, memory and operations per tick.
 
     Raises:
-        InputError: the law or the estimator cannot leave as C, or the folder holds something else.
-        GoalMissed: there is no reference to follow, or no controller can be made for it.
+        InputError: the law or the estimator has no C export, or the folder has other files.
+        GoalMissed: the plan did not converge, or no controller exists for it.
+
+    Examples:
+        >>> sorted(dp.export("outer-turn", single=True).files)[:2]
+        ['CMakeLists.txt', 'Makefile']
     """
     with reporting(progress, "export") as report:
         loop = _closed(planned, _settings(settings, options), yes=yes, progress=part_of(report, 0.0, 0.5))
@@ -636,19 +751,34 @@ def campaign(
     yes: bool = False,
     progress: Reporting = None,
 ) -> "Campaign":
-    """Run a plan, or an itinerary by name, with many seeds, and count how often it is completed.
+    """Run a plan with many seeds, and count completed runs.
 
-    mismatch, plant, settings: see `run`; over: values of settings by path, each combination a case of
-    `runs` seeds from `first_seed` on. transitions: each transfer from hold to hold alone. workers: processes, 0 for one
-    on each processor. out: the Parquet file to write the rows to, if any; force: also where there is that of another
-    campaign. yes: however long it takes.
+    Args:
+        planned: plan, or name or path of an itinerary.
+        runs: seeds of each case; by default 100.
+        mismatch: largest relative error of the plant's parameters; by default the itinerary's.
+        plant: name or path of a model for a plant with other arms; by default the same arms.
+        settings: run settings by path, such as {"drive.lag": 0.005}; by default none.
+        options: deprecated; use `settings`.
+        over: values of run settings by name; each combination is a case.
+        first_seed: first seed; by default 0.
+        transitions: run each transfer from hold to hold separately.
+        workers: processes, 0 for one per processor.
+        out: Parquet table to write; by default none.
+        force: replace the table of another campaign there.
+        yes: accept work of more than an hour or 4 GB; by default refused.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    >>> dp.campaign("outer-turn", runs=4, mismatch=0.02).completed.rate
-    1.0
+    Returns:
+        Shares of completed runs with 95 % intervals, and failures with seeds and reasons.
 
     Raises:
-        InputError: an unknown option or impossible value, or the file cannot be written.
-        GoalMissed: there is no reference to follow, or workers died again and again.
+        InputError: an unknown setting, an impossible value, or a file that cannot be written.
+        GoalMissed: the plan did not converge, or workers ended repeatedly.
+
+    Examples:
+        >>> dp.campaign("outer-turn", runs=4, mismatch=0.02).completed.rate
+        1.0
     """
     from dpcontrol.runs.campaign import CampaignSettings
 
@@ -666,15 +796,24 @@ def campaign(
 def swings(
     model: Model | str, *, count: Count = 9, seconds: Positive = 2.667, seed: Seed = 0, yes: bool = False
 ) -> "Recording":
-    """Return free swings of a model as a bench's encoders would record them, to try `identify` on.
+    """Return simulated free swings as encoders would record them.
 
-    yes: however long it takes.
+    Args:
+        model: model of arms, or its name.
+        count: number of swings; by default 9.
+        seconds: duration of each swing, s.
+        seed: seed of the starts and encoder zeros; by default 0.
+        yes: accept work of more than an hour or 4 GB; by default refused.
 
-    >>> dp.swings(lab, count=2).arms
-    2
+    Returns:
+        The recording, for `identify` and `replay`.
 
     Raises:
-        InputError: the model has no arms, there are to be no swings or of no time, or it would take too long.
+        InputError: the model has no arms, or too much work.
+
+    Examples:
+        >>> dp.swings("lab", count=2).arms
+        2
     """
     from dpcontrol.recordings.recording import random_swings, swings_cost
 
@@ -692,16 +831,24 @@ def identify(
     out: Place | None = None,
     progress: Reporting = None,
 ) -> "Identification":
-    """Identify arms from recordings of free swings: inertia ratios, friction laws, encoder zeros.
+    """Identify arms from recordings of free swings.
 
-    model: to start from; a recording that contradicts it is remarked on. zeros: whether the encoders' zeros are fitted,
-    by the segments left out by default. out: the model file to write, for `load_model`, if any.
+    Args:
+        recordings: recording, or several.
+        model: initial model, or its name.
+        zeros: fit the encoder zeros or not; by default decided by the segments left out.
+        out: model file to write; by default none.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    >>> dp.identify(dp.swings(lab, count=3, seconds=1.5), model=lab).friction_terms
-    ('viscous',)
+    Returns:
+        Inertia ratios, friction laws and encoder zeros with standard errors.
 
     Raises:
-        InputError: recordings that do not fit the model or hold too little, or the file cannot be written.
+        InputError: recordings contradict the model or are too short, or the file cannot be written.
+
+    Examples:
+        >>> dp.identify(dp.swings("lab", count=3, seconds=1.5), model="lab").friction_terms
+        ('viscous',)
     """
     from dpcontrol.identification.identify import IdentificationSettings
     from dpcontrol.identification.identify import identify as found_in
@@ -725,13 +872,20 @@ def identify(
 
 @checked
 def open_log(file: Place) -> "Run":
-    """Open the log of a run, or of a bench.
+    """Open the log of a run or of a bench.
 
-    >>> dp.open_log(log).score().completed
-    True
+    Args:
+        file: log (.mcap).
+
+    Returns:
+        The run, which scores, draws and explains itself.
 
     Raises:
-        InputError: the file is missing, damaged or no log.
+        InputError: the file is missing, damaged or not a log.
+
+    Examples:
+        >>> dp.open_log(log).score().completed
+        True
     """
     from dpcontrol.logs import read_log
     from dpcontrol.runs.run import Run
@@ -741,13 +895,20 @@ def open_log(file: Place) -> "Run":
 
 @checked
 def open_plan(file: Place) -> "Plan":
-    """Open a plan's file, as `dpcontrol plan --out` writes it and every log carries it.
+    """Open the file of a plan.
 
-    >>> dp.open_plan(planned.file).status == planned.status
-    True
+    Args:
+        file: plan (.npz), as `dpcontrol plan --out` writes it and every log contains it.
+
+    Returns:
+        The plan, which can run without planning.
 
     Raises:
-        InputError: the file is missing, damaged or no plan.
+        InputError: the file is missing, damaged or not a plan.
+
+    Examples:
+        >>> dp.open_plan(planned.file).status == planned.status
+        True
     """
     from dpcontrol.plans.plan import load_plan
 
@@ -756,13 +917,17 @@ def open_plan(file: Place) -> "Plan":
 
 @checked
 def open_atlas(file: Place) -> "Atlas":
-    """Open an atlas that `dpcontrol atlas --out` wrote.
+    """Open the file of an atlas.
 
-    >>> dp.open_atlas(atlas_file).energy
-    -0.07
+    Args:
+        file: atlas (.npz), as `dpcontrol atlas --out` writes it.
 
     Raises:
-        InputError: the file is missing, damaged or no atlas.
+        InputError: the file is missing, damaged or not an atlas.
+
+    Examples:
+        >>> dp.open_atlas(atlas_file).energy
+        -0.07
     """
     from dpcontrol.plans.atlas import load_atlas
 
@@ -771,18 +936,24 @@ def open_atlas(file: Place) -> "Atlas":
 
 @checked
 def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[int, Bounds(0, 65535)] = 0) -> "Planner":
-    """Start the planner, a page in the browser from energy to run, and return it; it serves until it is closed.
+    """Start the planner, a page in the browser.
 
-    model: of two arms, by name or path. browser: open it; else only `address` is there to open. port: on 127.0.0.1, 0
-    for any that is free.
+    Args:
+        model: name or path of a model of two arms; by default "lab".
+        browser: open the browser; by default yes. Otherwise open `address` yourself.
+        port: port on 127.0.0.1; by default 0, any free one.
 
-    >>> with dp.open_planner("lab", browser=False) as planner:
-    ...     planner.address
-    'http://127.0.0.1:...'
+    Returns:
+        The planner, a context manager, which serves until it is closed.
 
     Raises:
-        InputError: the model cannot be used, or the port is taken.
+        InputError: the model has no two arms, or the port is taken.
         PartMissing: the extra `planner` is not installed.
+
+    Examples:
+        >>> with dp.open_planner("lab", browser=False) as planner:
+        ...     planner.address
+        'http://127.0.0.1:...'
     """
     from dpcontrol.planner.server import Planner
 
@@ -796,15 +967,23 @@ def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[in
 def open_recording(
     file: Place, *, mapping: str | None = None, repairs: Sequence[str] = (), progress: Reporting = None
 ) -> "Recording":
-    """Open a recording of the bench: a log, or MATLAB, CSV, Parquet, MCAP or a ROS bag by a mapping of its columns.
+    """Open a recording of a bench.
 
-    repairs: what may be mended, of nan, time, gaps, wrap, spikes and sampling.
+    Args:
+        file: log, MATLAB, CSV, Parquet or MCAP file, or ROS bag.
+        mapping: name or TOML file that describes the columns; by default chosen by the kind of file.
+        repairs: allowed repairs among nan, time, gaps, wrap, spikes and sampling; by default none.
+        progress: where progress goes; see `dpcontrol.api`.
 
-    >>> dp.open_recording(log).arms
-    2
+    Returns:
+        Angles (rad) by time (s), in segments.
 
     Raises:
-        InputError: the file is missing or damaged, does not fit the mapping, or needs a repair that is not allowed.
+        InputError: the file is missing or damaged, does not match the mapping, or needs a repair.
+
+    Examples:
+        >>> dp.open_recording(log).arms
+        2
     """
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import load_recording
@@ -824,17 +1003,23 @@ def picture(
     file: Place | None = None,
     film: Place | None = None,
 ) -> "Figure":
-    """Draw a run, a plan, a walk's orbit or an atlas as a figure of matplotlib.
+    """Draw a result as a figure, with a film if requested.
 
-    transitions: of a plan, its transfers between equilibria instead, each in a picture of its own. file: the PNG or PDF
-    to write as well, if any. film: the GIF, WebP or MP4, which shows the motion in real time.
+    Args:
+        result: run, plan, walk's orbit or atlas.
+        transitions: draw each transfer of a plan separately.
+        file: PNG or PDF to write; by default none.
+        film: GIF, WebP or MP4 to write, in real time; by default none.
 
-    >>> len(dp.picture(walk).axes) > 1
-    True
+    Returns:
+        A figure of matplotlib.
 
     Raises:
-        InputError: a file cannot be written; a film is of an atlas, or of a system without arms; transitions are asked
-            of what has none.
+        InputError: a file cannot be written, or the result has no film or no transitions.
+
+    Examples:
+        >>> len(dp.picture(walk).axes) > 1
+        True
     """
     from dpcontrol.judge.of_log import reference_view, run_view
     from dpcontrol.pages.atlas import draw_atlas
@@ -886,11 +1071,15 @@ def schema(of: Literal["itinerary", "model"]) -> dict[str, Any]:
     Args:
         of: "itinerary" or "model".
 
-    >>> dp.schema("model")["title"]
-    'Model of dpcontrol'
+    Returns:
+        The schema, for editors and checks.
 
     Raises:
         InputError: another kind of file.
+
+    Examples:
+        >>> dp.schema("model")["title"]
+        'Model of dpcontrol'
     """
     from dpcontrol.plans.tables import schema as schema_of
 
@@ -899,14 +1088,21 @@ def schema(of: Literal["itinerary", "model"]) -> dict[str, Any]:
 
 @checked
 def cache(*, clear: bool = False) -> "CacheContents":
-    """List the cached results of earlier work by kind, and delete them if `clear`. They can be computed again.
+    """List or delete cached results of earlier work.
 
-    >>> entries, size = dp.cache().kinds["plans"]
-    >>> entries > 0
-    True
+    Args:
+        clear: delete them; they can be computed again.
+
+    Returns:
+        Entries and bytes by kind.
 
     Raises:
-        InputError: a file of it cannot be deleted.
+        InputError: a file cannot be deleted.
+
+    Examples:
+        >>> entries, size = dp.cache().kinds["plans"]
+        >>> entries > 0
+        True
     """
     from dpcontrol.foundation.cache import cache_contents
 
@@ -923,8 +1119,9 @@ def equilibria(model: Model | System | str) -> "dict[str, Equilibrium]":
     Returns:
         Equilibria by name; energies in J, eigenvalues in 1/s, each with pivot and cart at rest.
 
-    >>> [name for name, one in dp.equilibria(lab).items() if one.kind == "index-1 saddle"]
-    ['down-up', 'up-down']
+    Examples:
+        >>> [name for name, one in dp.equilibria(lab).items() if one.kind == "index-1 saddle"]
+        ['down-up', 'up-down']
     """
     from dpcontrol.orbits.lyapunov import equilibria as found_in
 
@@ -955,9 +1152,10 @@ def family(
     Raises:
         InputError: an unknown saddle or family, or no member within the energies.
 
-    >>> found = dp.family(lab, "down-up", energies=(-0.08, -0.07))
-    >>> found.converged, len(found.members) > 1
-    (True, True)
+    Examples:
+        >>> found = dp.family(lab, "down-up", energies=(-0.08, -0.07))
+        >>> found.converged, len(found.members) > 1
+        (True, True)
     """
     from dpcontrol.orbits.family import lyapunov_family
 
@@ -982,8 +1180,9 @@ def rotating_orbits(
     Raises:
         InputError: the system has no two arms.
 
-    >>> len(dp.rotating_orbits(lab, "outer", energy=0.3))
-    5
+    Examples:
+        >>> len(dp.rotating_orbits(lab, "outer", energy=0.3))
+        5
     """
     from dpcontrol.orbits.rotating import rotating_orbits as found_in
 
@@ -1012,9 +1211,10 @@ def rotating_families(
     Raises:
         InputError: the system has no two arms.
 
-    >>> families = dp.rotating_families(lab, "outer", energies=(0.29, 0.31))
-    >>> all(one.converged for one in families)
-    True
+    Examples:
+        >>> families = dp.rotating_families(lab, "outer", energies=(0.29, 0.31))
+        >>> all(one.converged for one in families)
+        True
     """
     from dpcontrol.orbits.rotating import rotating_families as followed
 
@@ -1041,8 +1241,9 @@ def sustained_orbit(
         InputError: the orbit's system has no arms.
         GoalMissed: the Lyapunov orbit did not converge.
 
-    >>> dp.sustained_orbit(orbit).converged
-    True
+    Examples:
+        >>> dp.sustained_orbit(orbit).converged
+        True
     """
     from dpcontrol.references.sustained import sustained_orbit as sustained
 
@@ -1067,8 +1268,9 @@ def refine(
     Raises:
         GoalMissed: a periodic orbit cannot be refined, or the machine has no 113-bit floating-point type.
 
-    >>> float(dp.refine(found.connections[0]).residual) < 1e-25
-    True
+    Examples:
+        >>> float(dp.refine(found.connections[0]).residual) < 1e-25
+        True
     """
     from dpcontrol.shooting.extended import refine as refined
     from dpcontrol.tubes.connections import Connection
@@ -1098,8 +1300,9 @@ def count_walks(graph: "Edges", length: Count, *, source: str | None = None, tar
     Raises:
         InputError: a length below 1, or a saddle without an orbit.
 
-    >>> dp.count_walks(dp.graph(lab, energy=-0.07), 3)
-    512
+    Examples:
+        >>> dp.count_walks(dp.graph(lab, energy=-0.07), 3)
+        512
     """
     from dpcontrol.walks.walks import count_walks as counted
 
@@ -1125,8 +1328,9 @@ def list_walks(
     Raises:
         InputError: a length below 1, a saddle without an orbit, or more than 100,000 walks.
 
-    >>> len(dp.list_walks(dp.graph(lab, energy=-0.07), 2))
-    64
+    Examples:
+        >>> len(dp.list_walks(dp.graph(lab, energy=-0.07), 2))
+        64
     """
     from dpcontrol.walks.walks import LISTED, all_walks, is_closed
 
@@ -1163,9 +1367,10 @@ def random_walks(
     Raises:
         InputError: a range that is not ascending, or no such walk.
 
-    >>> graph = dp.graph(lab, energy=-0.07)
-    >>> [len(walk.chain) for walk in dp.random_walks(graph, 3, lengths=(2, 2))]
-    [2, 2, 2]
+    Examples:
+        >>> graph = dp.graph(lab, energy=-0.07)
+        >>> [len(walk.chain) for walk in dp.random_walks(graph, 3, lengths=(2, 2))]
+        [2, 2, 2]
     """
     from dpcontrol.walks.walks import drawn_requests, walks_cost
 
@@ -1190,8 +1395,9 @@ def shortest_walk(graph: "Edges", stops: Sequence[str]) -> tuple[str, ...]:
     Raises:
         InputError: fewer than two stops, an unknown saddle, or no walk between them.
 
-    >>> len(dp.shortest_walk(dp.graph(lab, energy=-0.07), ["down-up", "down-up"]))
-    1
+    Examples:
+        >>> len(dp.shortest_walk(dp.graph(lab, energy=-0.07), ["down-up", "down-up"]))
+        1
     """
     from dpcontrol.walks.walks import through
 
@@ -1216,8 +1422,9 @@ def symbol_changes(
     Raises:
         InputError: a symbol cannot be followed in energy, or both energies are equal.
 
-    >>> dp.symbol_changes(lab, ["down-up +"], energies=(-0.07, -0.069))
-    ()
+    Examples:
+        >>> dp.symbol_changes(lab, ["down-up +"], energies=(-0.07, -0.069))
+        ()
     """
     from dpcontrol.walks.following import symbol_changes as changes
     from dpcontrol.walks.symbols import parse_walk
@@ -1245,8 +1452,9 @@ def check_proof(file: Place, *, progress: Reporting = None) -> "CertificateCheck
         InputError: the file is missing or unreadable.
         PartMissing: the extra `proof` is not installed.
 
-    >>> dp.check_proof(certificate_file).proved
-    True
+    Examples:
+        >>> dp.check_proof(certificate_file).proved
+        True
     """
     from dpcontrol.foundation.parts import part
     from dpcontrol.proofs.check import check_file
@@ -1274,8 +1482,9 @@ def explore_energies(
         InputError: the itinerary has several parts, or the picture cannot be written.
         GoalMissed: the itinerary's energy cannot be planned, or no run completes.
 
-    >>> dp.explore_energies("outer-turn").name  # doctest: +SKIP
-    'outer-turn-energies'
+    Examples:
+        >>> dp.explore_energies("outer-turn").name  # doctest: +SKIP
+        'outer-turn-energies'
     """
     from dpcontrol.bench.energies import energies_chart
     from dpcontrol.plans.itinerary import load_itinerary
@@ -1305,8 +1514,9 @@ def rig_link(
     Raises:
         InputError: the address is malformed, or the key is unreadable.
 
-    >>> dp.rig_link("udp://127.0.0.1:47000").address
-    'udp://127.0.0.1:47000'
+    Examples:
+        >>> dp.rig_link("udp://127.0.0.1:47000").address
+        'udp://127.0.0.1:47000'
     """
     from dpcontrol.runs.run import rig_link as linked
 
@@ -1349,9 +1559,10 @@ def start_bench(
     Raises:
         InputError: an unknown fault, the port is taken, or other computers can reach it without a key.
 
-    >>> with dp.start_bench("outer-turn", hanging=True) as bench:
-    ...     bench.url
-    'udp://127.0.0.1:...'
+    Examples:
+        >>> with dp.start_bench("outer-turn", hanging=True) as bench:
+        ...     bench.url
+        'udp://127.0.0.1:...'
     """
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.example_bench import BenchAddress, example_bench
@@ -1375,7 +1586,7 @@ def commission(
     write: bool = False,
     progress: Reporting = None,
 ) -> "Commissioning":
-    """Check a rig before its first run, and measure its delay and lag.
+    """Check a rig before its first run, and measure its delay.
 
     Args:
         itinerary: name or path of the itinerary.
@@ -1394,8 +1605,9 @@ def commission(
     Raises:
         InputError: no bench answers, it needs a key or has other arms, or the file cannot be written.
 
-    >>> dp.commission("outer-turn", faults=["encoder-2-reversed"]).wrong[0].step
-    'encoders'
+    Examples:
+        >>> dp.commission("outer-turn", faults=["encoder-2-reversed"]).wrong[0].step
+        'encoders'
     """
     from dpcontrol.foundation.files import write_whole
     from dpcontrol.plans.itinerary import load_itinerary
@@ -1439,8 +1651,9 @@ def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting =
         InputError: the log is damaged, is of a rig, or is the same file as `out`.
         GoalMissed: no controller exists for its reference.
 
-    >>> dp.repeat(log, log.with_name("again.mcap")).comparison.difference is None
-    True
+    Examples:
+        >>> dp.repeat(log, log.with_name("again.mcap")).comparison.difference is None
+        True
     """
     from dpcontrol.runs.run import repeat_run
 
@@ -1461,8 +1674,9 @@ def open_night(folder: Place) -> "Night":
     Raises:
         InputError: the folder has no long run, or a file is damaged.
 
-    >>> dp.open_night(night_folder).falls
-    ()
+    Examples:
+        >>> dp.open_night(night_folder).falls
+        ()
     """
     from dpcontrol.judge.night import read_night
 
@@ -1482,8 +1696,9 @@ def open_campaign(file: Place) -> "CampaignSummary":
     Raises:
         InputError: the file is missing, or is not a campaign's table.
 
-    >>> dp.open_campaign(campaign_file).runs
-    4
+    Examples:
+        >>> dp.open_campaign(campaign_file).runs
+        4
     """
     from dpcontrol.judge.campaign import campaign_summary
 
@@ -1504,8 +1719,9 @@ def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> "RunComparison":
     Raises:
         InputError: a log is missing or damaged, the arms differ, or no run has this symbol.
 
-    >>> len(dp.compare_logs([log, log]).runs)
-    2
+    Examples:
+        >>> len(dp.compare_logs([log, log]).runs)
+        2
     """
     from dpcontrol.judge.comparison import compare
     from dpcontrol.judge.of_log import run_view
@@ -1530,8 +1746,9 @@ def review(files: Place | Sequence[Place], *, align: Count = 1, save: Place | No
         InputError: a file is missing or damaged, or there is no display.
         PartMissing: the extra `viewer` is not installed.
 
-    >>> dp.review(log, save=log.with_suffix(".rrd")).name
-    'turn.rrd'
+    Examples:
+        >>> dp.review(log, save=log.with_suffix(".rrd")).name
+        'turn.rrd'
     """
     from dpcontrol.pages.picture import opened, view_in_window, write_recording
 
@@ -1557,8 +1774,9 @@ def log_summary(file: Place) -> "LogSummary":
     Raises:
         InputError: the file is missing, cut, damaged or not a log.
 
-    >>> dp.log_summary(log).joints
-    ('arm_1', 'arm_2', 'cart')
+    Examples:
+        >>> dp.log_summary(log).joints
+        ('arm_1', 'arm_2', 'cart')
     """
     from dpcontrol.logs import summarise
 
@@ -1583,8 +1801,9 @@ def recover_log(
     Raises:
         InputError: the file holds nothing that can be recovered, or the new log cannot be written.
 
-    >>> dp.recover_log(log).lost
-    ''
+    Examples:
+        >>> dp.recover_log(log).lost
+        ''
     """
     from dpcontrol.logs import recover
 
@@ -1607,8 +1826,9 @@ def write_recording(recording: "Recording", file: Place, *, force: bool = False)
     Raises:
         InputError: another log is there, or the file cannot be written.
 
-    >>> dp.write_recording(dp.swings(lab, count=1), log.with_name("swings.mcap")).name
-    'swings.mcap'
+    Examples:
+        >>> dp.write_recording(dp.swings(lab, count=1), log.with_name("swings.mcap")).name
+        'swings.mcap'
     """
     from dpcontrol.recordings.recording import write_recording as written
 
@@ -1629,8 +1849,9 @@ def design_experiments(model: Model | str, *, progress: Reporting = None) -> "De
     Raises:
         InputError: the model has no arms, or no experiment is usable.
 
-    >>> len(dp.design_experiments(lab).best_pair())
-    2
+    Examples:
+        >>> len(dp.design_experiments(lab).best_pair())
+        2
     """
     from dpcontrol.identification.fit import design_experiments as design
 
@@ -1668,8 +1889,9 @@ def replay(
     Raises:
         InputError: the recording does not fit the model, or an unknown estimator.
 
-    >>> len(dp.replay(dp.swings(lab, count=2), model=lab).fits)
-    2
+    Examples:
+        >>> len(dp.replay(dp.swings(lab, count=2), model=lab).fits)
+        2
     """
     from dpcontrol.identification.replay import filter_settings, replay_recording, write_replay
     from dpcontrol.recordings.checks import contradiction
@@ -1701,8 +1923,9 @@ def draw_figures(
     Raises:
         InputError: an unknown figure, or the folder is not writable.
 
-    >>> [one.name for one in dp.draw_figures(["energy-landscape"], folder=log.parent)]
-    ['energy-landscape']
+    Examples:
+        >>> [one.name for one in dp.draw_figures(["energy-landscape"], folder=log.parent)]
+        ['energy-landscape']
     """
     from dpcontrol.pages.figures import draw_figures as drawn
     from dpcontrol.pages.gallery import cached_gallery
@@ -1735,7 +1958,8 @@ def draw_charts(
     Raises:
         InputError: an unknown chart, too much work, or the folder is not writable.
 
-    >>> dp.draw_charts(["edges-walks"], quick=True)  # doctest: +SKIP
+    Examples:
+        >>> dp.draw_charts(["edges-walks"], quick=True)  # doctest: +SKIP
     """
     from dpcontrol.bench.run import draw_charts as drawn
 
@@ -1753,8 +1977,9 @@ def read_guide(topic: str = "README") -> str:
     Raises:
         InputError: the guide has no such page.
 
-    >>> dp.read_guide("tubes").splitlines()[0]
-    '# ...'
+    Examples:
+        >>> dp.read_guide("tubes").splitlines()[0]
+        '# ...'
     """
     from dpcontrol.foundation.guide import GUIDE, page
 

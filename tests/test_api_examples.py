@@ -9,7 +9,8 @@ import pytest
 
 import dpcontrol as dp
 from dpcontrol.plans.atlas import make_atlas
-from tests.guide_functions import FUNCTIONS
+
+FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(dp, name))]
 
 
 @pytest.fixture(scope="module")

@@ -165,7 +165,9 @@ def check_output(block: Block) -> None:
 
 
 def test_no_page_is_longer_than_its_bound() -> None:
-    for page, text in PAGES.items():
+    # The reference of the Python interface is generated, and read by looking up a function.
+    written = {page: text for page, text in PAGES.items() if not page.stem.startswith("api-")}
+    for page, text in written.items():
         assert text.count("\n") <= (220 if text is README else 280), page.name
 
 

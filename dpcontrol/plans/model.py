@@ -123,13 +123,20 @@ def model_of(system: System) -> Model:
 
 
 def load_model(name: str) -> Model:
-    """Load a model by name or path; what is odd about its numbers is remarked on.
+    """Load a model.
 
-    >>> dp.load_model("lab").arms.count
-    2
+    Args:
+        name: name of a shipped model or of one in ./models, or path of a TOML file.
+
+    Returns:
+        The model. Unusual numbers in its file give a remark.
 
     Raises:
-        InputError: no such model, or a mistake in its file: names file, table, key, value and what is allowed.
+        InputError: no such model, or a mistake in its file, with table, key, value and allowed range.
+
+    Examples:
+        >>> dp.load_model("lab").arms.count
+        2
     """
     path = find("models", path_of("name", name))
     document, text = read_toml(path)

@@ -1,0 +1,102 @@
+"""The guide's reference of the Python interface, from docstrings: `python tests/api_reference.py` writes its pages."""
+
+import inspect
+import re
+from functools import cache
+from pathlib import Path
+
+import griffe
+from griffe2md import render_object_docs
+
+import dpcontrol as dp
+
+ROOT = Path(__file__).parents[1]
+GUIDE = ROOT / "dpcontrol" / "guide"
+FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(dp, name))]
+GROUPS = {
+    "api-models": ("Models", ["load_model", "equilibria", "mjcf"]),
+    "api-orbits": (
+        "Orbits and tubes",
+        [
+            "orbit",
+            "family",
+            "rotating_orbits",
+            "rotating_families",
+            "sustained_orbit",
+            "connections",
+            "refine",
+            "find_bifurcations",
+            "atlas",
+            "open_atlas",
+            "draw_figures",
+        ],
+    ),
+    "api-walks": (
+        "Walks",
+        [
+            "graph",
+            "shadow",
+            "count_walks",
+            "list_walks",
+            "random_walks",
+            "shortest_walk",
+            "symbol_changes",
+            "prove",
+            "check_proof",
+        ],
+    ),
+    "api-references": (
+        "References",
+        ["plan", "reference", "open_plan", "polish", "explore_energies", "open_planner", "picture"],
+    ),
+    "api-loop": ("Closed loop", ["closed_loop", "ClosedLoop", "export", "rig_link", "start_bench", "commission"]),
+    "api-runs": ("Runs and campaigns", ["run", "Run", "repeat", "campaign", "open_campaign", "open_night"]),
+    "api-logs": ("Logs", ["open_log", "log_summary", "recover_log", "compare_logs", "review"]),
+    "api-recordings": (
+        "Recordings",
+        ["open_recording", "write_recording", "swings", "identify", "design_experiments", "replay"],
+    ),
+    "api-other": ("Cache, guide and charts", ["cache", "read_guide", "draw_charts"]),
+}
+"""Title of each page, and the functions of `dp` and the classes on it, in order."""
+CLASSES = {"ClosedLoop": "runs/closed_loop.py", "Run": "runs/run.py"}
+FILES = {"load_model": "plans/model.py"}
+"""Modules of functions that `dpcontrol.api` only passes on."""
+OPTIONS = {"show_root_full_path": False, "docstring_section_style": "list", "members_order": "source", "summary": False}
+
+
+@cache
+def module(file: str) -> griffe.Module:
+    """Return a module of the package with parsed docstrings; nothing is imported."""
+    path = ROOT / "dpcontrol" / file
+    code = path.read_text(encoding="utf-8")
+    return griffe.visit(f"dpcontrol.{path.stem}", filepath=path, code=code, docstring_parser="google")
+
+
+def page(stem: str) -> str:
+    """Return a page of the reference in Markdown."""
+    title, names = GROUPS[stem]
+    note = "Generated from docstrings by `python tests/api_reference.py`; see [python](python.md) for an introduction."
+    return "\n\n".join([f"# {title}", note, *map(entry, names)]) + "\n"
+
+
+def entry(name: str) -> str:
+    """Return a function, or a class with its public methods."""
+    found = module(CLASSES.get(name) or FILES.get(name, "api.py"))[name]
+    text = render_object_docs(found, {**OPTIONS, "heading_level": 2})
+    text = re.sub(r"\[([^][]+)\]\(#[^)]*\)", r"\1", text)
+    text = re.sub(r"</?code>", "`", text)
+    text = text.replace("```python\n>>>", "```pycon\n>>>").replace("```python\n", "```text\n")
+    text = re.sub(r"^(#+) `(?:[\w.]+\.)?(\w+)`$", lambda m: heading(m[1], m[2], name), text, flags=re.MULTILINE)
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(line.rstrip() for line in text.splitlines())).strip()
+
+
+def heading(level: str, found: str, name: str) -> str:
+    """Return a heading with the name that users write."""
+    own = name in CLASSES
+    return f"{level} `{f'{name}.{found}' if own and found != name else found if own else f'dp.{found}'}`"
+
+
+if __name__ == "__main__":
+    for stem in GROUPS:
+        (GUIDE / f"{stem}.md").write_text(page(stem), encoding="utf-8")
