@@ -71,7 +71,7 @@ class Raw:
         self.talk, self.key = Talk(Role.LOOP, 77, key=key), key
 
     def send(self, message: packets.Packet) -> bytes:
-        data = self.talk.say(message)
+        data = self.talk.pack(message)
         self.socket.send(data)
         return data
 

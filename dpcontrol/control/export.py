@@ -1,27 +1,27 @@
-"""The tick as C99 for a target of one's own, and a library made of it in the loop's place.
+"""Export of the tick as C99, as a library for the loop, and as an FMI unit.
 
-The expression is the loop's own (`dpcontrol.control.tick`), with all numbers of the run put in before CasADi makes C of
-it: what they decide beforehand costs nothing. What changes from tick to tick stands in constant tables:
+The expression is that of the loop (`dpcontrol.control.tick`). All constants of the run are inserted before CasADi
+generates C, so constant subexpressions cost nothing. Constant tables contain the values that change from tick to tick:
 
-    law     of each command: feedforward m/s², gains, the cart's acceleration and the gain on it where the drive lags,
-            gains on the extras; columns that never change are in the code
+    law     of each command: feedforward m/s², gains, with a lagging drive the cart's acceleration and the gain on it,
+            gains on the extras; constant columns are in the code
     states  the reference: of the tick at which a command acts, and of the tick itself
 
-Single precision resolves 6e-8 of a number, which three things are made for. The covariance is that of the angles as
-they are measured (`FilterEquations.carried`): its entries are not small differences of large ones. Positions are kept,
-and compared with readings, as a sum of two numbers, since an angle of some turns is rounded to 5e-7 rad and more, where
-the filter knows it to 1e-5 and differentiates it. And readings count as the same within `SAME_IN_SINGLE`. The states'
-scales need no care: the cart's variance of 1e-13 m² is far from where single precision ends, and what falls below it
-only costs time on computers that are slow with such numbers.
+Single precision has a relative resolution of 6e-8, which requires three measures. The covariance is that of the
+measured angles (`FilterEquations.carried`), whose entries are not small differences of large ones. Positions are stored
+and compared as a sum of two numbers. An angle of some turns is rounded to 5e-7 rad or more, whereas the filter
+differentiates it with an accuracy of 1e-5. Readings count as equal within `SAME_IN_SINGLE`. The scales of the states
+need no measure: the cart's variance of 1e-13 m² is far from the end of single precision. Smaller values only cost time
+on computers that are slow with subnormal numbers.
 
-The controller's memory belongs to the caller; files that do not change from one controller to the next are templates in
-the folder `target`, with names between @ for what does. The interface is `target/dpc_controller.h`.
+The caller owns the controller's memory. Files that are the same for all controllers are templates in the folder
+`target`, with placeholders between @. The interface is `target/dpc_controller.h`.
 
-The same C becomes a co-simulation unit of the Functional Mock-up Interface, which other tools import. FMI 2.0
-(https://fmi-standard.org), because Simulink, OpenModelica and FMPy all import its co-simulation units; 3.0 is not
-everywhere yet, and a unit of scalars and one fixed step gains nothing by it. The C stands behind `target/fmu.c`: in
-`sources` to be compiled anywhere, and as a binary for this platform where a compiler is at hand. A step of one period
-does one tick with the inputs as set, and its command acts from the step's end on: one period after the reading.
+The same C becomes a co-simulation unit of the Functional Mock-up Interface, FMI 2.0 (https://fmi-standard.org).
+Simulink, OpenModelica and FMPy all import its co-simulation units, whereas 3.0 is less widely supported and has no
+advantage for scalars with a fixed step. `target/fmu.c` is the wrapper. The unit contains the C in `sources`, and a
+binary for this platform if a compiler is available. A step of one period computes one tick with the present inputs. Its
+command acts from the end of the step, one period after the reading.
 """
 
 import ctypes
@@ -52,41 +52,43 @@ from dpcontrol.foundation.files import checked_source, content_hash
 
 _TEMPLATES = Path(__file__).with_name("target")
 _VERSION = 2
-"""Of the interface, as in the header."""
+"""Version of the interface, as in the header."""
 MOST_NUMBERS = 5_000_000
-"""In the tables: from there on compilers need minutes and gigabytes."""
+"""Maximum size of the tables; larger ones take compilers minutes and gigabytes."""
 SAME_IN_SINGLE = (1e-5, 1e-7)
-"""rad and m: `SAME` in single precision, which rounds differences of angles of some turns to 2e-6 rad."""
+"""`SAME` for single precision, which rounds differences of angles of some turns to 2e-6 rad; rad and m."""
 
 
 class Figures(NamedTuple):
-    """What a controller needs of its target, in bytes; None where no gcc was there to tell.
-
-    code: of the controller, with its constants; stack: of a step; memory: the caller's, kept from tick to tick. tables:
-    in all, tables_per_second: of reference; coarser_per_second: with gains at every `COARSER`-th tick only and lines
-    between them, each wrong by a share `coarser_error` of its largest at most. seconds_a_tick: by operations, on the
-    target whose clock is given.
-    """
+    """Resources that a controller needs on its target, in bytes; None if gcc is missing."""
 
     operations: int
     code: int | None
+    """Size of the controller with its constants."""
     stack: int | None
+    """Stack of a step."""
     memory: int
+    """Memory of the caller between ticks."""
     tables: int
+    """Total size of the tables."""
     tables_per_second: float
+    """Size per second of reference."""
     coarser_per_second: float
+    """Size with gains at every `COARSER`-th tick and linear interpolation."""
     coarser_error: float
+    """Largest interpolation error of a gain, as a share of its maximum."""
     seconds_a_tick: float | None
+    """Duration of a tick from its operations, at the stated clock."""
 
 
 COARSER = 10
 CYCLES = {True: 5.0, False: 60.0}
-"""Of a Cortex-M4 for an operation in single precision, by its instructions, and in double, which it has no unit for."""
+"""Clock cycles per operation on a Cortex-M4, in single precision by its instructions, and in double by software."""
 
 
 @dataclass(frozen=True, eq=False)
 class ControllerSource:
-    """A controller as C: files by their names, identity, and what it needs of its target."""
+    """A controller as C: files by name, identity, and resources."""
 
     files: Mapping[str, str]
     identity: str
@@ -97,30 +99,34 @@ class ControllerSource:
 
 
 LEAVING = 'use "tvlqr" by time, "adaptive", "feedforward" or "lqr"'
-"""What to do about a law that cannot be exported."""
+"""Remedy for a law that cannot be exported."""
 
 
 def checked_exportable(controller: Controller, *, lead: int) -> GainSchedule:
-    """Return the gains of a law that is a function of memory, reading and a table's row; lead: periods looked ahead.
+    """Return the gains of a law that depends only on memory, reading and a table's row.
+
+    Args:
+        controller: the control law.
+        lead: periods of prediction.
 
     Raises:
-        InputError: the law keeps a clock of its own, or the delay is too long.
+        InputError: the law has an internal clock, or the delay is too long.
     """
     if lead > UNROLLED:
         raise InputError(
-            f"drive: delay = {lead} periods or so, and C looks {UNROLLED} ahead at most; lower the rate, so that the "
-            "same delay has fewer periods"
+            f"drive: delay = {lead} periods, but C export predicts at most {UNROLLED} periods ahead; "
+            "lower the rate, so that the same delay has fewer periods"
         )
     made = schedule_of(controller, lead)
     if made is None:
         raise InputError(
-            f'controller: kind = "{controller.kind}" keeps a clock of its own and cannot leave as C; {LEAVING}'
+            f'controller: kind = "{controller.kind}" has an internal clock that C export does not support; {LEAVING}'
         )
     return made
 
 
 def identity(program: TickProgram, schedule: GainSchedule) -> str:
-    """Return what identifies all that a controller is made from, but for the code; the program has begun."""
+    """Return a hash of everything that determines a controller, except the code."""
     equations = program.equations
     parts = [*equations.numbers.slices, *equations.memory.slices, *equations.row.slices, *equations.filter.extra_names]
     shape = repr((_VERSION, equations.whole, equations.lead, equations.shares, program.period, parts))
@@ -131,16 +137,21 @@ def identity(program: TickProgram, schedule: GainSchedule) -> str:
 
 
 class _Tables(NamedTuple):
-    """What changes from tick to tick: law (K, C) of the commands, its columns' places in (L,), constants (L,) there.
+    """Values that change from tick to tick.
 
-    states (K, N): the reference, one row where it never moves; names (C,).
+    Attributes:
+        places: indices of the columns in (L,).
     """
 
     law: Array
+    """Values (K, C) of the commands."""
     varying: NDArray[np.bool_]
     constants: Array
+    """Constants (L,)."""
     states: Array
+    """Reference (K, N), with a single row if it is constant."""
     names: tuple[str, ...]
+    """Names (C,)."""
 
 
 def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
@@ -171,24 +182,24 @@ def _law_parts(equations: TickEquations) -> list[str]:
 
 
 def _without_end(rows: Array) -> Array:
-    """Return the rows up to the first of those that are as the last."""
+    """Return the rows up to the first of the final equal ones."""
     differing = np.flatnonzero((rows != rows[-1]).any(axis=1))
     return rows[: differing[-1] + 2 if len(differing) else 1]
 
 
 def _error_between(law: Array) -> float:
-    """Return by how much lines between every `COARSER`-th row are wrong, as a share of each column's largest."""
+    """Return the interpolation error between every `COARSER`-th row, relative to each column's maximum."""
     places = np.arange(len(law))
     lines = [np.interp(places, places[::COARSER], column[::COARSER]) for column in law.T]
     return float(np.max(np.abs(np.array(lines).T - law).max(0) / np.maximum(np.abs(law).max(0), 1e-300)))
 
 
 _ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", "law", "acts", "now")
-"""Of the C function, in its order."""
+"""Arguments of the C function, in order."""
 
 
 def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Function:
-    """Return the tick with all numbers in it: `_ARGUMENTS` -> memory and report."""
+    """Return the tick with all constants inserted: `_ARGUMENTS` -> memory and report."""
     equations = _for_precision(program.equations, single=single)
     n, size = equations.filter.arms, equations.filter.equations.dimension
     memory, parts = equations.memory.symbols("memory")
@@ -206,7 +217,7 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
         length = row.slices[name].stop - row.slices[name].start
         of_law[name], at = ca.vertcat(*known[at : at + length]), at + length
     given = row.joined({**of_law, "state": steers, "wanted": wanted})
-    # What nothing but a fallback sets stays as it begins.
+    # Values that only a fallback changes are constant.
     parts["held"] = ca.SX(0)
     offset = ca.SX.sym("offset", n + 1)
     seen = {"measured": measured, "present": present, "switch": switch, "age": age, "offset": offset}
@@ -222,7 +233,7 @@ def _for_precision(equations: TickEquations, *, single: bool) -> TickEquations:
 
 
 def _start(program: TickProgram, *, single: bool) -> Array:
-    """Return the first memory (M,)."""
+    """Return the initial memory (M,)."""
     start = program.memory[:, 0].copy()
     if not single:
         return start
@@ -240,7 +251,7 @@ _CALLS = re.compile(r"\b(fabs|sqrt|a?sinh?|a?cosh?|a?tanh?|atan2|exp|log|pow)\("
 
 
 def _body(function: ca.Function, *, single: bool) -> str:
-    """Return the statements of a function as C, as CasADi's generator writes them, without what stands around them."""
+    """Return the statements of a function in C, as generated by CasADi, without their frame."""
     generator = ca.CodeGenerator("tick", {"casadi_real": "dpc_real", "with_export": False})
     generator.add(function)
     lines = generator.dump().splitlines()
@@ -265,7 +276,7 @@ def _c_number(value: float, *, single: bool) -> str:
 
 
 def _table(name: str, rows: Array, *, single: bool) -> str:
-    """Return a table (K, C), or an array (C,), as C."""
+    """Return a table (K, C) or an array (C,) in C."""
     lines = [", ".join(_c_number(value, single=single) for value in row) for row in np.atleast_2d(rows).tolist()]
     if rows.ndim == 1:
         return f"const dpc_real {name}[{rows.shape[0]}] = {{\n{lines[0]}\n}};\n"
@@ -284,21 +295,23 @@ def controller_source(
     readings: str,
     clock: float | None = None,
 ) -> ControllerSource:
-    """Return the C of a program that has begun and of its schedule; see `checked_exportable`.
+    """Return the C code of an initialised program and its schedule; see `checked_exportable`.
 
-    single: in single precision. readings: of a simulated run and what was commanded, as main_replay.c reads them.
-    clock MHz: of a Cortex-M4 that is to keep the rate.
+    Args:
+        single: use single precision.
+        readings: readings and commands of a simulated run, in the format of main_replay.c.
+        clock: clock of a Cortex-M4 for this rate, MHz.
 
     Raises:
-        InputError: the tables would be too long for compilers, or a tick for its period at that clock.
+        InputError: the tables are too large for compilers, or a tick takes too long at this clock.
     """
     equations = _for_precision(program.equations, single=single)
     tables = _tables(equations, schedule)
     count = tables.law.size + tables.states.size
     if count > MOST_NUMBERS:
         raise InputError(
-            f"export: the tables would hold {count:,} numbers, {MOST_NUMBERS:,} are allowed; lower --rate, or export a "
-            "shorter itinerary"
+            f"export: the tables would have {count:,} numbers, but at most {MOST_NUMBERS:,} are allowed; "
+            "lower --rate, or export a shorter itinerary"
         )
     function = _function(program, tables, single=single)
     takes = None if clock is None else function.n_instructions() * CYCLES[single] / (1e6 * clock)
@@ -306,7 +319,7 @@ def controller_source(
         raise InputError(
             f"export: --clock {clock:g}: in {'single' if single else 'double'} precision a tick takes some "
             f"{1e3 * takes:.2g} ms at {clock:g} MHz and must leave half of its period of {1e3 * program.period:g} ms: "
-            f"{'' if single else 'use --float, '}lower --rate, or choose a quicker target"
+            f"{'' if single else 'use --float, '}lower --rate, or choose a faster target"
         )
     known = {
         "TITLE": _comment(f"{itinerary}: {title}"), "ITINERARY_COMMENT": _comment(itinerary),
@@ -342,7 +355,7 @@ _SHOWN = ("code", "stack", "memory", "tables", "tables_per_second")
 
 
 def _described(program: TickProgram, equations: TickEquations, *, single: bool) -> dict[str, Any]:
-    """Return what templates say of the arms, the clock, the bounds and the arithmetic."""
+    """Return values for the templates: arms, clock, bounds and arithmetic."""
     n, numbers, extras = equations.filter.arms, equations.numbers.slices, equations.filter.extra_names
     bounds = ("acceleration", "lost_estimate", "lost_tracking", "missing")
     columns = [*(f"measured.arm_{i + 1}" for i in range(n)), "measured.cart"]
@@ -361,7 +374,7 @@ def _described(program: TickProgram, equations: TickEquations, *, single: bool) 
 
 
 def _laid_out(equations: TickEquations) -> dict[str, Any]:
-    """Return where the C finds what in the tick's results."""
+    """Return the indices of the tick's results for the C code."""
     memory, report = equations.memory, equations.report
     kept = ("z", "velocity", "heading", "stopped", "still", *(["origin"] if equations.split else []))
     places = {name: memory.slices[name].start for name in kept}
@@ -382,18 +395,18 @@ _HELPERS = {
 
 
 def _filled(name: str, known: Mapping[str, Any]) -> str:
-    """Return a template with what stands between @ put in."""
+    """Return a template with its placeholders between @ filled in."""
     return re.sub(r"@([A-Z_]+)@", lambda found: str(known[found[1]]), (_TEMPLATES / name).read_text(encoding="utf-8"))
 
 
 def _comment(text: str) -> str:
-    """Return a text for a comment of C, whatever it holds."""
+    """Return a text that is valid within a C comment."""
     plain = " ".join(text.split()).encode("ascii", "backslashreplace").decode()
     return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").rstrip("\\")
 
 
 def _string(text: str) -> str:
-    """Return a text for a string of C."""
+    """Return a text as a C string."""
     safe = frozenset(b"-_ .,:+()")
     return "".join(chr(one) if (chr(one).isalnum() and one < 128) or one in safe else f"\\{one:03o}"
                    for one in text.encode("utf-8", "replace"))  # fmt: skip
@@ -405,7 +418,7 @@ def _delay(program: TickProgram) -> float:
 
 
 def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
-    """Return bytes of code and of stack as gcc tells them; None where there is no gcc, or none that compiles this."""
+    """Return the sizes of code and stack from gcc, in bytes; None if gcc is missing or fails."""
     with TemporaryDirectory(prefix="dpcontrol-") as name:
         folder = Path(name)
         for file, text in files.items():
@@ -424,15 +437,15 @@ def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
 
 
 def kibibytes(count: float | None) -> str:
-    """Return a number of bytes for people."""
+    """Return a readable number of bytes."""
     return "unknown (no gcc to measure it)" if count is None else f"{count / 1024:.1f} KiB"
 
 
-# A library in the loop's place.
+# An exported library in the loop.
 
 
 def _types(program: TickProgram, real: str) -> tuple[np.dtype, np.dtype]:
-    """Return what dpc_reading and dpc_report are to numpy."""
+    """Return the numpy types of dpc_reading and dpc_report."""
     n, size = program.model.arms, program.model.dimension
     extras = len(program.equations.filter.extra_names)
     reading = [("positions", "f8", (n + 1,)), ("present", "u1", (n + 1,)), ("limit_switch", "i4"), ("age", "f8")]
@@ -446,7 +459,7 @@ def _types(program: TickProgram, real: str) -> tuple[np.dtype, np.dtype]:
 
 
 class _Description(ctypes.Structure):
-    """dpc_description."""
+    """The C structure dpc_description."""
 
     _fields_ = (
         *((name, ctypes.c_int) for name in
@@ -458,26 +471,28 @@ class _Description(ctypes.Structure):
 
 
 class LibraryProgram(TickProgram):
-    """A tick that an exported library does, for one run; all else is as of the program that it was made from.
+    """Program whose ticks an exported library computes, for one run.
 
     Raises:
-        InputError: the file is no such library, or of another interface or other arms.
+        InputError: the file is not a valid library, or has another interface or other arms.
     """
 
     def __init__(self, library: Path, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
-        # What C does not report is nothing.
+        # Values that C does not report are zero.
         self._out[:] = 0.0
         self.library = checked_source(library)
         if not self.library.exists():
-            raise InputError(f"there is no library {library}; `dpcontrol export` and `make` make one")
+            raise InputError(f"there is no library {library}; build one by `dpcontrol export` and `make`")
         try:
             self._c = ctypes.CDLL(str(self.library.resolve()))
             self._c.dpc_describe.restype = ctypes.POINTER(_Description)
             described: _Description = self._c.dpc_describe().contents
         except (OSError, AttributeError, ValueError) as error:
             why = " ".join(str(error).split())
-            raise InputError(f"{library} is no library of `dpcontrol export`: {why}; make one and give that") from error
+            raise InputError(
+                f"{library} is not a library of `dpcontrol export`: {why}; build one and use it"
+            ) from error
         if described.version != _VERSION:
             raise InputError(
                 f"{library} has version {described.version} of the interface, this program reads {_VERSION}; "
@@ -492,7 +507,7 @@ class LibraryProgram(TickProgram):
         ):
             raise InputError(f"{library} was compiled for another machine's layout of structures; compile it here")
         self._reading, self._told = np.zeros((), reading), np.zeros((), report)
-        # Of its own, aligned as any structure of C.
+        # A copy, aligned like any C structure.
         self._controller = np.zeros(described.controller_bytes // 8 + 2, dtype=np.float64)
         self.controller_address = self._controller.ctypes.data
         real = ctypes.c_float if described.real_bytes == 4 else ctypes.c_double
@@ -508,10 +523,10 @@ class LibraryProgram(TickProgram):
         self._copied = [(name, where[name]) for name in report.fields or () if name in where]
 
     def check(self, schedule: GainSchedule, *, itinerary: str = "", law: str) -> None:
-        """Reject a library that was made of something else than what has begun here.
+        """Reject a library that was built from other settings than this program.
 
         Raises:
-            InputError: says what differs.
+            InputError: the settings differ; the message names the first difference.
         """
         there = self.described
         own = {
@@ -523,14 +538,14 @@ class LibraryProgram(TickProgram):
         for name, (theirs, ours) in own.items():
             if theirs != ours:
                 raise InputError(
-                    f"{self.library} is of {there.itinerary.decode('utf-8', 'replace')!r} with {name} {theirs}, this "
-                    f"run has {ours}; export this run's itinerary with this run's options"
+                    f"{self.library} belongs to {there.itinerary.decode('utf-8', 'replace')!r} with {name} {theirs}, "
+                    f"this run has {ours}; export this run's itinerary with this run's options"
                 )
         if there.identity.decode() != identity(self, schedule):
             raise InputError(
                 f"{self.library} was made from another plan, model, limits or settings of estimator, controller or "
-                f"supervisor (it is of {there.itinerary.decode('utf-8', 'replace')!r}); export this run's itinerary "
-                "with this run's options"
+                f"supervisor (it belongs to {there.itinerary.decode('utf-8', 'replace')!r}); export this run's "
+                "itinerary with this run's options"
             )
 
     def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
@@ -540,18 +555,18 @@ class LibraryProgram(TickProgram):
 
     @property
     def status(self) -> int:
-        """What dpc_status tells after the last tick."""
+        """Status after the last tick, from dpc_status."""
         return self._c.dpc_status(self.controller_address)
 
-    def tell_sent(self, command: float) -> None:
-        """Tell the controller that the drive was given this command, m/s², and not its own."""
+    def set_sent(self, command: float) -> None:
+        """Set the command that the drive received, m/s², if it differs from the controller's own."""
         self._c.dpc_sent(self.controller_address, command)
 
     def prepare(self, names: Sequence[str]) -> None:
-        """Compile nothing: the library is compiled."""
+        """Do nothing: the library is already compiled."""
 
     def tick(self) -> None:
-        """Do a whole tick with the library's own table."""
+        """Compute a whole tick with the library's table."""
         reading, told, report = self._reading, self._told, self.report
         reading["positions"] = self._measured[:, 0]
         reading["present"] = self._present[:, 0]
@@ -569,7 +584,7 @@ _COMPILED = ("dpc_controller.c", "dpc_tables.c", "fmu.c")
 _IN_UNIT = ("dpc_controller.h", "dpc_controller.c", "dpc_tables.h", "dpc_tables.c")
 _FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 _PLATFORMS = {("Linux", "x86_64"): ("linux64", ".so"), ("Darwin", "x86_64"): ("darwin64", ".dylib")}
-"""Folder and ending of binaries that FMI 2.0 has a name for, and a Unix compiler makes."""
+"""Folder and suffix of binaries on platforms that FMI 2.0 names and Unix compilers support."""
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _UNITS = {"rad": {"rad": 1}, "rad/s": {"rad": 1, "s": -1}, "m": {"m": 1}, "m/s": {"m": 1, "s": -1},
           "m/s2": {"m": 1, "s": -2}, "s": {"s": 1}}  # fmt: skip
@@ -587,9 +602,11 @@ class Variable:
 
 
 def variables(first: Sequence[float], extras: Sequence[str]) -> list[Variable]:
-    """Return a unit's variables, of each kind in the order of `target/fmu.c`.
+    """Return a unit's variables, by kind in the order of `target/fmu.c`.
 
-    first (2n+2,): the reference's first state; extras: names of what is estimated besides.
+    Args:
+        first: first state (2n+2,) of the reference.
+        extras: names of the extra quantities.
     """
     n = len(first) // 2 - 1
     joints = [f"arm_{i + 1}" for i in range(n)] + ["cart"]
@@ -602,10 +619,10 @@ def variables(first: Sequence[float], extras: Sequence[str]) -> list[Variable]:
         ("wish", "m/s2", "before limits: feedforward and feedback"),
         ("feedforward", "m/s2", "the reference's own"),
         ("feedback", "m/s2", "gains times the deviation"),
-        ("acting", "m/s2", "in the coming period, of commands given before"),
+        ("acting", "m/s2", "in the next period, from pending commands"),
         ("nis", "", "normalised innovation squared"),
         ("mean_nis", "", "for each position, mean over 0.2 s"),
-        ("error", "rad", "largest angle's distance from the reference, mean over 1 s"),
+        ("error", "rad", "largest distance of an angle from the reference, mean over 1 s"),
         ("silent", "s", "since anything was measured"),
     ]
     return [
@@ -614,23 +631,23 @@ def variables(first: Sequence[float], extras: Sequence[str]) -> list[Variable]:
         *(Variable(name, "Real", text, unit) for name, unit, text in numbers),
         *(Variable(name, "Real", "estimated", unit) for name, unit in states),
         *(Variable(f"reference_{name}", "Real", "of this tick", unit) for name, unit in states),
-        *(Variable(f"ahead_{name}", "Real", "expected when the command acts", unit) for name, unit in states),
+        *(Variable(f"ahead_{name}", "Real", "predicted for when the command acts", unit) for name, unit in states),
         *(Variable(f"sigma_{name}", "Real", "standard deviation", unit) for name, unit in deviations),
         *(Variable(name, "Real", "estimated") for name in extras),
         Variable("limit_switch", "Integer", "not 0 while a limit switch is touched", start="0"),
         Variable("outcome", "Integer", "of this step, enum dpc_outcome of dpc_controller.h"),
         Variable("stopped_by", "Integer", "the outcome that ended the run, else 0"),
         Variable("mode", "Integer", "enum dpc_mode"),
-        Variable("used", "Integer", "positions that this step's estimate is of"),
+        Variable("used", "Integer", "positions in this step's estimate"),
         Variable("sensor", "Integer", "number of a stuck sensor, from 1"),
-        Variable("repeats", "Integer", "steps for which it has given the same reading"),
-        Variable("doubted", "Integer", "number of an extra found beyond trust, from 1"),
+        Variable("repeats", "Integer", "steps with the same reading"),
+        Variable("doubted", "Integer", "number of an extra beyond its trusted range, from 1"),
         Variable("status", "Integer", "enum dpc_run"),
-        *(Variable(f"present_{joint}", "Boolean", "whether it was measured", start="true") for joint in joints),
-        Variable("stop", "Boolean", "while the cart is brought to rest"),
-        Variable("done", "Boolean", "once it has stood for 50 ms"),
-        Variable("saturated", "Boolean", "where the command was cut"),
-        Variable("newly_cut", "Boolean", "where that begins"),
+        *(Variable(f"present_{joint}", "Boolean", "true if measured", start="true") for joint in joints),
+        Variable("stop", "Boolean", "true while the cart brakes"),
+        Variable("done", "Boolean", "true after 50 ms at rest"),
+        Variable("saturated", "Boolean", "true if the command was cut"),
+        Variable("newly_cut", "Boolean", "true at the first such step"),
     ]  # fmt: skip
 
 
@@ -638,13 +655,13 @@ def model_description(
     known: Sequence[Variable], *, name: str, identifier: str, guid: str, title: str, period: float, delay: float,
     ticks: int,
 ) -> bytes:  # fmt: skip
-    """Return modelDescription.xml; delay in periods, as the controller believes."""
+    """Return modelDescription.xml; the assumed delay is in periods."""
     more = f"; let it act {delay - 1:g} periods later" if delay > 1 else ""
     root = ET.Element("fmiModelDescription", {
         "fmiVersion": "2.0", "modelName": name, "guid": guid, "variableNamingConvention": "flat",
         "generationTool": f"dpcontrol {dpcontrol.__version__}",
-        "description": f"{title}: estimator, control law and supervisor, one tick each step of {period!r} s. Commands "
-        f"are to act {delay:g} periods after their readings; a step gives the command after one{more}.",
+        "description": f"{title}: estimator, control law and supervisor, one tick per step of {period!r} s. Commands "
+        f"must act {delay:g} periods after their readings; a step gives the command after one{more}.",
     })  # fmt: skip
     unit = ET.SubElement(root, "CoSimulation", {"modelIdentifier": identifier})
     files = ET.SubElement(unit, "SourceFiles")
@@ -672,7 +689,7 @@ def model_description(
     for part in ("Outputs", "InitialUnknowns"):
         unknowns = ET.SubElement(structure, part)
         for index in outputs:
-            # Outputs answer the inputs of the step before.
+            # Outputs depend on the inputs of the previous step.
             ET.SubElement(unknowns, "Unknown", {"index": index, "dependencies": ""})
     ET.indent(root)
     return ET.tostring(root, encoding="utf-8", xml_declaration=True)
@@ -680,7 +697,7 @@ def model_description(
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: the archive's bytes, and why it has no binary, or ""."""
+    """A unit: bytes of the archive, and the reason for a missing binary, or ""."""
 
     archive: bytes
     lacks: str
@@ -689,7 +706,11 @@ class Unit:
 def controller_unit(
     source: ControllerSource, program: TickProgram, schedule: GainSchedule, *, name: str, title: str, delay: float
 ) -> Unit:
-    """Return the unit `name` of a controller's C, which was made of this program and schedule; delay in periods."""
+    """Return the unit `name` of a controller's C code for this program and schedule.
+
+    Args:
+        delay: delay of the commands, in periods.
+    """
     template = _TEMPLATE.read_text(encoding="utf-8")
     sources = {file: text for file, text in source.files.items() if file in _IN_UNIT}
     guid = content_hash(template, *sources.values())
@@ -725,7 +746,7 @@ def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
 
 
 def _binary(sources: Mapping[str, str]) -> tuple[bytes | None, str]:
-    """Return the shared library for this platform, or why there is none."""
+    """Return the shared library for this platform, or the reason for its absence."""
     if _here() not in _PLATFORMS:
         return None, f"FMI 2.0 has no name for a binary of {' '.join(_here())}: the unit has its sources only"
     compiler = next(filter(None, map(shutil.which, ("gcc", "cc", "clang"))), None)
@@ -738,6 +759,6 @@ def _binary(sources: Mapping[str, str]) -> tuple[bytes | None, str]:
         command = [compiler, *_FLAGS, "-o", "unit", *_COMPILED, "-lm"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if done.returncode:
-            why = (done.stderr.strip().splitlines() or ["it does not say why"])[0]
+            why = (done.stderr.strip().splitlines() or ["it gave no reason"])[0]
             return None, f"{compiler} did not compile the unit ({why}): it has its sources only"
         return (folder / "unit").read_bytes(), ""

@@ -1,10 +1,10 @@
-"""What loop, estimators and controllers share: interfaces, the model between two ticks, sums for one run or many.
+"""Interfaces of controllers and estimators, and the model that they share.
 
-The model between two ticks is one step of the equations with the input held, and its Jacobians.
+The model between two ticks is one step of the equations with constant input, and its Jacobians.
 
     x_{k+1} = F(x_k, u_k),   A = ∂F/∂x,   B = ∂F/∂u        (classical Runge-Kutta, order 4)
 
-The casadi function is called through its buffers, without a copy: 2 µs a step in place of 16 µs.
+The casadi function is called through its buffers without a copy, which takes 2 µs a step instead of 16 µs.
 """
 
 import math
@@ -26,11 +26,11 @@ from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 
 Present = NDArray[np.bool_] | None
-"""Which of the positions (n+1,) count; None: all."""
+"""Valid positions (n+1,); None for all."""
 
 
 class Mode(IntEnum):
-    """What the controller was doing in a tick: the field `mode` of a log's /control."""
+    """Mode of the controller in a tick: the field `mode` of a log's /control."""
 
     IDLE = 0
     """Not started: the command is zero."""
@@ -41,7 +41,7 @@ class Mode(IntEnum):
     PULSING = 3
     """Within a pulse of OGY control."""
     SATURATED = 4
-    """As tracking or holding, the command cut at a limit."""
+    """Tracking or holding with the command cut at a limit."""
     STOPPED = 5
     """Ended as planned: the command is zero."""
     ABORTED = 6
@@ -49,21 +49,21 @@ class Mode(IntEnum):
 
 
 def clip_number(value: float, low: float, high: float) -> float:
-    """Return a number within two bounds, quicker than min and max do."""
+    """Return a number limited to two bounds; faster than min and max."""
     return high if value > high else low if value < low else value
 
 
 def clip_lanes(value: Array, low: Array | float, high: Array | float) -> Array:
-    """Return the numbers (S,) of many runs within two bounds."""
+    """Return numbers (S,) of many runs limited to two bounds."""
     return np.minimum(np.maximum(value, low), high)
 
 
 class Lanes(NamedTuple):
-    """Arithmetic for one run on plain floats, or for S runs in lockstep on arrays (S,): `ONE` and `MANY`.
+    """Arithmetic on plain floats for one run (`ONE`), or on arrays (S,) for S lockstep runs (`MANY`).
 
-    Short arrays take numpy ten times as long as floats take Python, so what both do is written once over these.
-    clip; nearest and below: whole numbers to count by; rounded: whole numbers to reckon with; dot: of (N,), or of rows
-    (S, N); column: (S,) as (S, 1); rows: of an array (K,) or (K, S), one by one.
+    numpy needs ten times as long for short arrays as Python for floats, so shared code uses these functions. `nearest`
+    and `below` return whole numbers for counting, `rounded` whole numbers for arithmetic. `dot` takes (N,) or rows (S,
+    N). `column` converts (S,) to (S, 1). `rows` iterates over an array (K,) or (K, S).
     """
 
     clip: Callable[[Any, Any, Any], Any]
@@ -88,42 +88,43 @@ MANY = Lanes(
 
 
 def whole_turns(angles: Array) -> Array:
-    """Return the angles' nearest multiples of 2π, in rad, same shape."""
+    """Return the nearest multiples of 2π to the angles, rad, in the same shape."""
     return np.rint(angles / (2 * np.pi)) * (2 * np.pi)
 
 
 def pendulum_scale(arms: int) -> Array:
-    """Return the scale (2n,) of the pendulum's state: distances leave the cart out, no phase depends on it."""
+    """Return the scale (2n,) of the pendulum's state; distances ignore the cart, which has no effect on the phase."""
     return np.array([ANGLE_SCALE] * arms + [RATE_SCALE] * arms)
 
 
 def interpolated(states: Array, place: Any, lanes: Lanes) -> Array:
-    """Return the states (N,) or (S, N) of a table (K, N) at a place or places (S,) between its rows; clipped."""
+    """Return interpolated states (N,) or (S, N) of a table (K, N); places beyond its ends are clipped."""
     k = lanes.clip(lanes.below(place), 0, len(states) - 2)
     before = states[k]
     return before + lanes.column(lanes.clip(place - k, 0.0, 1.0)) * (states[k + 1] - before)
 
 
 class Estimate(NamedTuple):
-    """What is believed after a tick.
-
-    state (N,): of the model; extra (E,): what the estimator is augmented by, in the order of its `extra_names`;
-    sigmas (N+E,): standard deviations of both; innovation (m,): zero where nothing was measured; nis: normalised
-    innovation squared, nan before the first measurement; used: number of positions in it, its degrees of freedom;
-    memory: what the estimator itself needs at its next step.
-    """
+    """Estimate after a tick."""
 
     state: Array
+    """State (N,) of the model."""
     extra: Array
+    """Extra quantities (E,), in the order of the estimator's `extra_names`."""
     sigmas: Array
+    """Standard deviations (N+E,) of both."""
     innovation: Array
+    """Innovation (m,), zero without a measurement."""
     nis: float
+    """Normalised innovation squared, NaN before the first measurement."""
     used: int
+    """Number of measured positions, its degrees of freedom."""
     memory: Any
+    """Data for the estimator's next step."""
 
 
 class Estimator(Protocol):
-    """Turns measured positions into states. Its methods do not change what they are given."""
+    """Converts measured positions to states; its methods do not modify their arguments."""
 
     @property
     def kind(self) -> str:
@@ -132,7 +133,7 @@ class Estimator(Protocol):
 
     @property
     def extra_names(self) -> tuple[str, ...]:
-        """Return the names of what it is augmented by."""
+        """Return the names of the extra quantities."""
         ...
 
     def first(self, state: Array) -> Estimate:
@@ -140,15 +141,15 @@ class Estimator(Protocol):
         ...
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,), of which those `present` count."""
+        """Return the estimate after the positions `measured` (n+1,), of which `present` are valid."""
         ...
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came."""
+        """Return the estimate after a period with `command` m/s² and a new measurement."""
         ...
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
-        """Return the state (N,) after the commands on their way, one per period."""
+        """Return the state (N,) after the pending commands, one per period."""
         ...
 
     def covariance(self, estimate: Estimate) -> Array:
@@ -156,14 +157,14 @@ class Estimator(Protocol):
         ...
 
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
-        """Return an estimate that trusts the positions `measured` (n+1,) and little else: for recovery when lost."""
+        """Return an estimate reset to the positions `measured` (n+1,), for recovery."""
         ...
 
 
 class Action(NamedTuple):
-    """What a controller wants for one tick: accelerations in m/s², and the state (N,) that it steers for.
+    """A controller's output for one tick: accelerations, m/s², and the reference state (N,).
 
-    event: what was decided in this tick, a sentence for the log, or empty.
+    `event` is a sentence for the log on a decision in this tick, or "".
     """
 
     feedforward: float
@@ -174,59 +175,59 @@ class Action(NamedTuple):
 
 
 class Session(Protocol):
-    """A controller during one run; it may remember."""
+    """A controller during one run; it may have a state."""
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return what to do in the period from `tick`, for which `state` (N,) is expected; extra: the estimate's."""
+        """Return the action for the period from `tick`, given the predicted state (N,) and the extras."""
         ...
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the reference's clock to the phase nearest to `state`; say by how much, or "" if it cannot."""
+        """Move the reference's clock to the phase nearest to `state` and return a sentence, or ""."""
         ...
 
 
 class ClockedSession(ABC):
-    """A session whose place on its path is its own, of one run or (S,) of as many in lockstep."""
+    """A session with its own clock, for one run or (S,) lockstep runs."""
 
     mode = Mode.HOLDING
     lanes: Lanes
 
     @abstractmethod
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback in m/s², and the reference, at `tick` for the state (N,) or states (S, N)."""
+        """Return feedforward and feedback, m/s², and the reference, at `tick` for state (N,) or states (S, N)."""
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return what to do in the period from `tick` at `state` (N,)."""
+        """Return the action for the period from `tick` at `state` (N,)."""
         forward, feedback, wanted = self.steer(tick, state)
         return Action(float(forward), float(feedback), wanted, self.mode)
 
     def commands(self, tick: int, states: Array, extras: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return feedforwards (S,), feedbacks (S,) in m/s² and references (N, S) for `states` (N, S) at `tick`."""
+        """Return feedforwards (S,) and feedbacks (S,), m/s², and references (N, S) for `states` (N, S) at `tick`."""
         forward, feedback, wanted = self.steer(tick, states.T)
         return forward, feedback, wanted.T
 
 
 @dataclass(frozen=True, eq=False)
 class GainSchedule(Brief):
-    """Inputs, gains and references by the loop's own clock, for K ticks, N states, E extras and n arms.
-
-    rows (K, ·): see `TickEquations.row`; references (K, N); queued (lead,) m/s²: what acts before the first
-    tick's command can; shares, names (E,): of the extras that it has gains
-    on, which are relative errors that are trusted up to `trust`, and all names; None and () without such gains.
-    law: a user's (`dpcontrol.control.symbolic`), which acts besides the gains.
-    """
+    """Inputs, gains and references by the loop's clock, for K ticks, N states, E extras and n arms."""
 
     rows: Array
+    """Rows (K, ·), see `TickEquations.row`."""
     references: Array
+    """Reference states (K, N)."""
     queued: Array
+    """Commands (lead,) that act before the first tick's command, m/s²."""
     mode: Mode
     shares: tuple[bool, ...] | None = None
+    """True for extras (E,) that are relative errors, limited by `trust`; None without gains on them."""
     names: tuple[str, ...] = ()
+    """Names (E,) of all extras with gains."""
     trust: float = 0.0
     law: Any = None
+    """A user's law (`dpcontrol.control.symbolic`) that acts in addition to the gains."""
 
     def turned(self, turns: Array) -> "GainSchedule":
-        """Return the same with `turns` (n,) rad added to all its angles."""
+        """Return the schedule with `turns` (n,) rad added to all its angles."""
         n, size = len(turns), self.references.shape[1]
         rows, references = self.rows.copy(), self.references.copy()
         for angles in (rows[:, 1 + size : 1 + size + n], rows[:, -n:], references[:, :n]):
@@ -235,11 +236,11 @@ class GainSchedule(Brief):
 
 
 class Controller(Protocol):
-    """A control law, ready made for one reference and model.
+    """A control law for one reference and model.
 
-    One whose gains go by the loop's clock has `schedule(lead)`, which returns a `GainSchedule` for commands computed so
-    many ticks ahead; one with a clock of its own `begin()`, which returns a `Session`, and `begin_many(count)` where it
-    can do that.
+    If its gains follow the loop's clock, it has `schedule(lead)`, which returns a `GainSchedule` for commands computed
+    `lead` ticks ahead. If it has its own clock, it has `begin()`, which returns a `Session`. It may then also have
+    `begin_many(count)`.
     """
 
     @property
@@ -249,28 +250,28 @@ class Controller(Protocol):
 
     @property
     def first_state(self) -> Array:
-        """Return the state (N,) from which it starts."""
+        """Return the initial state (N,)."""
         ...
 
     @property
     def ticks(self) -> int:
-        """Return for how many periods it has something to do."""
+        """Return the number of periods."""
         ...
 
 
 def schedule_of(controller: Controller, lead: int) -> GainSchedule | None:
-    """Return the gains of a law by the loop's clock, for commands computed `lead` ticks ahead; None for any other."""
+    """Return the gains of a law by the loop's clock, for `lead` ticks ahead; None for other laws."""
     made = getattr(controller, "schedule", None)
     return None if made is None else made(lead)
 
 
 class SampledModel:
-    """The equations of the cart level over `period` s, with base parameters (p,), and the drive's `lag` in s.
+    """The cart-level equations over `period` s, with base parameters (p,) and the drive's `lag` in s.
 
-    Not to be shared between threads: the buffers are reused from call to call.
+    An instance must not be shared between threads, since its buffers are reused.
 
     Raises:
-        InputError: the period is not positive, the parameters are too few or many, or there is no single input.
+        InputError: the period is not positive, the number of parameters is wrong, or there is not exactly one input.
     """
 
     def __init__(self, equations: Equations, parameters: Array, *, period: float, lag: float = 0.0) -> None:
@@ -284,13 +285,13 @@ class SampledModel:
             )
         self.equations, self.period, self.lag = equations, period, lag
         self.lag_keeps = math.exp(-period / lag) if lag else 0.0
-        """Share of the cart's acceleration that a drive that lags keeps over a period."""
+        """Factor by which the cart's acceleration decays over a period with a lagging drive."""
         self.parameters = np.array(parameters, dtype=float)
         self.dimension = equations.dimension
         """Length of the state."""
         self.arms = (self.dimension - 2) // 2
         self.position_indices = np.array([*range(self.arms), 2 * self.arms])
-        """Where the measured positions stand in a state: the angles, then the cart."""
+        """Indices of the measured positions in a state: the angles, then the cart."""
 
     @cached_property
     def _function(self) -> Any:
@@ -298,7 +299,7 @@ class SampledModel:
 
     @cached_property
     def machine(self) -> Any:
-        """The step as machine code: from state, command and parameters, (N+1+p, S), to the following states (N, S)."""
+        """The compiled step from state, command and parameters, (N+1+p, S), to the next states (N, S)."""
         return Compiled(self._plain).machine
 
     @cached_property
@@ -307,17 +308,17 @@ class SampledModel:
 
     @cached_property
     def _buffered(self) -> tuple[Any, Any, Array, Array, Array]:
-        """Return (trigger, its keeper, state, input, following) that share memory with the plain step's arguments."""
+        """Return (trigger, its owner, state, input, result), which share memory with the step's arguments."""
         buffer, trigger = self._plain.buffer()
         x, u, following = np.zeros(self.dimension), np.zeros(1), np.zeros(self.dimension)
         for k, array in enumerate((x, u, self.parameters)):
             buffer.set_arg(k, memoryview(array.data))
         buffer.set_res(0, memoryview(following.data))
-        # The trigger points into the buffer and all arrays but owns neither: they must live as long as it does.
+        # The trigger has pointers to the buffer and all arrays, which must therefore live as long as it does.
         return trigger, (buffer, x, u, following), x, u, following
 
     def step(self, state: Array, command: float) -> Array:
-        """Return the state (N,) one period later, with the cart's acceleration `command` held, m/s²."""
+        """Return the state (N,) one period later under the constant acceleration `command`, m/s²."""
         trigger, _, x, u, following = self._buffered
         x[:] = state
         u[0] = command
@@ -325,9 +326,9 @@ class SampledModel:
         return following.copy()
 
     def lagging(self, a: Array, b: Array) -> tuple[Array, Array]:
-        """Return A (K, N+1, N+1) and B (K, N+1) of `linearised` with the cart's acceleration as last state.
+        """Return A (K, N+1, N+1) and B (K, N+1) of `linearised`, with the cart's acceleration as the last state.
 
-        Where the drive follows at once, A and B as they are.
+        Without lag, A and B are returned unchanged.
         """
         if not self.lag:
             return a, b

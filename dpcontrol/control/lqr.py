@@ -1,19 +1,20 @@
-"""Linear-quadratic regulation: what it weighs, and holding an equilibrium.
+"""Linear-quadratic regulation: weights, and stabilisation of an equilibrium.
 
     u = -K (x̂ - x*),    K = (r + BᵀPB)⁻¹ BᵀPA,    P of the discrete algebraic Riccati equation of the sampled model
 
-The diagonal of Q and r of a period of T s follow from weights per second.
+The diagonal of Q and r for a period of T s follow from weights per second.
 
     Q = T diag(w / s²),   r = T w_u:   weights w of errors measured in s, the scales of angles, rates and cart
 
-Where the estimator estimates further quantities w, such as accelerations of the arms that the model does not explain,
-the feedback adds -F w, the infinite-horizon limit of the gains of `dpcontrol.control.tracking`.
+If the estimator estimates extra quantities w, such as unexplained accelerations of the arms, the feedback adds -F w. F
+is the infinite-horizon limit of the gains of `dpcontrol.control.tracking`.
 
     x_{k+1} = A x_k + B u_k + E w_k,   w_{k+1} = D w_k,   F = (r + BᵀPB)⁻¹ Bᵀ N,   N = (A - BK)ᵀ N D + P E
 
-In this way dry friction is compensated although the model of a hold has none: at rest it has no useful slope.
+This compensates dry friction although the model of a hold has none, since dry friction has no useful derivative at
+rest.
 
-Sources: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., section 9.3; Anderson & Moore, Optimal
+Sources: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., section 9.3. Anderson & Moore, Optimal
 Control: Linear Quadratic Methods, chapter 6, on selecting weights.
 """
 
@@ -33,8 +34,10 @@ from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_
 
 @dataclass(frozen=True)
 class QuadraticWeights(Settings, table="controller"):
-    """Weights per second of the squared errors, each scaled: angles by π, rates by 10 rad/s, the cart's velocity
-    by 3 m/s; the cart's position by 1 m and the effort by 1 m/s².
+    """Weights per second of the squared, scaled errors.
+
+    The scales are π for angles, 10 rad/s for rates, 3 m/s for the cart's velocity, 1 m for its position and 1 m/s² for
+    the effort.
     """
 
     angle: float = setting(1000.0, least=0, help="Weight of the angles.")
@@ -44,7 +47,7 @@ class QuadraticWeights(Settings, table="controller"):
     effort: float = setting(1.0, above=0, help="Weight of the cart's acceleration.")
 
     def weights(self, arms: int, period: float) -> tuple[Array, float]:
-        """Return Q's diagonal (N,) and r of one period in s."""
+        """Return Q's diagonal (N,) and r for a period in s."""
         scaled = [self.angle / ANGLE_SCALE**2] * arms + [self.rate / RATE_SCALE**2] * arms
         cart = [self.position, self.velocity / CART_VELOCITY_SCALE**2]
         return np.array(scaled + cart) * period, self.effort * period
@@ -52,8 +55,10 @@ class QuadraticWeights(Settings, table="controller"):
 
 @dataclass(frozen=True)
 class ClosingWeights(QuadraticWeights):
-    """The same along a reference. closing: how many times the angles weigh in its last closing_time s, across the path
-    that they take and not along it, when they shall be on the model's own orbit whatever the arms would rather do.
+    """Weights along a reference.
+
+    In the last `closing_time` s, angles across their path weigh `closing` times more. There, the angles must be on the
+    model's orbit, whatever the real arms' own motion would be.
     """
 
     closing: float = setting(10.0, least=1, most=1e6, help="Factor on the angles' weight at the end of a reference.")
@@ -61,26 +66,27 @@ class ClosingWeights(QuadraticWeights):
 
 
 AT_REST = 1e-6
-"""Acceleration in rad/s² that counts as none: an equilibrium is exact to rounding."""
+"""Acceleration of an equilibrium to rounding, rad/s²."""
 
 
 @dataclass(frozen=True)
 class HoldSettings(QuadraticWeights):
-    """Linear-quadratic regulator at an equilibrium.
-
-    damping: viscous friction that the gain assumes in each joint beyond the model's, over √(G M): the mean effect of
-    dry friction. A gain made without it lets the arms oscillate against dry friction with twice the amplitude.
-    """
+    """Linear-quadratic regulator at an equilibrium."""
 
     kind: str = "lqr"
     damping: float = setting(0.03, least=0, most=10, help="Assumed viscous friction of the joints beyond the model's.")
+    """Viscous friction beyond the model's in each joint, over √(G M), for the mean effect of dry friction; gains
+    without it let the arms oscillate with twice the amplitude."""
 
 
 @dataclass(frozen=True, eq=False)
 class HoldController(Brief):
-    """Gain (N,) about the equilibrium `state` (N,), cart in the middle; for so many ticks.
+    """Gain (N,) about the equilibrium `state` (N,) with the cart in the middle.
 
-    drive_gain: on the cart's acceleration, for a drive that lags. extra_gains (E,): on the estimator's extras `names`.
+    Attributes:
+        ticks: number of periods.
+        drive_gain: gain on the cart's acceleration, for a lagging drive.
+        extra_gains: gains (E,) on the estimator's extras `names`.
     """
 
     kind: str
@@ -94,7 +100,7 @@ class HoldController(Brief):
 
     @property
     def first_state(self) -> Array:
-        """Return the state (N,) from which it starts: the equilibrium."""
+        """Return the initial state (N,): the equilibrium."""
         return self.state
 
     def begin(self) -> "HoldSession":
@@ -102,7 +108,7 @@ class HoldController(Brief):
         return HoldSession(self, self.state)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return what the loop needs: the same row at every tick."""
+        """Return the gain schedule, with the same row at every tick."""
         n, count = (len(self.state) - 2) // 2, self.ticks + 1
         drive = [] if self.drive_gain is None else [0.0, self.drive_gain]
         extras = [] if self.extra_gains is None else self.extra_gains
@@ -113,7 +119,7 @@ class HoldController(Brief):
         )
 
     def join(self, tick: int, state: Array) -> "HoldSession":
-        """Return a session that holds the equilibrium on the turns nearest to `state` (N,)."""
+        """Return a session that holds the equilibrium, with turns nearest to `state` (N,)."""
         n = (len(state) - 2) // 2
         wanted = self.state.copy()
         wanted[:n] += whole_turns(state[:n] - wanted[:n])
@@ -128,13 +134,13 @@ class HoldController(Brief):
 
 
 class HoldSession:
-    """A hold during one run, about `wanted` (N,): the equilibrium on the run's own turns."""
+    """A hold during one run, about `wanted` (N,), the equilibrium with the run's turns."""
 
     def __init__(self, controller: HoldController, wanted: Array) -> None:
         self._gain, self._extra_gains, self._wanted = controller.gain, controller.extra_gains, wanted
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return what to do in the period from `tick` at `state` (N,)."""
+        """Return the action for the period from `tick` at `state` (N,)."""
         feedback = 0.0
         for product in (self._gain * (self._wanted - state)).tolist():
             feedback += product
@@ -143,13 +149,13 @@ class HoldSession:
         return Action(0.0, feedback, self._wanted, Mode.HOLDING)
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Leave all as it is: an equilibrium has no clock."""
+        """Do nothing: an equilibrium has no clock."""
         return ""
 
 
 @dataclass(frozen=True, eq=False)
 class ExtraEffects(Brief):
-    """What an estimator estimates besides the state: names (E,), effects E (N, E) in a period, share D (E,) kept."""
+    """Extra quantities of an estimator: names (E,), effects E (N, E) per period, decay factors D (E,)."""
 
     names: tuple[str, ...]
     effects: Array
@@ -167,22 +173,24 @@ def _damped(model: SampledModel, damping: float) -> SampledModel:
 def hold_controller(
     state: ArrayLike, model: SampledModel, settings: HoldSettings, *, seconds: float, extras: ExtraEffects | None = None
 ) -> HoldController:
-    """Return the regulator for the equilibrium with the pendulum's `state` (2n,), the cart in the middle.
+    """Return the regulator for an equilibrium with the cart in the middle.
 
-    extras: what the estimator estimates besides the state; without them, no gains on it.
+    Args:
+        state: equilibrium (2n,) of the pendulum.
+        extras: extra quantities that receive gains.
 
     Raises:
-        InputError: it is no equilibrium of this model.
-        GoalMissed: it cannot be stabilised.
+        InputError: the state is not an equilibrium of this model.
+        GoalMissed: the equilibrium cannot be stabilised.
     """
     n = model.arms
     x = np.concatenate([np.asarray(state, dtype=float)[: 2 * n], [0.0, 0.0]])
     if len(x) != model.dimension:
-        raise InputError(f"the equilibrium has {len(x) - 2} states, the model {model.dimension - 2} and its cart")
+        raise InputError(f"the equilibrium has {len(x) - 2} states, the model {model.dimension - 2} without its cart")
     fastest = float(np.abs(model.step(x, 0.0) - x)[: 2 * n].max()) / model.period
     if not fastest <= AT_REST:
-        raise InputError(f"no equilibrium to hold at {x[:n].tolist()} rad: it moves by {fastest:.3g} rad/s² at once")
-    # python-control takes more than a second to import.
+        raise InputError(f"{x[:n].tolist()} rad is not an equilibrium: it accelerates by {fastest:.3g} rad/s²")
+    # Importing python-control takes more than a second.
     from control import dlqr
 
     weights, effort = settings.weights(n, model.period)

@@ -1,26 +1,26 @@
-"""Margins of the whole loop, filter included: what gain, further delay and further lag it bears before it is unstable.
+"""Stability margins of the loop with its filter: gain, further delay and further lag.
 
-Along the reference the plant, the filter's state, the commands on their way and a clock that follows the phase make one
-linear system from tick to tick. Law and filter are not described again: their part is the Jacobian of the tick's own
-expression (`dpcontrol.control.tick`) where the reading is what the filter predicted, the plant's that of the filter's
+Along the reference, the plant, the filter's state, the pending commands and a clock by phase form one linear system
+from tick to tick. Law and filter are not modelled again. Their part is the Jacobian of the tick's expression
+(`dpcontrol.control.tick`) at readings that equal the filter's prediction. The plant's part is the Jacobian of that
 prediction.
 
     w_{k+1} = T_k w_k + b_k ā_k,   c_k = γ_k w_k,   ā_k: g · (c a delay D + d ago), through a lag τ, mean of period k
 
-c: the command; D: the delay that is believed. The covariance is the one that the loop has there: it runs along the
-reference from the start, or until it has settled. To first order it moves nothing, for it acts on innovations alone, of
-which the reference has none; nor does the supervisor, whose limits are set aside.
+Here c is the command and D the assumed delay. The covariance is that of the loop, along the reference from the start or
+until it has converged. It has no first-order effect, because it acts only on innovations, which are zero on the
+reference. The supervisor has no effect either, since its limits are removed.
 
-Criterion: the largest multiplier of w over a window. Where the motion repeats itself (an orbit kept, an equilibrium
-held) the window is a period of it, these are the Floquet multipliers of the loop, and the limit is 1. Along a flight
-windows of a wobble's length slide along; nothing repeats, so slow errors, such as a zero that is still being found,
-grow and shrink a little from window to window, and the limit is `GROWTH`. On an orbit both say the same within a
-few per cent, since the multiplier of a loop that becomes unstable passes through both at once.
+The criterion is the largest multiplier of w over a window. For a periodic motion (an orbit or an equilibrium), the
+window is a period, the multipliers are the Floquet multipliers of the loop, and the limit is 1. Along a flight, windows
+as long as a wobble slide along the reference. Slow errors, such as an unsettled zero, then grow and shrink slightly
+from window to window, so the limit is `GROWTH`. On an orbit, both criteria agree within a few per cent, since the
+multiplier of a loop that becomes unstable passes both limits at nearly the same point.
 
-Each of gain g, d and τ is changed alone. Feedback holds up to the border while errors are small; how large an error it
-bears, no margin says.
+Gain g, delay d and lag τ are each changed alone. Within the margins, the feedback is stable for small errors. The
+margins do not show how large an error it tolerates.
 
-Source: Åström & Murray, Feedback Systems (2008), section 9.3; Bittanti & Colaneri, Periodic Systems (2009), chapter 3.
+Sources: Åström & Murray, Feedback Systems (2008), section 9.3. Bittanti & Colaneri, Periodic Systems (2009), chapter 3.
 """
 
 from collections.abc import Callable, Mapping
@@ -44,52 +44,57 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief
 
 GROWTH = 1.5
-"""By which errors may grow in a wobble of a flight."""
+"""Maximum growth of errors per wobble of a flight."""
 REPEATED = 1.01
-"""The same in a period of what repeats itself: what nothing excites stays at 1 to rounding."""
+"""Maximum growth per period of a periodic motion; unexcited errors stay at 1 to rounding."""
 _PERIODS = 8
-"""Periods of an orbit, or wobbles of a hold, after which the covariance counts as settled."""
+"""Periods of an orbit, or wobbles of a hold, until the covariance counts as converged."""
 _STEP = 0.5
-"""Windows begin so many wobbles apart."""
+"""Distance between the starts of windows, in wobbles."""
 _WATCHED = frozenset(
     ("covariance", "velocity", "error", "nis", "silent", "restarts", "held", "moved", "restart", "stopped", "still",
      "cut", "doubts", "last", "step", "same", "begin", "away", "origin", "timing", "timed",
      "lateness", "strain", "acted",
      "expected", "commanded", "commanded_speed", "scale_speed", "scale_drift", "scale_error")
 )  # fmt: skip
-"""Parts of a tick's memory that no command depends on to first order: see above."""
+"""Parts of a tick's memory without first-order effect on commands; see above."""
 MOST_GAIN, MOST_DELAY, MOST_LAG = 64.0, 0.128, 0.512
-"""Beyond these no border is sought: a factor, s, s."""
+"""Limits of the search: a factor, s, s."""
 _FIRST_GAIN, _FIRST_TIME = 1.5, 1e-3
 _HALVINGS = 6
 _EDGE = 2
-"""Windows of the start, and of the end, of what repeats itself between them."""
+"""Windows at the start and at the end of a periodic section."""
 _BATCH = 32
-"""Windows that are followed side by side."""
+"""Number of windows that are computed together."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearLoop(Brief):
-    """Loop of K ticks, `period` s apart, in w: plant (N,), the tick's memory, a clock by phase.
-
-    moves T (K, d, d), pushes b (K, N), commands γ (K, d); delay, in periods, and known_lag, in s: those believed.
-    shifts (K, d): by what w after each tick differs where the clock, its last entry, is a tick late; None for a clock
-    that is the loop's.
-    """
+    """Linear loop of K ticks, `period` s apart, in w: plant (N,), the tick's memory, a clock by phase."""
 
     period: float
     delay: float
+    """Assumed delay, in periods."""
     moves: Array
+    """T (K, d, d)."""
     pushes: Array
+    """B (K, N)."""
     commands: Array
+    """Γ (K, d)."""
     known_lag: float
+    """Assumed lag, s."""
     shifts: Array | None = None
+    """Change (K, d) of w per tick of lateness of the clock, its last entry; None without such a clock."""
 
     def transitions(self, first: NDArray[np.int_], count: int, *, gain: Array, delay: Array, lag: Array) -> Array:
         """Return the transitions (W, M, M) over `count` ticks from ticks `first` (W,).
 
-        gain (W,), delay (W,) and lag (W,) in s: what the plant has beyond the model. The state is w, the lag's, then
-        the commands on their way from the oldest on.
+        The state is w, then the state of the lag, then the pending commands, oldest first.
+
+        Args:
+            gain: gain (W,) of the plant.
+            delay: delay (W,) beyond the model, s.
+            lag: lag (W,) beyond the model, s.
         """
         windows, size, inputs = len(first), self.moves.shape[1], self.pushes.shape[1]
         total = self.delay + delay / self.period
@@ -123,13 +128,13 @@ class LinearLoop(Brief):
     def growth(
         self, first: NDArray[np.int_], count: int, *, gain: Any = 1.0, delay: Any = 0.0, lag: Any = 0.0
     ) -> Array:
-        """Return the largest multiplier (W,) of each window; arguments as in `transitions`, or one for all."""
+        """Return the largest multiplier (W,) of each window; arguments as in `transitions`, or scalars."""
         changes = {"gain": gain, "delay": delay, "lag": lag}
         each = {name: np.broadcast_to(np.asarray(value, dtype=float), first.shape) for name, value in changes.items()}
         with np.errstate(over="ignore", invalid="ignore"):
             over = self.transitions(first, count, **each)
         if self.shifts is not None:
-            # What is late alone stays so and is no error: the other errors are counted from where the clock is.
+            # Pure lateness persists and is not an error, so other errors are measured relative to the clock.
             clock = self.moves.shape[1] - 1
             over[:, :clock] -= self.shifts[first + count - 1, :clock, None] * over[:, [clock]]
             over = np.delete(np.delete(over, clock, axis=1), clock, axis=2)
@@ -140,34 +145,41 @@ class LinearLoop(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Margins(Brief):
-    """Margins of W windows, each beginning at its time in s, and the limit that its largest multiplier has to keep.
+    """Margins of W windows.
 
-    growth (W,): that multiplier with nothing changed. low, high (W,): factors on the commanded acceleration between
-    which the loop is stable; delay, lag (W,): further ones that it bears, s. At a bound of the search: at least that
-    much. A window that is unstable as it is has margins of 1 and 0. simulated: those of the whole nonlinear run, each
-    with the time in s at which the next run is lost (`dpcontrol.control.simulated_margins`); None where a law keeps a
-    clock of its own.
+    A margin at a bound of the search is at least that large. A window that is unstable without changes has margins of 1
+    and 0.
+
+    Attributes:
+        limit: limit of this multiplier.
     """
 
     times: Array
     windows: Array
     limits: Array
     growth: Array
+    """Largest multiplier (W,) without changes."""
     low: Array
+    """Lower limit (W,) of the gain."""
     high: Array
+    """Upper limit (W,) of the gain."""
     delay: Array
+    """Further delay (W,) that is stable, s."""
     lag: Array
+    """Further lag (W,) that is stable, s."""
     simulated: Mapping[str, tuple[float, float]] | None = field(default=None, kw_only=True)
+    """Margins of the nonlinear run with times of loss in s (`dpcontrol.control.simulated_margins`); None for laws with
+    their own clock."""
 
     @property
     def status(self) -> str:
-        """What the loop bears, and where it bears least, as a sentence."""
+        """Sentence on the margins and where they are smallest."""
         if self.simulated and not self.simulated["delay"][0]:
-            return f"a run is lost after {self.simulated['delay'][1]:.2f} s even with all as the model says"
+            return f"a run is lost after {self.simulated['delay'][1]:.2f} s even if the plant equals the model"
         if not self.simulated and not (self.growth <= self.limits).all():
             k = int(np.argmax(self.growth / self.limits))
             return (
-                f"the loop is not stable at {self.times[k]:.2f} s even with all as the model says: errors grow by "
+                f"the loop is not stable at {self.times[k]:.2f} s even if the plant equals the model: errors grow by "
                 f"{self.growth[k]:.3g} in {self.windows[k]:.2f} s"
             )
         bounds = {"gain_low": np.inf, "gain_high": MOST_GAIN, "delay": MOST_DELAY, "lag": MOST_LAG}
@@ -182,14 +194,14 @@ class Margins(Brief):
         )
 
     def least(self) -> dict[str, tuple[float, float]]:
-        """Return each margin by name, with a time in s: when the next simulated run is lost, else where it is smallest.
+        """Return each margin by name, with the time of loss or of the smallest margin, s.
 
-        Not a number: at a bound of the search.
+        The time is NaN at a bound of the search.
         """
         return dict(self.simulated or self.least_of_windows())
 
     def least_of_windows(self) -> dict[str, tuple[float, float]]:
-        """Return each window's margin where it is smallest, by name, with the time in s at which that window begins."""
+        """Return the smallest margin over the windows by name, with the start of that window, s."""
         worst = {
             "gain_low": (self.low, np.argmax), "gain_high": (self.high, np.argmin), "delay": (self.delay, np.argmin),
             "lag": (self.lag, np.argmin),
@@ -198,7 +210,7 @@ class Margins(Brief):
         return {name: (float(values[k]), float(self.times[k])) for name, (values, k) in found.items()}
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol plan --margins --json` prints."""
+        """Return the output of `dpcontrol plan --margins --json`."""
         along = {name: getattr(self, name).tolist() for name in _ALONG}
         least, windows = (
             {name: {"value": value, "time": time if np.isfinite(time) else None} for name, (value, time) in of.items()}
@@ -220,14 +232,18 @@ _ALONG = ("times", "windows", "limits", "growth", "low", "high", "delay", "lag")
 def law_margins(
     law: Any, program_of: Callable[[Controller], TickProgram], *, rate: float, wobble: float, repeats: bool, lags: bool
 ) -> Margins:
-    """Return the margins of a loop whose arms are as the model says.
+    """Return the margins of a loop whose arms match the model.
 
-    program_of: the tick of a law by the clock, which has begun on it; its supervisor must let the reference pass. rate
-    Hz; wobble s: what windows last along a flight; repeats: whether the reference repeats itself after so long; lags:
-    whether the model's drive does.
+    Args:
+        law: the control law.
+        program_of: returns an initialised tick for a law; its supervisor must not interfere on the reference.
+        rate: rate of the loop, Hz.
+        wobble: length of windows along a flight, s.
+        repeats: True if the reference is periodic with this length.
+        lags: True if the model's drive lags.
 
     Raises:
-        InputError: the law has no margins, for it acts by pulses or not at all, or the delay is too long.
+        InputError: the law acts by pulses or not at all and so has no margins, or the delay is too long.
         GoalMissed: the loop does not stay on its reference.
     """
     found: list[Margins] = []
@@ -246,7 +262,7 @@ def law_margins(
             covariance = course.covariance
             window = min(window, course.count)
             last, step = course.count - window, max(round(_STEP * window), 1)
-            # What repeats itself differs at its start, where the filter's gains are still large, and by a closing.
+            # A periodic motion differs at its start, while the filter's gains are still large, and at its closing.
             edge = range(0, min(_EDGE * window + 1, last), step)
             same = last if settles else last // 2 if repeats else -1
             if settles:
@@ -261,7 +277,7 @@ def law_margins(
             kept[id(one)] = Margins(times, windows, limits, *course.margins(first, window, limits))
         margins = kept[id(one)]
         if settles and found:
-            # A stay after a flight has settled when it begins.
+            # After a flight, a stay begins with a converged filter.
             margins = Margins(*(getattr(margins, name)[-1:] for name in _ALONG))
             margins = replace(margins, times=np.zeros(1))
         found.append(replace(margins, times=margins.times + begins))
@@ -270,10 +286,10 @@ def law_margins(
 
 
 def _by_the_clock(law: Any, *, ticks: int, lags: bool) -> TimedController | PhaseController | HoldController:
-    """Return a law as gains in a table: an orbit's for so many ticks, by phase where the orbit's goes by phase.
+    """Return a law as tabulated gains for `ticks` periods; by phase if the orbit's law goes by phase.
 
     Raises:
-        InputError: it acts by pulses, or has no gains.
+        InputError: the law acts by pulses, or has no gains.
     """
     if isinstance(law, HoldController):
         return replace(law, ticks=ticks)
@@ -283,9 +299,9 @@ def _by_the_clock(law: Any, *, ticks: int, lags: bool) -> TimedController | Phas
         at = np.rint(np.arange(ticks) * law.period / table.step).astype(int) % count
         known: dict[str, Any] = {"kind": law.kind, "status": law.status, "reference_states": states}
         known |= {"feedforward": law.feedforward[at], "gains": law.gains[at]}
-        # Its clock counts seconds, the other's ticks.
+        # Its clock counts seconds, the other ticks.
         normals = law.normals[[*at, at[-1]]] / law.period
-        # It has no gain on the acceleration of a drive that lags.
+        # It has no gain on the acceleration of a lagging drive.
         drive = np.zeros((ticks + 1, 2)) if lags else None
         return PhaseController(**known, normals=normals) if law.by_phase else TimedController(**known, drive=drive)
     if not isinstance(law, TimedController | PhaseController):
@@ -294,14 +310,14 @@ def _by_the_clock(law: Any, *, ticks: int, lags: bool) -> TimedController | Phas
             '"tvlqr", "adaptive" or "lqr" for margins'
         )
     if not law.gains.any() and not isinstance(law, SymbolicController):
-        raise InputError(f'controller: kind = "{law.kind}" feeds nothing back, so that it has no margins')
+        raise InputError(f'controller: kind = "{law.kind}" has no feedback and therefore no margins')
     return law
 
 
 class _Course:
-    """What a tick has before it at each of K ticks along a law's reference: memory, reading and row, as columns.
+    """Inputs of a tick at each of K ticks along a law's reference: memory, reading and row, as columns.
 
-    The arms are as the model says, and the sensors too: what is read is what the filter predicts.
+    Arms and sensors match the model, so readings equal the filter's prediction.
 
     Raises:
         InputError: the law does not fit the arms.
@@ -318,17 +334,17 @@ class _Course:
     ) -> None:
         self.phase = law if isinstance(law, PhaseController) else None
         if isinstance(law, PhaseController):
-            # By time while nothing is amiss.
+            # By time as long as there are no errors.
             drive = np.zeros((law.ticks + 1, 2)) if lags else None
             law = TrackingController(
                 law.kind, law.reference_states, law.feedforward, law.gains, law.status, drive=drive
             )
         self.program = program = program_of(law)
-        # The reference's last tick is cut short by its end, where a clock by phase stands.
+        # The end of the reference truncates its last tick, at which a clock by phase stops.
         equations, self.count = program.equations, law.ticks - (program.lead + 3 if self.phase is not None else 0)
         if not equations.unrolled:
             raise InputError(
-                f"drive: margins are known for delays of up to {UNROLLED} periods, not of {program.lead}; lower the "
+                f"drive: margins support delays of up to {UNROLLED} periods, not of {program.lead}; lower the "
                 "rate, so that the same delay has fewer periods"
             )
         memory = equations.memory.slices
@@ -348,16 +364,16 @@ class _Course:
             if program.report[program.at["notable"], 0]:
                 raise GoalMissed(
                     f"no margins: without any disturbance the loop leaves its reference after {k * program.period:.3f} "
-                    "s; look at a run without mismatch"
+                    "s; inspect a run without mismatch"
                 )
         self.covariance = program.memory[memory["covariance"], 0].copy()
 
     def margins(self, first: NDArray[np.int_], window: int, limits: Array) -> list[Array]:
-        """Return growth and margins (W,), as `Margins` has them, of windows that begin at ticks `first`."""
+        """Return growth and margins (W,), see `Margins`, of windows that begin at ticks `first`."""
         parts: list[list[Array]] = []
         for k in range(0, len(first), _BATCH):
             batch = first[k : k + _BATCH]
-            # Windows that lie apart are brought together: a stay has few, and lasts for long.
+            # Windows that are far apart are computed together: a stay has few long ones.
             ticks = np.unique(batch[:, None] + np.arange(window))
             loop, places = self.linear(ticks), np.searchsorted(ticks, batch)
             parts.append(_margins(loop, places, window, limits=limits[k : k + _BATCH]))
@@ -379,7 +395,7 @@ class _Course:
         z = self.memory[equations.memory.slices["z"]][:, ticks]
         plant = np.array(predicted.map(count)(z, self.acting[None, ticks], numbers)).reshape(size, count, -1)
         plant = plant.transpose(1, 0, 2)
-        # Columns: the memory, what was measured, the feedforward. Rows: the memory, the command, the state ahead.
+        # Columns: memory, measurement, feedforward. Rows: memory, command, predicted state.
         width = size + kept
         seen = np.zeros((count, kept + 1 + size, width))
         seen[:, :, :size] = jacobian[:, :, kept : kept + arms + 1] @ sees
@@ -398,7 +414,7 @@ class _Course:
         return LinearLoop(program.period, delay, moves, plant[:, :, -1], seen[:, kept], program.model.lag, shifts)
 
     def _shifts(self, total: int) -> Array:
-        """Return how plant and filter (K+1, total) differ from themselves a tick later."""
+        """Return the difference (K+1, total) between plant and filter at successive ticks."""
         assert self.phase is not None
         rates = np.gradient(self.phase.reference_states, axis=0)
         size = len(self.phase.first_state)
@@ -409,7 +425,7 @@ class _Course:
         return out
 
     def _with_clock(self, seen: Array, forward: Array, ticks: NDArray[np.int_]) -> tuple[Array, Array]:
-        """Adjoin the clock's lateness, in ticks, to what a tick gives: as its last column, and its last row."""
+        """Append the clock's lateness, in ticks, as last column and last row of a tick's matrix."""
         law = self.phase
         assert law is not None
         count, rows, width = seen.shape
@@ -421,7 +437,7 @@ class _Course:
         out[:, :rows, :width] = seen
         out[:, rows, :width] = np.einsum("kn,knw->kw", across, seen[:, rows - size :])
         out[:, rows, width] = 1 - (across * rates).sum(1)
-        # The clock moves the reference state, to which the feedback steers.
+        # The clock moves the reference state of the feedback.
         back = (gains * rates).sum(1)[:, None] * out[:, rows]
         out[:, :rows] += forward[:, :, None] * back[:, None]
         return out, forward
@@ -429,9 +445,10 @@ class _Course:
 
 @lru_cache(maxsize=8)
 def _tick_jacobian(equations: TickEquations) -> tuple[ca.Function, int]:
-    """Return (memory, reading, row, numbers) -> Jacobian of memory, command and state ahead, and the memory's length.
+    """Return (memory, reading, row, numbers) -> Jacobian of memory, command and predicted state, and the memory's
+    length.
 
-    By the memory, what was measured, and the row's feedforward; of the memory those parts that the command depends on.
+    The derivatives are with respect to the relevant parts of the memory, the measurement and the feedforward.
     """
     layouts = {"memory": equations.memory, "reading": equations.reading, "row": equations.row}
     inputs = {name: layout.symbols(name) for name, layout in {**layouts, "numbers": equations.numbers}.items()}
@@ -454,7 +471,7 @@ def _prediction_jacobian(equations: TickEquations) -> ca.Function:
     size = equations.filter.equations.dimension
     z, command = ca.SX.sym("z", equations.filter.dimension), ca.SX.sym("command")
     numbers = ca.SX.sym("numbers", equations.numbers.size)
-    # A drive that gives already what is commanded.
+    # A drive that already gives its command.
     following = equations.moved()(z, command, command, numbers)[:size]
     jacobian = ca.densify(ca.jacobian(following, ca.vertcat(z[:size], command)))
     return ca.Function("prediction_jacobian", [z, command, numbers], [ca.cse(jacobian)], {"cse": True})
@@ -466,7 +483,7 @@ def _margins(loop: LinearLoop, first: NDArray[np.int_], window: int, *, limits: 
     sound = growth <= limits
 
     def border(change: Callable[[Array], dict[str, Array]], start: float, factor: float, most: float) -> Array:
-        """Return up to where (W,) windows are stable: start · factor^k is tried, and the step then halved."""
+        """Return the largest stable changes (W,): start · factor^k is tried, then the step is halved."""
         inside, outside = np.full(len(first), np.nan), np.full(len(first), np.nan)
         open_, value = np.flatnonzero(sound), start
         while len(open_):

@@ -1,27 +1,28 @@
-"""OGY control: an unstable orbit held by one pulse of bounded size from each section to the next.
+"""OGY control: stabilisation of an unstable orbit by one bounded pulse per section.
 
-    at the crossing of section j:   clock := phase of section j,   ξ = x̂ - x*,   p_j = -K_j ξ - s_j · δ̂,  |p_j| ≤ limit
+    at the crossing of section j:   clock := phase of section j,   ξ = x̂ - x*,   p_j = -K_j ξ - s_j · δ̂,  |p_j| ≤
+    limit
     until section j+1:              u(s) = u*(clock) + p_j sin(π s / duration)
 
-Classic OGY aims the pulse so that the unstable direction vanishes at the next section, p_j = -(f·A_j ξ)/(f·B_j), f the
-left eigenvector of the map around the period at section j+1; nothing then holds the cart, and nothing makes up for a
-plant that differs from the model. The other law is linear-quadratic over all sections, cart included, and learns (see
-`section_law`). An error q grows to q λ in a period: at one section a period no pulse of either law is right.
+Classic OGY chooses the pulse so that the unstable direction vanishes at the next section: p_j = -(f·A_j ξ)/(f·B_j),
+with f the left eigenvector of the period's map at section j+1. It does not control the cart, and it does not compensate
+for a plant that differs from the model. The other law is linear-quadratic over all sections, includes the cart, and
+learns (see `section_law`). An error q grows to q λ in a period, so one section per period is not enough for either law.
 Source: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (1990), 1196.
 
-Pulses from section to section: linear-quadratic, classic, and corrected by what a run teaches about the plant.
+Pulses from section to section are linear-quadratic or classic, and corrected by data of the run about the plant.
 
     ξ_{j+1} = A_j ξ_j + B_j p_j + D_j δ,        p_j = -K_j ξ_j - s_j · δ̂
 
-K from the periodic Riccati equation. δ: relative errors of the model's base parameters. A plant that differs from the
-model has another orbit, and a law that aims for the model's fights the difference at every section. After each
-section what the model foresaw is compared with what came, D_j δ, and δ̂ follows by a Kalman filter (recursive least
-squares with prior and drift). s is the optimum for a disturbance D_j δ known for all sections to come:
+K comes from the periodic Riccati equation. δ are relative errors of the model's base parameters. A plant that differs
+from the model has another orbit, and a law that aims for the model's orbit needs a pulse at every section. After each
+section, the model's prediction is compared with the measurement, D_j δ. A Kalman filter (recursive least squares with
+prior and drift) then updates δ̂. s is optimal for a disturbance D_j δ that is known for all future sections:
 
     s_j = (r + BᵀP_{j+1}B)⁻¹ Bᵀ v_j,    v_j = P_{j+1} D_j + g_{j+1},    g_j = (A_j - B_j K_j)ᵀ v_j
 
-Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 3.4 (known disturbances) and 4.3; Åström &
-Wittenmark, Adaptive Control, section 2.2, for the least squares.
+Sources: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 3.4 (known disturbances) and 4.3. Åström
+& Wittenmark, Adaptive Control, section 2.2, for the least squares.
 """
 
 from collections.abc import Callable
@@ -49,13 +50,13 @@ if TYPE_CHECKING:
 
 
 ANGLE_ERROR, RATE_ERROR = 3e-4, 0.05
-"""rad and rad/s: what an estimate from 40,000 counts may be off by while an arm swings."""
+"""Errors of an estimate from encoders with 40,000 counts while an arm swings, rad and rad/s."""
 DRIFT = 0.02
-"""Share of its prior by which a parameter's error may change from section to section."""
+"""Drift of a parameter's error per section, as a share of its prior."""
 _FRICTION = 5.0
-"""Friction is known five times worse than inertia."""
+"""The uncertainty of friction is five times that of inertia."""
 _STEP = 5e-4
-"""s: of the flights whose differences are the sensitivities; their own error is far below that of the differences."""
+"""Step of the flights for sensitivities, s; its error is far smaller than the differences."""
 _DIFFERENCE = 1e-3
 _SETTLED = 1e-9
 _MOST_PERIODS = 5000
@@ -63,7 +64,14 @@ _MOST_PERIODS = 5000
 
 @dataclass(frozen=True, eq=False)
 class Learning(Brief):
-    """What sections teach: sensitivities D (k, 2n, m), noise (k, 2n, 2n), shifts s (k, m) in m/s², prior (m, m)."""
+    """Data for learning from sections.
+
+    Attributes:
+        sensitivities: d (k, 2n, m).
+        noise: covariance (k, 2n, 2n).
+        shifts: s (k, m), m/s².
+        prior: prior covariance (m, m).
+    """
 
     sensitivities: Array
     noise: Array
@@ -72,9 +80,10 @@ class Learning(Brief):
 
     def updated(self, section: NDArray[np.intp] | int, guess: Array, covariance: Array, surprise: Array
                 ) -> tuple[Array, Array]:  # fmt: skip
-        """Return δ̂ (…, m) and its covariance (…, m, m) after the flights from `section` (…).
+        """Return δ̂ (…, m) and its covariance (…, m, m) after flights from `section` (…).
 
-        surprise (…, 2n): the pendulum's state on the section it came to, less what the model foresaw.
+        Args:
+            surprise: measured minus predicted state (…, 2n) of the pendulum at the next section.
         """
         d = self.sensitivities[section]
         spread = covariance + DRIFT**2 * self.prior
@@ -86,7 +95,7 @@ class Learning(Brief):
 
 
 def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
-    """Return the gains (k, N) whose pulses take the unstable direction to zero at the next section.
+    """Return the gains (k, N) whose pulses remove the unstable direction at the next section.
 
     Raises:
         GoalMissed: a pulse does not move the unstable direction.
@@ -100,15 +109,15 @@ def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
         direction = np.real(left[:, np.argmax(np.abs(values))])
         reach = float(direction @ here.response)
         if abs(reach) <= 1e-12 * float(np.linalg.norm(here.response)):
-            raise GoalMissed(f"a pulse after section {j + 1} does not move the unstable direction; take more sections")
+            raise GoalMissed(f"a pulse after section {j + 1} does not move the unstable direction; use more sections")
         gains.append(direction @ here.matrix / reach)
     return np.array(gains)
 
 
 def parameter_directions(equations: Equations, parameters: Array) -> Array:
-    """Return changes (m, p) of base parameters by their own size: inertia, weights with couplings, friction × 5.
+    """Return relative changes (m, p) of base parameters: inertia, weights with couplings, friction × 5.
 
-    Weight G_i and coupling S_i = G_i/g belong together: no bench changes gravity.
+    Weight G_i and coupling S_i = G_i/g change together, since gravity is constant.
     """
     n = (equations.dimension - 2) // 2
     inertias = n * (n + 1) // 2
@@ -118,9 +127,9 @@ def parameter_directions(equations: Equations, parameters: Array) -> Array:
 
 
 def sensitivities(orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", directions: Array) -> Array:
-    """Return D (k, N, m): how the ends of flights between sections change with plants along `directions` (m, p).
+    """Return D (k, N, m), the derivatives of section-to-section flights by plant `directions` (m, p).
 
-    By central differences of Runge-Kutta flights under the orbit's input.
+    They are central differences of Runge-Kutta flights under the orbit's input.
     """
     k, m, duration = len(maps), len(directions), maps[0].duration
     count = max(int(np.ceil(duration / _STEP)), 1)
@@ -143,13 +152,13 @@ def learning(
     orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", gains: Array, *, weights: Array, effort: float,
     share: float,
 ) -> Learning:  # fmt: skip
-    """Return what the sections teach about parameters of which each may be off by `share`; gains: of the sections.
+    """Return the learning data for parameters with relative errors of `share`.
 
     Raises:
-        GoalMissed: the shifts do not settle.
+        GoalMissed: the shifts do not converge.
     """
     directions = parameter_directions(orbit.equations, orbit.parameters)
-    # A parameter that is zero has no relative error.
+    # A zero parameter has no relative error.
     directions = directions[np.abs(directions).sum(1) > 0]
     d = sensitivities(orbit, maps, directions)
     n, m = d.shape[1] - 2, len(directions)
@@ -157,7 +166,7 @@ def learning(
     noise = []
     for here in maps:
         before, after = here.matrix[:n, :n], here.end.projection[:n, :n]
-        # The smallest of them keeps the direction along the orbit, which the section leaves out, from being singular.
+        # The smallest of them regularises the direction along the orbit, which the section omits.
         noise.append((before * spread) @ before.T + (after * spread) @ after.T + ANGLE_ERROR**2 * np.eye(n))
     shifts = disturbance_shifts(maps, gains, d, weights=weights, effort=effort)
     return Learning(d[:, :n], np.array(noise), shifts, share**2 * np.eye(m))
@@ -166,10 +175,10 @@ def learning(
 def disturbance_shifts(
     maps: "tuple[SectionMap, ...]", gains: Array, disturbances: Array, *, weights: Array, effort: float
 ) -> Array:
-    """Return s (k, m): how much less to pulse for each unit of the known periodic disturbances D (k, N, m).
+    """Return shifts s (k, m) of the pulses for each unit of known periodic disturbances D (k, N, m).
 
     Raises:
-        GoalMissed: they do not settle.
+        GoalMissed: the shifts do not converge.
     """
     matrices, responses = _arrays(maps)
     count, size, kinds = disturbances.shape
@@ -190,7 +199,7 @@ def disturbance_shifts(
             return shifts
         before = shifts.copy()
     raise GoalMissed(
-        "the pulses for a plant that differs from the model did not settle; take more sections in a period"
+        "the pulses for a plant that differs from the model did not converge; use more sections per period"
     )
 
 
@@ -199,12 +208,12 @@ def _arrays(maps: "tuple[SectionMap, ...]") -> tuple[Array, Array]:
 
 
 _EARLY = 0.125
-"""Share of a period by which a crossing may come before or after its time, and no more than half way to the next."""
+"""Largest time error of a crossing, as a share of the period; at most half the time to the next section."""
 
 
 @dataclass(frozen=True)
 class ClassicOgySettings(Settings, table="controller"):
-    """OGY as published: sections in a period, and the largest pulse in m/s²."""
+    """OGY as published: sections per period, and largest pulse in m/s²."""
 
     kind: str = "ogy-classic"
     sections: int = setting(16, least=1, most=1000, help="Sections in a period.")
@@ -213,10 +222,11 @@ class ClassicOgySettings(Settings, table="controller"):
 
 @dataclass(frozen=True)
 class OgySettings(QuadraticWeights):
-    """OGY with linear-quadratic pulses: sections in a period, and the largest pulse in m/s².
+    """OGY with linear-quadratic pulses: sections per period, and largest pulse in m/s².
 
-    parameter_error: share by which the plant's inertial parameters may differ from the model's, friction five times
-    as much; what a run shows of them corrects the pulses. Zero: nothing is learnt.
+    Attributes:
+        parameter_error: relative error of the plant's inertial parameters, five times as much for friction; the run's
+            data correct the pulses. Zero disables learning.
     """
 
     position: float = 30.0
@@ -230,47 +240,48 @@ class OgySettings(QuadraticWeights):
 
 @dataclass(frozen=True, eq=False)
 class OgyController(Brief):
-    """Sections (k) with their times (k,) s, states, normals and gains (k, N), and the pendulum's projections onto them
-    (k, 2n, 2n); pulses of `duration` s.
-
-    model: foresees where a flight between sections comes to; learning: None if nothing is to be learnt; ticks: for how
-    long.
-    """
+    """OGY controller with k sections and pulses of `duration` s."""
 
     kind: str
     table: PhaseTable
     times: Array
+    """Times (k,) of the sections, s."""
     states: Array
     normals: Array
     projections: Array
+    """Projections (k, 2n, 2n) of the pendulum onto the sections."""
     gains: Array
+    """Gains (k, N)."""
     duration: float
     pulse_limit: float
     model: SampledModel
+    """Predicts the flight between sections."""
     learning: Learning | None
+    """Data for learning, or None."""
     ticks: int
+    """Number of periods."""
     status: str
 
     @property
     def first_state(self) -> Array:
-        """Return the state (N,) from which it starts: the orbit at its first section, so that a pulse comes at once."""
+        """Return the initial state (N,): the orbit at its first section, so that a pulse comes at once."""
         return self.states[0]
 
     @cached_property
     def window(self) -> float:
-        """Return by how many seconds a crossing may be off its time."""
+        """Return the largest time error of a crossing, s."""
         return min(self.duration / 2, _EARLY * self.table.period)
 
     def begin(self) -> "OgySession":
-        """Return a fresh session for one run."""
+        """Return a new session for one run."""
         return OgySession(self)
 
     def begin_many(self, count: int) -> "OgySession":
-        """Return what answers `commands` for `count` runs, each with a clock and so with a reference of its own."""
+        """Return a session that computes `commands` for `count` runs, each with its own clock."""
         return OgySession(self, count)
 
     def join(self, tick: int, state: Array) -> "OgySession":
-        """Return a session that starts at `tick` from `state` (N,), at the nearest phase and on its turns."""
+        """Return a session from `tick` at the phase nearest to `state` (N,), with its turns."""
         session = self.begin()
         session.resynchronise(tick, state)
         return session
@@ -281,10 +292,10 @@ class OgyController(Brief):
 
 
 class OgySession(ClockedSession):
-    """The section crossed last, the time since, the pulse under way; and what was learnt about the plant.
+    """The last crossed section, the time since, the active pulse, and the estimated plant errors.
 
-    With `count`, of as many runs in lockstep, all from the first state and at every tick of the loop: each of these is
-    an array (S,) then, for runs cross their sections at different ticks.
+    With `count`, the session serves as many lockstep runs from the first state. The values are then arrays (S,), since
+    runs cross their sections at different ticks.
     """
 
     _section: Any
@@ -303,17 +314,17 @@ class OgySession(ClockedSession):
         self.lanes = ONE if count is None else MANY
         self.orbit_period = law.table.period
         """s"""
-        # Of one run plain floats, which are quicker.
+        # Plain floats are faster for one run.
         self._times: Any = law.times.tolist() if count is None else law.times
         self._tick = 0
         self._lost: tuple[int, float] | None = None
-        # As if the last section had just been left behind: the first is crossed at once.
+        # The first section is crossed at once, as if the last one had just been left.
         own: dict[str, Any] = {"_section": len(law.times) - 1, "_elapsed": law.duration, "_pulse": 0.0}
-        # What the model foresees since that section, and whether it still stands.
+        # The model's prediction since that section, and whether it is still valid.
         own |= {"_foreseen": np.zeros(len(law.first_state)), "_flying": False, "_lift": np.zeros(len(law.first_state))}
         if law.learning is not None:
             own |= {"_guess": np.zeros(len(law.learning.prior)), "_covariance": law.learning.prior}
-        # How often a section was crossed, and how often not in time.
+        # Number of crossings, and of those out of time.
         own |= {"crossings": 0, "missed": 0}
         self._own = tuple(own)
         for name, value in own.items():
@@ -323,11 +334,11 @@ class OgySession(ClockedSession):
 
     @property
     def time(self) -> Any:
-        """Return the time on the orbit's clock in s."""
+        """Return the time on the orbit's clock, s."""
         return (self._times[self._section] + self._elapsed) % self.orbit_period
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return what to do in the period from `tick` at `state` (N,)."""
+        """Return the action for the period from `tick` at `state` (N,)."""
         forward, feedback, wanted = self.steer(tick, state)
         event = ""
         if self._lost is not None:
@@ -354,14 +365,14 @@ class OgySession(ClockedSession):
                 self._where(near & due, OgySession._cross, ahead, late, x)
                 self._where(overdue, OgySession._lose, ahead, states)
         clock, middle = self._times[self._section] + self._elapsed, self._elapsed + period / 2
-        # Plus zero: none is minus zero.
+        # Adding zero converts minus zero to zero.
         feedback = self._pulse * (middle < law.duration) * np.sin(np.pi * middle / law.duration) + 0.0
         feedforward = law.table.input(clock + period / 2, lanes)
         self._sent = feedforward + feedback
         return feedforward, feedback, law.table.state(clock, lanes) + self._lift
 
     def _where(self, holds: Any, change: Callable[..., None], *given: Any) -> None:
-        """Make a change to this run if `holds`, or to those runs of many for which it does."""
+        """Apply a change to this run if `holds`, or to the lockstep runs for which it is True."""
         if self.lanes is ONE:
             if holds:
                 change(self, *given)
@@ -395,7 +406,7 @@ class OgySession(ClockedSession):
         self.missed = self.missed + 1
 
     def _found(self, states: Array) -> Any:
-        """Move the clock to the phase nearest to the state (N,) or states (S, N); return by how many s."""
+        """Move the clock to the phase nearest to state (N,) or states (S, N); return the shift, s."""
         law, expected = self._law, self.time
         time, _, self._lift = law.table.nearest(states)
         since = np.mod(time[..., None] - law.times, self.orbit_period)
@@ -404,14 +415,17 @@ class OgySession(ClockedSession):
         return law.table.shift(time, expected)
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the phase nearest to `state` (N,); say by how much. The next crossing starts a pulse."""
+        """Move the clock to the phase nearest to `state` (N,) and return a sentence.
+
+        The next crossing starts a pulse.
+        """
         self._elapsed = self._elapsed + (tick - self._tick) * self._law.model.period
         self._tick = tick
         return f"clock of the orbit moved by {self._found(state):+.4f} s"
 
 
 def _many_steps(model: SampledModel, count: int) -> Callable[[Array, Array], Array]:
-    """Return what takes states (S, N) and commands (S,) a period on."""
+    """Return a function that advances states (S, N) under commands (S,) by a period."""
     function = model.equations.discrete_step(model.period)
     step = Compiled(function.factory("plain", function.name_in(), [function.name_out(0)]))
     states_at, commands_at, parameters_at = (step.slices[name] for name in function.name_in())
@@ -431,7 +445,7 @@ def ogy_controller(
     """Return the controller that holds `orbit` for `seconds` by pulses.
 
     Raises:
-        InputError: the orbit did not converge or is of other arms, or its sections come faster than every second tick.
+        InputError: the orbit did not converge or belongs to other arms, or its sections are less than two ticks apart.
         GoalMissed: the section maps cannot be stabilised.
     """
     check_orbit(orbit, model)
@@ -439,14 +453,14 @@ def ogy_controller(
     if duration < 2 * model.period:
         raise InputError(
             f"controller: sections = {settings.sections}: a pulse would last {duration:.2g} s, less than two ticks of "
-            f"{model.period:g} s; take at most {int(orbit.period / (2 * model.period))}"
+            f"{model.period:g} s; use at most {int(orbit.period / (2 * model.period))}"
         )
     maps = orbit.section_maps(settings.sections)
     learnt = None
     if isinstance(settings, ClassicOgySettings):
         gains = classic_gains(maps)
     else:
-        # The square of a half-sine of height 1 is a half on average.
+        # The mean square of a half-sine of height 1 is a half.
         weights, effort = settings.weights(model.arms, duration)
         gains = periodic_gains(*_arrays(maps), weights=weights, effort=effort / 2)
         if settings.parameter_error:

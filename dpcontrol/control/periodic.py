@@ -1,18 +1,19 @@
-"""Orbits as controllers see them: where on one a state is, and linear-quadratic feedback that repeats itself.
+"""Orbits for controllers: the nearest phase of a state, and periodic linear-quadratic feedback.
 
-The phase nearest to a state, modulo whole turns of the arms, the cart left out for its position depends on no phase:
+The nearest phase ignores whole turns of the arms. It also ignores the cart, whose position does not depend on the
+phase:
 
     τ = argmin |D⁻¹ (x - x*(τ))|,      D: the scale of the pendulum's state
 
-A table of one period is searched, and the best entry moved along by lateness = (x - x*) · D⁻² ẋ* / |D⁻¹ ẋ*|².
+The best entry of a table of one period is corrected by lateness = (x - x*) · D⁻² ẋ* / |D⁻¹ ẋ*|².
 
-Gains of a periodic system, and an orbit held by them tick by tick:
+Gains of a periodic system hold an orbit tick by tick:
 
     minimise Σ_k ξ_kᵀ Q ξ_k + r p_k²,    ξ_{k+1} = A_k ξ_k + B_k p_k,    A_{k+m} = A_k, B_{k+m} = B_k
 
-The backward Riccati recursion is run over period after period until its gains repeat themselves. On an orbit, the
-time of the motion is either the clock's since the start, or corrected at every tick to that of the nearest phase.
-Sources: Bittanti, Laub & Willems (eds.), The Riccati Equation, chapter 6; Hauser & Hindman, Manoeuvre regulation from
+The backward Riccati recursion runs over successive periods until its gains repeat. On an orbit, the time of the motion
+either follows the clock since the start, or is corrected to the nearest phase at every tick.
+Sources: Bittanti, Laub & Willems (eds.), The Riccati Equation, chapter 6. Hauser & Hindman, Manoeuvre regulation from
 trajectory tracking, NOLCOS (1995), section 3, for the phase.
 """
 
@@ -42,14 +43,14 @@ if TYPE_CHECKING:
 
 
 ENTRIES = 2048
-"""Entries of a period: between two of them a straight line errs by 1e-5 rad at the lab's largest accelerations."""
+"""Entries per period; linear interpolation then errs by 1e-5 rad at the lab's largest accelerations."""
 COARSE = 8
-"""Every k-th entry is searched before the best one is moved along the orbit."""
+"""Every k-th entry is searched before the best one is refined."""
 
 
 @dataclass(frozen=True, eq=False)
 class PhaseTable(Brief):
-    """One period in s of a motion: states (M+1, N) and inputs (M+1,) m/s² at even times, the last as at time zero."""
+    """One period of a motion in s: states (M+1, N) and inputs (M+1,) m/s² at even times, both ends included."""
 
     period: float
     states: Array
@@ -57,19 +58,19 @@ class PhaseTable(Brief):
 
     @property
     def step(self) -> float:
-        """Return the time between two entries in s."""
+        """Return the time between two entries, s."""
         return self.period / (len(self.states) - 1)
 
     def state(self, time: Any, lanes: Lanes = ONE) -> Array:
-        """Return the state (N,) at a time in s, or the states (S, N) at times (S,), counted modulo the period."""
+        """Return the state (N,) at a time in s, or states (S, N) at times (S,), modulo the period."""
         return interpolated(self.states, time % self.period / self.step, lanes)
 
     def input(self, time: Any, lanes: Lanes = ONE) -> Any:
-        """Return the input in m/s² of the entry next to a time in s, or inputs (S,), counted modulo the period."""
+        """Return the input in m/s² of the entry nearest to a time in s, or inputs (S,), modulo the period."""
         return self.inputs[lanes.nearest(time % self.period / self.step)]
 
     def shift(self, time: Any, expected: Any) -> Any:
-        """Return by how many seconds a time is later than was expected, by half a period at most."""
+        """Return the delay of a time against an expected one, s, within half a period."""
         half = self.period / 2
         return (time - expected + half) % (2 * half) - half
 
@@ -78,9 +79,9 @@ class PhaseTable(Brief):
         return float(self.nearest(state)[1])
 
     def nearest(self, states: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return times (…) in s, scaled distances (…) and whole turns (…, N) in rad of the phases nearest to (…, N).
+        """Return times (…) s, scaled distances (…) and turns (…, N) rad of the phases nearest to (…, N).
 
-        The distance is the pendulum's only: its largest component, angles by π and rates by 10 rad/s.
+        The distance is the largest component of the pendulum's state, with angles scaled by π and rates by 10 rad/s.
         """
         x = np.asarray(states, dtype=float)
         size = x.shape[-1] - 2
@@ -99,7 +100,7 @@ class PhaseTable(Brief):
         return times.reshape(x.shape[:-1]), distance.reshape(x.shape[:-1]), turns.reshape(x.shape)
 
     def rates(self, index: NDArray[np.intp]) -> Array:
-        """Return the pendulum's rates of change (K, 2n) at entries (K,), by central differences."""
+        """Return the pendulum's time derivative (K, 2n) at entries (K,), by central differences."""
         count, n = len(self.states) - 1, self.states.shape[1] - 2
         return (self.states[(index + 1) % count, :n] - self.states[(index - 1) % count, :n]) / (2 * self.step)
 
@@ -117,10 +118,16 @@ _SETTLED = 1e-9
 
 
 def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort: float) -> Array:
-    """Return the gains (m, N) of the periodic Riccati equation of A (m, N, N), B (m, N), Q's diagonal (N,), r.
+    """Return the gains (m, N) of a periodic Riccati equation.
+
+    Args:
+        matrices: a (m, N, N).
+        responses: b (m, N).
+        weights: diagonal (N,) of Q.
+        effort: r.
 
     Raises:
-        GoalMissed: the recursion does not settle: what drifts or grows is out of the input's reach.
+        GoalMissed: the recursion does not converge, since the input cannot influence a drifting or growing motion.
     """
     m = len(matrices)
     cost = np.diag(weights)
@@ -135,15 +142,15 @@ def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort:
             if largest < 1:
                 return gains
             raise GoalMissed(
-                f"no periodic gains: what grows by {largest:.4g} in a period is out of the input's reach; give the "
-                "cart's position a weight, or take more sections in a period"
+                f"no periodic gains: the input cannot influence a motion that grows by {largest:.4g} per period; "
+                "give the cart's position a weight, or use more sections per period"
             )
         before = gains
-    raise GoalMissed("no periodic gains: the Riccati recursion did not settle; weigh the effort more")
+    raise GoalMissed("no periodic gains: the Riccati recursion did not converge; increase the weight of the effort")
 
 
 def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArray[np.complex128]:
-    """Return the multipliers (N,) of a period under p = -K ξ, largest first: the loop is stable below 1."""
+    """Return the multipliers (N,) of a period under p = -K ξ, largest first; the loop is stable below 1."""
     product = np.eye(matrices.shape[-1])
     for a, b, gain in zip(matrices, responses, gains, strict=True):
         product = (a - np.outer(b, gain)) @ product
@@ -153,37 +160,38 @@ def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArr
 
 @dataclass(frozen=True, eq=False)
 class OrbitController(Brief):
-    """Holds a sustained orbit by gains at every tick: TVLQR that never ends.
-
-    table: one period at its ticks, of which there are `gains` (M, N); normals (M, N): see `PhaseSection`; ticks: for
-    how long; by_phase: whether the clock is corrected to the nearest phase at every tick.
-    """
+    """Stabilises a sustained orbit with gains at every tick, as a TVLQR without end."""
 
     kind: str
     table: PhaseTable
+    """One period, with an entry at each of its ticks."""
     gains: Array
+    """Gains (M, N)."""
     normals: Array
+    """Normals (M, N), see `PhaseSection`."""
     feedforward: Array
     period: float
     ticks: int
+    """Number of periods."""
     by_phase: bool
+    """True to correct the clock to the nearest phase at every tick."""
     status: str
 
     @property
     def first_state(self) -> Array:
-        """Return the state (N,) from which it starts: the orbit at its phase 0."""
+        """Return the initial state (N,): the orbit at phase 0."""
         return self.table.states[0]
 
     def begin(self) -> "OrbitSession":
-        """Return a fresh session for one run."""
+        """Return a new session for one run."""
         return OrbitSession(self, 0, 0.0, np.zeros(len(self.first_state)))
 
     def begin_many(self, count: int) -> "OrbitSession":
-        """Return what answers `commands` for `count` runs, each with a clock and so with a reference of its own."""
+        """Return a session that computes `commands` for `count` runs, each with its own clock."""
         return OrbitSession(self, 0, np.zeros(count), np.zeros(len(self.first_state)), MANY)
 
     def join(self, tick: int, state: Array) -> "OrbitSession":
-        """Return a session that starts at `tick` from `state` (N,), at the nearest phase and on its turns."""
+        """Return a session from `tick` at the phase nearest to `state` (N,), with its turns."""
         time, _, turns = self.table.nearest(state)
         return OrbitSession(self, tick, float(time), turns)
 
@@ -193,7 +201,7 @@ class OrbitController(Brief):
 
 
 class OrbitSession(ClockedSession):
-    """An orbit's clock, or clocks (S,); lift (N,): whole turns of the arms by which a run is away from the table."""
+    """An orbit's clock, or clocks (S,); lift (N,): whole turns between run and table."""
 
     def __init__(self, law: OrbitController, tick: int, time: Any, lift: Array, lanes: Lanes = ONE) -> None:
         self._law, self.lanes = law, lanes
@@ -203,7 +211,7 @@ class OrbitSession(ClockedSession):
 
     @property
     def time(self) -> float:
-        """Return the time on the orbit's clock in s."""
+        """Return the time on the orbit's clock, s."""
         return self._time % self.orbit_period
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
@@ -214,7 +222,7 @@ class OrbitSession(ClockedSession):
         self._tick = tick
         if law.by_phase:
             late = lanes.dot(x - table.state(time, lanes), law.normals[lanes.nearest(time / table.step) % count])
-            # Half a tick forth and back at most: the clock glides, whatever the estimate does.
+            # The correction is at most half a tick, so the clock moves smoothly for any estimate.
             time = time + lanes.clip(late, -law.period / 2, law.period / 2)
         self._time = time
         k = lanes.nearest(time / table.step) % count
@@ -222,7 +230,7 @@ class OrbitSession(ClockedSession):
         return law.feedforward[k], lanes.dot(law.gains[k], wanted - x), wanted + self._lift
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the phase nearest to `state` (N,); say by how much."""
+        """Move the clock to the phase nearest to `state` (N,) and return a sentence."""
         law, expected = self._law, self._time + (tick - self._tick) * self._law.period
         time, _, self._lift = law.table.nearest(state)
         self._tick, self._time = tick, float(time)

@@ -1,14 +1,15 @@
-"""Margins by simulation: up to which gain, further delay and further lag the nonlinear loop keeps to its reference.
+"""Margins by simulation: limits of gain, further delay and further lag for the nonlinear loop.
 
-Multipliers (`dpcontrol.control.margins`) are those of small errors in a short window. They do not show that a loop with
-dry friction oscillates, by an amplitude that grows as the gain falls, nor that a flight may pass through a window in
-which errors grow. So the whole loop, filter and supervisor included, flies its reference from a small first error. Arms
-and sensors are as the model says, dry friction included. Runs side by side differ in their drive:
+Multipliers (`dpcontrol.control.margins`) describe small errors in a short window. They do not show the oscillation of a
+loop with dry friction, whose amplitude grows as the gain falls. They also ignore that a flight may pass through a
+window in which errors grow. Therefore the whole loop, with filter and supervisor, is simulated along its reference from
+a small initial error. Arms and sensors match the model, dry friction included. The runs of a batch differ in their
+drive:
 
     mean of period k: through a lag τ, g · (command a delay D + d ago)
 
-Of each margin a row of values is tried from the nominal one on; the border lies before the first with which the
-reference is lost, and is then narrowed down by a second row.
+For each margin, a series of values is tried, starting from the nominal one. The limit lies before the first value that
+loses the reference. A second series refines it.
 """
 
 from collections.abc import Callable
@@ -22,26 +23,29 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.references.problem import Limits
 
 FIRST_ERROR = 2e-3
-"""rad, of each angle at the start: large against a count, small against what a loop has to bear."""
+"""Initial error of each angle, rad; large compared with a count, small compared with tolerable errors."""
 ASTRAY, _PHASE = 0.2, 0.1
-"""rad from the reference over a run's last tenth, at a time that is off by so many seconds at most: as in the score."""
+"""Maximum distance from the reference over the last tenth, rad, and maximum time offset, s; as in the score."""
 SHAKEN = 0.5
-"""rms of what feedback moves the cart by over the last tenth, as a share of its greatest acceleration: more is a swing
-that limits alone contain."""
+"""Maximum rms feedback over the last tenth, as a share of the maximum acceleration; above it, only limits bound a
+swing."""
 _TRIED = 16
-"""Values of each margin in a row."""
+"""Number of values per series."""
 _LOST, _EVERY = 1.5, 10
-"""rad, ticks."""
+"""Resolution of the search in rad and ticks."""
 FARTHEST = {"gain_low": 1 / 64, "gain_high": 64.0, "delay": 0.128, "lag": 0.512}
 _NEAREST = {"gain_low": 1.0, "gain_high": 1.0, "delay": 1e-3, "lag": 1e-3}
 
 
 @dataclass(frozen=True, eq=False)
 class NominalLoop:
-    """A loop whose arms and drive are as believed.
+    """A loop whose arms and drive match the model.
 
-    plant: with the drive's lag; program_of: a tick for so many runs, which has begun on the law; delay in periods;
-    limits: the cart's.
+    Attributes:
+        plant: plant with the drive's lag.
+        program_of: returns a tick for a number of runs, initialised for the law.
+        delay: delay, in periods.
+        limits: the cart's limits.
     """
 
     plant: SampledModel
@@ -51,7 +55,13 @@ class NominalLoop:
     limits: Limits
 
     def lost_at(self, gain: Array, delay: Array, lag: Array) -> Array:
-        """Return when runs with these gains (S,), further delays (S,) and lags (S,) in s are lost, s; inf for never."""
+        """Return the times at which runs are lost, s; infinite for none.
+
+        Args:
+            gain: gains (S,).
+            delay: further delays (S,), s.
+            lag: further lags (S,), s.
+        """
         count, period, n = len(gain), self.plant.period, self.plant.arms
         rows, references = self.law.rows, self.law.references
         program, step = self.program_of(count), self.plant.machine
@@ -89,17 +99,17 @@ class NominalLoop:
             gone = np.isfinite(lost)
             if gone.all():
                 break
-            # What is lost rests, so that nothing overflows.
+            # Lost runs stay at rest to prevent overflow.
             x = inputs[: len(x)] = np.where(gone, first, x)
         lost[(swing > (SHAKEN * self.limits.acceleration) ** 2) & np.isinf(lost)] = len(rows) * period
         return lost[:count]
 
 
 def simulated_margins(loop: NominalLoop) -> dict[str, tuple[float, float]]:
-    """Return gain_low, gain_high, delay and lag in s, each with the time in s at which the run just beyond is lost.
+    """Return gain_low, gain_high, delay and lag in s, each with the time of loss just beyond, s.
 
-    Where none is lost the margin is the farthest value that was tried, and the time not a number. With margins of 1 and
-    0 the loop is lost as it is.
+    If no run is lost, the margin is the largest value tried and the time is NaN. If the nominal loop is lost, the
+    margins are 1 and 0.
     """
     (nominal,) = loop.lost_at(np.ones(1), np.zeros(1), np.zeros(1))
     near: dict[str, float] = dict(_NEAREST)
@@ -109,7 +119,7 @@ def simulated_margins(loop: NominalLoop) -> dict[str, tuple[float, float]]:
     kept = {name: 1.0 if name.startswith("gain") else 0.0 for name in far}
     for _ in range(2):
         rows = {name: np.geomspace(near[name], far[name], _TRIED + 1) for name in far}
-        # The nominal gain is known to be kept; the shortest delay is not.
+        # The nominal gain is known to be stable, but the shortest delay is not.
         tried = {name: row[1:] if kept[name] == near[name] else row for name, row in rows.items()}
         lost = _of_all(loop, tried)
         for name, values in tried.items():
@@ -122,7 +132,7 @@ def simulated_margins(loop: NominalLoop) -> dict[str, tuple[float, float]]:
 
 
 def _of_all(loop: NominalLoop, tried: dict[str, Array]) -> dict[str, Array]:
-    """Return when runs are lost, by margin, all of them flown side by side."""
+    """Return the times of loss by margin, from one batch of all runs."""
     drives: dict[str, Array] = {}
     sizes = np.cumsum([0, *(len(values) for values in tried.values())])
     for key, usual in (("gain", 1.0), ("delay", 0.0), ("lag", 0.0)):

@@ -21,7 +21,7 @@ from dpcontrol.references.reference import Reference
 
 
 class Wanted(NamedTuple):
-    """The target of a law: state (N,), and feedforward, the cart's acceleration along the reference in m/s²."""
+    """Target of a law: state (N,), and feedforward, the cart's acceleration along the reference, m/s²."""
 
     state: Any
     feedforward: Any
@@ -44,7 +44,7 @@ class SymbolicLaw:
     def __init__(self, function: Callable[..., Any], *, memory: int = 0, first: Sequence[float] | None = None) -> None:
         self.__name__ = getattr(function, "__name__", type(function).__name__)
         if not callable(function):
-            raise InputError(f"controller: {function!r} is no function(state, reference, memory, parameters)")
+            raise InputError(f"controller: {function!r} is not a function(state, reference, memory, parameters)")
         self.function, self.first = function, np.zeros(memory) if first is None else np.array(first, dtype=float)
         if self.first.shape != (memory,) or not np.isfinite(self.first).all():
             raise InputError(
@@ -58,7 +58,7 @@ class SymbolicLaw:
         """Return (state, wanted, feedforward, memory, parameters) -> command and next memory, (1+M,).
 
         Raises:
-            InputError: the function raises, or returns anything but such expressions.
+            InputError: the function raises, or returns other values than such expressions.
         """
         names, memory = ("state", "wanted", "feedforward", "memory", "parameters"), len(self.first)
         sizes = (states, states, 1, memory, parameters)
@@ -87,7 +87,7 @@ class SymbolicController(TimedController):
     law: SymbolicLaw = field(kw_only=True)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the reference's schedule, with the law in it."""
+        """Return the reference's schedule with this law."""
         made, arms = super().schedule(lead), len(self.first_state) // 2 - 1
         return replace(made, rows=np.insert(made.rows, -arms, 1.0, axis=1), law=self.law)
 
@@ -96,7 +96,8 @@ def symbolic_controller(law: SymbolicLaw, reference: Reference, model: SampledMo
     """Return a law on a reference.
 
     Raises:
-        InputError: the reference did not converge, or is not of these arms, or the law returns no such expressions.
+        InputError: the reference did not converge or belongs to other arms, or the law does not return valid
+            expressions.
     """
     law.expression(model.dimension, len(model.parameters))
     flown = tracking_controller(reference, model, FeedforwardSettings())

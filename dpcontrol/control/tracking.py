@@ -1,44 +1,45 @@
-"""Controllers that follow a reference: its input alone, with time-varying linear-quadratic feedback, or adaptively.
+"""Controllers that follow a reference: feedforward, TVLQR and adaptive.
 
     minimise Σ_k e_kᵀ Q e_k + r v_k² + e_Nᵀ P e_N,      e_{k+1} = A_k e_k + B_k v_k
     K_k = (r + B_kᵀ P_{k+1} B_k)⁻¹ B_kᵀ P_{k+1} A_k,     u_k = u*(t_k) + K_k (x*(t_k) - x̂_k)
 
-e: the state's distance from the reference x*, v: the input's from u*, A and B along the reference.
+e is the difference between state and reference x*, v that between input and u*. A and B are Jacobians along the
+reference.
 Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 2.4 and 4.1.
 
-The adaptive law counts on what the estimator finds wrong with the model: one gain more for each extra quantity w.
+The adaptive law uses the estimated errors of the model, with one more gain for each extra quantity w.
 
     e_{k+1} = A_k e_k + B_k v_k + E_k w_k,   w_{k+1} = D w_k,      v_k = -K_k e_k - F_k w_k
     F_k = (r + B_kᵀ P_{k+1} B_k)⁻¹ B_kᵀ (P_{k+1} E_k + N_{k+1} D)
     N_k = (A_k - B_k K_k)ᵀ (P_{k+1} E_k + N_{k+1} D),     N_K = 0
 
-What lasts, errors of parameters and friction, shifts the reference as well, so that its end keeps the shape of the
-orbit it shall be on: X is the shift for a unit of w under K̂ and F̂, the gains of weights that near the
-end count angles across their path many times. The feedback keeps the calm gains, whose margins do not fall there.
+Constant errors of parameters and friction also shift the reference, so that its end keeps the shape of the desired
+orbit. X is the shift for a unit of w under K̂ and F̂. These are the gains with a large weight on angles across their
+path near the end. The feedback keeps the smaller gains, whose margins do not decrease there.
 
     X_{k+1} = (A_k - B_k K̂_k) X_k + E_k - B_k F̂_k,   X_0 = 0,      F_k := F̂_k + (K̂_k - K_k) X_k
 
-What is left of second order along this shift, for each pair of the parameters' errors, is taken for one more lasting
-error, and leant against in the same way:
+The second-order remainder along this shift, for each pair of parameter errors, is treated as another constant error and
+compensated in the same way:
 
     E'_k(i, j) = the coefficient of w_i w_j in f(x*_k + X_k w, u*_k - (F̂_k + K̂_k X_k) w, w) - x*_{k+1} - X_{k+1} w
 
-w: above all the relative errors of the model's parameters. N carries back from the reference's end what they will do
-along all that remains, so the feedback leans against a wrong mass before it is felt; without w it is TVLQR. A
-parameter's error is log(p/p₀), in which the equations know no overall scale.
-Source: Anderson & Moore, section 10.3; Åström & Wittenmark, Adaptive Control, section 1.4 (certainty equivalence).
+w contains mainly the relative errors of the model's parameters. N propagates their future effect back from the
+reference's end. The feedback therefore counteracts a wrong mass before it has an effect. Without w, the law is TVLQR.
+The error of a parameter is log(p/p₀), and the equations do not depend on an overall scale.
+Sources: Anderson & Moore, section 10.3. Åström & Wittenmark, Adaptive Control, section 1.4 (certainty equivalence).
 
-Where the drive's velocity loop lags by τ, as far as is known, the cart's acceleration a is one more state, with a gain
-of its own, and the feedforward leads so that a is the reference's at the ticks:
+If the drive's velocity loop has a known lag τ, the cart's acceleration a is an additional state with its own gain. The
+feedforward leads so that a equals the reference's acceleration at the ticks:
 
     a_{k+1} = φ a_k + (1 - φ) u_k,   φ = e^{-T/τ},      mean over the period: u_k + (τ/T)(1 - φ)(a_k - u_k)
 
-Following a reference by phase: the clock goes on with time and is corrected to the phase nearest to the state.
+To follow a reference by phase, the clock advances with time and is corrected to the phase nearest to the state.
 
     c := c + 1 + lateness,    lateness = (x̂ - x*(c))·n(c),    n = D⁻² ẋ* / (|D⁻¹ ẋ*|² + ε²)      in ticks
 
-D: the pendulum's scale; the cart is left out, as its position does not depend on the phase. ε: where the reference
-stands still the clock goes on with time alone.
+D is the pendulum's scale. The cart is omitted, as its position does not depend on the phase. Because of ε, the clock
+advances with time alone if the reference is at rest.
 Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS (1995), section 3.
 """
 
@@ -73,16 +74,16 @@ from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.reference import Reference
 
 STANDSTILL = 0.1
-"""Scaled rate per second (π rad and 10 rad/s) below which the phase of a motion counts less and less."""
+"""Scaled rate below which the phase of a motion is weighted less, 1/s (π rad and 10 rad/s)."""
 TURNING = 1.0
-"""rad/s below which a path of angles has no direction: where it turns back, none is along it."""
+"""Rate below which a path of angles has no direction, as at a turning point, rad/s."""
 MOST = 0.5
-"""Ticks by which the clock is moved at most, forth or back: it glides, whatever the estimate does."""
+"""Largest correction of the clock per tick, in ticks; the clock moves smoothly for any estimate."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceController(Brief):
-    """What follows a reference: its states (K+1, N) and inputs (K,) in m/s² at the ticks, gains (K, N) on the state."""
+    """Controller along a reference: states (K+1, N), inputs (K,) m/s² and gains (K, N) at the ticks."""
 
     kind: str
     reference_states: Array
@@ -92,27 +93,29 @@ class ReferenceController(Brief):
 
     @property
     def first_state(self) -> Array:
-        """Return the state (N,) from which it starts."""
+        """Return the initial state (N,)."""
         return self.reference_states[0]
 
     @property
     def ticks(self) -> int:
-        """Return for how many periods it has something to do, if its clock goes with time."""
+        """Return the number of periods if the clock follows time."""
         return len(self.feedforward)
 
 
 @dataclass(frozen=True, eq=False)
 class TimedController(ReferenceController):
-    """One whose clock is the loop's: gains (K, N) by time; of zero: no feedback.
+    """A controller with the loop's clock and gains (K, N) by time; without feedback if they are zero.
 
-    After the last tick the last gain holds the reference's end. drive (K+1, 2), for a drive that lags: the cart's
-    acceleration m/s² at the ticks, and the gain on it.
+    After the last tick, the last gain holds the end of the reference.
+
+    Attributes:
+        drive: acceleration of the cart at the ticks, m/s², and the gain on it (K+1, 2), for a lagging drive.
     """
 
     drive: Array | None = field(default=None, kw_only=True)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return what the loop needs, its commands computed `lead` ticks ahead."""
+        """Return the gain schedule for commands computed `lead` ticks ahead."""
         return GainSchedule(self._rows(lead), self.reference_states, self.feedforward[:lead], Mode.TRACKING)
 
     def _rows(self, lead: int, *more: Array) -> Array:
@@ -126,7 +129,7 @@ class TimedController(ReferenceController):
 
 @dataclass(frozen=True, eq=False)
 class PhaseController(ReferenceController):
-    """One whose clock is corrected to the nearest phase at every tick; normals n (K+1, N)."""
+    """A controller whose clock is corrected to the nearest phase at every tick; normals n (K+1, N)."""
 
     normals: Array
 
@@ -135,11 +138,11 @@ class PhaseController(ReferenceController):
         return PhaseSession(self)
 
     def begin_many(self, count: int) -> "PhaseSession":
-        """Return what answers `commands` for `count` runs, each with a clock and so with a reference of its own."""
+        """Return a session that computes `commands` for `count` runs, each with its own clock."""
         return PhaseSession(self, place=np.zeros(count), lanes=MANY)
 
     def join(self, tick: int, state: Array) -> "PhaseSession":
-        """Return a session that starts at `tick` where the reference is nearest to `state` (N,), on the same turns."""
+        """Return a session from `tick`, at the place of the reference nearest to `state` (N,)."""
         return PhaseSession(self, tick=tick, place=self.nearest(state))
 
     def nearest(self, state: Array) -> int:
@@ -150,7 +153,7 @@ class PhaseController(ReferenceController):
 
 
 def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Array, period: float) -> PhaseController:
-    """Return the controller for feedforward (K,), gains (K, N) and reference states (K+1, N), `period` s apart."""
+    """Return the controller for feedforward (K,), gains (K, N) and states (K+1, N), `period` s apart."""
     scale = pendulum_scale(states.shape[1] // 2 - 1)
     rates = np.gradient(states[:, : len(scale)], axis=0) / scale
     normals = np.zeros_like(states)
@@ -160,7 +163,7 @@ def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Arr
 
 
 class PhaseSession(ClockedSession):
-    """One run of a law, or many: from the reference's tick `place`, or ticks (S,), at the loop's `tick`."""
+    """One or many runs of a law, from the reference's tick `place`, or ticks (S,), at the loop's `tick`."""
 
     mode = Mode.TRACKING
 
@@ -169,7 +172,7 @@ class PhaseSession(ClockedSession):
         self._tick, self.place = tick, place
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback in m/s², and the reference, at `tick` for the state (N,) or states (S, N)."""
+        """Return feedforward and feedback, m/s², and the reference, at `tick` for state (N,) or states (S, N)."""
         law, lanes, last = self._law, self.lanes, len(self._law.feedforward)
         place = self.place + max(tick - self._tick, 0)
         self._tick = tick
@@ -181,7 +184,7 @@ class PhaseSession(ClockedSession):
         return law.feedforward[j], lanes.dot(law.gains[j], wanted - states), wanted
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the phase nearest to `state` (N,); say by how much."""
+        """Move the clock to the phase nearest to `state` (N,) and return a sentence."""
         expected = self.place + tick - self._tick
         self._tick, self.place = tick, float(self._law.nearest(state))
         return f"clock of the reference moved by {self.place - expected:+.0f} ticks"
@@ -189,7 +192,7 @@ class PhaseSession(ClockedSession):
 
 @dataclass(frozen=True)
 class FeedforwardSettings:
-    """The reference's input alone: shows that a correct reference is not enough."""
+    """The reference's input alone, to show that even a correct reference needs feedback."""
 
     kind: str = "feedforward"
 
@@ -199,7 +202,7 @@ SCHEDULES = ("time", "phase")
 
 @dataclass(frozen=True)
 class TvlqrSettings(ClosingWeights):
-    """Linear-quadratic feedback. schedule: whether reference and gains are taken by time or at the nearest phase."""
+    """Linear-quadratic feedback, with gains by time or at the nearest phase (`schedule`)."""
 
     angle: float = 10_000.0
     rate: float = 1000.0
@@ -213,41 +216,42 @@ ControllerSettings = FeedforwardSettings | TvlqrSettings
 
 @dataclass(frozen=True, eq=False)
 class TrackingController(TimedController):
-    """Gains by time, as a flight of a program as well."""
+    """Gains by time, also for flights of a program."""
 
     def begin(self) -> "TrackingSession":
         """Return a session for one run."""
         return self.join(0, self.first_state)
 
     def join(self, tick: int, state: Array) -> "TrackingSession":
-        """Return a session whose start is at `tick`."""
+        """Return a session that starts at `tick`."""
         return TrackingSession(self, tick)
 
 
 class TrackingSession:
-    """A tracking controller during a flight whose clock is the loop's, from tick `start` on."""
+    """A tracking controller during a flight with the loop's clock, from tick `start`."""
 
     def __init__(self, controller: TrackingController, start: int = 0) -> None:
         self._law, self._start = controller, start
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return what to do in the period from `tick`; after the last, its gain holds the reference's end."""
+        """Return the action for the period from `tick`; after the last, its gain holds the end."""
         law, tick = self._law, max(tick - self._start, 0)
         k = min(tick, law.ticks - 1)
         wanted = law.reference_states[min(tick, law.ticks)]
         return Action(float(law.feedforward[k]), float(law.gains[k].dot(wanted - state)), wanted, Mode.TRACKING)
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Leave the clock as it is: gains by time have no other."""
+        """Do nothing: gains by time have no other clock."""
         return ""
 
 
 @dataclass(frozen=True)
 class AdaptiveSettings(ClosingWeights):
-    """Weights like those of "tvlqr", lighter except at the end: what is known of the model needs no feedback.
+    """Weights like those of "tvlqr", but smaller except at the end, since known errors need no feedback.
 
-    trust: the greatest error log(p/p₀) of a parameter that the law acts on; masses and lengths that are off by 0.3
-    make it 0.7 at most.
+    Attributes:
+        trust: largest error log(p/p₀) of a parameter that the law uses; errors of 0.3 in masses and lengths cause at
+            most 0.7.
     """
 
     kind: str = "adaptive"
@@ -261,9 +265,12 @@ class AdaptiveSettings(ClosingWeights):
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveController(TimedController):
-    """Gains by time on the state, on the extras (K, E), and on the products of all pairs of shares (K, P).
+    """Gains by time on the state, on the extras (K, E), and on products of all pairs of shares (K, P).
 
-    shares (E,): which extras are relative errors of parameters; names: of all; trust: of shares, see the settings.
+    Attributes:
+        shares: True for extras (E,) that are relative errors of parameters.
+        names: names of all extras.
+        trust: limit of the shares, see the settings.
     """
 
     extra_gains: Array
@@ -273,7 +280,7 @@ class AdaptiveController(TimedController):
     trust: float
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return what the loop needs, its commands computed `lead` ticks ahead."""
+        """Return the gain schedule for commands computed `lead` ticks ahead."""
         return GainSchedule(
             self._rows(lead, self.extra_gains, self.pair_gains), self.reference_states, self.feedforward[:lead],
             Mode.TRACKING, tuple(self.shares.tolist()), self.names, self.trust,
@@ -286,7 +293,7 @@ def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Arra
     Raises:
         GoalMissed: the pair cannot be stabilised.
     """
-    # python-control would ask the same function, and takes a second to import.
+    # python-control calls the same function, and takes a second to import.
     from scipy.linalg import solve_discrete_are
 
     try:
@@ -294,7 +301,7 @@ def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Arra
     except (np.linalg.LinAlgError, ValueError) as error:
         raise GoalMissed(
             f"no terminal cost for the controller: the reference's end cannot be stabilised ({error}); give the "
-            "cart's position a weight and end away from a motion the cart cannot influence"
+            "cart's position a weight and choose an end that the cart can influence"
         ) from error
     return np.asarray(cost)
 
@@ -308,10 +315,14 @@ def riccati_gains(
     terminal: Array,
     extras: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return gains on the state (K, N) and on the extras (K, E) of the backward recursion, and P (K+1, N, N).
+    """Return gains on state (K, N) and extras (K, E) of the backward recursion, and P (K+1, N, N).
 
-    jacobians: A (K, N, N) and B (K, N); weights: Q's diagonal (N,), or Q at each tick (K, N, N); terminal (N, N): P at
-    the end. extras: E (K, N, E) and D (E,), the share of each extra left after a period; without them E = 0.
+    Args:
+        state_jacobians: a (K, N, N).
+        input_jacobians: b (K, N).
+        weights: diagonal (N,) of Q, or Q at each tick (K, N, N).
+        terminal: p (N, N) at the end.
+        extras: e (K, N, E) and decay factors D (E,) per period; E = 0 without them.
     """
     gains = np.empty_like(input_jacobians)
     effects, kept = extras or (np.empty((len(gains), gains.shape[1], 0)), np.empty(0))
@@ -333,7 +344,7 @@ def riccati_gains(
             carried = closed.T @ push
         if changing:
             state_cost = weights[k]
-        # The symmetric form keeps P positive (Joseph): thousands of steps would lose it otherwise.
+        # The symmetric (Joseph) form keeps P positive over thousands of steps.
         cost = state_cost + effort * (gain[:, None] * gain) + closed.T @ cost @ closed
         costs[k] = cost = (cost + cost.T) / 2
     return gains, extra_gains, costs
@@ -344,9 +355,9 @@ def tracking_controller(
 ) -> TrackingController | PhaseController:
     """Return the controller for `reference` at the model's period.
 
-    The terminal cost is that of the model frozen at the reference's end. The recursion forgets it within a few
-    tenths of a second, so the simplest positive definite matrix serves; the periodic orbit's own Riccati solution
-    would need the orbit, which friction bends.
+    The terminal cost is that of the model frozen at the reference's end. Its influence decays within a few tenths of a
+    second, so the simplest positive definite matrix is sufficient. The Riccati solution of the periodic orbit would
+    require the orbit, which friction changes.
 
     Raises:
         InputError: the reference did not converge or has another number of states than the model.
@@ -363,7 +374,9 @@ def tracking_controller(
     weights = _widened(closing_weights(settings, states, model), model)
     gains, *_ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
-        raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
+        raise GoalMissed(
+            "the controller's gains became infinite; increase the weight of the effort or shorten the period"
+        )
     known = _by_time(reference, model, commands, drive, gains)
     if settings.schedule == "phase":
         return phase_controller(
@@ -373,7 +386,7 @@ def tracking_controller(
 
 
 def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, Array]:
-    """Return a reference's states (K+1, N), inputs (K,) over the periods and inputs (K+1,) at the ticks of a model.
+    """Return states (K+1, N), mean inputs (K,) and inputs (K+1,) of a reference at a model's ticks.
 
     Raises:
         InputError: the reference did not converge or has another number of states than the model.
@@ -382,24 +395,24 @@ def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, 
         raise InputError(f"the reference cannot be tracked: {reference.status}")
     if reference.states.shape[-1] != model.dimension:
         raise InputError(
-            f"the reference has {reference.states.shape[-1]} states, the model {model.dimension}: use one model"
+            f"the reference has {reference.states.shape[-1]} states, the model {model.dimension}; use the same model"
         )
     count = tick_count(reference, model.period)
     times = reference.mesh[0] + model.period * np.arange(count + 1)
-    # The input in the middle of a period: holding it errs by the square of the period only.
+    # The input in the middle of a period; a constant input then errs only by the square of the period.
     commands = reference.input(times[:-1] + model.period / 2)[:, 0]
     return reference.state(times), commands, reference.input(times)[:, 0]
 
 
 def _widened(weights: Array, model: SampledModel) -> Array:
-    """Return Q (…, N, N) with no weight on the cart's acceleration, where the model's drive lags."""
+    """Return Q (…, N, N) with zero weight on the cart's acceleration if the model's drive lags."""
     return np.pad(weights, [(0, 0)] * (weights.ndim - 2) + [(0, 1), (0, 1)]) if model.lag else weights
 
 
 def _by_time(reference: Reference, model: SampledModel, commands: Array, drive: Array, gains: Array) -> dict[str, Any]:
-    """Return what a law by time has: feedforward, gains (K, N), and what it knows of a drive that lags.
+    """Return the fields of a law by time: feedforward, gains (K, N), and data of a lagging drive.
 
-    The drive is commanded so that at the ticks it gives what the reference asks for there.
+    The drive's command leads so that its acceleration equals the reference's at the ticks.
     """
     if not model.lag:
         return {"feedforward": commands, "gains": gains}
@@ -410,7 +423,7 @@ def _by_time(reference: Reference, model: SampledModel, commands: Array, drive: 
 
 
 def costs_to_go(reference: Reference, model: SampledModel, settings: QuadraticWeights) -> tuple[Array, Array]:
-    """Return the states (K+1, N) at the model's ticks and P (K+1, N, N): eᵀPe is what it costs to get back from e.
+    """Return states (K+1, N) at the model's ticks and P (K+1, N, N) of the cost-to-go eᵀPe.
 
     Raises:
         InputError: the reference did not converge or has another number of states than the model.
@@ -432,7 +445,7 @@ def tick_count(reference: Reference, period: float) -> int:
 def extra_jacobians(
     model: SampledModel, augment: tuple[Augment, ...], states: Array, commands: Array, process: Array
 ) -> tuple[Array, Array]:
-    """Return E (K, N, E) and D (E,) at states (K, N) and commands (K,), from the estimator's own prediction."""
+    """Return E (K, N, E) and D (E,) at states (K, N) and commands (K,), from the estimator's prediction."""
     equations = FilterEquations(model.equations, model.period, augment)
     size, n, count = equations.dimension, model.dimension, len(states)
     program = Compiled(equations.prediction(with_jacobian=True))
@@ -449,7 +462,7 @@ def extra_jacobians(
 def closing_weights(settings: ClosingWeights, states: Array, model: SampledModel) -> Array:
     """Return Q (K, N, N) at the ticks of reference states (K+1, N).
 
-    Towards the end angles weigh more across the path that they take than along it.
+    Towards the end, angles have a larger weight across their path than along it.
     """
     n, count = model.arms, len(states) - 1
     diagonal, _ = settings.weights(n, model.period)
@@ -464,10 +477,10 @@ def closing_weights(settings: ClosingWeights, states: Array, model: SampledModel
 def _shifted(
     a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effort: float, terminal: Array
 ) -> tuple[Array, Array, Array]:
-    """Return F (K, E) with which feedback `gains` (K, N) follows the reference that is best by `weights` for known
-    constants, to first order in them, and for one of each the shift of its states X (K+1, N, E) and inputs (K, E).
+    """Return F (K, E) for feedback `gains`, and the shifts of states X (K+1, N, E) and inputs (K, E).
 
-    X_{k+1} = (A - B K̂) X_k + E - B F̂, X_0 = 0, with K̂ and F̂ the gains by `weights`; then F = F̂ + (K̂ - K) X.
+    The gains (K, N) follow the reference that is optimal by `weights` for known constants, to first order. X_{k+1} = (A
+    - B K̂) X_k + E - B F̂, X_0 = 0, with K̂ and F̂ the gains by `weights`. Then F = F̂ + (K̂ - K) X.
     """
     best, directly, _ = riccati_gains(
         a, b, weights=weights, effort=effort, terminal=terminal, extras=(e, np.ones(e.shape[2]))
@@ -482,16 +495,18 @@ def _shifted(
 
 
 _SHARE = 0.05
-"""Of a parameter, by which it is moved to find what is of second order: that of fourth is a 400th of it."""
+"""Relative step of a parameter for second-order terms; the fourth-order term is a 400th of it."""
 
 
 def _of_second_order(
     model: SampledModel, estimator: FilterSettings, states: Array, commands: Array, *, moved: Array, pushed: Array,
     which: NDArray[np.intp],
 ) -> Array:  # fmt: skip
-    """Return E' (K, N, P) of all pairs of m parameters, whose errors are the estimator's extras `which` (m,).
+    """Return E' (K, N, P) of all pairs of m parameters with errors in the extras `which` (m,).
 
-    moved (K+1, N, m), pushed (K, m): the shift of states (K+1, N) and commands (K,) by a unit of each error.
+    Args:
+        moved: shift (K+1, N, m) of the states by a unit of each error.
+        pushed: shift (K, m) of the commands by a unit of each error.
     """
     equations = FilterEquations(model.equations, model.period, estimator.augments)
     n, m, count = model.dimension, len(which), len(commands)
@@ -525,16 +540,16 @@ def _of_second_order(
 def adaptive_controller(
     reference: Reference, model: SampledModel, settings: AdaptiveSettings, *, estimator: FilterSettings
 ) -> AdaptiveController:
-    """Return the controller for `reference` at the model's period, for what `estimator` estimates besides the state.
+    """Return the controller for `reference` at the model's period and the estimator's extras.
 
     Raises:
-        InputError: the reference did not converge or has another number of states than the model, or the estimator
-            does not estimate the parameters.
+        InputError: the reference did not converge or has another number of states than the model, or the estimator does
+            not estimate the parameters.
         GoalMissed: the reference's end cannot be stabilised.
     """
     if Augment.PARAMETERS not in estimator.augments:
         raise InputError(
-            f"controller: kind = {settings.kind!r} needs to know what is wrong with the model, and the estimator has "
+            f"controller: kind = {settings.kind!r} needs estimated errors of the model, but the estimator has "
             f'augment = {list(estimator.augment)!r}: add "parameters", and "friction" as well'
         )
     states, commands, drive = _at_ticks(reference, model)
@@ -562,7 +577,9 @@ def adaptive_controller(
     )  # fmt: skip
     pair_gains = shifted(second)[0]
     if not all(np.isfinite(found).all() for found in (gains, extra_gains, pair_gains)):
-        raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
+        raise GoalMissed(
+            "the controller's gains became infinite; increase the weight of the effort or shorten the period"
+        )
     return AdaptiveController(
         settings.kind, states, **_by_time(reference, model, commands, drive, gains),
         status=f"gains for {len(commands)} ticks, on the state and on {', '.join(names)}",

@@ -1,14 +1,13 @@
 """The unscented and the extended Kalman filter with filterpy's arithmetic.
 
-The unscented filter takes P through the equations of motion by 2(N+E)+1 sigma points, without Jacobians:
+The unscented filter propagates P through the equations of motion with 2(N+E)+1 sigma points, without Jacobians:
     χ_i = z ± α √(N+E) (√P)_i,   z⁻ = Σ w_i F(χ_i),   P⁻ = Σ c_i (F(χ_i) - z⁻)(F(χ_i) - z⁻)ᵀ + Q
-All sigma points go through the compiled equations in one call.
+One call of the compiled equations propagates all sigma points.
 
 Source: Wan & van der Merwe, The Unscented Kalman Filter, in Haykin (ed.), Kalman Filtering and Neural Networks (2001),
 chapter 7, table 7.3.
 
-They exist to check and to be compared with: the equations of motion and Q are those of the compiled filter, the
-estimate's arithmetic is not.
+These filters serve as checks of the compiled filter. They share its equations of motion and Q, but not its arithmetic.
 """
 
 from abc import abstractmethod
@@ -36,7 +35,7 @@ def _arithmetic() -> Iterator[None]:
 
 
 class FilterpyEstimator(KalmanFilter):
-    """An `Estimator` whose memory is (z (N+E,), P (N+E, N+E)). Not to be shared between threads."""
+    """An `Estimator` with memory (z (N+E,), P (N+E, N+E)); must not be shared between threads."""
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
         super().__init__(model, settings, noise=noise)
@@ -82,7 +81,7 @@ class FilterpyEstimator(KalmanFilter):
         """Return z, P, innovation (m,) and NIS after m measured values = `observation` (m, N+E) z and noise."""
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,), of which those `present` count: rad, cart in m.
+        """Return the estimate after the positions `measured` (n+1,), of which `present` are valid.
 
         Raises:
             InputError: the measurement has the wrong shape.
@@ -97,7 +96,7 @@ class FilterpyEstimator(KalmanFilter):
         if not len(rows):
             return self._estimate(z, covariance, innovation, 0.0, 0)
         h, r = self.program.equations.observation[rows], self.noise[np.ix_(rows, rows)]
-        # Wrapped: a whole turn in a measured angle makes no difference.
+        # Wrapped, because whole turns in a measured angle have no meaning.
         away = measured[rows] - h @ z
         turns = np.where(rows < m - 1, np.round(away / (2 * np.pi)), 0.0)
         with _arithmetic():
@@ -106,9 +105,9 @@ class FilterpyEstimator(KalmanFilter):
         return self._estimate(after, left, innovation, nis, len(rows))
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
+        """Return the estimate after a period with `command` m/s² and a new measurement.
 
-        Raises: as `update`.
+        It raises the errors of `update`.
         """
         z, covariance = estimate.memory
         with _arithmetic():
@@ -116,7 +115,7 @@ class FilterpyEstimator(KalmanFilter):
         return self.update(estimate._replace(memory=memory), measured, present)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
-        """Return the state (N,) after the commands on their way, one per period, with the extras' effect."""
+        """Return the state (N,) after the pending commands, including the effect of the extras."""
         z = estimate.memory[0]
         for command in commands:
             z = self.following(z, command)
@@ -128,7 +127,7 @@ class FilterpyEstimator(KalmanFilter):
 
 
 class FilterpyEkf(FilterpyEstimator):
-    """The extended Kalman filter; the same numbers as the compiled one, by other means."""
+    """The extended Kalman filter, numerically equal to the compiled one."""
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
         super().__init__(model, settings, noise=noise)
@@ -145,7 +144,7 @@ class FilterpyEkf(FilterpyEstimator):
         self, z: Array, covariance: Array, measured: Array, observation: Array, noise: Array
     ) -> tuple[Array, Array, Array, float]:
         inner = self._filters[len(measured) - 1]
-        # filterpy keeps columns, and broadcasts (n,) silently into (n, n).
+        # filterpy uses columns, and broadcasts (n,) to (n, n) without a warning.
         inner.x, inner.P = z[:, None], covariance
         inner.update(measured[:, None], lambda _: observation, lambda x: observation @ x, R=noise)
         y = inner.y[:, 0]
@@ -162,7 +161,7 @@ class _Extended(ExtendedKalmanFilter):
 
 
 class _Unscented(UnscentedKalmanFilter):
-    """filterpy's filter, its loops over sigma points as products of arrays."""
+    """filterpy's filter, with array products instead of loops over sigma points."""
 
     move: Callable[[Array], Array]
 

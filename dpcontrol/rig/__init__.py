@@ -1,1 +1,1 @@
-"""A rig over UDP, and an example of one."""
+"""A rig over UDP: protocol, client, example bench and commissioning."""

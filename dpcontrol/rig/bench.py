@@ -1,16 +1,17 @@
-"""The other end: a simulated bench that goes by its own clock and is spoken to over UDP, in real time.
+"""Server side of a rig: a simulated bench with its own clock, controlled over UDP in real time.
 
-At tick k, due at t_0 + k · period, the commands that have come are taken, the newest of them acts, and a reading goes
-out. Where none has come the last one goes on acting. A loop that is silent for too long has its cart stopped; only time
-in which the bench itself kept its ticks counts. A bench that overslept works off its ticks at once: physics waits for
-nobody. Between ticks it sleeps, in `select`, so that a command's arrival is noted; the last `spin` seconds it polls.
+Tick k is due at t_0 + k · period. At each tick, the bench reads the received commands, applies the newest and sends a
+reading. Without a new command, the last one continues to act. If the loop is silent too long, the bench stops its cart.
+Only time in which the bench itself kept its ticks counts as silence. A bench that was delayed computes its missed ticks
+at once, as physics would not wait. Between ticks it sleeps in `select`, which records when a command arrives. For the
+last `spin` seconds of a period it polls.
 
-One run at a time, which begins at START: HELLO is answered, and binds the bench to nothing. Packets are those of
-`dpcontrol.rig.packets`. A run hears its own loop only, by a socket that the system lets nobody else's packets into, so
-that a flood of them neither delays a tick nor drives out a command; they are counted in the time that is left.
-The example bench of a run lives in a process of its own, so that the loop and it share neither interpreter nor core.
-Where the loop is another program, the bench's own record of the run is what its log is made of: `RecordedRig` shows the
-loop's ticks what that program saw, and compares what both command.
+The bench serves one run at a time, which begins with START. It answers HELLO but does not reserve anything.
+`dpcontrol.rig.packets` defines the packets. A run receives only its own loop's packets, through a connected socket. A
+flood of other packets therefore neither delays a tick nor displaces a command. They are counted in the remaining time.
+The example bench of a run has its own process, so bench and loop share neither interpreter nor core. If another program
+is the loop, its log is made from the bench's record of the run. `RecordedRig` replays that program's readings to the
+Python loop and compares the commands of both.
 """
 
 import hmac
@@ -64,24 +65,28 @@ from dpcontrol.rig.packets import (
     checked_host,
 )
 
-Say = Callable[[str], None]
+Report = Callable[[str], None]
 
-_STANDING = 1e-9
-"""m/s: slower than any cart."""
+_STILL = 1e-9
+"""Velocity below which a cart counts as still, m/s."""
 _LEAVING = 2.0
-"""Seconds of silence after which a loop counts as gone, and the next may come."""
+"""Silence after which a loop counts as disconnected and the next one can connect, s."""
 _REFUSE_EVERY = 0.05
-"""Seconds between refusals, so that the bench does not help to flood whoever a HELLO pretends to come from."""
+"""Minimum interval between refusals, s. It prevents a HELLO with a forged sender from causing a flood."""
 _AT_ONCE, _STRANGERS_AT_ONCE = 64, 16
-"""Packets that are taken before the clock is looked at: the loop's, and others'."""
+"""Packets that are read before the clock is checked: the loop's, and others."""
 _REMEMBERED = 1024
-"""Ticks whose times of sending are kept, to time their answers."""
+"""Ticks whose sending times are kept to measure round trips."""
 
 
 @dataclass(frozen=True)
 class BenchServerSettings(Settings, table="bench"):
-    """watchdog s: silence of the loop after which the cart is stopped; spin s: of each period spent in polling.
-    real_time: ask the system for priority over all ordinary work.
+    """Settings of the bench server.
+
+    Attributes:
+        watchdog: silence of the loop after which the cart is stopped, s.
+        spin: polling time in each period, s.
+        real_time: request priority over all ordinary processes.
     """
 
     watchdog: float = setting(0.1, least=0.001, most=60, unit="s")
@@ -90,13 +95,20 @@ class BenchServerSettings(Settings, table="bench"):
 
 
 class BenchRecord:
-    """What happened on a bench in a run of K ticks, n arms.
+    """Record of a run of K ticks with n arms.
 
-    positions (K, n+1) rad and m; sent (K,): whether the reading went out; switch (K,); truth (K, 2n+2), not-a-number
-    where it is not known; ages (K,) s of the readings, not-a-number where unknown; commands (K,) m/s²: in answer to
-    each tick's reading, not-a-number where none came in time.
-    last: the newest tick that was answered; fault: the bench's own, from tick `fault_at` on; ended: why the run did.
-    Of a run that goes on longer the first K ticks are kept.
+    If the run is longer, the first K ticks are kept.
+
+    Attributes:
+        positions: positions (K, n+1), rad and m.
+        sent: True if the reading was sent (K,).
+        switch: state of the limit switches (K,).
+        truth: true states (K, 2n+2), NaN if unknown.
+        ages: ages of the readings (K,), s, NaN if unknown.
+        commands: command for each tick's reading (K,), m/s², NaN if none came in time.
+        last: newest tick that was answered.
+        fault: fault of the bench, from tick `fault_at` onward.
+        ended: cause of the end.
     """
 
     def __init__(self, ticks: int, arms: int, period: float) -> None:
@@ -107,7 +119,7 @@ class BenchRecord:
         self.fault, self.fault_at, self.ended = "", ticks, ""
 
     def read(self, k: int, reading: Reading, truth: Array | None, *, sent: bool) -> None:
-        """Keep the reading of tick k."""
+        """Store the reading of tick k."""
         if k >= len(self.sent):
             return
         self.ticks, self.sent[k], self.switch[k] = k + 1, sent, reading.switch
@@ -117,7 +129,7 @@ class BenchRecord:
             self.truth[k] = truth
 
     def answered(self, k: int, command: float | None) -> None:
-        """Keep the command in answer to the reading of tick k; None: the cart was to be stopped."""
+        """Store the command for the reading of tick k; None if the cart had to stop."""
         if k >= len(self.commands):
             return
         self.last = max(self.last, k)
@@ -125,19 +137,22 @@ class BenchRecord:
             self.commands[k] = command
 
     @property
-    def stood_at(self) -> float:
-        """Time from which the cart stood to the end of the record, s; not-a-number where it did not."""
-        moving = np.flatnonzero(~(np.abs(self.truth[: self.ticks, -1]) <= _STANDING))
+    def still_from(self) -> float:
+        """Time from which the cart stood still until the end, s; NaN if it did not."""
+        moving = np.flatnonzero(~(np.abs(self.truth[: self.ticks, -1]) <= _STILL))
         first = int(moving[-1]) + 1 if len(moving) else 0
         return first * self.period if first < self.ticks else math.nan
 
 
 class RecordedRig:
-    """A record behind the `Rig` protocol, up to where its loop stopped the cart or was heard last.
+    """A record as a `Rig`, until its loop stopped the cart or was last heard.
 
-    program: of the loop that it is shown to. It is made to believe in the commands that were sent: one that believed in
-    its own would drift away from the readings, as a controller on its own is not stable. difference m/s²: the largest
-    between a command that was sent then and what is commanded now.
+    The program's estimator receives the recorded commands. With its own commands it would drift away from the readings,
+    since a controller alone is not stable.
+
+    Args:
+        record: record of the bench.
+        program: program of the loop that reads the record.
     """
 
     def __init__(self, record: BenchRecord, program: TickProgram) -> None:
@@ -148,24 +163,24 @@ class RecordedRig:
 
     @property
     def truth(self) -> Array:
-        """The true state (2n+2,) at the last reading's tick."""
+        """The true state (2n+2,) at the last reading."""
         return self._record.truth[max(self._tick, 0)]
 
     @property
     def fault(self) -> str:
-        """Why the bench had failed by then, or ""."""
+        """The bench's fault up to now, or ""."""
         return self._record.fault if self._tick >= self._record.fault_at else ""
 
     def read(self) -> Reading:
-        """Return the next tick's reading.
+        """Return the reading of the next tick.
 
         Raises:
-            ArithmeticError: the loop answered no more then.
+            ArithmeticError: the loop no longer responded at that time.
         """
         record = self._record
         k = self._tick + 1
         if k >= record.ticks or (k > record.last and not self._stopped):
-            stood = f"; the cart stood from t = {record.stood_at:.3f} s on" if record.stood_at > 0 else ""
+            stood = f"; the cart stood still from t = {record.still_from:.3f} s" if record.still_from > 0 else ""
             last = f"the controller's last command came at t = {record.last * self.period:.3f} s"
             raise ArithmeticError(f"{last}: {record.ended}{stood}")
         self._tick = k
@@ -174,7 +189,7 @@ class RecordedRig:
         return Reading(k * self.period, record.positions[k], present, int(record.switch[k]), age=age)
 
     def command(self, acceleration: float) -> None:
-        """Compare a command, m/s², with the one that was sent then, and let that one be on its way."""
+        """Compare a command, m/s², with the recorded one, which the estimator then uses."""
         sent = float(self._record.commands[self._tick])
         if math.isfinite(sent):
             self.difference = max(self.difference, abs(acceleration - sent))
@@ -183,19 +198,23 @@ class RecordedRig:
             memory[at["sent"].stop - 1] = sent
 
     def stop(self) -> None:
-        """Note that the cart is brought to rest, as the record shows."""
+        """Do nothing, since the record contains the braking."""
         self._stopped = True
 
 
 class UdpBench:
-    """Serves a bench on a socket of its own; a context manager.
+    """Bench server on its own socket, as a context manager.
 
-    make: makes the rig of a run from the commands on their way; its period in s. key: the one that loops share;
-    insecure: loops on other computers need none. recorded: ticks of a run that its record holds at most, all by
-    default. say: called with what happens.
+    Args:
+        make: returns the rig of a run, given the pending commands.
+        period: control period, s.
+        key: key shared with the loops.
+        insecure: accept loops on other computers without a key.
+        recorded: maximum ticks in the record.
+        report: receives messages about events.
 
     Raises:
-        InputError: the address or port is not available, or other computers can reach it and there is no key.
+        InputError: the address or port is not available, or other computers can reach it without a key.
     """
 
     def __init__(
@@ -211,9 +230,9 @@ class UdpBench:
         insecure: bool = False,
         settings: BenchServerSettings | None = None,
         recorded: int | None = None,
-        say: Say = lambda text: None,
+        report: Report = lambda text: None,
     ) -> None:
-        self._make, self._arms, self._ticks, self._period, self._say = make, arms, ticks, period, say
+        self._make, self._arms, self._ticks, self._period, self._report = make, arms, ticks, period, report
         self._key, self._settings = key, settings or BenchServerSettings()
         self._recorded = min(ticks, ticks if recorded is None else recorded)
         where = checked_host(host, port, key=key, insecure=insecure)
@@ -227,9 +246,9 @@ class UdpBench:
             raise InputError(f"rig: port {port} of {host}: {why}; choose another --port, or 0 for any") from error
         self._socket.setblocking(False)
         self.address: tuple[str, int] = self._socket.getsockname()
-        """Where the bench can be spoken to."""
+        """Address of the bench."""
         self.record: BenchRecord | None = None
-        """Of the last run."""
+        """Record of the last run."""
 
     @property
     def url(self) -> str:
@@ -250,19 +269,19 @@ class UdpBench:
         self._socket.close()
 
     def serve(self, *, runs: int = 0) -> None:
-        """Serve so many runs, one after the other; 0: until interrupted."""
+        """Serve `runs` runs in sequence; 0 to continue until interrupted."""
         served = 0
         while not runs or served < runs:
             select.select([self._socket], [], [])
             try:
                 data, sender = self._socket.recvfrom(LARGEST)
             except OSError:
-                # It was damaged on the way, or a loop has left, which the system reports once.
+                # The packet was damaged, or a loop has disconnected, which the system reports once.
                 continue
             served += self._served(data, sender)
 
     def _served(self, data: bytes, sender: Any) -> bool:
-        """Take a packet that came while nothing runs; tell whether it led to a run that has ended."""
+        """Handle a packet between runs; return True if it led to a run that has ended."""
         try:
             heard = packets.unpacked(data, Role.LOOP, key=self._key)
         except ValueError as error:
@@ -278,22 +297,22 @@ class UdpBench:
                 self._refuse(self._packed(heard, packets.bye("the bench does not know this run; begin again")), sender)
             return False
         if not isinstance(heard.content, Start):
-            # A loop that finds that the bench does not suit it.
+            # The loop found that the bench is not suitable.
             return heard.kind is Kind.BYE
         if not all(map(math.isfinite, heard.content.queued)):
-            self._answer(heard, packets.bye("no run begins: a command on its way is not a finite number"), sender)
+            self._answer(heard, packets.bye("the run was rejected: a pending command is not a finite number"), sender)
             return False
-        self._say(f"a run begins for {sender[0]}:{sender[1]}")
-        # So that nothing of this run can begin another.
+        self._report(f"run started for {sender[0]}:{sender[1]}")
+        # Packets of this run cannot begin another one.
         self._secret = secrets.token_bytes(16)
         rig = self._make(heard.content.queued)
         self.record = BenchRecord(self._recorded, self._arms, self._period)
         with without_collecting(), real_time_priority() if self._settings.real_time else nullcontext():
             talk = Talk(Role.BENCH, session, key=self._key)
-            talk.hear(data)
+            talk.unpack(data)
             with ExitStack() as stack:
                 sockets = [(self._socket, _AT_ONCE)]
-                if own := _own_socket(self._socket, sender):
+                if own := _connected_socket(self._socket, sender):
                     sockets = [(stack.enter_context(own), _AT_ONCE), (self._socket, _STRANGERS_AT_ONCE)]
                 run = _BenchRun(
                     sockets, sender, rig, talk, ticks=self._ticks, settings=self._settings, busy=self._busy,
@@ -301,32 +320,32 @@ class UdpBench:
                 )  # fmt: skip
                 ended = run.go()
         self.record.ended = run.silence or ended
-        self._say(f"run ended: {ended}; {run.sentence}")
+        self._report(f"run ended: {ended}; {run.sentence}")
         return True
 
     def _session(self, sender: Any) -> int:
         """Return the number of the session that `sender` may begin.
 
-        Nothing is kept of it, so that nobody can lock others out; who pretends to be elsewhere does not get to know it.
+        The number is not stored, so nobody can lock out others. A forged sender does not receive it.
         """
         return int.from_bytes(hmac.digest(self._secret, repr(sender).encode(), "sha256")[:8])
 
     def _remedy(self, error: ValueError) -> str:
-        """Return what the sender of a HELLO that is not taken should be told; empty: nothing."""
+        """Return the refusal for an invalid HELLO, or "" for no answer."""
         if isinstance(error, OtherVersion):
-            return f"this bench speaks version {packets.VERSION} of the protocol; update the loop's dpcontrol"
+            return f"this bench uses version {packets.VERSION} of the protocol; update the loop's dpcontrol"
         if not isinstance(error, Unsealed):
             return ""
         if self._key:
-            return f"this bench asks for the key that it shares: give its file with --key-file, or set {KEY_VARIABLE}"
+            return f"this bench requires its shared key: give its file with --key-file, or set {KEY_VARIABLE}"
         return f"this bench has no key: start it with one, or run without --key-file and {KEY_VARIABLE}"
 
     def _busy(self, data: bytes, sender: Any) -> None:
-        """Tell a loop that asks for a run while there is one."""
+        """Refuse a loop that requests a run during another."""
         with suppress(ValueError):
             heard = packets.unpacked(data, Role.LOOP, key=self._key)
             if heard.kind in (Kind.HELLO, Kind.START):
-                busy = packets.bye("the bench is busy with another loop; wait for it to end")
+                busy = packets.bye("the bench is busy with another loop; wait until it has ended")
                 self._refuse(self._packed(heard, busy), sender)
 
     def _packed(self, heard: Heard, message: Packet) -> bytes:
@@ -344,11 +363,11 @@ class UdpBench:
                 self._socket.sendto(data, sender)
 
 
-def _own_socket(shared: socket.socket, client: Any) -> socket.socket | None:
-    """Return a socket at the same address that hears `client` only; None where the system cannot do so."""
+def _connected_socket(shared: socket.socket, client: Any) -> socket.socket | None:
+    """Return a socket at the same address for `client` only; None if not supported."""
     own = socket.socket(shared.family, socket.SOCK_DGRAM)
     try:
-        # On the other one after its bind only, which has found out whether the port is free.
+        # Only set after the bind of the other one, which has checked that the port is free.
         shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
         own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
         own.bind(shared.getsockname())
@@ -364,8 +383,10 @@ def _own_socket(shared: socket.socket, client: Any) -> socket.socket | None:
 class _BenchRun:
     """One run of the bench for one loop.
 
-    sockets: where packets come in, the first also where they go out, with how many to take before a look at the clock.
-    busy: called with what others sent, and from where, once a tick at most. record: to be filled.
+    Args:
+        sockets: sockets with the packets to read before each clock check; the first one also sends.
+        busy: receives packets of other senders, at most once per tick.
+        record: filled during the run.
     """
 
     def __init__(
@@ -381,26 +402,26 @@ class _BenchRun:
         self._condition, self._text = Condition.WELL, ""
         self._worst, self._behind = 0.0, 0
         self.silence = ""
-        """A sentence, where the cart was stopped because the loop was not heard."""
+        """Sentence on a cart stopped because of the loop's silence."""
 
     @property
     def sentence(self) -> str:
-        """How it kept time, and what it ignored."""
-        ignored = f"; {self._ignored} packets that were not this loop's, or not new, were ignored"
+        """Summary of timing and ignored packets."""
+        ignored = f"; {self._ignored} foreign or repeated packets were ignored"
         return (
-            f"{self._tick + 1} ticks, {self._behind} of them a period late or later, the worst {1e3 * self._worst:.3g} "
+            f"{self._tick + 1} ticks, {self._behind} of them at least a period late, the worst {1e3 * self._worst:.3g} "
             f"ms; a command was repeated {self._held} times{ignored if self._ignored else ''}"
         )
 
     def go(self) -> str:
-        """Run until the loop says goodbye or is gone; return why it ended."""
+        """Run until the loop says goodbye or disconnects; return the cause."""
         period, clock = self._rig.period, time.perf_counter
         watchdog, leaving = self._settings.watchdog / period, _LEAVING / period
         begin = clock()
         for k in range(self._ticks):
             due = begin + k * period
             self._wait(due)
-            self._take()
+            self._handle_packets()
             if self._over:
                 return self._over
             late = clock() - due
@@ -411,9 +432,11 @@ class _BenchRun:
                 self._held += 1
             self._fresh = False
             if self._silent > leaving:
-                return "the loop is gone"
+                return "the loop has disconnected"
             if self._silent > watchdog and not self._stopped:
-                silent = f"heard nothing from the loop for {self._settings.watchdog:g} s until t = {k * period:.3f} s"
+                silent = (
+                    f"received nothing from the loop for {self._settings.watchdog:g} s until t = {k * period:.3f} s"
+                )
                 self.silence = f"the bench {silent}"
                 self._stop(Condition.SILENCE, f"it {silent}")
             try:
@@ -426,7 +449,7 @@ class _BenchRun:
                 self._record.fault, self._record.fault_at = self._text, k
             self._tick = k
             self._sent_at[k % _REMEMBERED] = clock()
-            # A tick without any reading sends none: the loop finds it lost.
+            # A tick without any reading sends none, so the loop counts it as lost.
             sends = reading.present is None or bool(reading.present.any())
             self._record.read(k, reading, self._rig.truth, sent=sends)
             if sends:
@@ -435,41 +458,41 @@ class _BenchRun:
                     self._condition, self._text, self._ignored, reading.age,
                 )  # fmt: skip
                 self._send(packets.reading(content))
-        text = f"the bench was made for {self._ticks} ticks and has run them"
+        text = f"the bench has completed its {self._ticks} ticks"
         self._send(packets.bye(text))
         return text
 
     def _wait(self, due: float) -> None:
-        """Wait until `due`, taking what comes: asleep, then polling."""
+        """Wait until `due` and handle packets: asleep, then polling."""
         clock, spin = time.perf_counter, self._settings.spin
         sockets = [sock for sock, _ in self._sockets]
         while (left := due - clock() - spin) > 0:
             if select.select(sockets, [], [], left)[0]:
-                self._take()
+                self._handle_packets()
         while clock() < due:
             pass
 
-    def _take(self) -> None:
-        """Take packets that have come, so few that no tick is late for them."""
+    def _handle_packets(self) -> None:
+        """Handle a few received packets without delaying a tick."""
         for sock, most in self._sockets:
             for _ in range(most):
                 try:
                     data, sender = sock.recvfrom(LARGEST)
                 except OSError:
-                    # Nothing more; or a loop that has left, which the system reports once.
+                    # No more packets, or a loop that has disconnected, which the system reports once.
                     break
                 if sender == self._client:
-                    self._hear(data)
+                    self._receive(data)
                     continue
                 self._ignored += 1
                 if self._busy_at != self._tick:
                     self._busy_at = self._tick
                     self._busy(data, sender)
 
-    def _hear(self, data: bytes) -> None:
-        """Take a packet from the loop's address."""
+    def _receive(self, data: bytes) -> None:
+        """Handle a packet from the loop's address."""
         try:
-            heard = self._talk.hear(data)
+            heard = self._talk.unpack(data)
         except ValueError:
             heard = None
         if heard is None or not heard.new:
@@ -477,7 +500,7 @@ class _BenchRun:
             return
         self._silent = 0
         if isinstance(heard.content, CommandPacket):
-            self._obey(heard.content)
+            self._apply(heard.content)
         elif heard.kind is Kind.STOP:
             if not self._stopped:
                 self._record.answered(max(self._tick, 0), None)
@@ -486,8 +509,8 @@ class _BenchRun:
             self._over = str(heard.content)
             self._rig.stop()
 
-    def _obey(self, content: CommandPacket) -> None:
-        """Let a command act, unless a newer one has come or it is for a tick that has not been."""
+    def _apply(self, content: CommandPacket) -> None:
+        """Apply a command unless a newer one has come or its tick is in the future."""
         if not self._heard < content.tick <= self._tick:
             return
         self._heard, self._fresh = content.tick, True
@@ -504,16 +527,16 @@ class _BenchRun:
         self._rig.stop()
 
     def _send(self, message: Packet) -> None:
-        # A packet that cannot be sent is like one lost on the way: the loop notices.
+        # A packet that cannot be sent counts as lost; the loop notices.
         with suppress(OSError):
-            self._sockets[0][0].sendto(self._talk.say(message), self._client)
+            self._sockets[0][0].sendto(self._talk.pack(message), self._client)
 
 
 _START = 120.0
-"""Seconds for the process to load and compile."""
+"""Time limit for the process to load and compile, s."""
 _END = 5.0
 _RECORDED = 700_000
-"""Ticks of which a record is kept where a run goes on beyond its itinerary, as for a night."""
+"""Recorded ticks of a run that continues beyond its itinerary, as at night."""
 
 
 FAULTS: Mapping[str, str] = {
@@ -525,10 +548,10 @@ FAULTS: Mapping[str, str] = {
     "angles-not-summed": "each arm's angle is that to the arm before it",
     "encoder-1-factor-4": "the inner arm's encoder counts four times too much",
     "zeros-off": "the encoders are off by 0.03 and -0.02 rad",
-    "switch-dead": "the limit switch at the right never answers",
+    "switch-dead": "the limit switch at the right does not respond",
     "switches-swapped": "the limit switches are swapped",
 }
-"""Mistakes that the example bench can be given, for practice with `dpcontrol commission`."""
+"""Faults that the example bench can simulate, for practice with `dpcontrol commission`."""
 _PRACTICE_ZEROS = (0.03, -0.02)
 
 
@@ -536,16 +559,16 @@ def checked_faults(faults: Sequence[str], arms: int) -> tuple[str, ...]:
     """Return faults for practice.
 
     Raises:
-        InputError: one of them is about an arm that these have not.
+        InputError: a fault concerns an arm that does not exist.
     """
     for name in faults:
         if arms < 2 and ("-2-" in name or name in ("encoders-swapped", "angles-not-summed")):
-            raise InputError(f"--fault {name}: is for two arms and more, and the model has {arms}; choose another")
+            raise InputError(f"--fault {name}: requires at least two arms, and the model has {arms}; choose another")
     return tuple(faults)
 
 
 class FaultyRig:
-    """A rig that is wired wrongly, for practice; zeros (n,) rad: what its hanging arms read."""
+    """A rig with wiring faults, for practice; zeros (n,) rad are the readings of its hanging arms."""
 
     truth: None = None
 
@@ -555,11 +578,11 @@ class FaultyRig:
 
     @property
     def fault(self) -> str:
-        """Return why the bench has failed, or ""."""
+        """Return the bench's fault, or ""."""
         return self._rig.fault
 
     def read(self) -> Reading:
-        """Return the next tick's reading as this wiring gives it."""
+        """Return the next reading through the faulty wiring."""
         reading, faults = self._rig.read(), self._faults
         joints, cart = np.diff(reading.positions[:-1], prepend=0.0), reading.positions[-1]
         if "encoders-swapped" in faults:
@@ -577,7 +600,7 @@ class FaultyRig:
         )  # fmt: skip
 
     def command(self, acceleration: float) -> None:
-        """Send the cart's wanted acceleration, m/s²."""
+        """Send the demanded acceleration of the cart, m/s²."""
         self._rig.command(-acceleration if "drive-reversed" in self._faults else acceleration)
 
     def stop(self) -> None:
@@ -590,34 +613,35 @@ _FACTORS = (("encoder-1-reversed", 0, -1.0), ("encoder-2-reversed", 1, -1.0), ("
 
 @dataclass(frozen=True, eq=False)
 class BenchRecipe(Brief):
-    """What makes a simulated bench anew for each run: the model's arms, what is drawn; start (2n+2,), ticks.
-
-    zeros (n,) rad: what its hanging arms read; faults: of `FAULTS`. recovering: further ticks that it can run for, so
-    that a run may go on after falls.
-    """
+    """Recipe of a simulated bench, which is built for each run."""
 
     parameters: ArmChainParameters
     settings: LoopSettings
     limits: Limits
     start: Array
+    """Initial state (2n+2,)."""
     ticks: int
+    """Ticks of the itinerary."""
     uncertainty: Uncertainty | None = None
     zeros: tuple[float, ...] = ()
+    """Readings (n,) of its hanging arms, rad."""
     faults: tuple[str, ...] = ()
+    """Names from `FAULTS`."""
     recovering: int = 0
+    """Additional ticks for recoveries from falls."""
 
     @property
     def all_ticks(self) -> int:
-        """For how many ticks it can run."""
+        """The maximum number of ticks of a run."""
         return self.ticks + self.recovering
 
     @property
     def period(self) -> float:
-        """Time from tick to tick, s."""
+        """Control period, s."""
         return 1 / self.settings.rate
 
     def rig(self, queued: Sequence[float]) -> Rig:
-        """Return a bench at its start, with the commands (m/s²) on their way, oldest first."""
+        """Return a bench at its start with pending commands, oldest first, m/s²."""
         draw = self.settings.draw(self.parameters, ticks=self.ticks, uncertainty=self.uncertainty)
         if self.recovering:
             draw = draw.endless()
@@ -625,7 +649,7 @@ class BenchRecipe(Brief):
         return FaultyRig(rig, faults=self.faults, zeros=self.zeros) if self.faults or any(self.zeros) else rig
 
     def rehearse(self) -> None:
-        """Have everything compiled and in memory before the first run."""
+        """Compile and load everything before the first run."""
         rig = self.rig(())
         for _ in range(min(self.ticks, 100)):
             rig.read()
@@ -633,14 +657,14 @@ class BenchRecipe(Brief):
 
 
 def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe: Connection) -> None:
-    # An interrupt from the terminal is for the loop, which stops the cart first.
+    # An interrupt from the terminal is meant for the loop, which stops the cart first.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
     recipe.rehearse()
     arms = recipe.parameters.count
     with UdpBench(
         recipe.rig, arms=arms, ticks=recipe.all_ticks, period=recipe.period, key=key, settings=settings,
-        recorded=max(recipe.ticks, _RECORDED), say=pipe.send,
+        recorded=max(recipe.ticks, _RECORDED), report=pipe.send,
     ) as bench:  # fmt: skip
         pipe.send(bench.address)
         bench.serve(runs=1)
@@ -648,18 +672,18 @@ def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe:
 
 
 class BenchProcess:
-    """Serves one run of the recipe's bench on loopback; a context manager, which ends the process.
+    """Server process for one run of the recipe's bench on loopback, as a context manager.
 
-    key: shared with it alone, so that no other program of this computer can take the run.
+    The process has a random key, so no other program on this computer can take over the run.
 
     Raises:
-        InputError: the process did not come up.
+        InputError: the process did not start.
     """
 
     def __init__(self, recipe: BenchRecipe, settings: BenchServerSettings | None = None) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe(duplex=False)
-        # In letters, so that an environment can carry it.
+        # As text, so that an environment variable can carry it.
         self.key = secrets.token_hex(32).encode()
         self._process = context.Process(
             target=_serve, args=(recipe, settings or BenchServerSettings(), self.key, theirs), daemon=True
@@ -675,24 +699,24 @@ class BenchProcess:
             raise InputError("the example bench did not start; `dpcontrol rig` shows why")
         self.said: list[str] = []
         self.record: BenchRecord | None = None
-        """What the bench said of the run, and what happened in it, once the block has been left."""
+        """Messages and record of the run, available after the block."""
 
     def __enter__(self) -> "BenchProcess":
         return self
 
     def __exit__(self, *_: object) -> None:
         if self.began:
-            self._take(_END)
+            self._handle_packets(_END)
         self._end()
 
     @property
     def began(self) -> bool:
-        """Whether a loop has begun its run."""
-        self._take(0.0)
+        """True if a loop has begun its run."""
+        self._handle_packets(0.0)
         return bool(self.said)
 
-    def _take(self, wait: float) -> None:
-        """Take what the bench says within so many seconds, or until it ends."""
+    def _handle_packets(self, wait: float) -> None:
+        """Receive messages of the bench for at most `wait` seconds."""
         until = time.perf_counter() + wait
         with suppress(EOFError, OSError):
             while self._pipe.poll(max(until - time.perf_counter(), 0.0)):
@@ -703,13 +727,13 @@ class BenchProcess:
                     self.said.append(heard)
 
     def controlled_by(self, program: Path, *arguments: str) -> Deadlines | None:
-        """Have a program control the run to its end, or stop it where interrupted; return what it says of deadlines.
+        """Let a program control the run, and return the deadlines that it reports.
 
-        It is called with the bench's address, then the arguments; the key is in its environment. On stdout it may print
-        its deadlines, a line of JSON.
+        The program is called with the bench's address and the arguments. Its environment contains the key. It may print
+        its deadlines on stdout as a line of JSON. An interrupt stops it.
 
         Raises:
-            InputError: it cannot be started, or ended before the run began.
+            InputError: the program cannot be started, or ended before the run began.
         """
         host, port = self.address
         name, command = f"--controller-program {program}", [str(program.absolute()), f"udp://{host}:{port}", *arguments]
@@ -720,19 +744,19 @@ class BenchProcess:
                 text=True, errors="replace",
             )  # fmt: skip
         except OSError as error:
-            raise InputError(f"{name}: {error.strerror or error}; give a program that can be run") from error
+            raise InputError(f"{name}: {error.strerror or error}; give an executable program") from error
         try:
             figures, said = process.communicate()
         finally:
             if process.poll() is None:
-                # It stops the cart first; Windows knows no way to ask.
+                # The program stops the cart first; Windows offers no way to request that.
                 if os.name == "posix":
                     process.send_signal(signal.SIGINT)
                 with suppress(subprocess.TimeoutExpired):
                     process.communicate(timeout=_END)
                 process.kill()
         if not self.began:
-            why = said.strip().splitlines()[-1:] or ["it said nothing"]
+            why = said.strip().splitlines()[-1:] or ["it printed nothing"]
             raise InputError(f"{name} ended with {process.returncode} before a run began: {why[0]}")
         try:
             return Deadlines(**json.loads(figures))

@@ -1,11 +1,11 @@
-"""A rig at the other end of a UDP socket: the client's side, for any bench that speaks `dpcontrol.rig.packets`.
+"""Client of a rig over UDP, for any bench that implements `dpcontrol.rig.packets`.
 
-The bench has the clock: it sends a reading each period, and uses the newest command it has. A reading that is lost
-counts as a tick at which no sensor was read, so that the loop's ticks stay the bench's; a command that is lost is made
-good by the next. After a stall the readings that wait are worked off one by one, which takes a fraction of a period
-each. A tick is due a period after the one before it, counted from the earliest that a reading ever came.
-How well the loop kept time, what was lost on the way and how long answers took is counted (`Deadlines`), and so are
-packets that are not of the run: neither end believes them.
+The bench has the clock. It sends a reading each period and applies the newest command. A lost reading counts as a tick
+without sensors, so the loop's ticks stay aligned with the bench's. A lost command is replaced by the next. After a
+stall, the waiting readings are handled one by one, each in a fraction of a period. A tick is due one period after the
+last, counted from the earliest arrival of any reading.
+`Deadlines` counts late ticks, lost packets and round-trip times. It also counts packets that do not belong to the run,
+which both ends ignore.
 """
 
 import gc
@@ -43,7 +43,7 @@ from dpcontrol.rig.packets import (
 
 @contextmanager
 def without_collecting() -> Iterator[None]:
-    """Keep Python from looking for cycles of garbage meanwhile, which takes many milliseconds at a time."""
+    """Disable Python's cyclic garbage collection in the block, since it takes many milliseconds at a time."""
     was = gc.isenabled()
     gc.collect()
     gc.disable()
@@ -56,9 +56,9 @@ def without_collecting() -> Iterator[None]:
 
 @contextmanager
 def real_time_priority() -> Iterator[bool]:
-    """Run before all ordinary work meanwhile (SCHED_FIFO); yield whether the system allowed it.
+    """Run with real-time priority (SCHED_FIFO) in the block; yield whether the system allowed it.
 
-    For processes that sleep most of the time: one that does not would keep its core to itself.
+    Only for processes that sleep most of the time, because others would block their core.
     """
     try:
         policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -74,43 +74,48 @@ def real_time_priority() -> Iterator[bool]:
 
 @dataclass(frozen=True)
 class Deadlines:
-    """A run in real time; times in s.
+    """Timing of a real-time run; times in s.
 
-    ticks: of the run; missed: those that began a whole period late or later, so that their commands came too late;
-    worst, lateness_99, lateness_median: of how late ticks began, the quantiles (also of trips) of the last million.
-    lost: readings that never came; stale: readings that came when their tick had passed; held: periods in which the
-    bench had to do with an old command; trip_median, trip_99, trip_worst: from a reading leaving the bench to its
-    command arriving there; not-a-number: none arrived. ignored: packets that came to the bench and were not of this
-    run's loop, or repeated; refused: the same at the loop.
+    Quantiles cover the last million ticks.
     """
 
     ticks: int
+    """Ticks of the run."""
     missed: int
+    """Ticks that began at least a period late, so that their commands came too late."""
     worst: float
+    """Largest delay of a tick."""
     lateness_median: float
+    """Median delay."""
     lateness_99: float
+    """99 % quantile of the delay."""
     lost: int
+    """Readings that did not arrive."""
     stale: int
+    """Readings that arrived after their tick."""
     held: int
+    """Periods in which the bench repeated an old command."""
     trip_median: float
+    """Median time from sending a reading to receiving its command at the bench; NaN if none arrived."""
     trip_99: float
+    """99 % quantile of that time."""
     trip_worst: float
+    """Largest such time."""
     ignored: int = 0
+    """Foreign or repeated packets at the bench."""
     refused: int = 0
+    """Foreign or repeated packets at the loop."""
 
     @property
     def strangers(self) -> str:
-        """A sentence on packets that neither end believed; empty where there were none."""
+        """A sentence on packets that both ends ignored, or ""."""
         if not (self.ignored or self.refused):
             return ""
-        return (
-            f"packets that were not of this run, or not new, came and were ignored: {self.ignored} by the bench, "
-            f"{self.refused} by the loop"
-        )
+        return f"foreign or repeated packets were ignored: {self.ignored} by the bench, {self.refused} by the loop"
 
     @property
     def sentence(self) -> str:
-        """What a user should know of it."""
+        """Summary of the timing."""
         return (
             f"{self.missed} of {self.ticks} deadlines missed; ticks began up to {1e3 * self.worst:.3g} ms late (99 %: "
             f"{1e3 * self.lateness_99:.3g} ms); {self.lost} readings lost, {self.stale} too late; the bench repeated a "
@@ -119,47 +124,47 @@ class Deadlines:
         )
 
     def record(self) -> dict[str, str]:
-        """Return the statistics as text by name, for a log's result record."""
+        """Return the statistics by name as text, for a log's result record."""
         return {f"deadlines_{name}": repr(value) for name, value in asdict(self).items()}
 
 
 SCHEME = "udp"
 _DRIFT = 1e-4
-"""By how much the two clocks may differ in pace; clocks of computers differ by some 5e-5."""
+"""Relative difference in the pace of the two clocks; those of computers differ by some 5e-5."""
 _ASK_EVERY = 0.2
-"""Seconds between HELLOs."""
+"""Interval between HELLOs, s."""
 _LONGEST_PERIOD = 60.0
-"""Seconds."""
+"""Upper bound of a bench's period, s."""
 _LATEST = 1_000_000
-"""Ticks, the last, of which it is kept how late they began and how long their answers took."""
+"""Number of last ticks whose delays and round trips are kept."""
 _OLDEST = 1.0
-"""s: an older reading counts as one whose age is not known."""
+"""Maximum age of a reading, s; older ones count as of unknown age."""
 _MOST_REFUSED = 256
-"""Packets that are refused in a row before the loop looks at its clock again."""
+"""Consecutive refused packets before the loop checks its clock."""
 
 
 @dataclass(frozen=True)
 class LinkSettings(Settings, table="link"):
-    """answer s: longest time to wait for the bench's welcome, and for its first reading; patience s: how long a reading
-    may be overdue before its tick goes on without it; silence s: without any packet after which the bench counts as
-    gone.
-    """
+    """Settings of the link."""
 
     answer: float = setting(10.0, above=0, most=3600, unit="s")
+    """Time limit for the bench's welcome and first reading, s."""
     patience: float = setting(0.02, above=0, most=3600, unit="s")
+    """Delay of a reading after which its tick continues without it, s."""
     silence: float = setting(1.0, above=0, most=3600, unit="s")
+    """Time without packets after which the bench counts as disconnected, s."""
 
 
 def parse_address(text: str) -> tuple[str, int]:
     """Return host and port of `udp://HOST:PORT`.
 
     Raises:
-        InputError: it is not such an address.
+        InputError: the text has another form.
     """
     try:
         parts = urlsplit(text)
         host, port = parts.hostname, parts.port
-        # A host that is absurd is a ValueError here, and would be one at the first look for it.
+        # An invalid host causes a ValueError here, as it would at the first look-up.
         (host or "").encode("idna")
     except ValueError:
         parts = host = port = None
@@ -170,17 +175,21 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 class UdpRig:
-    """A bench at `address` (host, port) behind the `Rig` protocol; a context manager, which says goodbye.
+    """A bench at `address` (host, port) as a `Rig` and context manager.
 
-    queued m/s²: the commands to be on their way when the run begins, oldest first. The first `read` lets the
-    bench begin. zeros (n,) rad: what its hanging arms read, which is taken off. key: the one that is shared with it;
-    insecure: a bench on another computer needs none. fault: why the bench says that it has failed, or "".
+    The first `read` starts the bench. On exit, the client says goodbye.
+
+    Args:
+        queued: pending commands at the start, oldest first, m/s².
+        zeros: readings (n,) of its hanging arms, which are subtracted, rad.
+        key: key shared with the bench.
+        insecure: accept a bench on another computer without a key.
 
     Raises:
-        InputError: no such address, or no bench answers there, or it needs a key or another one.
+        InputError: the address is invalid, no bench responds, or the key is missing or wrong.
     """
 
-    # Nobody knows the true state.
+    # The true state is unknown.
     truth: None = None
 
     def __init__(
@@ -203,20 +212,20 @@ class UdpRig:
             self._socket.connect(where)
         except OSError as error:
             raise InputError(f"rig {self.address}: {error.strerror or error}; check the address") from error
-        # What comes during a stall should wait there.
+        # Packets that arrive during a stall should wait there.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         self._socket.setblocking(False)
         self._waiting: dict[int, ReadingPacket] = {}
         self._tick, self._begin = -1, math.inf
-        self._stopped, self._gone = False, ""
-        # A night would fill the memory.
+        self._stopped, self._link_error = False, ""
+        # All ticks of a night would fill the memory.
         self._lateness, self._trips = np.empty(_LATEST), np.empty(_LATEST)
         self._begun = self._answered = 0
         self._worst = self._worst_trip = math.nan
         self._heard, self._held, self._missed, self._lost, self._stale = -1, 0, 0, 0, 0
         self._ignored = self._refused = 0
-        self._why_refused = ""
-        # A number that nobody can guess shows that the answer is to this HELLO.
+        self._last_error = ""
+        # An unpredictable number shows that an answer belongs to this HELLO.
         self._asked = secrets.token_bytes(8)
         self._talk = Talk(Role.LOOP, int.from_bytes(self._asked, "little"), key=key)
         try:
@@ -238,7 +247,7 @@ class UdpRig:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
-        self._say(packets.bye("the run is over"))
+        self._send(packets.bye("the run is over"))
         self._socket.close()
 
     @property
@@ -256,10 +265,10 @@ class UdpRig:
         )  # fmt: skip
 
     def read(self) -> Reading:
-        """Wait for the next tick's reading, or for so long that the tick must go on without it.
+        """Wait for the reading of the next tick, or until the tick must continue without it.
 
         Raises:
-            ArithmeticError: the bench is gone, has ended the run, or has stopped the cart because it heard nothing.
+            ArithmeticError: the bench has disconnected, ended the run, or stopped the cart for lack of packets.
         """
         self._tick = k = self._tick + 1
         packet = self._packet_of(k)
@@ -267,7 +276,7 @@ class UdpRig:
         lateness = max(now - (self._begin + k * period), 0.0)
         self._lateness[self._begun % _LATEST] = lateness
         self._begun += 1
-        # Not-a-number, which there is before the first one, is not above anything.
+        # Before the first reading this is NaN, which is not greater than anything.
         self._worst = lateness if not self._worst >= lateness else self._worst
         late = max(lateness - period, 0.0)
         self._missed += late > 0
@@ -286,33 +295,33 @@ class UdpRig:
             self.fault = packet.text
         positions = np.array(packet.positions) - self._zeros
         finite = np.isfinite(positions)
-        # What is not a number is not a reading.
+        # A NaN counts as a missing reading.
         self._positions = np.where(finite, positions, self._positions)
-        # An age beyond the bounds of a reading's is as good as none.
+        # An age out of bounds counts as unknown.
         age = packet.age if packet.age is not None and 0 <= packet.age <= _OLDEST else None
         return Reading(k * period, self._positions, None if finite.all() else finite, packet.switch, late, age)
 
     def command(self, acceleration: float) -> None:
-        """Send the cart's wanted acceleration, m/s² to the right.
+        """Send the demanded acceleration of the cart, m/s², positive to the right.
 
         Raises:
-            ArithmeticError: it is not a finite number.
+            ArithmeticError: the demand is not finite.
         """
         if not math.isfinite(acceleration):
             raise ArithmeticError(f"command = {acceleration!r}: the drive takes finite accelerations only")
-        # A STOP may be lost; until the bench is known to stand, each tick says it again.
-        self._say(packets.stop() if self._stopped else packets.command(max(self._tick, 0), acceleration))
+        # A STOP may be lost, so each tick repeats it until the bench reports standstill.
+        self._send(packets.stop() if self._stopped else packets.command(max(self._tick, 0), acceleration))
 
     def stop(self) -> None:
         """Have the bench brake the cart to a standstill, and send no further commands."""
         self._stopped = True
-        self._say(packets.stop())
+        self._send(packets.stop())
 
     def _introduced(self) -> Welcome:
         """Return the bench's welcome."""
         until = time.perf_counter() + self._settings.answer
         while (now := time.perf_counter()) < until:
-            self._say(packets.hello())
+            self._send(packets.hello())
             waited = now + _ASK_EVERY
             while (now := time.perf_counter()) < waited:
                 heard = self._received(waited - now)
@@ -322,9 +331,9 @@ class UdpRig:
                     return self._checked(heard.content)
                 if heard.kind is Kind.BYE:
                     raise InputError(f"rig {self.address}: {heard.content}")
-        came = f" ({self._refused} packets came and were refused: {self._why_refused})" if self._refused else ""
+        came = f" ({self._refused} packets were refused: {self._last_error})" if self._refused else ""
         raise InputError(
-            f"rig {self.address}: no bench answered for {self._settings.answer:g} s{came}; start one with "
+            f"rig {self.address}: no bench responded for {self._settings.answer:g} s{came}; start one with "
             "`dpcontrol rig` of this version, and give both the same key, if any"
         )
 
@@ -332,12 +341,12 @@ class UdpRig:
         if not 0 < welcome.period <= _LONGEST_PERIOD:
             raise InputError(
                 f"rig {self.address} announces a period of {welcome.period:g} s: it must be above 0 and at most "
-                f"{_LONGEST_PERIOD:g} s; mend the bench"
+                f"{_LONGEST_PERIOD:g} s; fix the bench"
             )
         return welcome
 
     def _packet_of(self, k: int) -> ReadingPacket | None:
-        """Return the reading of tick k, or None where it is lost or overdue."""
+        """Return the reading of tick k, or None if it is lost or overdue."""
         waiting, settings, period = self._waiting, self._settings, self.period
         if k in waiting:
             return waiting.pop(k)
@@ -345,7 +354,7 @@ class UdpRig:
             return None
         if k == 0:
             self._last_packet = time.perf_counter()
-            self._say(packets.start(self._queued))
+            self._send(packets.start(self._queued))
         while True:
             now = time.perf_counter()
             due = self._begin + k * period if k else now
@@ -355,7 +364,7 @@ class UdpRig:
             if isinstance(content, ReadingPacket):
                 self._last_packet = now
                 tick = content.tick
-                # The earliest that any reading came, in units of the bench's clock, which may go a little slower.
+                # The earliest arrival of any reading on the bench's clock, which may run slightly slower.
                 self._begin = min(self._begin + _DRIFT * period, now - tick * period)
                 if tick == k:
                     return content
@@ -366,21 +375,23 @@ class UdpRig:
             elif heard and heard.kind is Kind.BYE:
                 raise ArithmeticError(f"the bench ended the run: {content}")
             elif now - self._last_packet > (settings.silence if k else settings.answer):
-                why = self._gone or "nothing came from it"
-                raise ArithmeticError(f"the bench at {self.address} is gone: {why} for {now - self._last_packet:.3g} s")
+                why = self._link_error or "received nothing from it"
+                raise ArithmeticError(
+                    f"the bench at {self.address} does not respond: {why} for {now - self._last_packet:.3g} s"
+                )
             elif k == 0:
-                # The first reading is waited for; START may have been lost.
-                self._say(packets.start(self._queued))
+                # The first reading may take longer, and START may have been lost.
+                self._send(packets.start(self._queued))
             elif now >= due + settings.patience:
                 return None
 
     def _received(self, wait: float) -> Heard | None:
-        """Return the next packet that is to be believed, or None if none came within `wait` s."""
+        """Return the next valid packet, or None if none arrives within `wait` s."""
         until = time.perf_counter() + wait
         try:
             for _ in range(_MOST_REFUSED):
                 try:
-                    heard = self._believed(self._socket.recv(LARGEST))
+                    heard = self._accepted(self._socket.recv(LARGEST))
                 except BlockingIOError:
                     if not select.select([self._socket], [], [], max(until - time.perf_counter(), 0.0))[0]:
                         return None
@@ -388,20 +399,20 @@ class UdpRig:
                 if heard is not None:
                     return heard
         except OSError as error:
-            self._gone = f"{error.strerror or error}"
-            # Nobody listens there now; a bench that is restarted might.
+            self._link_error = f"{error.strerror or error}"
+            # No program listens there now, but a restarted bench might.
             time.sleep(min(wait, _ASK_EVERY))
         return None
 
-    def _believed(self, data: bytes) -> Heard | None:
-        """Return a packet that is the bench's, of this run, new and fits its welcome; others are counted."""
+    def _accepted(self, data: bytes) -> Heard | None:
+        """Return a valid, new packet of this run's bench, or None; invalid ones are counted."""
         try:
-            heard = self._talk.hear(data)
+            heard = self._talk.unpack(data)
         except ValueError as error:
-            # A second answer to a HELLO that was sent twice is no sign of strangers.
+            # A second answer to a repeated HELLO is not foreign.
             if self._tick < 0 or data[8:16] != self._asked:
                 self._refused += 1
-                self._why_refused = str(error)
+                self._last_error = str(error)
             return None
         content = heard.content
         if isinstance(content, ReadingPacket):
@@ -413,9 +424,9 @@ class UdpRig:
                 return None
         return heard if heard.new else None
 
-    def _say(self, message: Packet) -> None:
+    def _send(self, message: Packet) -> None:
         try:
-            self._socket.send(self._talk.say(message))
+            self._socket.send(self._talk.pack(message))
         except OSError as error:
-            # Like a packet lost on the way.
-            self._gone = f"{error.strerror or error}"
+            # It counts as lost.
+            self._link_error = f"{error.strerror or error}"

@@ -1,28 +1,28 @@
-"""Commissioning: what must be right before the first run on a rig, measured on the rig itself.
+"""Commissioning: checks and measurements on a rig before its first run.
 
-The arms hang and the cart moves by at most 10 mm, so that no mistake in signs, gains or delays can do harm. First a
-short shift to and fro, small at first, shows which way the drive goes; then the cart is held where it is and follows a
-chirp, whose low frequencies make the arms swing and whose high ones show how late the drive is. With commands u_j at
-ticks j, T apart, a drive of delay d, lag τ and gain γ moves the cart by
+The arms hang and the cart moves by at most 10 mm, so errors in signs, gains or delays are harmless. First, a short
+shift to and fro shows the direction of the drive. Then the cart is held in place and follows a chirp. The low
+frequencies make the arms swing, and the high ones show the delay of the drive. With commands u_j at ticks j, T apart, a
+drive of delay d, lag τ and gain γ moves the cart by
 
     x(t) = x_0 + v_0 t + γ Σ_j (u_j - u_{j-1}) p(t - j T - d),     p(s) = s²/2 - τ s + τ² (1 - e^{-s/τ})  for s > 0
 
-Both sides are high-passed, so that what noise on the command adds up to does not count, and d, τ, γ fitted to the
-cart's readings. Standard errors allow for residuals that stay alike over blocks. Hanging arms have, on small swings,
-normal modes
+Both sides are high-pass filtered, which removes the accumulated noise of the command. Then d, τ and γ are fitted to the
+cart's readings. Standard errors account for residuals that are correlated over blocks. Small swings of hanging arms
+have normal modes
 
     readings = zeros + W y + free swing,     ÿ_i + 2 ζ_i ω_i ẏ_i + ω_i² y_i = -ẍ
 
-with x the cart as it was read, so that the drive does not matter; ω, ζ and W are fitted. The model's own angles are
-θ = W_0 y, and encoders that are wired, counted or summed wrongly make readings B θ: with L the sums of joint angles,
-D a diagonal of signs and factors, P an exchange of encoders, B is L D P L⁻¹ (joint encoders, summed, as it should be),
-D P L⁻¹ (never summed), D P (absolute encoders) or L D P (absolute angles summed again). The nearest of these to
-W W_0⁻¹ is what is reported. An accelerated cart leaves hanging arms behind, which ties the arms' signs to the cart's.
+Here x is the measured cart position, so the drive has no effect. ω, ζ and W are fitted. The model's own angles are θ =
+W_0 y. Encoders that are wired, scaled or summed wrongly give readings B θ. Let L be the sums of joint angles, D a
+diagonal of signs and factors, and P an exchange of encoders. Then B is L D P L⁻¹ (joint encoders, summed, as it should
+be), D P L⁻¹ (never summed), D P (absolute encoders) or L D P (absolute angles summed again). The form nearest to W
+W_0⁻¹ is reported. An accelerated cart leaves hanging arms behind, which relates the arms' signs to the cart's.
 
-What cannot be determined from within, as the mirror image of a rig is a rig, is whether the cart and its drive are
-reversed or all the encoders are; both are then named.
+Readings cannot distinguish a rig from its mirror image: either the cart and its drive are reversed, or all encoders. In
+this case, both are reported.
 
-Sources: Ljung, System identification (1999), sections 7.4 (output error) and 14.4 (prefilters); Golub & Pereyra,
+Sources: Ljung, System identification (1999), sections 7.4 (output error) and 14.4 (prefilters). Golub & Pereyra,
 Separable nonlinear least squares (2003).
 """
 
@@ -48,7 +48,7 @@ from dpcontrol.rig.client import Deadlines
 Tell = Callable[[str], None]
 
 REACH = 0.010
-"""m: how far the cart goes from where it stands, switches apart."""
+"""Maximum distance of the cart from its initial position, except towards the switches, m."""
 _LONGEST_PERIOD = 0.05
 """s."""
 _SWITCHES = Bounds(least=2 * REACH, most=100, unit="m")
@@ -59,7 +59,7 @@ def _sensor(k: int, arms: int) -> str:
 
 
 class Grade(StrEnum):
-    """What a step found."""
+    """Grade of a finding."""
 
     OK = "ok"
     WRONG = "wrong"
@@ -68,7 +68,7 @@ class Grade(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """What one step found: a sentence, what to change, the figures by name; mended: writing the scene's [run] does."""
+    """Finding of one step: sentence, remedy, numbers by name; mended: the scene's [run] can fix it."""
 
     step: str
     verdict: Grade
@@ -80,48 +80,53 @@ class Finding:
 
 @dataclass(frozen=True)
 class CommissioningSettings(Settings, table="commissioning"):
-    """wait s: for the arms to hang still; still rad: swings that count as still. look s: for which readings are taken
-    before anything moves; hold s: with the cart held. sweep s: the chirp, from half the slowest swing's frequency to
-    `highest` Hz; ring s: for which the arms then swing alone. amplitude m and push m/s²: of the cart in the chirp at
-    most. creep m/s: speed towards the limit switches.
-    """
+    """Settings of commissioning."""
 
     wait: float = setting(60.0, least=0, most=3600, unit="s")
+    """Time limit for the arms to hang still, s."""
     still: float = setting(0.05, above=0, most=0.2, unit="rad")
+    """Swing that counts as still, rad."""
     look: float = setting(0.3, least=0.1, most=60, unit="s")
+    """Observation time before any motion, s."""
     hold: float = setting(1.5, least=0.5, most=60, unit="s")
+    """Observation time with the cart held, s."""
     sweep: float = setting(8.0, least=2, most=120, unit="s")
+    """Duration of the chirp, s, from half the slowest swing's frequency to `highest` Hz."""
     ring: float = setting(3.0, least=0.5, most=120, unit="s")
+    """Observation time of the free swing after it, s."""
     highest: float = setting(40.0, least=2, most=500, unit="Hz")
     amplitude: float = setting(0.004, above=0, most=0.005, unit="m")
+    """Largest displacement in the chirp, m."""
     push: float = setting(4.0, above=0, most=10, unit="m/s²")
+    """Largest acceleration in the chirp, m/s²."""
     creep: float = setting(0.05, above=0, most=0.1, unit="m/s")
+    """Speed towards the limit switches, m/s."""
 
     @property
     def seconds(self) -> float:
-        """How long all of it takes where the arms hang still and no switches are asked for."""
+        """Total duration if the arms hang still and the switches are not tried, s."""
         return self.look + self.hold + self.sweep + self.ring + 3.0
 
 
 @dataclass(frozen=True)
 class Commissioning:
-    """What was found, step by step; changes: keys of the scene's [run] with what was measured for them."""
+    """Findings of each step, and measured values for keys of the scene's [run]."""
 
     findings: tuple[Finding, ...]
     changes: Mapping[str, float | int | list[float]]
 
     @property
     def wrong(self) -> tuple[Finding, ...]:
-        """What must be changed before a run."""
+        """Findings that require changes before a run."""
         return tuple(f for f in self.findings if f.verdict is Grade.WRONG)
 
     @property
     def blocking(self) -> tuple[Finding, ...]:
-        """What is wrong with the rig itself, so that nothing measured on it should be kept."""
+        """Faults of the rig itself, which invalidate the measurements."""
         return tuple(f for f in self.wrong if not f.mended)
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol commission --json` prints."""
+        """Return the output of `dpcontrol commission --json`."""
         return {
             "right": not self.wrong,
             "findings": [
@@ -136,7 +141,7 @@ class Commissioning:
 
 
 class _Halted(Exception):
-    """Nothing further can be measured; carries the finding that says why."""
+    """Further measurement is not possible; contains the finding with the reason."""
 
     def __init__(self, finding: Finding) -> None:
         super().__init__(finding.sentence)
@@ -144,20 +149,20 @@ class _Halted(Exception):
 
 
 _FREQUENCY = 2 * np.pi * 0.6
-"""rad/s of the loop that holds the cart: slow enough for any drive's delay."""
+"""Bandwidth of the loop that holds the cart, rad/s; slow enough for any drive's delay."""
 _DAMPING = 0.8
 _SLOPE = 0.01
-"""s over which the cart's velocity is read off its positions."""
+"""Interval over which the cart's velocity is computed from its positions, s."""
 _LONGEST_GAP = 0.1
-"""s without a reading of the cart after which it is not moved any more."""
+"""Time without a cart reading after which the cart is stopped, s."""
 _OFTEN_LATE = 0.01
-"""Share of ticks."""
-_HURRY = "give the computers less other work, ask for priority with --real-time, or run at a lower rate"
+"""Fraction of ticks."""
+_HURRY = "reduce other work on the computers, request priority with --real-time, or run at a lower rate"
 _COMPLAINS = "fix what the rig reports and start again"
 
 
 class _Session:
-    """The rig during commissioning: every tick is kept, and the cart is never let out of its reach."""
+    """The rig during commissioning; records every tick and limits the cart's travel."""
 
     def __init__(self, rig: Rig, arms: int, limits: Limits, zeros: Sequence[float]) -> None:
         self.rig, self.arms, self.period = rig, arms, rig.period
@@ -169,7 +174,7 @@ class _Session:
         self.switches: list[int] = []
         self.late = 0
         self.gain = 0.0
-        """Cart's reading per command, once known; its sign is the drive's direction."""
+        """Cart reading per command, once known; its sign is the drive's direction."""
         self.reach, self.step = REACH, "still"
         self._span = max(1, round(_SLOPE / self.period))
         self._gap = 0
@@ -187,7 +192,7 @@ class _Session:
         return len(self.positions) - 1
 
     def read(self) -> Reading:
-        """Take the next reading."""
+        """Read and store the next reading."""
         try:
             reading = self.rig.read()
         except ArithmeticError as failure:
@@ -203,14 +208,14 @@ class _Session:
         return reading
 
     def halted(self, sentence: str, remedy: str) -> _Halted:
-        """Return what ends the commissioning in the present step."""
+        """Return the exception that ends the commissioning in the present step."""
         return _Halted(Finding(self.step, Grade.WRONG, sentence, remedy))
 
     def advance(self, acceleration: float) -> Reading:
-        """Send a command, m/s², and take the next reading.
+        """Send a command, m/s², and return the next reading.
 
         Raises:
-            _Halted: the rig has failed, or the cart is out of its reach or not read any more.
+            _Halted: the rig has failed, the cart has left its range, or its position is not read.
         """
         command = min(max(acceleration, -self._most), self._most)
         self.rig.command(command)
@@ -219,42 +224,42 @@ class _Session:
         self._gap = 0 if self.present[-1] else self._gap + 1
         if self.rig.fault:
             creeping = self.step == "switches"
-            remedy = "give --switches less than the way to the hard stop" if creeping else _COMPLAINS
+            remedy = "give --switches less than the distance to the hard stop" if creeping else _COMPLAINS
             raise self.halted(self.rig.fault, remedy)
         if self._gap * self.period > _LONGEST_GAP:
             absent = [k for k, there in enumerate([] if reading.present is None else reading.present) if not there]
             if len(absent) > self.arms:
                 raise self.halted(
                     f"no reading came for {self._gap * self.period:.2g} s, so the cart was stopped",
-                    "check whether the rig sends a reading each period, and whether the line loses packets",
+                    "check whether the rig sends a reading each period, and whether the network loses packets",
                 )
             which = " and ".join(_sensor(k, self.arms) for k in absent)
             raise self.halted(
-                f"{which} gave no number for {self._gap * self.period:.2g} s, so the cart was stopped",
+                f"{which} gave no reading for {self._gap * self.period:.2g} s, so the cart was stopped",
                 "check whether it is plugged in, and whether the rig's program reads it",
             )
         away = self.cart - self.home
         if abs(away) > self.reach and self.late > _OFTEN_LATE * self.tick:
             raise self.halted(
-                f"the cart left its {1e3 * self.reach:.3g} mm and was stopped, as {self.late} of {self.tick} commands "
-                "came a period late or later",
+                f"the cart left its {1e3 * self.reach:.3g} mm and was stopped, since {self.late} of {self.tick} "
+                "commands came at least a period late",
                 _HURRY,
             )
         if abs(away) > self.reach:
             raise self.halted(
                 f"the cart left its {1e3 * self.reach:.3g} mm (it is at {1e3 * away:+.3g} mm), so it was stopped",
-                "check whether the drive obeys an acceleration in m/s², holds the cart at zero, and has its cart's "
+                "check whether the drive follows an acceleration in m/s², holds the cart at zero, and has the cart's "
                 "scale in metres",
             )
         return reading
 
     def follow(self, path: Array, feedforward: Array) -> None:
-        """Move along positions (K,) m from home, whose accelerations (K,) m/s² are given, held by slow feedback."""
+        """Follow positions (K,) m from home with feedforward accelerations (K,) m/s² and slow feedback."""
         for wanted, slope, ahead in zip(path, np.gradient(path, self.period), feedforward, strict=True):
             self.advance(self.steered(wanted, slope, ahead))
 
     def steered(self, wanted: float, slope: float, ahead: float) -> float:
-        """Return the command, m/s², that keeps the cart `wanted` m from home at `slope` m/s, `ahead` m/s² apart."""
+        """Return the command, m/s², for a position m and velocity m/s relative to home."""
         then = self.positions[max(self.tick - self._span, 0)][-1]
         velocity = (self.cart - float(then)) / (min(self._span, max(self.tick, 1)) * self.period)
         error = self.home + wanted - self.cart
@@ -262,20 +267,20 @@ class _Session:
         return (ahead + pull) / self.gain
 
     def hold(self, seconds: float) -> None:
-        """Keep the cart where it is called home."""
+        """Hold the cart at home."""
         still = np.zeros(max(2, round(seconds / self.period)))
         self.follow(still, still)
 
     def angles(self, first: int = 0) -> Array:
-        """Return the arms' readings (K, n) from tick `first` on."""
+        """Return the arms' readings (K, n) from tick `first`."""
         return self._filled(first)[:, : self.arms]
 
     def carts(self, first: int = 0) -> Array:
-        """Return the cart's readings (K,) from tick `first` on."""
+        """Return the cart's readings (K,) from tick `first`."""
         return self._filled(first)[:, self.arms]
 
     def _filled(self, first: int) -> Array:
-        """Return readings from tick `first` on, straight lines where there were none."""
+        """Return readings from tick `first`, with gaps interpolated linearly."""
         rows, present = np.array(self.positions[first:]), np.array(self.present[first:])
         if not present.all() and present.any():
             ticks = np.arange(len(rows))
@@ -294,14 +299,18 @@ def commission(
     options: CommissioningSettings | None = None,
     tell: Tell = lambda text: None,
 ) -> Commissioning:
-    """Find out what must be right before the first run on a rig, whose arms hang and whose cart is at the centre.
+    """Check and measure a rig whose arms hang and whose cart is at the centre.
 
-    settings, zeros: what the scene's [run] says of it so far. switches m: creep so far to either side until the limit
-    switches answer; zero: leave them. tell: called with what is to be seen next. The rig is stopped at the end, and
-    whatever happens.
+    The rig is stopped at the end and after any error.
+
+    Args:
+        settings: present settings of the scene's [run].
+        zeros: present zeros (n,), rad.
+        switches: distance to creep to either side until a limit switch responds, m; 0 to skip this.
+        tell: receives instructions about the next step.
 
     Raises:
-        InputError: an impossible way to the switches, or a rig that ticks too slowly to be held.
+        InputError: the distance to the switches is impossible, or the rig is too slow to hold its cart.
     """
     options = options or CommissioningSettings()
     if switches and (complaint := _SWITCHES.complaint(switches)):
@@ -314,7 +323,7 @@ def commission(
     findings: list[Finding] = []
     changes: dict[str, Any] = {}
     halt, session, motion = None, None, _Motion()
-    # What takes time is done before the first tick or after the last: a rig stops where its loop is silent.
+    # Slow computations run before the first tick or after the last, because a rig stops if its loop is silent.
     chirp = _chirp(arms, rig.period, options)
     try:
         session = _Session(rig, arms.count, limits, zeros)
@@ -327,7 +336,7 @@ def commission(
         if motion.rang_to:
             findings += _judged(session, motion, arms, settings, tuple(zeros), changes)
             right = all(f.verdict is Grade.OK for f in findings if f.step == "drive")
-            findings += motion.switches if right else [_untried("the drive is not right", "fix the drive first")]
+            findings += motion.switches if right else [_untried("the drive has a fault", "fix the drive first")]
         if halt is not None:
             findings.append(halt)
         findings.append(_deadlines(session))
@@ -340,7 +349,7 @@ def commission(
 
 @dataclass
 class _Motion:
-    """Ticks at which parts of the motion begin and end, and what the switches said."""
+    """Ticks at which parts of the motion begin and end, and results of the switches."""
 
     held_from: int = 0
     chirped_from: int = 0
@@ -353,19 +362,19 @@ def _move(
     session: _Session, motion: _Motion, arms: ArmChainParameters, chirp: tuple[Array, Array], switches: float,
     limits: Limits, options: CommissioningSettings, tell: Tell,
 ) -> None:  # fmt: skip
-    """Go through all that moves the cart."""
-    tell(f"the arms should hang and the cart stand at the centre; it will move by at most {1e3 * REACH:.0f} mm")
+    """Perform all motions of the cart."""
+    tell(f"the arms should hang with the cart at the centre; it will move by at most {1e3 * REACH:.0f} mm")
     _look(session, options)
-    tell("the cart shifts a few millimetres and back: see that it goes to the right first")
+    tell("the cart shifts a few millimetres and back: check that it goes to the right first")
     session.step = "drive"
     _shift(session, arms)
     session.step = "still"
     _wait_until_still(session, options, tell)
-    tell(f"the cart follows a chirp for {options.sweep:g} s, then stands for {options.ring:g} s; the arms swing")
+    tell(f"the cart follows a chirp for {options.sweep:g} s, then stays still for {options.ring:g} s; the arms swing")
     session.step, motion.held_from = "delay", session.tick
     session.hold(options.hold)
     motion.chirped_from = session.tick
-    # A small gain may be that of a scale which shows too little: the cart then goes farther than it seems to.
+    # A small gain may come from a scale that shows too little, and the cart may then move further than measured.
     share = min(abs(session.gain), 1.0)
     session.follow(*(share * part for part in chirp))
     motion.chirped_to = session.tick
@@ -373,11 +382,11 @@ def _move(
     motion.rang_to = session.tick
     session.step = "switches"
     if not switches:
-        ask = "give --switches with the distance in metres that the cart may go"
+        ask = "give --switches with the distance in metres that the cart can move"
         motion.switches = [_untried("--switches was not given", ask)]
     elif abs(session.gain - 1) > _SAFE_GAIN:
-        # With a wrong scale it might reach the hard stop.
-        motion.switches = [_untried("the drive is not right", "fix the drive first")]
+        # With a wrong scale, the cart could reach the hard stop.
+        motion.switches = [_untried("the drive has a fault", "fix the drive first")]
     else:
         tell(f"the cart creeps to the right, then to the left, by up to {switches:g} m: be ready to cut the power")
         motion.switches = _tried_switches(session, switches, limits, options)
@@ -394,7 +403,7 @@ def _judged(
     session: _Session, motion: _Motion, arms: ArmChainParameters, settings: LoopSettings, zeros: tuple[float, ...],
     changes: dict[str, Any],
 ) -> list[Finding]:  # fmt: skip
-    """Return what the motion shows, and put what it measures into `changes`."""
+    """Return the findings of the motion, and add measured values to `changes`."""
     angles, carts = (read()[: motion.rang_to + 1] for read in (session.angles, session.carts))
     since = motion.held_from
     drive = fit_drive(carts, session.commands, session.period, first=motion.chirped_from, last=motion.chirped_to)
@@ -414,18 +423,18 @@ def _judged(
 
 
 def _look(session: _Session, options: CommissioningSettings) -> None:
-    """Take readings before anything has moved."""
+    """Take readings before any motion."""
     if abs(session.home) > _OFF_CENTRE:
         raise session.halted(
-            f"the cart stands at {session.home:+.4g} m by its scale",
-            "bring it to the centre of its way, and set its scale to zero there, in metres",
+            f"the cart is at {session.home:+.4g} m by its scale",
+            "move it to the centre of its track, and set its scale to zero there, in metres",
         )
     for _ in range(max(4, round(options.look / session.period))):
         session.advance(0.0)
     if session.switches[-1]:
         side = "right" if session.switches[-1] > 0 else "left"
         raise session.halted(
-            f"the limit switch at the {side} answers though the cart stands free",
+            f"the limit switch at the {side} responds although the cart does not touch it",
             "check whether it is stuck or its contact is inverted (normally closed), and whether the cart is at the "
             "centre",
         )
@@ -436,17 +445,19 @@ _OFF_CENTRE = 0.02
 
 
 _SHIFTS = {0.0005: 0.1, 0.003: 0.7}
-"""m: the cart's shifts, the second where the first is not clearly seen; with the share of what its opposite would leave
-unexplained that it may: where a cart drifts, a small shift looks like its opposite at another time.
+"""Shifts of the cart, m; the second follows if the first is not clearly visible.
+
+Each has the maximum fraction of the opposite shift's residual: with a drifting cart, a small shift resembles its
+opposite at another time.
 """
 _LARGEST_SHIFT = max(_SHIFTS)
 _SHIFT_SECONDS, _AFTER_SHIFT = 0.16, 0.1
 _SEEN, _CLEARLY_SEEN = 0.0002, 5.0
-"""m, and in terms of how far the cart wanders by itself: a shift that is seen well enough."""
+"""Minimum visible shift, m, and as a multiple of the cart's drift."""
 
 
 def _shift(session: _Session, arms: ArmChainParameters) -> None:
-    """Find the drive's direction and gain, without feedback, which needs them."""
+    """Find the drive's direction and gain, without feedback, which would require them."""
     quarter = max(1, round(_SHIFT_SECONDS / 4 / session.period))
     pattern = np.repeat([1.0, -1.0, -1.0, 1.0], quarter) / (quarter * session.period) ** 2
     after = max(2, round(_AFTER_SHIFT / session.period))
@@ -461,7 +472,7 @@ def _shift(session: _Session, arms: ArmChainParameters) -> None:
             session.advance(float(value))
         carts = session.carts(first)
         wanted = _response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)[:, 0]
-        # The drive's delay is not known yet: what explains most. All of the shift must be in sight.
+        # The drive's delay is still unknown, so the best-fitting one is used. The whole shift must be visible.
         delays = range(0, after + 1, max(1, quarter // 8))
         fits = [_slope(wanted[: len(wanted) - k], carts[k:]) for k in delays]
         gain, left = min(fits, key=lambda fit: fit[1])
@@ -474,18 +485,18 @@ def _shift(session: _Session, arms: ArmChainParameters) -> None:
 
 
 def _drift(values: Array) -> Array:
-    """Return the straight line through values (K,)."""
+    """Return the linear trend of values (K,)."""
     line = np.vander(np.linspace(-1, 1, len(values)), 2)
     return line @ _solved(line, values)
 
 
 def _solved(design: Array, values: Array) -> Array:
-    """Return what makes `design` (K, p) come nearest to values (K,) or (K, n)."""
+    """Return the least-squares solution for `design` (K, p) and values (K,) or (K, n)."""
     return np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=float)
 
 
 def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
-    """Return how much of `wanted` is in `seen`, apart from drifts, and the share of the variance that is left then."""
+    """Return the slope of `seen` on `wanted` without drifts, and the unexplained fraction of the variance."""
     wanted, seen = wanted - _drift(wanted), seen - _drift(seen)
     size = float(wanted @ wanted)
     slope = float(wanted @ seen) / size
@@ -493,13 +504,13 @@ def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
 
 
 def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
-    """Say why no shift was seen: the arms show whether the cart moved."""
+    """Raise the cause of an invisible shift; the arms reveal motion of the cart."""
     wandered = float(np.ptp(session.carts()))
     if wandered > _SEEN:
         raise session.halted(
             f"the cart wanders by {1e3 * wandered:.2g} mm, in which a commanded shift of {1e3 * _LARGEST_SHIFT:g} mm "
-            "and back is not seen",
-            "check whether the drive holds the cart where zero is commanded, and obeys accelerations in m/s²",
+            "and back is not visible",
+            "check whether the drive holds the cart where zero is commanded, and follows accelerations in m/s²",
         )
     for _ in range(round(1.0 / session.period)):
         session.advance(0.0)
@@ -541,7 +552,7 @@ def _wait_until_still(session: _Session, options: CommissioningSettings, tell: T
 
 
 def _chirp(arms: ArmChainParameters, period: float, options: CommissioningSettings) -> tuple[Array, Array]:
-    """Return positions (K,) m of a logarithmic chirp and the accelerations (K,) m/s² that make them."""
+    """Return positions (K,) m of a logarithmic chirp, and its accelerations (K,) m/s²."""
     slowest = float(modes(arms).frequencies.min()) / (2 * np.pi)
     low, high = 0.6 * slowest, min(options.highest, 0.1 / period)
     finer = 8
@@ -558,7 +569,7 @@ def _chirp(arms: ArmChainParameters, period: float, options: CommissioningSettin
 
 
 class DriveFit(NamedTuple):
-    """The drive as fitted: delay and lag, s, gain, with standard errors; misfit: share of the motion unexplained."""
+    """Fitted drive: delay and lag, s, gain, standard errors; misfit: unexplained fraction of the motion."""
 
     delay: float
     lag: float
@@ -568,10 +579,11 @@ class DriveFit(NamedTuple):
 
 
 def _response(commands: Array, period: float, total: float, square: float = 0.0) -> Array:
-    """Return where commands (K,) m/s² lead a cart that was at rest, at each tick, and how that changes (K, 3).
+    """Return the response of a cart at rest to commands (K,) m/s² at each tick, with slopes (K, 3).
 
-    Its position for a unit gain; its slopes by total s, the sum of delay and lag, and by square s², that of the lag:
-    these two are nearly independent, down to a lag of zero, where delay and lag are not.
+    The columns are the position for unit gain and its derivatives. These are with respect to `total` s, the sum of
+    delay and lag, and `square` s², that of the lag. The two are nearly independent even at zero lag, unlike delay and
+    lag.
     """
     lag = math.sqrt(square)
     after = np.maximum(np.arange(len(commands)) * period - (total - lag), 0.0)
@@ -586,16 +598,21 @@ def _response(commands: Array, period: float, total: float, square: float = 0.0)
 
 
 _HIGH_PASS = 20.0
-"""Hz: below it the filter makes accelerations of positions, in which noise on the command is white."""
+"""Corner frequency of the filter, Hz. Below it, positions become accelerations, in which command noise is white."""
 _MARGIN = 0.5
-"""s before and after the chirp that the fit takes account of."""
+"""Time before and after the chirp that the fit includes, s."""
 _BLOCKS = 24
 
 
 def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: int, last: int) -> DriveFit:
-    """Fit delay, lag and gain of the drive to the cart's readings (K,) m and the commands after each, m/s².
+    """Fit delay, lag and gain of the drive to the cart's readings (K,) m.
 
-    first, last: ticks at which the cart begins and ends its chirp.
+    Args:
+        carts: readings (K,), m.
+        commands: command after each reading, m/s².
+        period: control period, s.
+        first: tick at which the chirp begins.
+        last: tick at which it ends.
     """
     begin, end = max(first - round(_MARGIN / period), 0), min(last + round(_MARGIN / period), len(carts))
     x, u = carts[begin:end], np.array([*commands, 0.0])[begin:end]
@@ -613,7 +630,7 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
         passed = high(values) / size
         return passed - base @ (base.T @ passed)
 
-    # In units of the motion itself, so that the fit knows when it is done.
+    # In units of the motion itself, so that tolerances are relative.
     size = 1.0
     size = max(float(np.std(seen(x[:, None]))), 1e-9)
     y = seen(x[:, None])[:, 0]
@@ -639,7 +656,7 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
         return np.stack([gain * parts[:, 1], gain * parts[:, 2], parts[:, 0]], axis=1) * unit
 
     def fitted(values: Array, free: list[int]) -> tuple[Array, Array]:
-        """Return the values, of which some are free, that fit best, and their standard errors."""
+        """Return the best values, with `free` ones fitted, and their standard errors."""
 
         def whole(some: Array) -> Array:
             out = values.copy()
@@ -650,7 +667,7 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
             return slopes(whole(some))[:, free]
 
         scale = 1.0
-        # A command that came too late throws the cart off for a moment; such moments count less.
+        # A late command disturbs the cart for a moment; a robust loss reduces its weight.
         for loss in ("linear", "soft_l1"):
             found = optimize.least_squares(
                 lambda some: residual(whole(some)), values[free], own,  # type: ignore[arg-type]
@@ -663,12 +680,12 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
         errors[free] = _sandwich(slopes(values)[:, free], left, 1 / np.sqrt(1 + (left / scale) ** 2))
         return values, errors
 
-    # From within its bounds, at which the search would stay.
+    # Start inside the bounds, because a search would stay on them.
     values, errors = fitted(np.array([total, max(lag, 5e-4) ** 2, rough(total, lag)[1]]) / unit, [0, 1, 2])
-    # Of the root of the square, which is never below zero.
+    # Error of the square's root, which is non-negative.
     lag_error = math.sqrt(values[1] * unit[1] + errors[1] * unit[1]) - math.sqrt(values[1] * unit[1])
     if values[1] < 3 * errors[1] or values[1] * unit[1] < _NO_LAG**2:
-        # Then it is none, and need not make the delay unsure.
+        # The lag is then zero and must not add to the uncertainty of the delay.
         lag_error = math.sqrt((values[1] + errors[1]) * unit[1])
         values[1] = 0.0
         values, errors = fitted(values, [0, 2])
@@ -680,24 +697,24 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
 
 
 _NO_LAG = 2e-5
-"""s: shorter lags are as good as none."""
+"""Lag below which it counts as zero, s."""
 
 
 def _sandwich(jacobian: Array, residual: Array, weights: Array | None = None) -> Array:
-    """Return standard errors (p,) where residuals (K,) stay alike over blocks; weights (K,): those of soft_l1."""
+    """Return standard errors (p,) for residuals (K,) correlated over blocks, with weights (K,) of soft_l1."""
     weights = np.ones(len(residual)) if weights is None else weights
     edges = np.linspace(0, len(residual), _BLOCKS + 1).round().astype(int)[:-1]
     scores = np.add.reduceat(jacobian * (weights * residual)[:, None], edges)
-    # The slope of weight times residual is the weight's cube.
+    # The derivative of weight times residual is the cube of the weight.
     inverse = np.linalg.pinv(jacobian.T @ (weights[:, None] ** 3 * jacobian))
     few = _BLOCKS / (_BLOCKS - jacobian.shape[1])
     return np.sqrt(few * np.diag(inverse @ (scores.T @ scores) @ inverse))
 
 
 class Modes(NamedTuple):
-    """Normal modes of hanging arms: frequencies (n,) rad/s, dampings (n,), shapes (n, n): W_0, one column a mode.
+    """Normal modes of hanging arms: frequencies (n,) rad/s, dampings (n,), shapes W_0 (n, n) by column.
 
-    vectors (n, n): the modes of unit mass, one column each.
+    `vectors` (n, n) are the modes of unit mass, by column.
     """
 
     frequencies: Array
@@ -707,7 +724,7 @@ class Modes(NamedTuple):
 
 
 def modes(arms: ArmChainParameters) -> Modes:
-    """Return the normal modes of hanging arms whose cart is accelerated: θ = shapes · y."""
+    """Return the normal modes of hanging arms on an accelerated cart: θ = shapes · y."""
     n, base = arms.count, arms.base()
     upper = np.zeros((n, n))
     upper[np.triu_indices(n)] = base[: n * (n + 1) // 2]
@@ -722,15 +739,15 @@ def modes(arms: ArmChainParameters) -> Modes:
 
 
 def _sums(n: int) -> Array:
-    """Return what makes absolute angles of joint angles."""
+    """Return the matrix that converts joint angles to absolute angles."""
     return np.tril(np.ones((n, n)))
 
 
 class CommissioningSwing(NamedTuple):
-    """Modes as the readings show them: frequencies (n,), dampings (n,), shapes W (n, n); strengths (n,): rms of y.
+    """Modes as the readings show them: frequencies, dampings, shapes W (n, n), rms strengths of y.
 
-    zeros (n,) rad with their standard errors; ratios (n,): frequencies over the model's; misfit (n,): rms of what is
-    left of each reading, rad; swing (n,): rms of each reading.
+    `zeros` (n,) rad have standard errors. `ratios` (n,) are frequencies relative to the model, `misfit` (n,) the rms
+    residual of each reading, rad, and `swing` (n,) its rms value.
     """
 
     frequencies: Array
@@ -745,9 +762,9 @@ class CommissioningSwing(NamedTuple):
 
 
 _DETUNED = np.exp(np.linspace(-0.3, 0.3, 41))
-"""Shares of the model's frequencies that are tried."""
+"""Fractions of the model's frequencies to try."""
 _ROWS = 200.0
-"""Hz: as many rows of the readings as slow swings need."""
+"""Sampling rate that is sufficient for slow swings, Hz."""
 
 
 def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParameters) -> CommissioningSwing:
@@ -758,7 +775,7 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
     t, ones = np.arange(len(x)) * period, np.ones((len(x), 1))
 
     def columns(frequency: float, damping: float) -> Array:
-        """Return a mode's answer to the cart, and its free swing (K, 3)."""
+        """Return a mode's response to the cart, and its free swing (K, 3)."""
         w, z = frequency, damping
         filter: Any = signal.cont2discrete(([-1, 0, 0], [1, 2 * z * w, w**2]), period, method="foh")
         forced = signal.lfilter(np.ravel(filter[0]), filter[1], x)
@@ -798,7 +815,7 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
 
 
 class Form(StrEnum):
-    """How angles are made of encoders."""
+    """Relation between angles and encoders."""
 
     SUMMED = "joint encoders, summed"
     RELATIVE = "joint encoders, not summed"
@@ -807,7 +824,7 @@ class Form(StrEnum):
 
 
 class Wiring(NamedTuple):
-    """How readings come about: form, order of the encoders, signs and factors (n,), share unexplained (rms)."""
+    """Wiring: form, order of the encoders, signs and factors (n,), unexplained fraction (rms)."""
 
     form: Form
     order: tuple[int, ...]
@@ -816,11 +833,11 @@ class Wiring(NamedTuple):
 
 
 _CLEARLY = 0.6
-"""A mistake is believed where it leaves less than this share of what the right wiring leaves unexplained."""
+"""A fault is reported if it leaves less than this fraction of the correct wiring's residual."""
 
 
 def read_wiring(swing: CommissioningSwing, arms: ArmChainParameters) -> Wiring:
-    """Return the wiring whose readings are nearest to those that were fitted."""
+    """Return the wiring that fits the readings best."""
     n, model = arms.count, modes(arms)
     sums, strengths = _sums(n), swing.strengths
     joints = np.linalg.inv(sums)
@@ -841,18 +858,18 @@ def read_wiring(swing: CommissioningSwing, arms: ArmChainParameters) -> Wiring:
 
 
 _STUCK = 0.08
-"""Of a swing: what an encoder shows that does not move."""
+"""Fraction of the swing below which an encoder does not move."""
 _FACTOR = 0.25
-"""By how much a swing may differ from the model's, whose parameters are not exact either."""
+"""Maximum relative difference to the swing of the model, whose parameters are not exact."""
 _GAIN = 0.05
 _LEFT_OVER = 0.3
-"""Share of a motion, rms, that may be left unexplained."""
+"""Maximum unexplained fraction of a motion, rms."""
 
 
 def _signs(gain: float, factors: Array) -> list[tuple[str, ...]]:
-    """Return what is reversed, the fewest that explain the signs seen: the drive, the cart's scale, arms' encoders.
+    """Return the fewest reversals that explain the signs: drive, cart's scale, arms' encoders.
 
-    Two answers where the rig and its mirror image need as many.
+    There are two solutions if the rig and its mirror image need equally many.
     """
     seen = {"drive": gain, **{f"arm {k + 1}": float(d) for k, d in enumerate(factors) if abs(d) > _STUCK}}
     answers = []
@@ -864,12 +881,12 @@ def _signs(gain: float, factors: Array) -> list[tuple[str, ...]]:
 
 
 def _cart_scale(gain: float, factors: Array) -> bool:
-    """Tell whether the cart's scale is what makes the drive's gain and all arms' swings wrong at once."""
+    """True if the cart's scale alone explains the errors of the drive's gain and all arms' swings."""
     return abs(abs(gain) - 1) > _GAIN and bool(np.all(np.abs(np.abs(factors * gain) - 1) < _FACTOR / 2))
 
 
 def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) -> Finding:
-    """Judge which way the drive and the cart's scale go, and how far."""
+    """Judge direction and gain of the drive and of the cart's scale."""
     gain, factors = drive.gain, wiring.factors
     figures = {"gain": gain, "gain_error": drive.errors[2]}
 
@@ -879,25 +896,25 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
     if drive.misfit > _LEFT_OVER:
         return Finding(
             "drive", Grade.UNSURE,
-            f"{100 * drive.misfit:.0f} % of the cart's motion is not what its commands make of a drive with a delay "
-            "and a lag",
+            f"{100 * drive.misfit:.0f} % of the cart's motion is not explained by its commands and a drive with a "
+            "delay and a lag",
             "check whether the drive works within its limits, and whether deadlines were missed", figures,
         )  # fmt: skip
     if len(signs) > 1:
         either, other = (" and ".join(_named(name) for name in one) for one in signs)
         return wrong(
             f"either {either} are reversed, or {other}: the readings are the same",
-            "look which way the cart goes first: to the right means that its drive is as it should be",
+            "check in which direction the cart goes first: to the right means that its drive is correct",
         )
     if "drive" in signs[0]:
         return wrong(
             "the drive is reversed: a command to the right moves the cart to the left, by its scale and by the arms",
-            "reverse the sign of commands in the rig's program, or swap two of the motor's leads; where the cart "
-            "was seen to go to the right first, reverse the cart's scale and all encoders instead",
+            "reverse the sign of commands in the rig's program, or swap two of the motor's leads; if the cart "
+            "went to the right first, reverse the cart's scale and all encoders instead",
         )
     if "cart" in signs[0]:
         return wrong(
-            "the cart's scale is reversed: its reading falls where the arms show that the cart goes to the right",
+            "the cart's scale is reversed: its reading decreases when the arms show that the cart goes to the right",
             "reverse the sign of the cart's reading in the rig's program",
         )
     if np.all(np.abs(factors) > _STUCK) and _cart_scale(gain, factors):
@@ -911,7 +928,7 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
             f"multiply commands by {1 / gain:.3g} in the rig's program, or correct the drive's own scale",
         )
     return Finding(
-        "drive", Grade.OK, f"the cart goes the commanded way, with {gain:.3f} of the acceleration", "", figures
+        "drive", Grade.OK, f"the cart goes in the commanded direction, with {gain:.3f} of the acceleration", "", figures
     )  # fmt: skip
 
 
@@ -920,7 +937,7 @@ _LIKELY = (1.0, 2.0, 4.0, 0.5, 0.25, _DEGREES)
 
 
 def _plain_factor(size: float) -> float:
-    """Return the factor that a mistake is likely to have where the swing shows `size`, known as well as the model."""
+    """Return the likely factor of a fault from its measured value `size`, as accurate as the model."""
     nearest = min(_LIKELY, key=lambda one: abs(math.log(one / size)))
     return nearest if abs(nearest / size - 1) < _FACTOR else size
 
@@ -930,37 +947,37 @@ def _named(name: str) -> str:
 
 
 def _lateness(drive: DriveFit, settings: LoopSettings, period: float, changes: dict[str, Any]) -> Finding:
-    """Compare delay and lag with what [run] says."""
+    """Compare delay and lag with those in [run]."""
     delay, lag = max(drive.delay / period, 0.0), drive.lag
     errors = drive.errors[0] / period, drive.errors[1]
     figures = {"delay": delay, "delay_error": errors[0], "lag": lag, "lag_error": errors[1], "misfit": drive.misfit}
     if drive.misfit > _LEFT_OVER:
         return Finding("delay", Grade.UNSURE, "delay and lag cannot be determined from this motion",
-                       "fix what the step before says and start again", figures)  # fmt: skip
+                       "fix the finding of the previous step and start again", figures)  # fmt: skip
     said = settings.drive
     sentence = (
         f"the delay is {_with_error(delay, errors[0])} periods, the lag {_with_error(1e3 * lag, 1e3 * errors[1])} ms"
     )
-    # The bench's, for simulation, and what the controller knows.
+    # One for the simulated bench, one for the controller.
     changes |= {"delay": round(delay, 3), "lag": round(lag, 5), "drive_lag": round(lag, 5)}
     close = abs(delay - said.delay) <= max(0.1, 3 * errors[0])
     if close and abs(lag - said.lag) <= max(5e-4, 3 * errors[1], 0.1 * said.lag):
-        return Finding("delay", Grade.OK, f"{sentence}, as [run] says", "", figures)
+        return Finding("delay", Grade.OK, f"{sentence}, as in [run]", "", figures)
     return Finding(
-        "delay", Grade.WRONG, f"{sentence}, but [run] says {said.delay:g} periods and {1e3 * said.lag:g} ms",
+        "delay", Grade.WRONG, f"{sentence}, but [run] has {said.delay:g} periods and {1e3 * said.lag:g} ms",
         f"set delay = {changes['delay']:g}, lag and drive_lag = {changes['lag']:g} in [run], as --write does", figures,
         mended=True,
     )  # fmt: skip
 
 
 def _with_error(value: float, error: float) -> str:
-    """Return a number with its standard error, to two digits of that."""
+    """Return a number with its standard error, rounded to two digits of the error."""
     digits = min(max(1 - math.floor(math.log10(max(error, 1e-9))), 0), 4)
     return f"{value:.{digits}f} ± {error:.{digits}f}"
 
 
 _ZERO, _FAR = 0.003, 0.5
-"""rad: a zero that needs no change, and one that is no matter of adjustment."""
+"""Largest zero that needs no change, and largest that can be adjusted, rad."""
 
 
 def _zeros(
@@ -979,7 +996,7 @@ def _zeros(
         return Finding("still", Grade.UNSURE, "the arms' zeros cannot be determined while an encoder does not count",
                        "fix the encoder and start again", figures)  # fmt: skip
     if worst > _FAR:
-        return Finding("still", Grade.WRONG, f"{sentence}: angles count from hanging, where each is zero",
+        return Finding("still", Grade.WRONG, f"{sentence}: angles are measured from hanging, so each must be zero",
                        "set the encoders to zero while the arms hang", figures)  # fmt: skip
     total = before + off
     if worst > allowed or zeros:
@@ -996,7 +1013,7 @@ def _zeros(
 
 
 def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, ...]], gain: float) -> list[Finding]:
-    """Judge which encoder is whose, how angles are made of them, signs and counts; one finding for each mistake."""
+    """Judge order, form, signs and counts of the encoders; one finding for each fault."""
     n, factors = len(wiring.factors), wiring.factors
     figures = {
         "form": wiring.form.value, "order": [k + 1 for k in wiring.order], "factors": factors.tolist(),
@@ -1010,7 +1027,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
     stuck = [k for k in range(n) if abs(factors[k]) < _STUCK]
     found = [
         wrong(
-            f"the encoder of arm {k + 1} does not move: it shows {abs(factors[k]):.2f} of the swing that it should",
+            f"the encoder of arm {k + 1} does not move: it shows {abs(factors[k]):.2f} of the expected swing",
             f"check whether the encoder of arm {k + 1} is plugged in, powered and tight on its shaft",
         )
         for k in stuck
@@ -1020,7 +1037,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
             Finding(
                 "encoders",
                 Grade.UNSURE,
-                f"the arms swing in no way that a known mistake explains: {100 * wiring.misfit:.0f} % is left over",
+                f"no known fault explains the swing of the arms: {100 * wiring.misfit:.0f} % is unexplained",
                 "check whether the model is that of these arms (`dpcontrol identify`) and turn each arm by hand: its "
                 "own angle should grow counter-clockwise",
                 figures,
@@ -1032,10 +1049,10 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
                            "swap their plugs, or their order in the rig's program"))  # fmt: skip
     if not stuck and wiring.form is Form.RELATIVE:
         found.append(wrong(
-            "the rig sends each arm's angle to the arm before it",
-            "send absolute angles: the sum of an arm's joint angle and those of the joints before it"))  # fmt: skip
+            "the rig sends the angle between each arm and the previous one",
+            "send absolute angles: the sum of an arm's joint angle and those of all previous joints"))  # fmt: skip
     if not stuck and wiring.form is Form.TWICE:
-        found.append(wrong("the rig sums angles that are absolute already", "send each encoder's angle as it is"))
+        found.append(wrong("the rig sums angles that are already absolute", "send each encoder's angle as it is"))
     turned = {name for one in signs[:1] for name in one} if len(signs) == 1 else set()
     scaled = _cart_scale(gain, factors)
     for k in range(n):
@@ -1051,7 +1068,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
             factor = _plain_factor(size)
             why = "it may send degrees" if factor == _DEGREES else "its channels may count once, twice or four times"
             found.append(wrong(
-                f"the encoder of arm {k + 1} shows {size:.3g} times the swing that the model has",
+                f"the encoder of arm {k + 1} shows {size:.3g} times the swing of the model",
                 f"divide its angle by {factor:.3g} in the rig's program, or multiply its counts per turn there: {why}, "
                 "and angles are in radians"))  # fmt: skip
     if found:
@@ -1064,10 +1081,10 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
 def _counts(
     session: _Session, wiring: Wiring, gain: float, settings: LoopSettings, changes: dict[str, Any]
 ) -> Finding:  # fmt: skip
-    """Compare the rounding of joint angles with what [run] says of the encoders."""
+    """Compare the rounding of joint angles with the encoder counts in [run]."""
     joints = np.diff(np.array(session.positions)[:, :-1], axis=1, prepend=0.0)
     steps = [_rounding(column) for column in joints.T]
-    # An angle that is four times too large has steps that are, too.
+    # An angle that is four times too large has steps that are four times too large.
     sizes = np.abs(wiring.factors * (gain if _cart_scale(gain, wiring.factors) else 1.0))
     factors = [_plain_factor(max(float(size), _STUCK)) for size in sizes]
     seen = [round(2 * np.pi * factor / step) if step else 0 for step, factor in zip(steps, factors, strict=True)]
@@ -1075,33 +1092,33 @@ def _counts(
     figures = {"counts": seen}
     visible = {count for count in seen if count}
     if not visible:
-        sentence = "no rounding to counts is seen in the arms' readings"
+        sentence = "the arms' readings show no rounding to counts"
         return Finding("counts", Grade.OK if not said else Grade.UNSURE, sentence,
-                       "" if not said else f"check that the encoders have {said:,} counts per turn, as [run] says",
+                       "" if not said else f"check that the encoders have {said:,} counts per turn, as in [run]",
                        figures)  # fmt: skip
     coarsest = min(visible)
     sentence = f"the encoders show {' and '.join(f'{c:,}' if c else 'no' for c in seen)} counts per turn"
     if said and abs(coarsest / said - 1) < 0.02:
-        return Finding("counts", Grade.OK, f"{sentence}, as [run] says", "", figures)
+        return Finding("counts", Grade.OK, f"{sentence}, as in [run]", "", figures)
     changes["counts"] = coarsest
     return Finding(
-        "counts", Grade.WRONG, f"{sentence}, but [run] says {f'{said:,}' if said else 'no rounding'}",
+        "counts", Grade.WRONG, f"{sentence}, but [run] has {f'{said:,}' if said else 'no rounding'}",
         f"set counts = {coarsest} in [run], as --write does", figures, mended=True,
     )  # fmt: skip
 
 
 _SPAN, _SHORTEST = 0.1, 0.06
-"""s before and after a reversal that show the play, and the least of either."""
+"""Time before and after a reversal that shows the play, and its minimum, s."""
 _DEGREE = 4
 _LIKE = 20
-"""Residuals that follow one another and are alike."""
+"""Number of consecutive correlated residuals."""
 
 
 def fit_play(angles: Array, period: float) -> tuple[float, float]:
-    """Return the play between a joint and its encoder, rad, and its standard error, from readings (K,) of that joint.
+    """Return the play between a joint and its encoder and its standard error, rad.
 
-    An encoder stops where its joint reverses, and follows once the joint has crossed the play. On either side of the
-    gap a reversal's readings lie on one smooth curve, apart from the play; friction bends that curve at the reversal.
+    An encoder stops when its joint reverses, and follows again once the joint has crossed the play. Apart from the
+    play, the readings on both sides of this gap lie on one smooth curve. Friction bends that curve at the reversal.
     """
     noise = float(np.median(np.abs(np.diff(angles)))) / 0.954
     least, mark = max(0.5 * _rounding(angles), 5 * noise, 1e-9), angles[0]
@@ -1137,11 +1154,11 @@ def fit_play(angles: Array, period: float) -> tuple[float, float]:
 
 _REVERSALS = 4
 _LEAST_PLAY = 0.001
-"""rad: less play does no harm, and friction can look like it."""
+"""Play below which there is no finding, rad; friction can look like play."""
 
 
 def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings, changes: dict[str, Any]) -> Finding:
-    """Compare the play of the encoders with what [run] says."""
+    """Compare the play of the encoders with that in [run]."""
     joints = np.diff(angles, axis=1, prepend=0.0).T
     known = np.array(settings.mechanics.of_each("play", len(joints)))
     found = [fit_play(joint, period) for joint in joints]
@@ -1150,26 +1167,26 @@ def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings, 
     # Play can make joint encoders look like absolute ones.
     right = wiring.form in (Form.SUMMED, Form.ABSOLUTE) and np.all(np.abs(np.abs(wiring.factors) - 1) < _FACTOR)
     if not right or not np.isfinite(plays).all():
-        why = "the play of the encoders cannot be determined: the joints do not swing to and fro as the model's do"
-        return Finding("play", Grade.UNSURE, why, "fix what the other steps report and start again", figures)
+        why = "the play of the encoders cannot be determined: the joints do not swing like those of the model"
+        return Finding("play", Grade.UNSURE, why, "fix the other findings and start again", figures)
     least = np.array([max(_LEAST_PLAY, _rounding(joint)) for joint in joints])
     shown = " and ".join(_with_error(1e3 * play, 1e3 * error) for play, error in found)
     seen = np.where(plays > np.maximum(least, 3 * errors), np.round(plays, 5), 0.0)
     if np.all(np.abs(plays - known) <= np.maximum(3 * errors, np.maximum(least, 0.2 * known))):
-        sentence = f"the encoders have a play of {shown} mrad, as [run] says"
+        sentence = f"the encoders have a play of {shown} mrad, as in [run]"
         none = f"the encoders show no play beyond {1e3 * least.max():.2g} mrad"
         return Finding("play", Grade.OK, sentence if known.any() else none, "", figures)
     changes["play"] = seen.tolist()
     said = " and ".join(f"{1e3 * play:g}" for play in known)
     return Finding(
-        "play", Grade.WRONG, f"the encoders have a play of {shown} mrad, but [run] says {said} mrad",
+        "play", Grade.WRONG, f"the encoders have a play of {shown} mrad, but [run] has {said} mrad",
         f"set play = {changes['play']} in [run], as --write does, or fix the encoders' couplings", figures, mended=True,
     )  # fmt: skip
 
 
 def _rounding(values: Array) -> float:
-    """Return the step that values are rounded to, 0 where none is seen."""
-    # Sums and differences of multiples are off by their last digits.
+    """Return the rounding step of values, or 0 without one."""
+    # Sums and differences of multiples have errors in their last digits.
     levels = np.unique(np.round(values, 9))
     gaps = np.diff(levels)
     gaps = gaps[gaps > 5e-9]
@@ -1183,16 +1200,15 @@ def _rounding(values: Array) -> float:
 
 
 _FRICTION, _SMOOTHED, _TOO_DAMPED = 5e-4, 0.03, 0.3
-"""Least friction that is observed, as a share of gravity's torque; s over which rates are averaged; damping of arms
-that hardly swing."""
+"""Minimum observable friction relative to gravity's torque, averaging time of rates, s, and damping of stuck arms."""
 
 
 def _friction(
     angles: Array, period: float, arms: ArmChainParameters, swing: CommissioningSwing, settings: LoopSettings
 ) -> Finding:
-    """Compare the dry friction of the joints with what [run] says: the torque that loses as much power as the swing.
+    """Compare the dry friction of the joints with [run], as the torque with the observed power loss.
 
-    A mode of unit mass loses 2 ζ ω q̇² beyond what viscous friction explains; a joint with a dry torque c loses c |ρ|.
+    A mode of unit mass loses 2 ζ ω q̇² beyond viscous friction. A joint with a dry torque c loses c |ρ|.
     """
     model, span, own = modes(arms), max(1, round(_SMOOTHED / period)), settings.mechanics
     rates = (angles[span:] - angles[:-span]) / (span * period)
@@ -1208,7 +1224,7 @@ def _friction(
         return Finding("friction", Grade.UNSURE, why, "loosen the joints and start again", figures)
     if torque < max(least, 1.5 * said):
         none = f"the joints show no dry friction beyond {1e3 * least:.1g} mN m"
-        sentence = f"the swing decays as by a dry friction of {1e3 * torque:.2g} mN m in each joint, as [run] says"
+        sentence = f"the swing decays as by a dry friction of {1e3 * torque:.2g} mN m in each joint, as in [run]"
         return Finding("friction", Grade.OK, none if torque < least else sentence, "", figures)
     sentence = f"the swing decays as by a dry friction of {1e3 * torque:.2g} mN m in each joint"
     breakaway = torque / max(own.kinetic, 0.1)
@@ -1217,7 +1233,7 @@ def _friction(
 
 
 _DETUNING, _FASTER, _LEAST_DAMPING = 0.05, 5.0, 0.01
-"""Share by which frequencies may be off the model's; dampings that are worth a word: so many times the model's."""
+"""Relative tolerance of frequencies, and the multiple of the model's damping that is reported."""
 
 
 def _model(swing: CommissioningSwing, wiring: Wiring, model: Modes) -> Finding:
@@ -1237,11 +1253,11 @@ def _model(swing: CommissioningSwing, wiring: Wiring, model: Modes) -> Finding:
 
 
 _ACCELERATE, _STOPPING = 0.3, 1.0
-"""m/s² towards the switches, and where one has answered."""
+"""Accelerations towards the switches, and after a response, m/s²."""
 
 
 def _tried_switches(session: _Session, most: float, limits: Limits, options: CommissioningSettings) -> list[Finding]:
-    """Creep to each side until the switch answers, and come back; return a finding for each side."""
+    """Creep to each side until the switch responds, and return; one finding for each side."""
     session.reach = most + REACH
     return [_tried_switch(session, side, name, most, limits, options) for side, name in ((1, "right"), (-1, "left"))]
 
@@ -1258,25 +1274,25 @@ def _tried_switch(
 
     if answer == -side:
         return wrong(
-            f"at the {name}, at {at:+.4f} m, the switch of the other side answers",
+            f"at the {name}, at {at:+.4f} m, the switch of the other side responds",
             "swap the plugs of the limit switches, or their signs in the rig's program: right is +1",
         )
     if not answer:
         return wrong(
-            f"no switch answers at the {name} up to {at:+.4f} m",
+            f"no switch responds at the {name} up to {at:+.4f} m",
             "press that switch by hand: if no reading shows it, check its wiring; otherwise give --switches a "
-            "longer way, short of the hard stop",
+            "longer distance, less than that to the hard stop",
         )
     if abs(at) < limits.position:
         return wrong(
-            f"the switch at the {name} answers at {at:+.4f} m, within the ±{limits.position:g} m that [limits] allows",
+            f"the switch at the {name} responds at {at:+.4f} m, within the ±{limits.position:g} m that [limits] allows",
             f"set position below {abs(at):.3f} in [limits], or move the switch outwards",
         )
-    return Finding("switches", Grade.OK, f"the switch at the {name} answers at {at:+.4f} m", "", figures)
+    return Finding("switches", Grade.OK, f"the switch at the {name} responds at {at:+.4f} m", "", figures)
 
 
 def _creep(session: _Session, side: int, most: float, speed: float) -> tuple[int, float]:
-    """Move to a side until a switch answers or the way is done; return the answer and where the cart is then."""
+    """Move to a side until a switch responds or the distance is covered; return response and position."""
     period, wanted, slope = session.period, 0.0, 0.0
     answer, at, braking = 0, 0.0, False
     while True:
@@ -1292,7 +1308,7 @@ def _creep(session: _Session, side: int, most: float, speed: float) -> tuple[int
 
 
 def _return(session: _Session, options: CommissioningSettings) -> None:
-    """Bring the cart back to where it was, smoothly."""
+    """Move the cart back to its home smoothly."""
     away = session.cart - session.home
     duration = max(1.875 * abs(away) / (2 * options.creep), 0.5)
     s = np.linspace(0, 1, max(3, round(duration / session.period)))
@@ -1302,11 +1318,11 @@ def _return(session: _Session, options: CommissioningSettings) -> None:
 
 
 def _deadlines(session: _Session) -> Finding:
-    """Judge how well the two ends kept time."""
+    """Judge the timing of both ends."""
     ticks, lost = len(session.positions), session.present.count(False)
     kept = getattr(session.rig, "deadlines", None)
     figures: dict[str, Any] = {"ticks": ticks, "late": session.late, "lost": lost}
-    sentence = f"of {ticks:,} ticks {session.late} began a period late or later, and {lost} had no reading"
+    sentence = f"of {ticks:,} ticks {session.late} began at least a period late, and {lost} had no reading"
     worst = max(session.late, lost)
     if isinstance(kept, Deadlines):
         figures |= {"held": kept.held, "trip_median": kept.trip_median, "trip_99": kept.trip_99}

@@ -1,16 +1,16 @@
-"""What a bench and its loop say to each other over UDP, version 2, and who may speak.
+"""Protocol between a bench and its loop over UDP, version 2, and its security.
 
-Little-endian, one packet a datagram. Every packet begins with a head of 20 bytes:
+Numbers are little-endian, with one packet per datagram. Each packet begins with a head of 20 bytes:
 
     magic 4 bytes "dpcb", version u8, kind u8, count u16, session u64, sequence u32
 
     kind         from    count                    then
     HELLO    1   loop    0                        nothing
-    WELCOME  2   bench   arms                     f64 period s, u32 ticks that the bench can run for, u64 session
-    START    7   loop    commands that follow     f64 each: m/s², on their way when the run begins, oldest first; the
-                                                  loop is ready for the first reading
-    READING  3   bench   arms                     u32 tick, u32 tick of the newest command heard (no tick: 2³²-1),
-                                                  u32 periods that had to do with an old command, u32 packets ignored,
+    WELCOME  2   bench   arms                     f64 period s, u32 maximum ticks of a run, u64 session
+    START    7   loop    commands that follow     f64 each: pending commands, m/s², oldest first; the loop is
+                                                  ready for the first reading
+    READING  3   bench   arms                     u32 tick, u32 tick of the newest command received (none: 2³²-1),
+                                                  u32 periods with a repeated command, u32 packets ignored,
                                                   f64 s from that reading to its command, i8 switch, u8 condition,
                                                   u16 bytes of a sentence, f64 positions (arms, then the cart), the
                                                   sentence; then, if the bench knows it, f64 s: age of the positions
@@ -18,20 +18,20 @@ Little-endian, one packet a datagram. Every packet begins with a head of 20 byte
     STOP     5   loop    0                        nothing: brake to a standstill
     BYE      6   both    bytes of a sentence      the sentence: the run is over
 
-and ends, where the two share a key, with a seal of 16 bytes: the first of HMAC-SHA256, with that key, of "loop" or
-"bench", whoever sends it, and of all that stands before the seal.
+If both ends share a key, a packet ends with a seal of 16 bytes. The seal is the first half of the HMAC-SHA256 with that
+key of "loop" or "bench", the sender's role, followed by the packet before the seal.
 
-The session of HELLO is a number that the loop draws, and the answer (WELCOME, or BYE) repeats it, so that no old answer
-serves. WELCOME names the run's own session, which the bench draws and which goes to the address of the loop only; all
-later packets carry it, so that none of another run, or of someone who cannot read these, counts. HELLO binds the bench
-to nothing: the run begins with START. The sequence rises with each packet of a sender; one that is not above all before
-it is not believed. A lost packet is not sent again, and READING and COMMAND carry the tick that they belong to.
+The loop draws a session number for HELLO, and the answer (WELCOME or BYE) repeats it. Old answers are therefore
+invalid. WELCOME contains the session of the run, which the bench draws and sends only to the loop's address. All later
+packets carry it, which excludes packets of other runs and of senders that cannot read them. HELLO reserves nothing: the
+run begins with START. The sequence number increases with each packet of a sender. A packet with a number that is not
+above all earlier ones is ignored. Lost packets are not repeated. READING and COMMAND carry their tick.
 
-Version 1 had a head of eight bytes, without session and sequence, and HELLO carried the commands on their way.
+Version 1 had a head of eight bytes, without session and sequence, and HELLO carried the pending commands.
 
-A bench moves a cart. Away from loopback its packets can be read and made by others, so there they are sealed with a
-shared key, unless the user says that they need not be. The key stands in a file or in the environment, never on the
-command line, which every user of a computer can read.
+A bench moves a cart. Beyond loopback, others can read and forge packets, so there they are sealed with a shared key
+unless the user disables this. The key is in a file or in the environment. It is not accepted on the command line, which
+all users of a computer can read.
 """
 
 import hmac
@@ -49,7 +49,7 @@ from dpcontrol.foundation.files import checked_source
 
 MAGIC, VERSION = b"dpcb", 2
 LARGEST = 4096
-"""Bytes of a datagram at most."""
+"""Maximum bytes of a datagram."""
 _LONGEST_TEXT = 2048
 NO_TICK = 2**32 - 1
 
@@ -63,7 +63,7 @@ _SEAL = 16
 
 
 class Kind(IntEnum):
-    """What a packet is."""
+    """Kind of a packet."""
 
     HELLO = 1
     WELCOME = 2
@@ -75,17 +75,17 @@ class Kind(IntEnum):
 
 
 class Condition(IntEnum):
-    """How the bench is."""
+    """Condition of the bench."""
 
     WELL = 0
     FAULT = 1
-    """It has failed, as the sentence says."""
+    """The bench has failed, as the sentence describes."""
     SILENCE = 2
-    """It heard nothing from the loop for too long and has stopped the cart."""
+    """The bench received nothing from the loop for too long and has stopped the cart."""
 
 
 class Role(Enum):
-    """An end of the line."""
+    """One of the two ends."""
 
     LOOP = b"loop"
     BENCH = b"bench"
@@ -97,15 +97,15 @@ class Role(Enum):
 
 
 class OtherVersion(ValueError):
-    """The packet is of another version of the protocol."""
+    """The packet has another version of the protocol."""
 
 
 class Unsealed(ValueError):
-    """The packet is not sealed with the shared key, or with one where none is shared."""
+    """The packet lacks the shared key's seal, or has a seal although no key is shared."""
 
 
 class Packet(NamedTuple):
-    """A packet without its head: kind, the head's count, and what follows the head."""
+    """A packet without its head: kind, the head's count, and the content."""
 
     kind: Kind
     number: int = 0
@@ -113,13 +113,13 @@ class Packet(NamedTuple):
 
 
 class Start(NamedTuple):
-    """A loop begins its run: the commands on their way, m/s², oldest first."""
+    """Start of a loop's run: pending commands, m/s², oldest first."""
 
     queued: tuple[float, ...]
 
 
 class Welcome(NamedTuple):
-    """The bench is ready: arms, period s, ticks that it can run for, number of the session."""
+    """Readiness of the bench: arms, period s, maximum ticks, session number."""
 
     arms: int
     period: float
@@ -128,39 +128,40 @@ class Welcome(NamedTuple):
 
 
 class ReadingPacket(NamedTuple):
-    """What the sensors said at `tick`: positions, absolute angles in rad, then the cart's in m.
-
-    heard: tick of the newest command that has come, -1 for none; held: periods so far in which no new one came; trip s:
-    from the reading `heard` to its command; switch -1, 0, +1; condition of the bench, and a sentence on it; ignored:
-    packets so far that were not of this run's loop, or not new. age s: how long before the tick the positions were
-    taken, None if the bench does not know.
-    """
+    """Readings of the sensors at `tick`."""
 
     tick: int
     positions: tuple[float, ...]
+    """Absolute angles, rad, then the cart's position, m."""
     heard: int
+    """Tick of the newest command received, -1 for none."""
     held: int
+    """Periods so far without a new command."""
     trip: float
+    """Time from the reading `heard` to its command, s."""
     switch: int
+    """-1, 0 or +1."""
     condition: Condition
     text: str
     ignored: int = 0
+    """Foreign or repeated packets so far."""
     age: float | None = None
+    """Age of the positions at the tick, s; None if unknown."""
 
 
 class CommandPacket(NamedTuple):
-    """The cart's wanted acceleration, m/s², in answer to the reading of `tick`."""
+    """The demanded acceleration of the cart, m/s², in response to the reading of `tick`."""
 
     tick: int
     acceleration: float
 
 
 Content = Start | Welcome | ReadingPacket | CommandPacket | str | None
-"""Of BYE the sentence, of HELLO and STOP None."""
+"""Content of a packet: a sentence for BYE, None for HELLO and STOP."""
 
 
 class Heard(NamedTuple):
-    """A packet that has come; new: whether its sequence is above all that were heard before."""
+    """A received packet; new: True if its sequence number is above all earlier ones."""
 
     kind: Kind
     session: int
@@ -170,7 +171,7 @@ class Heard(NamedTuple):
 
 
 def hello() -> Packet:
-    """Return what asks a bench for a run."""
+    """Return the request for a run."""
     return Packet(Kind.HELLO)
 
 
@@ -180,7 +181,7 @@ def welcome(content: Welcome) -> Packet:
 
 
 def start(queued: Sequence[float] = ()) -> Packet:
-    """Return what begins a run and lets the first tick come, with the commands on their way (m/s²), oldest first."""
+    """Return the start of a run with pending commands, m/s², oldest first."""
     return Packet(Kind.START, len(queued), struct.pack(f"<{len(queued)}d", *queued))
 
 
@@ -202,18 +203,18 @@ def command(tick: int, acceleration: float) -> Packet:
 
 
 def stop() -> Packet:
-    """Return what stops the cart."""
+    """Return the packet that stops the cart."""
     return Packet(Kind.STOP)
 
 
 def bye(text: str) -> Packet:
-    """Return what ends a run, and why."""
+    """Return the packet that ends a run, with the reason."""
     said = text.encode()[:_LONGEST_TEXT]
     return Packet(Kind.BYE, len(said), said)
 
 
 def packed(message: Packet, role: Role, *, session: int, sequence: int, key: bytes = b"") -> bytes:
-    """Return the packet of a message from `role`; sealed if there is a key."""
+    """Return the encoded packet from `role`, sealed if there is a key."""
     kind, count, body = message
     data = _HEAD.pack(MAGIC, VERSION, kind, count, session, sequence) + body
     return data + _seal(data, role, key) if key else data
@@ -224,12 +225,12 @@ def _seal(data: bytes, role: Role, key: bytes) -> bytes:
 
 
 def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> Heard:
-    """Return a packet's head and content, if `role` sent it and, where there is a key, has sealed it.
+    """Return head and content of a packet from `role`, after checking its seal.
 
     Raises:
-        OtherVersion: it is of another version.
-        Unsealed: the seal is missing, or of another key, or there is one and no key.
-        ValueError: it is not a packet, or damaged; says how.
+        OtherVersion: the version is different.
+        Unsealed: the seal is missing or wrong, or there is one without a key.
+        ValueError: the packet is invalid or damaged.
     """
     if len(data) < _OLD_HEAD.size:
         raise ValueError(f"a packet of {len(data)} bytes has no head")
@@ -237,7 +238,7 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> Heard:
     if magic != MAGIC:
         raise ValueError(f"a packet that begins with {magic!r} is not from a bench")
     if version != VERSION:
-        raise OtherVersion(f"the packet's version is {version}, this program speaks {VERSION}")
+        raise OtherVersion(f"the packet's version is {version}, this program uses {VERSION}")
     if key:
         data, seal = data[:-_SEAL], data[-_SEAL:]
         if not hmac.compare_digest(seal, _seal(data, role, key)):
@@ -249,14 +250,14 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> Heard:
     except (struct.error, UnicodeDecodeError) as error:
         raise ValueError(f"a packet of kind {number} is damaged: {error}") from error
     if len(data) == end + _SEAL and not key:
-        raise Unsealed("a packet is sealed with a key, and none is given here")
+        raise Unsealed("a packet is sealed with a key, but no key is given here")
     if len(data) != end:
         raise ValueError(f"a packet of kind {number} is damaged: it has {len(data)} bytes instead of {end}")
     return Heard(kind, session, sequence, content)
 
 
 def _content(kind: Kind, data: bytes, count: int) -> tuple[Content, int]:
-    """Return the content of a packet, and where it ends."""
+    """Return the content of a packet, and its end."""
     at = _HEAD.size
     if kind is Kind.READING:
         tick, heard, held, ignored, trip, switch, condition, size = _READING.unpack_from(data, at)
@@ -290,12 +291,12 @@ def _text(data: bytes, at: int, size: int) -> str:
 
 
 def is_hello(data: bytes) -> bool:
-    """Tell whether these bytes begin as HELLO of some version does: its sender can be told why it gets no welcome."""
+    """True if these bytes begin like a HELLO of any version, whose sender can receive a refusal."""
     return data[:4] == MAGIC and data[5:6] == bytes([Kind.HELLO])
 
 
 def refusal(data: bytes, why: str) -> bytes:
-    """Return an unsealed BYE that the sender of the HELLO `data`, of version 1 or of ours, understands."""
+    """Return an unsealed BYE that the sender of the HELLO `data` understands, for version 1 or 2."""
     said = bye(why)
     if data[4] == 1:
         return _OLD_HEAD.pack(MAGIC, 1, said.kind, said.number) + said.body
@@ -304,26 +305,26 @@ def refusal(data: bytes, why: str) -> bytes:
 
 
 class Talk:
-    """One end of a session: numbers and seals what it says, and believes only what the other end says in it."""
+    """One end of a session: numbers and seals its packets, and checks those received."""
 
     def __init__(self, role: Role, session: int, *, key: bytes = b"") -> None:
         self._role, self._session, self._key = role, session, key
         self._said = self._newest = 0
 
-    def say(self, message: Packet) -> bytes:
-        """Return the packet to be sent."""
+    def pack(self, message: Packet) -> bytes:
+        """Return the encoded packet of a message."""
         self._said += 1
         return packed(message, self._role, session=self._session, sequence=self._said, key=self._key)
 
-    def hear(self, data: bytes) -> Heard:
-        """Return a packet that has come.
+    def unpack(self, data: bytes) -> Heard:
+        """Return a received packet.
 
         Raises:
-            ValueError: it is not of this session, or one of the errors of `unpacked`.
+            ValueError: the packet belongs to another session, or has an error listed in `unpacked`.
         """
         heard = unpacked(data, self._role.other, key=self._key)
         if heard.session != self._session:
-            raise ValueError("a packet is not of this run")
+            raise ValueError("a packet does not belong to this run")
         if heard.sequence <= self._newest:
             return heard._replace(new=False)
         self._newest = heard.sequence
@@ -332,12 +333,12 @@ class Talk:
 
 KEY_VARIABLE = "DPCONTROL_RIG_KEY"
 SHORTEST_KEY = 16
-"""Bytes."""
+"""Minimum length of a key, bytes."""
 _LONGEST_KEY = 4096
 
 
 def shared_key(file: Path | None = None) -> bytes:
-    """Return the key in `file`, or else in the environment, or b"" where there is none; blanks at its ends are dropped.
+    """Return the key from `file`, or from the environment, or b"" without surrounding blanks.
 
     Raises:
         InputError: the file cannot be read, or the key is too short.
@@ -348,7 +349,7 @@ def shared_key(file: Path | None = None) -> bytes:
     try:
         key = (_beginning(file) if file else os.fsencode(os.environ[KEY_VARIABLE])).strip()
     except OSError as error:
-        raise InputError(f"{where}: {error.strerror or error}; give a file that holds the key") from error
+        raise InputError(f"{where}: {error.strerror or error}; give a file that contains the key") from error
     if len(key) < SHORTEST_KEY:
         raise InputError(
             f"{where}: a key of {len(key)} bytes is too short; at least {SHORTEST_KEY} are needed, as from "
@@ -364,15 +365,15 @@ def _beginning(file: Path) -> bytes:
 
 
 def resolved(host: str, port: int, *, name: str, family: int = 0) -> tuple[int, tuple]:
-    """Return address family and socket address of a host; `name` says in messages where it was given.
+    """Return address family and socket address of a host; `name` identifies it in messages.
 
     Raises:
-        InputError: there is no such host.
+        InputError: the host does not exist.
     """
     try:
         found = socket.getaddrinfo(host, port, family=family, type=socket.SOCK_DGRAM)[0]
     except (OSError, ValueError, OverflowError) as error:
-        # A name that is too long, or that no encoding of host names takes, is a ValueError.
+        # A name that is too long, or not a valid host name, is a ValueError.
         why = (error.strerror if isinstance(error, OSError) else None) or error
         shown = name if len(name) <= 100 else f"{name[:100]}…"
         raise InputError(f"{shown}: {why}; check the address") from error
@@ -380,23 +381,23 @@ def resolved(host: str, port: int, *, name: str, family: int = 0) -> tuple[int, 
 
 
 def check_access(address: tuple, *, name: str, key: bytes, insecure: bool) -> None:
-    """Reject an address beyond this computer where neither a key is shared nor the user says that none is needed.
+    """Reject an address beyond this computer if no key is shared and `insecure` is False.
 
     Raises:
-        InputError: it is such an address.
+        InputError: the address is rejected.
     """
     if not (key or insecure or ip_address(address[0].partition("%")[0]).is_loopback):
         raise InputError(
             f"{name} can be reached from other computers, so both ends need a shared key: give its file with "
-            f"--key-file or the key in {KEY_VARIABLE}, or --insecure to let anyone there drive the cart"
+            f"--key-file or the key in {KEY_VARIABLE}, or --insecure to let any computer there drive the cart"
         )
 
 
 def checked_host(host: str, port: int, *, key: bytes, insecure: bool) -> tuple:
-    """Return the socket address at which a bench may listen.
+    """Return the socket address for a bench.
 
     Raises:
-        InputError: the host is empty or unknown, or other computers can reach it and there is no key.
+        InputError: the host is empty or unknown, or other computers can reach it without a key.
     """
     if not host.strip():
         raise InputError("rig: --host is empty; give 127.0.0.1 for this computer alone, 0.0.0.0 for all interfaces")

@@ -75,5 +75,5 @@ def example_bench(
         key=key,
         insecure=at.insecure,
         settings=at.settings,
-        say=say,
+        report=say,
     )

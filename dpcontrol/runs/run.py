@@ -566,17 +566,19 @@ _CHECKED_TICKS = 4000
 
 
 def check_exportable(itinerary: Itinerary) -> None:
-    """Reject an itinerary whose controller cannot leave as C, by its settings, before it is planned.
+    """Reject an itinerary whose controller cannot be exported to C, by its settings, before it is planned.
 
     Raises:
         InputError: names the setting.
     """
     loop = itinerary.loop
     if loop.keep != "none":
-        raise InputError(f'run: keep = "{loop.keep}" keeps a clock of its own and cannot leave as C; export without it')
+        raise InputError(
+            f'run: keep = "{loop.keep}" has an internal clock that C export does not support; export without it'
+        )
     if loop.supervisor.hold != "none":
         raise InputError(
-            f'supervisor: hold = "{loop.supervisor.hold}" searches for what to hold and cannot leave as C; export with '
+            f'supervisor: hold = "{loop.supervisor.hold}" searches for an orbit to hold, which C export does not support; export with '
             'hold = "none"'
         )
     if loop.supervisor.on_fall != "stop":
@@ -586,12 +588,12 @@ def check_exportable(itinerary: Itinerary) -> None:
         )
     kind, by = loop.controller.kind, getattr(loop.controller, "schedule", "time")
     if isinstance(loop.controller, OwnLaw):
-        raise InputError(f"controller = {kind}: Python cannot leave as C; give a dp.SymbolicLaw")
+        raise InputError(f"controller = {kind}: Python code cannot be exported to C; use a dp.SymbolicLaw")
     if not law_of(loop.controller).symbolic or by != "time":
         what = f'schedule = "{by}"' if by != "time" else f'kind = "{kind}"'
-        raise InputError(f"controller: {what} keeps a clock of its own and cannot leave as C; {LEAVING}")
+        raise InputError(f"controller: {what} has an internal clock that C export does not support; {LEAVING}")
     if not filter_of(loop.estimator).symbolic:
-        raise InputError(f'estimator: kind = "{loop.estimator.kind}" cannot leave as C; use "ekf"')
+        raise InputError(f'estimator: kind = "{loop.estimator.kind}" cannot be exported to C; use "ekf"')
 
 
 def export_plan(
@@ -610,7 +612,7 @@ def export_plan(
     force: replace what is in the folder under the same names.
 
     Raises:
-        InputError: its law or estimator cannot leave as C, the target cannot keep the rate, or the folder holds
+        InputError: its law or estimator cannot be exported to C, the target cannot keep the rate, or the folder holds
             something else.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """

@@ -148,7 +148,7 @@ def test_the_loops_rows_say_what_a_session_does() -> None:
 
 
 def test_what_is_no_equilibrium_is_refused() -> None:
-    with pytest.raises(InputError, match="no equilibrium to hold"):
+    with pytest.raises(InputError, match="is not an equilibrium"):
         hold_controller([0.3, np.pi, 0.0, 0.0], model_of(), HoldSettings(), seconds=1.0)
     with pytest.raises(InputError, match="effort = -1"):
         HoldSettings(effort=-1.0)

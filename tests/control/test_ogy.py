@@ -99,7 +99,7 @@ def test_a_classic_pulse_takes_the_unstable_direction_to_zero_and_leaves_the_car
 
 
 def test_what_cannot_be_reached_has_no_periodic_gains() -> None:
-    with pytest.raises(GoalMissed, match="grows by 2 in a period is out of the input's reach"):
+    with pytest.raises(GoalMissed, match="cannot influence a motion that grows by 2 per period"):
         periodic_gains(np.diag([2.0, 0.5])[None], np.array([[0.0, 1.0]]), weights=np.ones(2), effort=1.0)
 
 

@@ -75,7 +75,7 @@ class SideBySide:
         k, self._k = min(self._k, self.count - 1), self._k + 1
         own, other = (_named(ticker, ticker(k, reading)[:, 0].copy()) for ticker in (self.own, self.other))
         if self._told:
-            self.c.tell_sent(float(own["command"][0]))
+            self.c.set_sent(float(own["command"][0]))
         return own, other
 
 

@@ -115,7 +115,7 @@ def test_every_shipped_itinerary_is_exported_or_rejected_with_the_reason(
     monkeypatch.setattr(run, "_CHECKED_TICKS", 1_000_000)
     scene, folder = load_itinerary(name), tmp_path / "controller"
     if keeps_a_clock(name):
-        with pytest.raises(InputError, match="keeps a clock of its own"):
+        with pytest.raises(InputError, match="has an internal clock"):
             run.check_exportable(scene)
         return
     run.export_plan(make_plan(scene), folder, single=precise == "single")

@@ -242,7 +242,7 @@ def test_the_library_takes_the_ticks_place_in_a_run(plan: Plan, exported: Export
         (["--counts", "5000"], "settings of estimator"),
         (["--set", "hold=nearest"], "hold"),
         (["--set", "sensors.rate_noise=0.1"], "measured rates"),
-        (["--controller", "ogy"], "clock of its own"),
+        (["--controller", "ogy"], "has an internal clock"),
         (["--estimator", "ukf"], "ukf"),
     ],
 )
@@ -269,7 +269,7 @@ def test_a_file_that_is_not_a_library_is_rejected(tmp_path: Path, double: Export
     done = ran(needed("gcc"), "-shared", "-fPIC", "-o", "other.so", "other.c", folder=tmp_path)
     assert done.returncode == 0
     for made, said in (
-        (text, "is no library of `dpcontrol export`"), (tmp_path / "other.so", "dpc_describe"),
+        (text, "is not a library of `dpcontrol export`"), (tmp_path / "other.so", "dpc_describe"),
         (tmp_path / "missing.so", "there is no library"), (double[0], "directory"),
     ):  # fmt: skip
         ended = dpcontrol("run", "outer-turn", "--controller-library", made, "--out", log)
@@ -290,7 +290,7 @@ def test_a_file_that_is_not_a_library_is_rejected(tmp_path: Path, double: Export
         ("outer-turn", ["--rate", "20000"], "rate"),
         ("outer-turn", ["--rate", "0"], "rate"),
         ("outer-turn", ["--clock", "168"], "use --float"),
-        ("outer-turn", ["--clock", "8", "--float"], "choose a quicker target"),
+        ("outer-turn", ["--clock", "8", "--float"], "choose a faster target"),
         ("outer-turn", ["--clock", "nan"], "clock"),
         ("no-such-itinerary", [], "no-such-itinerary"),
     ],

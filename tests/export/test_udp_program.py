@@ -159,7 +159,7 @@ def test_a_dead_program_has_its_cart_stopped(tmp_path: Path, monkeypatch: pytest
             loop.wait()
         assert toy.stopped_at is not None
         assert bench.record is not None
-        assert "the bench heard nothing from the loop for 0.03 s" in bench.record.ended
+        assert "the bench received nothing from the loop for 0.03 s" in bench.record.ended
         if (toy.stopped_at - bench.record.last) * toy.period <= 0.05:
             return
     pytest.fail("the cart was stopped too late")
@@ -198,7 +198,7 @@ def test_bad_arguments_and_keys_are_rejected_with_a_sentence(program: Path, tmp_
         assert said in done.stderr
     with served(Toy(), key=KEY.hex().encode()) as bench:
         with begun(program, bench.address[1]) as loop:
-            assert "this bench asks for the key" in loop.communicate(timeout=60)[1]
+            assert "this bench requires its shared key" in loop.communicate(timeout=60)[1]
         assert loop.returncode == 2
         with begun(program, bench.address[1], "--key-file", key) as loop:
             loop.communicate(timeout=60)
@@ -276,15 +276,15 @@ def test_a_log_ends_with_the_program_and_has_the_time_of_the_stop(turn: tuple[St
     recorded = Recorded(rig, 401, loop)
     loop.run(recorded)
     record = recorded.record
-    record.last, record.ended = 299, "the bench heard nothing from the loop for 0.03 s until t = 0.331 s"
+    record.last, record.ended = 299, "the bench received nothing from the loop for 0.03 s until t = 0.331 s"
     record.truth[340:, -1] = 0.0
     again, _ = controlled(turn, 400)
     result = again.run(RecordedRig(record, again.ticker.program))
     assert len(result.ticks.times) == 300
     assert result.ending is Ending.PLANT_FAILED
     assert result.reason == (
-        "the controller's last command came at t = 0.299 s: the bench heard nothing from the loop for 0.03 s until "
-        "t = 0.331 s; the cart stood from t = 0.340 s on"
+        "the controller's last command came at t = 0.299 s: the bench received nothing from the loop for 0.03 s until "
+        "t = 0.331 s; the cart stood still from t = 0.340 s"
     )
 
 
@@ -328,8 +328,8 @@ def test_a_run_by_the_exported_program_is_logged_and_scored_as_any(tmp_path: Pat
     ended = dpcontrol(*run, log, "--controller-program", killed)
     assert ended.code == 1
     assert "the controller's last command came at t = " in ended.message
-    assert "the cart stood from t = " in ended.message
+    assert "the cart stood still from t = " in ended.message
     assert ended.document["deadlines"] is None
     early = dpcontrol(*run, log, "--controller-program", "/bin/false")
     assert early.code == 2
-    assert "--controller-program /bin/false ended with 1 before a run began: it said nothing" in early.message
+    assert "--controller-program /bin/false ended with 1 before a run began: it printed nothing" in early.message

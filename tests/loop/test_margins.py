@@ -134,5 +134,5 @@ def test_a_law_without_margins_says_so() -> None:
     arms = plan.itinerary.model.arms
     with pytest.raises(InputError, match="pulses"):
         Assembly(plan.reference, arms, plan.itinerary.loop).margins()
-    with pytest.raises(InputError, match="feeds nothing back"):
+    with pytest.raises(InputError, match="has no feedback"):
         Assembly(plan.reference, arms, LoopSettings(seed=0, controller=FeedforwardSettings())).margins()

@@ -120,7 +120,7 @@ WIRED_WRONGLY = {
     "encoder-1-reversed": ("encoders", "encoder of arm 1 counts backwards", "reverse the sign"),
     "encoder-2-reversed": ("encoders", "encoder of arm 2 counts backwards", "reverse the sign"),
     "encoders-swapped": ("encoders", "encoders of arms 1 and 2 are swapped", "swap their plugs"),
-    "angles-not-summed": ("encoders", "angle to the arm before it", "send absolute angles"),
+    "angles-not-summed": ("encoders", "the angle between each arm and the previous one", "send absolute angles"),
     "encoder-1-factor-4": ("encoders", "encoder of arm 1 shows", "divide its angle by 4 "),
 }
 
@@ -151,7 +151,7 @@ def test_two_mistakes_that_the_mirror_image_shares_are_both_named() -> None:
         told = only_wrong(commissioned(bench(*faults)), "drive")
         assert "the encoder of arm 1 and the encoder of arm 2" in told
         assert "the cart's scale and the drive" in told
-        assert "look which way" in told
+        assert "check in which direction" in told
 
 
 @pytest.mark.slow
@@ -170,7 +170,7 @@ def test_zeros_are_measured_though_the_arms_swing_and_then_taken_off() -> None:
 def test_a_tilted_track_is_named_beside_zeros_and_half_a_turn_is_no_zero() -> None:
     assert "level the track" in only_wrong(commissioned(bench(disturbances={"tilt": 0.02})), "still")
     found = commissioned(bench(zeros=(np.pi, np.pi)))
-    assert "angles count from hanging" in only_wrong(found, "still")
+    assert "angles are measured from hanging" in only_wrong(found, "still")
     assert not found.changes
 
 
@@ -180,7 +180,7 @@ def test_delay_and_lag_are_measured_and_compared_with_the_scene(delay: float, la
     assert found.changes["delay"] == pytest.approx(delay, abs=0.02)
     assert found.changes["lag"] == pytest.approx(lag, abs=5e-5)
     told = only_wrong(found, "delay")
-    assert f"but [run] says 1 periods and 0 ms → set delay = {found.changes['delay']:g}" in told
+    assert f"but [run] has 1 periods and 0 ms → set delay = {found.changes['delay']:g}" in told
 
 
 def test_counts_are_seen_in_the_readings() -> None:
@@ -239,12 +239,12 @@ def noisy_cart(reading: Reading) -> Reading:
     [
         (times(1, 1, 0.3), "drive", "divide the cart's reading by 0.3 "),
         (times(1, 1, 1.5), "drive", "divide the cart's reading by 1.5 "),
-        (times(1, 1, 1000), "drive", "has its cart's scale in metres"),
+        (times(1, 1, 1000), "drive", "has the cart's scale in metres"),
         (times(1, -1, 1), "encoders", "the absolute encoder of arm 2 counts backwards"),
-        (times(-1, -1, -1), "drive", "seen to go to the right first, reverse the cart's scale and all"),
+        (times(-1, -1, -1), "drive", "went to the right first, reverse the cart's scale and all"),
         (times(0, 0, 0), "drive", "whether the motor is on"),
         (noisy_cart, "drive", "whether the drive holds the cart"),
-        (lambda r: r._replace(positions=r.positions + 0.2), "still", "bring it to the centre"),
+        (lambda r: r._replace(positions=r.positions + 0.2), "still", "move it to the centre"),
         (lambda r: r._replace(positions=np.degrees(r.positions) * [1, 1, np.pi / 180]), "still", "not in radians"),
     ],
 )
@@ -259,7 +259,7 @@ def test_readings_in_other_units_or_signs_are_found_within_the_reach(
 def test_a_sensor_that_gives_no_numbers_is_named() -> None:
     rig = Misread(bench(), lambda r: r._replace(present=np.array([True, r.time < 0.6, True])))
     found = commissioned(rig)
-    assert found.wrong[0].sentence == "the encoder of arm 2 gave no number for 0.1 s, so the cart was stopped"
+    assert found.wrong[0].sentence == "the encoder of arm 2 gave no reading for 0.1 s, so the cart was stopped"
 
 
 # Slow: three rigs; its kin above are as much of the same.
@@ -351,9 +351,13 @@ def test_both_switches_are_found_by_creeping_and_the_cart_comes_back() -> None:
 @pytest.mark.parametrize(
     ("faults", "track", "sentence", "remedy"),
     [
-        (("switch-dead",), 0.5, "no switch answers at the right up to +0.48", "press that switch by hand"),
+        (("switch-dead",), 0.5, "no switch responds at the right up to +0.48", "press that switch by hand"),
         pytest.param(
-            ("switches-swapped",), 0.5, "the switch of the other side answers", "swap the plugs", marks=pytest.mark.slow
+            ("switches-swapped",),
+            0.5,
+            "the switch of the other side responds",
+            "swap the plugs",
+            marks=pytest.mark.slow,
         ),
         ((), 0.4, "within the ±0.4 m that [limits] allows", "set position below 0.35"),
     ],

@@ -127,7 +127,7 @@ def test_a_run_that_was_recorded_cannot_be_played_again() -> None:
             ended.set()
 
     with UdpBench(
-        lambda queued: next(toys), arms=2, ticks=10_000, period=0.002, settings=PATIENT, key=KEY, say=say
+        lambda queued: next(toys), arms=2, ticks=10_000, period=0.002, settings=PATIENT, key=KEY, report=say
     ) as bench:
         thread = threading.Thread(target=bench.serve, kwargs={"runs": 2}, daemon=True)
         thread.start()
@@ -182,7 +182,7 @@ def test_only_who_gets_the_welcome_can_start_a_run() -> None:
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_commands_on_their_way_that_are_not_finite_begin_nothing(value: float) -> None:
     with served(Toy()) as bench:
-        with pytest.raises(ArithmeticError, match="a command on its way is not a finite number"):
+        with pytest.raises(ArithmeticError, match="a pending command is not a finite number"):
             UdpRig(bench.address, queued=[value], settings=LONG).read()
         with UdpRig(bench.address, settings=LONG) as rig:
             rig.read()
@@ -230,7 +230,7 @@ def test_an_empty_host_does_not_mean_all_interfaces() -> None:
 @pytest.mark.parametrize(
     ("benchs", "loops", "said"),
     [
-        (KEY, b"", "asks for the key that it shares: give its file with --key-file"),
+        (KEY, b"", "requires its shared key: give its file with --key-file"),
         (KEY, KEY[::-1], r"refused: a packet is not sealed with the shared key\).*the same key"),
         (b"", KEY, r"refused: a packet is not sealed with the shared key\).*the same key"),
     ],
@@ -271,7 +271,7 @@ def test_a_loop_of_version_1_is_told_to_update() -> None:
         answer = old.recv(4096)
         magic, version, kind, count = struct.unpack_from("<4sBBH", answer)
         assert (magic, version, kind, count) == (b"dpcb", 1, Kind.BYE, len(answer) - 8)
-        assert answer[8:].decode() == "this bench speaks version 2 of the protocol; update the loop's dpcontrol"
+        assert answer[8:].decode() == "this bench uses version 2 of the protocol; update the loop's dpcontrol"
         with UdpRig(bench.address, settings=LONG) as rig:
             rig.read()
 
@@ -301,7 +301,7 @@ def test_readings_that_do_not_fit_the_welcome_are_refused_and_numbers_that_are_n
                 (0, (1.0, 2.0)), (4000, (1.0, 2.0, 3.0)), (0, (1.0, 2.0, 3.0)), (1, (math.nan, 5.0, math.inf)),
             ):  # fmt: skip
                 content = packets.ReadingPacket(tick, positions, -1, 0, 0.0, 0, Condition.WELL, "")
-                bench.sendto(talk.say(packets.reading(content)), client)
+                bench.sendto(talk.pack(packets.reading(content)), client)
 
         thread = threading.Thread(target=odd)
         thread.start()
@@ -398,7 +398,7 @@ def test_a_run_under_a_hundred_thousand_packets_is_the_loops_alone_and_its_log_s
     assert bench.returncode == 0
     deadlines = ended.document["deadlines"]
     assert deadlines["ignored"] > 1000
-    assert "not this loop's, or not new, were ignored" in said
+    assert "foreign or repeated packets were ignored" in said
     info = dpcontrol("info", log, "--json").document
     assert info["metadata"]["deadlines_ignored"] == str(deadlines["ignored"])
     run = read_log(log)

@@ -64,7 +64,7 @@ def test_a_night_on_the_example_bench_rolls_its_logs_and_goes_on_after_a_fall(tm
 def test_a_night_whose_bench_does_not_answer_leaves_nothing(tmp_path, monkeypatch) -> None:
     plan, night = falling(), NightSettings(hours=1.0)
     monkeypatch.setattr(LinkSettings, "__init__", partialmethod(LinkSettings.__init__, answer=0.3))
-    with pytest.raises(InputError, match="no bench answered"):
+    with pytest.raises(InputError, match="no bench responded"):
         run_night(plan, tmp_path / "rig.mcap", night, link=RigLink("udp://127.0.0.1:9"))
     assert not (tmp_path / "rig").exists()
 

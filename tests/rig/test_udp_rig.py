@@ -72,7 +72,7 @@ def test_what_is_no_packet_is_refused_by_name() -> None:
     for data, said in (
         (b"dp", "no head"),
         (b"HTTP" + whole[4:], "not from a bench"),
-        (whole[:4] + b"\x01" + whole[5:], "version is 1, this program speaks 2"),
+        (whole[:4] + b"\x01" + whole[5:], "version is 1, this program uses 2"),
         (whole[:5] + b"\x63" + whole[6:], "99"),
         (whole[:-1], "damaged"),
         (whole[:30], "damaged"),
@@ -175,7 +175,7 @@ def test_readings_that_come_after_their_tick_are_counted_and_dropped() -> None:
             while bench.recvfrom(4096)[0][5] != Kind.START:
                 pass
             contents = [packets.ReadingPacket(k, (float(k),) * 3, -1, 0, 0.0, 0, Condition.WELL, "") for k in range(5)]
-            made = [talk.say(packets.reading(content)) for content in contents]
+            made = [talk.pack(packets.reading(content)) for content in contents]
             for tick in (0, 2, 3, 1, 4):
                 bench.sendto(made[tick], client)
 
@@ -196,7 +196,7 @@ def test_a_loop_that_falls_silent_has_its_cart_stopped_and_is_told() -> None:
             rig.read()
             rig.command(1.0)
         threading.Event().wait(0.5)
-        with pytest.raises(ArithmeticError, match=r"stopped the cart: it heard nothing from the loop for 0\.05 s"):
+        with pytest.raises(ArithmeticError, match=r"stopped the cart: it received nothing from the loop for 0\.05 s"):
             read_on(rig)
     assert toy.stopped_at is not None
 
@@ -250,7 +250,7 @@ def test_the_benchs_grief_becomes_the_rigs_fault() -> None:
 
 
 def test_a_bench_that_is_gone_ends_the_run_by_name() -> None:
-    ends = pytest.raises(ArithmeticError, match="was made for 3 ticks and has run them")
+    ends = pytest.raises(ArithmeticError, match="has completed its 3 ticks")
     with served(Toy(), ticks=3) as bench, UdpRig(bench.address, settings=LONG) as rig, ends:
         read_on(rig)
     toy = Toy()
@@ -258,7 +258,7 @@ def test_a_bench_that_is_gone_ends_the_run_by_name() -> None:
     def passes(data: bytes) -> bool:
         return data[5] != Kind.READING or toy.tick < 5
 
-    ends = pytest.raises(ArithmeticError, match="is gone: nothing came from it")
+    ends = pytest.raises(ArithmeticError, match="does not respond: received nothing from it")
     with (
         served(toy) as bench,
         relayed(bench.address, passes) as address,
@@ -271,7 +271,7 @@ def test_a_bench_that_is_gone_ends_the_run_by_name() -> None:
 def test_where_no_bench_is_or_it_is_busy_a_sentence_says_so() -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as nobody:
         nobody.bind(("127.0.0.1", 0))
-        with pytest.raises(InputError, match=r"no bench answered for 0\.3 s; start one with `dpcontrol rig`"):
+        with pytest.raises(InputError, match=r"no bench responded for 0\.3 s; start one with `dpcontrol rig`"):
             UdpRig(nobody.getsockname(), settings=LinkSettings(answer=0.3))
     with served(Toy()) as bench, UdpRig(bench.address, settings=LONG) as rig:
         rig.read()
