@@ -18,7 +18,7 @@ from dpcontrol.cli.verbs import (
 )
 from dpcontrol.cli.walk import _Wraps
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.progress import progress_bar
+from dpcontrol.foundation.progress import Cost, progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.foundation.progress import Progress
@@ -129,7 +129,7 @@ def _connections(
     from dpcontrol.foundation.progress import announce, part_of
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
     from dpcontrol.plans.model import load_model
-    from dpcontrol.proofs.prove import cost, exact_energy, prove_connections
+    from dpcontrol.proofs.prove import exact_energy, prove_connections
     from dpcontrol.tubes.connections import find_connections
 
     if asked.source is None:
@@ -148,7 +148,7 @@ def _connections(
     chosen = [c for c in found.connections if not asked.names or c.name in asked.names]
     for one in set(asked.names) - {c.name for c in chosen}:
         raise InputError(f"no connection is named {one!r}; see `dpcontrol connect {model}`")
-    announce(cost(sum(4 + (c.time_out + c.time_in) / orbit.period for c in chosen)), yes=yes)
+    announce(_cost(sum(4 + (c.time_out + c.time_in) / orbit.period for c in chosen)), yes=yes)
     return prove_connections(
         chosen, energy=exact_energy(energy), settings=settings, whole=asked.whole, progress=part_of(progress, 0.1, 1.0)
     )
@@ -166,7 +166,7 @@ def _walk(
 ) -> "Proof":
     from dpcontrol.foundation.progress import announce, part_of
     from dpcontrol.plans.model import load_model
-    from dpcontrol.proofs.prove import cost, exact_energy, prove_walk
+    from dpcontrol.proofs.prove import exact_energy, prove_walk
     from dpcontrol.walks.edges import find_edges
     from dpcontrol.walks.shadowing import WalkSolver
     from dpcontrol.walks.symbols import parse_walk
@@ -182,10 +182,15 @@ def _walk(
     solver, chain = WalkSolver(edges.known), resolve(symbols, edges)
     counts = solver.least(chain, periodic=True) if wraps is None else wraps
     walk = solver.solve(chain, counts, periodic=True)
-    announce(cost(walk.duration / chain[0].source.period), yes=yes)
+    announce(_cost(walk.duration / chain[0].source.period), yes=yes)
     return prove_walk(
         walk, energy=exact_energy(energy), rivals=edges.known, settings=settings, progress=part_of(progress, 0.2, 1.0)
     )
+
+
+def _cost(periods: float) -> Cost:
+    """Estimate the cost of a proof, 0.8 to 1.5 s per period."""
+    return Cost(f"{periods:.3g} periods of orbits", 1.5 * periods, 2e8, "prove")
 
 
 def _check(file: Path) -> Answer:
