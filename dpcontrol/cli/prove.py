@@ -75,17 +75,20 @@ def prove_command(
     """Prove in ball arithmetic that orbits, closed walks, connections or a horseshoe exist, or check a certificate.
 
     The model's parameters and the energy are read as exact decimals. The answer is "proved", or "not proved" with the
-    enclosure that does not close: that disproves nothing. A certificate is checked by code of its own.
+    enclosure that does not close, which disproves nothing. Independent code checks certificates.
     """
+    from dpcontrol.foundation.files import checked_target
     from dpcontrol.foundation.parts import part
 
     part("flint")
     from dpcontrol.proofs.prove import ProofSettings
 
+    if out is not None:
+        if what not in ("orbit", "walk"):
+            raise InputError(f"--out {out}: only orbits and walks have certificates; omit it")
+        checked_target(out)
     if what == "check":
         return _check(Path(model))
-    if out is not None and what not in ("orbit", "walk"):
-        raise InputError(f"--out {out}: certificates are of orbits and walks; omit it")
     if energy is None:
         raise InputError("--energy is missing: give the energy in J")
     settings = ProofSettings(bits=bits, radius=radius)
@@ -114,7 +117,7 @@ def _orbit(
 
 
 class _Asked(NamedTuple):
-    """Which connections are asked for."""
+    """A request for connections between two orbits."""
 
     source: str | None
     target: str | None
@@ -200,8 +203,8 @@ def _check(file: Path) -> Answer:
     with progress_bar("check") as progress:
         found = check_file(file, progress)
     if not found.proved:
-        return Answer({"proved": False, "status": found.status}, [found.status], found.status)
-    return Answer(found._asdict(), [str(found.statement), f"  checked: {found.status}"])
+        return Answer(found._asdict(), [found.status], found.status)
+    return Answer(found._asdict(), [f"checked: {found.status}", f"  in the file's words: {found.statement}"])
 
 
 def _answer(proof: "Proof", out: Path | None) -> Answer:
@@ -226,5 +229,5 @@ def _answer(proof: "Proof", out: Path | None) -> Answer:
         document["certificate"] = str(out)
         lines.append(f"  certificate    {out}")
     elif out is not None and proof.proved:
-        lines.append("  certificate    none: the check knows models of two arms only")
+        lines.append("  certificate    none: its multipliers are not enclosed")
     return Answer(document, lines, "" if proof.proved else proof.status)

@@ -118,18 +118,6 @@ class Surface:
     energy: Fraction
     turns: tuple[bool, ...]
 
-    @cached_property
-    def height(self) -> Any:
-        """The energy as a ball."""
-        return ball(self.energy)
-
-    def lift(self, shift: Sequence[int]) -> Vector:
-        """Return whole turns (N,) as lengths."""
-        return [
-            2 * flint.arb.pi() * int(k) if turning else flint.arb(0)
-            for k, turning in zip(shift, self.turns, strict=True)
-        ]
-
 
 @dataclass(frozen=True)
 class Passage:
@@ -182,11 +170,11 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     Raises:
         NotClosed: an enclosure does not close.
     """
-    field, chart, shift = surface.field, leg.second, surface.lift(leg.shift)
+    field, chart, shift = surface.field, leg.second, [2 * flint.arb.pi() * k for k in leg.shift]
     normal = chart.rows[2]
-    start, _ = leg.first.lift(field, surface.height, [flint.arb(0), flint.arb(0)])
+    start, _ = leg.first.lift(field, ball(surface.energy), [flint.arb(0), flint.arb(0)])
     y = [symmetric(r) for r in radii]
-    states, _ = leg.first.lift(field, surface.height, y)
+    states, _ = leg.first.lift(field, ball(surface.energy), y)
     tangents = leg.first.tangents(field, states)
     thin, derivative, end, steps = fly(field, start, tangents * columns([[v] for v in y]), leg.duration, settings)
     point, box = (passage(field, normal, chart.coordinates(x, shift)[2], x) for x in (thin, end))
@@ -200,7 +188,7 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     ends = [x + box.time * f for x, f in zip(end, box.rates, strict=True)]
     arrived = [symmetric(r) for r in arriving]
     # Over the second box, z is unique for given energy, so the chart's z and the arriving z are equal.
-    own = chart.lift(field, surface.height, arrived)[1]
+    own = chart.lift(field, ball(surface.energy), arrived)[1]
     reached = chart.place(arrived, own.union(chart.coordinates(ends, shift)[3]))
     if dot(field.gradient(reached), chart.columns[3]).contains(0):
         raise NotClosed("the energy does not fix a node's section")

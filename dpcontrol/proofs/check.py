@@ -25,22 +25,29 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.proofs.balls import NotClosed, flint, fraction, identity, largest, number, symmetric, working
 from dpcontrol.proofs.symbols import Enclosed, check_symbols
 
-FORMAT = "dpcontrol proof 1"
+FORMAT = "dpcontrol proof 2"
 _BITS, _ORDER, _BOX_ORDER, _REMAINDER = 140, 18, 7, "1e-18"
 _LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2**20), 100_000, 2000
 """Steps in s, and limits on the work that a file can cause."""
 
 
-class Rejected(Exception):
-    """A certificate is invalid; the message is one clause."""
+class CertificateCheck(NamedTuple):
+    """The verdict on a certificate: the proved statement, or the step that fails."""
+
+    proved: bool
+    status: str
+    statement: str | None
 
 
 def digest(certificate: Mapping[str, Any]) -> str:
@@ -133,7 +140,7 @@ class _Flow(ABC):
             if all(r in b for r, b in zip(reached, box, strict=True)):
                 return box
             box = [r.union(v) + symmetric((r - v) / 8 + number("1e-25")) for r, v in zip(reached, x, strict=True)]
-        raise Rejected("a step's box does not close")
+        raise NotClosed("a step's box does not close")
 
     def step(self, thin: Sequence[Any], carried: Any, spread: Any, h: Any) -> tuple[list[Any], Any, list[Any]]:
         """Advance a thin point and the derivative by one step; return them and the box of all solutions."""
@@ -148,7 +155,7 @@ class _Flow(ABC):
 
         far = [c[-1] for c in self.series(around, _ORDER + 1, 0)]
         if not all(abs(r) * h ** (_ORDER + 1) < number(_REMAINDER) for r in far):
-            raise Rejected("the remainder of a step is too large")
+            raise NotClosed("the remainder of a step is too large")
         # Coefficient k along a solution equals the coefficient at its state times the derivative.
         rest = flint.arb_mat(4, 4, [c[-1] for c in self.series(around, _BOX_ORDER + 1, 4)[4:]])
         rest = rest * self.late(self.slopes(around)[1], h)
@@ -162,10 +169,10 @@ class _Flow(ABC):
         while flown < duration:
             h, self.left = min(self.pace, duration - flown), self.left - 1
             if self.pace < _SHORTEST or self.left < 0:
-                raise Rejected("its flight takes too many or too short steps")
+                raise NotClosed("its flight takes too many or too short steps")
             try:
                 thin, carried, around = self.step(thin, carried, spread, number(h))
-            except Rejected:
+            except NotClosed:
                 self.pace /= 2
                 continue
             boxes.append(around)
@@ -230,27 +237,42 @@ class _ThreeBodies(_Flow):
 _SYSTEMS = {"double pendulum": _Pendulum, "three bodies": _ThreeBodies}
 
 
-def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> str:
-    """Check a certificate and return the proved statement.
+def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> CertificateCheck:
+    """Check a certificate.
 
     Raises:
-        Rejected: the certificate is invalid; the message gives the failed step.
         PartMissing: python-flint is not installed.
     """
     try:
         if certificate["digest"] != digest(certificate) or certificate["format"] != FORMAT:
-            raise Rejected("its digest does not match its content, or its format is unknown")
+            raise NotClosed("its digest does not match its content, or its format is unknown")
         with working(_BITS):
             own = _SYSTEMS[certificate["system"]["equations"]](certificate["system"])
-            return _checked(own, certificate, progress)
-    except NotClosed as error:
-        raise Rejected(str(error)) from error
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, np.linalg.LinAlgError) as error:
-        raise Rejected(f"a value is missing or is not a number ({type(error).__name__}: {error})") from error
+            return CertificateCheck(True, _checked(own, certificate, progress), str(certificate["statement"]))
+    except (NotClosed, LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        invalid = "" if isinstance(error, NotClosed) else f"a value is missing or invalid, {type(error).__name__}: "
+        return CertificateCheck(
+            False, f"rejected: the certificate does not prove its statement: {invalid}{error}", None
+        )
+
+
+def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck:
+    """Check the certificate in a file.
+
+    Raises:
+        InputError: the file is missing, unreadable or no certificate.
+        PartMissing: python-flint is not installed.
+    """
+    try:
+        content = json.loads(checked_source(file).read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{file} is not a certificate: it is not JSON; give a file of `prove --out`") from error
+    if not isinstance(content, dict) or not {"format", "nodes", "digest"} & set(content):
+        raise InputError(f"{file} is not a certificate: none of its keys is one's; give a file of `prove --out`")
+    return check(content, progress)
 
 
 def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
-    arb_mat, zero = flint.arb_mat, flint.arb(0)
     nodes, normals = ([[number(v) for v in row] for row in data[key]] for key in ("nodes", "normals"))
     durations, scale = [fraction(v) for v in data["durations"]], [number(v) for v in data["scale"]]
     turns, unique, exists = [int(v) for v in data["turns"]], number(data["unique"]), number(data["exists"])
@@ -258,9 +280,9 @@ def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     sizes = {len(nodes), len(normals), len(durations)}, {len(v) for v in [*nodes, *normals, scale, turns]}
     positive = 1 < count < _MOST_NODES and 0 < exists <= unique and min(durations) > 0 and all(s > 0 for s in scale)
     if sizes != ({count}, {4}) or not positive or any(turns[own.angles :]):
-        raise Rejected("its nodes, normals, durations, turns or radii are inconsistent")
-    spread, product = arb_mat([[symmetric(s * unique)] for s in scale]), identity()
-    matrix, residual = [[zero] * (last + 1) for _ in range(last + 1)], [zero] * (last + 1)
+        raise NotClosed("its nodes, normals, durations, turns or radii are inconsistent")
+    spread, product = flint.arb_mat([[symmetric(s * unique)] for s in scale]), identity()
+    matrix, residual = [[flint.arb(0)] * (last + 1) for _ in range(last + 1)], [flint.arb(0)] * (last + 1)
     push = [g.mid() * s * s for g, s in zip(own.energy(nodes[0]).partials, scale, strict=True)]
     for k in range(count):
         progress("checking the flow", k / count)
@@ -283,20 +305,22 @@ def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     start = [c + d for c, d in zip(nodes[0], spread.entries(), strict=True)]
     residual[last] = own.energy(nodes[0]).value - number(data["energy"])
     matrix[last][:4] = [p * s for p, s in zip(own.energy(start).partials, scale, strict=True)]
-    inverse = arb_mat(np.linalg.inv(np.array([[float(v.mid()) for v in row] for row in matrix])).tolist())
-    off = (inverse * arb_mat(matrix)).tolist()
-    contraction = largest([sum((abs(v - int(i == j)) for j, v in enumerate(row)), zero) for i, row in enumerate(off)])
-    first = largest((inverse * arb_mat([[v] for v in residual])).entries())
+    inverse = flint.arb_mat(np.linalg.inv(np.array([[float(v.mid()) for v in row] for row in matrix])).tolist())
+    off = (inverse * flint.arb_mat(matrix)).tolist()
+    contraction = largest(
+        [sum((abs(v - int(i == j)) for j, v in enumerate(row)), flint.arb(0)) for i, row in enumerate(off)]
+    )
+    first = largest((inverse * flint.arb_mat([[v] for v in residual])).entries())
     if not (contraction < 1 and first <= (1 - contraction) * exists):
-        raise Rejected("Newton–Kantorovich does not prove an orbit within `exists` of its nodes")
+        raise NotClosed("Newton–Kantorovich does not prove an orbit within `exists` of its nodes")
     moved = [x + p * symmetric(unique) for x, p in zip(start, push, strict=True)]
-    if sum((a * b for a, b in zip(own.energy(moved).partials, push, strict=True)), zero).contains(0):
-        raise Rejected("the energy does not determine the orbit")
+    if sum((a * b for a, b in zip(own.energy(moved).partials, push, strict=True)), flint.arb(0)).contains(0):
+        raise NotClosed("the energy does not determine the orbit")
     period, (low, high) = number(sum(durations)) + count * symmetric(exists), map(number, data["period"])
     least, pair = number(data["multiplier_exceeds"]), abs(product.trace() - 2)
     # λ + 1/λ grows with |λ| > 1.
     if not (low <= period and period <= high and least >= 1 and pair > least + 1 / least):
-        raise Rejected("its period or its multiplier is not proved to be within its bounds")
+        raise NotClosed("its period or its multiplier is not proved to be within its bounds")
     if data["symbols"]:
         near = [[c + symmetric(s * exists) for c, s in zip(node, scale, strict=True)] for node in nodes]
         times = [number(v) + symmetric(exists) for v in durations]

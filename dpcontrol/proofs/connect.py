@@ -23,6 +23,7 @@ relations, cone conditions and the stable manifold theorem (2009).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -174,11 +175,8 @@ def link(
     legs.append(Leg(inner[-1].second, target.charts[following], steps[1], turns))
     sizes = np.array([source.widths[first - 1], *widths, target.widths[following]])
     found = _covered(surface, legs, sizes, settings)
-    slope, back = source.grows[first - 1], target.shrinks[following]
-    for one in found[: middle + 1]:
-        slope, _ = _forward(one, slope)
-    for one in reversed(found[middle + 1 :]):
-        back, _ = _backward(one, back)
+    slope = reduce(lambda cone, one: _forward(one, cone)[0], found[: middle + 1], source.grows[first - 1])
+    back = reduce(lambda cone, one: _backward(one, cone)[0], found[:middle:-1], target.shrinks[following])
     section, flight = described(connection.section), [box for one in found for box in one.spans]
     if crossings(section, flight, surface.field.rates) != sum(connection.hits) - 1:
         raise NotClosed("the number of its section crossings does not match its hits")
@@ -224,12 +222,12 @@ def horseshoe(surface: Surface, boxes: Boxes, links: Sequence[CoveringRelation])
     The result is the fewest wraps between each two links (L, L), and a lower bound of the topological entropy in nats
     per second.
 
-    The wraps of a passage follow from its duration, for any number n of extra rounds. At the start of each round, the
-    difference between an orbit in the boxes and the periodic orbit lies in the growing or the shrinking cone, which
-    together are all of the plane. Once it grows, it keeps growing. It is therefore at most 2^-j of the boxes' widths j
-    rounds after the first or before the last one. Let E bound the deviation of one round's duration from the period in
-    the boxes. Together, n rounds deviate from n periods by at most 2E while the difference shrinks, E when it turns, 2E
-    while it grows, and E for the legs before the first and after the last full round.
+    The wraps of a passage follow from its duration, for any number n of extra rounds. Consider the difference between
+    an orbit in the boxes and the periodic orbit. At the start of each round, it lies in the growing or the shrinking
+    cone, because both cones together are the plane. Once it grows, it keeps growing. It is therefore at most 2^-j of
+    the boxes' widths j rounds after the first or before the last one. Let E bound the deviation of one round's duration
+    from the period in the boxes. The deviations sum up to at most 2E while the difference shrinks and to 2E while it
+    grows. The round in between adds at most E, and so do the legs before the first and after the last full round.
 
     For loops of first return to one box with times τ_i, Abramov's formula gives the entropy h by Σ exp(-h τ_i) = 1.
 
@@ -251,17 +249,18 @@ def horseshoe(surface: Surface, boxes: Boxes, links: Sequence[CoveringRelation])
         """Return the time (s) between two boxes of the orbit."""
         return sum((legs[k % count] for k in range(here, here + (there - here) % count)), flint.arb(0))
 
-    round_time, least = way(0, count - 1) + legs[-1], []
+    round_time = way(0, count - 1) + legs[-1]
     spread = zip(boxes.segments, boxes.widths, strict=True)
     deviation = sum((2 * float(w.max()) * (abs(one.delays[0]) + abs(one.delays[1])) for one, w in spread), flint.arb(0))
     slack = symmetric(6 * deviation)
-    for one in links:
-        row = []
-        for other in links:
-            a, b = one.connection, other.connection
-            stay = one.after + way(one.last + 1, other.first - 1) + other.before + slack
-            row.append(whole((stay - ball(a.time_in) - ball(b.time_out)) / round_time - ball(phase_gap(a, b))))
-        least.append(row)
+
+    def fewest(one: CoveringRelation, other: CoveringRelation) -> int:
+        """Return the wraps of the shortest passage between two links."""
+        a, b = one.connection, other.connection
+        stay = one.after + way(one.last + 1, other.first - 1) + other.before + slack
+        return whole((stay - ball(a.time_in) - ball(b.time_out)) / round_time - ball(phase_gap(a, b)))
+
+    least = [[fewest(one, other) for other in links] for one in links]
     loops = [way(0, one.first - 1) + one.before + one.after + way(one.last + 1, 0) for one in links] + [round_time]
     low, high = 0.0, 100.0
     for _ in range(60):

@@ -106,7 +106,7 @@ def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], f
     """Return the chain after a Newton step, rounded to decimals."""
     charts = []
     for leg, y in zip(chain, np.reshape(found.step, (-1, 2)).tolist(), strict=True):
-        state, _ = leg.first.lift(surface.field, surface.height, [ball(v) for v in y])
+        state, _ = leg.first.lift(surface.field, ball(surface.energy), [ball(v) for v in y])
         charts.append(replace(leg.first, node=tuple(exact(v) for v in state)))
     return tuple(
         replace(leg, first=first, second=second, duration=exact(one.at_node))
@@ -120,12 +120,11 @@ def multipliers(segments: Sequence[ChartSegment]) -> tuple[Any, Any] | None:
     The segments' derivatives are enclosed over boxes that contain the orbit.
     """
     product = reduce(lambda before, one: one.slope * before, segments, flint.arb_mat([[1, 0], [0, 1]]))
-    trace = product.trace()
-    if not abs(trace) > 2:
+    half = product.trace() / 2
+    if not abs(half) > 1:
         return None
-    half = trace / 2
     root = (half * half - 1).sqrt()
-    outside = half + root if trace > 0 else half - root
+    outside = half + root if half > 0 else half - root
     return outside, 1 / outside
 
 

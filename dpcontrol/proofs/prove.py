@@ -244,7 +244,7 @@ def prove_orbit(
         sharp = enclose(surface, chain, even(chain, narrow), replace(fine, box_order=40), part_of(progress, 0.75, 1.0))
         pair = multipliers(sharp)
         period, within = total_time(sharp, found.exists), [symmetric(found.exists)] * 2
-        at_start, _ = chain[0].first.lift(surface.field, surface.height, within)
+        at_start, _ = chain[0].first.lift(surface.field, ball(surface.energy), within)
         figures = {
             "period": period.str(30),
             "multipliers": None if pair is None else [v.str(20) for v in pair],
@@ -259,8 +259,8 @@ def prove_orbit(
                 "orbit", False, "not proved: the orbit exists and is unique, but its multipliers are not proved to lie "
                 "off the unit circle; more precision may help, unless the orbit is elliptic", statement, figures, 0.0,
             )  # fmt: skip
-        where = f"within {bound(found.unique, lower=True)} of the nodes; it is within {bound(found.exists)}"
-        status = f"proved: exactly one orbit {where}"
+        unique, exists = bound(found.unique, lower=True), bound(found.exists)
+        status = f"proved: exactly one orbit within {unique} of the nodes; it is within {exists}"
         shown = certificate(statement, system, (surface, chain), (sharp, found))
         return Proof("orbit", True, status, statement, figures, 0.0, shown)
 
@@ -278,21 +278,22 @@ def claims_of(walk: ShadowingOrbit, rivals: Sequence[Connection]) -> list[dict[s
     for k, own in enumerate(walk.connections):
         after, period = walk.connections[(k + 1) % len(walk.connections)], own.target.period
         others = [other for other in rivals if kind(other) == kind(own) and other.name != own.name]
-        claim = {
-            "symbol": own.name,
-            "section": described(own.section),
-            "crossings": sum(own.hits) - 1,
-            "segments": [lasts[k - 1] + 1 if k else 0, lasts[k]],
-            "node": int(nodes[k]),
-            "turns": [int(v) for v in walk.offsets[k]],
-            "states": [[repr(float(v)) for v in one.state] for one in (own, *others)],
-            "stop": [repr(float(v)) for v in own.target.centre],
-            "stop_turns": [int(v) for v in walk.offsets[k + 1]],
-            "wraps": walk.wraps[k],
-            "period": repr(float(period)),
-            "rest": repr(float(own.time_in + after.time_out + phase_gap(own, after) * period)),
-        }
-        out.append(claim)
+        out.append(
+            {
+                "symbol": own.name,
+                "section": described(own.section),
+                "crossings": sum(own.hits) - 1,
+                "segments": [lasts[k - 1] + 1 if k else 0, lasts[k]],
+                "node": int(nodes[k]),
+                "turns": [int(v) for v in walk.offsets[k]],
+                "states": [[repr(float(v)) for v in one.state] for one in (own, *others)],
+                "stop": [repr(float(v)) for v in own.target.centre],
+                "stop_turns": [int(v) for v in walk.offsets[k + 1]],
+                "wraps": walk.wraps[k],
+                "period": repr(float(period)),
+                "rest": repr(float(own.time_in + after.time_out + phase_gap(own, after) * period)),
+            }
+        )
     return out
 
 
@@ -345,10 +346,11 @@ def prove_walk(
             "steps": sum(len(one.spans) for one in segments),
         }
         claims = claims_of(walk, rivals)
-        flights, nodes = [one.spans for one in segments], [one.start for one in segments]
-        times, scale = [one.time for one in segments], [ball(v) for v in system.scale]
+        flights, nodes, times = zip(*((one.spans, one.start, one.time) for one in segments), strict=True)
         with located("a closed orbit exists and is unique, but it is not proved to follow its symbols:"):
-            enclosed = Enclosed(flights, nodes, times, turns, surface.turns, scale, surface.field.rates)
+            enclosed = Enclosed(
+                flights, nodes, times, turns, surface.turns, [ball(v) for v in system.scale], surface.field.rates
+            )
             check_symbols(claims, enclosed)
         figures["symbols"] = [{key: one[key] for key in ("symbol", "crossings", "wraps")} for one in claims]
         status = (
@@ -398,15 +400,18 @@ def prove_connections(
                 links.append(link(surface, connection, source, target, settings.flow))
             except NotClosed as error:
                 failed.append(f"{connection.name}: {error}")
-        shown = [
-            {
-                "name": one.connection.name,
-                "angle_deg": one.angle.str(8, more=True),
-                "state": [x.str(8) for x in one.state],
-            }
-            for one in links
-        ]
-        figures: dict[str, Any] = {"box": settings.box, "connections": shown, "failed": failed}
+        figures: dict[str, Any] = {
+            "box": settings.box,
+            "connections": [
+                {
+                    "name": one.connection.name,
+                    "angle_deg": one.angle.str(8, more=True),
+                    "state": [x.str(8) for x in one.state],
+                }
+                for one in links
+            ],
+            "failed": failed,
+        }
         if failed:
             status = f"not proved: {len(failed)} of {len(connections)} ({failed[0]}); {_HELP}"
             return Proof(kind, False, status, statement, figures, 0.0)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from dpcontrol.proofs.balls import NotClosed, flint, largest, located, number
+from dpcontrol.proofs.balls import NotClosed, flint, folded, largest, located, number
 
 Vector = list[Any]
 """A list of balls."""
@@ -82,12 +82,12 @@ class Enclosed:
     """A closed flight in boxes.
 
     Attributes:
-        flights: boxes of all steps, by segment.
-        nodes: boxes of the segments' first states.
-        times: durations of the segments, s.
-        turns (N,): whole turns of the states after one period.
-        angles (N,): states with the period 2π.
-        scale (N,): units of the states.
+        flights (K,): boxes of all steps in each segment.
+        nodes (K, N): boxes of first states.
+        times (K,): durations, s.
+        turns (N,): whole turns in one period.
+        angles (N,): True for the period 2π.
+        scale (N,): units of states.
         rates: encloses f over a box.
     """
 
@@ -122,10 +122,12 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
         gaps = [flown.away(flown.nodes[node], state, claim["turns"]) for state in claim["states"]]
         own, *others = (largest([v / s for v, s in zip(gap, flown.scale, strict=True)]) for gap in gaps)
         stay = sum((flown.times[i % count] for i in range(node, following)), flint.arb(0))
+        section, begun = claim["section"], flown.flights[node][0]
+        level = dot([number(v) for v in section["normal"]], begun) - number(section["offset"])
         with located(f"symbol {k} of {len(claims)}:"):
-            found = crossings(
-                claim["section"], [box for one in flown.flights[first : last + 1] for box in one], flown.rates
-            )
+            if not folded(level, period_of(section)).contains(0):
+                raise NotClosed("its marked node is not on its section")
+            found = crossings(section, [box for one in flown.flights[first : last + 1] for box in one], flown.rates)
             if found != claim["crossings"]:
                 raise NotClosed(f"its section is crossed {found} times instead of {claim['crossings']}")
             if not all(abs(v) < flint.arb.pi() for v, turning in zip(stopped, flown.angles, strict=True) if turning):
