@@ -18,7 +18,7 @@ from dpcontrol.cli.verbs import (
 )
 from dpcontrol.cli.walk import _Wraps
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.progress import progress_bar
+from dpcontrol.foundation.progress import Cost, progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.foundation.progress import Progress
@@ -77,15 +77,18 @@ def prove_command(
     Parameters and energy are exact decimals. The answer is "proved", or "not proved" with the enclosure that does not
     close. The latter is not a disproof. Separate code checks certificates.
     """
+    from dpcontrol.foundation.files import checked_target
     from dpcontrol.foundation.parts import part
 
     part("flint")
     from dpcontrol.proofs.prove import ProofSettings
 
+    if out is not None:
+        if what not in ("orbit", "walk"):
+            raise InputError(f"--out {out}: only orbits and walks have certificates; omit it")
+        checked_target(out)
     if what == "check":
         return _check(Path(model))
-    if out is not None and what not in ("orbit", "walk"):
-        raise InputError(f"--out {out}: only orbits and walks have certificates; omit it")
     if energy is None:
         raise InputError("--energy is missing: give the energy, J")
     settings = ProofSettings(bits=bits, radius=radius)
@@ -114,7 +117,7 @@ def _orbit(
 
 
 class _Asked(NamedTuple):
-    """Selection of connections."""
+    """A request for connections between two orbits."""
 
     source: str | None
     target: str | None
@@ -129,7 +132,7 @@ def _connections(
     from dpcontrol.foundation.progress import announce, part_of
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
     from dpcontrol.plans.model import load_model
-    from dpcontrol.proofs.prove import cost, exact_energy, prove_connections
+    from dpcontrol.proofs.prove import exact_energy, prove_connections
     from dpcontrol.tubes.connections import find_connections
 
     if asked.source is None:
@@ -148,7 +151,7 @@ def _connections(
     chosen = [c for c in found.connections if not asked.names or c.name in asked.names]
     for one in set(asked.names) - {c.name for c in chosen}:
         raise InputError(f"no connection is named {one!r}; see `dpcontrol connect {model}`")
-    announce(cost(sum(4 + (c.time_out + c.time_in) / orbit.period for c in chosen)), yes=yes)
+    announce(_cost(sum(4 + (c.time_out + c.time_in) / orbit.period for c in chosen)), yes=yes)
     return prove_connections(
         chosen, energy=exact_energy(energy), settings=settings, whole=asked.whole, progress=part_of(progress, 0.1, 1.0)
     )
@@ -166,7 +169,7 @@ def _walk(
 ) -> "Proof":
     from dpcontrol.foundation.progress import announce, part_of
     from dpcontrol.plans.model import load_model
-    from dpcontrol.proofs.prove import cost, exact_energy, prove_walk
+    from dpcontrol.proofs.prove import exact_energy, prove_walk
     from dpcontrol.walks.edges import find_edges
     from dpcontrol.walks.shadowing import WalkSolver
     from dpcontrol.walks.symbols import parse_walk
@@ -182,10 +185,15 @@ def _walk(
     solver, chain = WalkSolver(edges.known), resolve(symbols, edges)
     counts = solver.least(chain, periodic=True) if wraps is None else wraps
     walk = solver.solve(chain, counts, periodic=True)
-    announce(cost(walk.duration / chain[0].source.period), yes=yes)
+    announce(_cost(walk.duration / chain[0].source.period), yes=yes)
     return prove_walk(
         walk, energy=exact_energy(energy), rivals=edges.known, settings=settings, progress=part_of(progress, 0.2, 1.0)
     )
+
+
+def _cost(periods: float) -> Cost:
+    """Estimate the cost of a proof, 0.8 to 1.5 s per period."""
+    return Cost(f"{periods:.3g} periods of orbits", 1.5 * periods, 2e8, "prove")
 
 
 def _check(file: Path) -> Answer:
@@ -195,8 +203,8 @@ def _check(file: Path) -> Answer:
     with progress_bar("check") as progress:
         found = check_file(file, progress)
     if not found.proved:
-        return Answer({"proved": False, "status": found.status}, [found.status], found.status)
-    return Answer(found._asdict(), [str(found.statement), f"  checked: {found.status}"])
+        return Answer(found._asdict(), [found.status], found.status)
+    return Answer(found._asdict(), [f"checked: {found.status}", f"  in the file's words: {found.statement}"])
 
 
 def _answer(proof: "Proof", out: Path | None) -> Answer:
@@ -221,5 +229,5 @@ def _answer(proof: "Proof", out: Path | None) -> Answer:
         document["certificate"] = str(out)
         lines.append(f"  certificate    {out}")
     elif out is not None and proof.proved:
-        lines.append("  certificate    none: the check knows models of two arms only")
+        lines.append("  certificate    none: its multipliers are not enclosed")
     return Answer(document, lines, "" if proof.proved else proof.status)

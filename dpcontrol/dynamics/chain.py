@@ -36,7 +36,7 @@ of minimum set of inertial parameters of serial robots (1990); Hastie, Tibshiran
 learning (2009), section 8.2 (parametric bootstrap).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from fractions import Fraction
@@ -131,21 +131,27 @@ class ArmChainParameters(Settings):
         The friction is viscous (n,), then coulomb (n,) and quadratic (n,) where these arms have them, then their
         smoothing rate.
         """
-        return self._base(np.asarray)
+        return self._base(lambda name: np.atleast_1d(getattr(self, name)))
 
-    def decimal_base(self) -> tuple[Fraction, ...]:
-        """Return the base parameters without rounding, the physical ones taken as the decimals a file gives.
+    def decimal_base(self, decimals: Mapping[str, Sequence[Fraction]] | None = None) -> tuple[Fraction, ...]:
+        """Return the base parameters without rounding.
 
-        That is the shortest decimal that reads as the same double, which is what was typed up to 15 digits.
+        Args:
+            decimals: exact values of the fields; by default the shortest decimals that read as their doubles.
         """
-        base = self._base(lambda values: np.array([Fraction(repr(float(v))) for v in values], dtype=object))
-        return tuple(Fraction(value) for value in base)
+        given = decimals or {}
 
-    def _base(self, numbers: Callable[[tuple[float, ...]], NDArray[Any]]) -> Any:
-        """Return the base parameters in the arithmetic of what `numbers` makes of the physical ones."""
-        m, a, joint, j = (numbers(getattr(self, name)) for name in _INERTIAL)
-        laws = sum((getattr(self, law) for law in self.friction), ())
-        friction = numbers((*self.viscous, *laws, *((self.smoothing,) if laws else ())))
+        def numbers(name: str) -> NDArray[Any]:
+            shortest = [Fraction(repr(float(v))) for v in np.atleast_1d(getattr(self, name))]
+            return np.array(given.get(name, shortest), dtype=object)
+
+        return tuple(Fraction(value) for value in self._base(numbers))
+
+    def _base(self, numbers: Callable[[str], NDArray[Any]]) -> Any:
+        """Return the base parameters in the arithmetic of the fields' `numbers`."""
+        m, a, joint, j = map(numbers, _INERTIAL)
+        laws = [*self.friction, *(["smoothing"] if self.friction else [])]
+        friction = np.concatenate([numbers(name) for name in ("viscous", *laws)])
         n = self.count
         beyond = np.array([m[i + 1 :].sum() for i in range(n)])
         coupling = m * a + beyond * joint
@@ -154,7 +160,7 @@ class ArmChainParameters(Settings):
             for i in range(n)
             for k in range(i, n)
         ]
-        return np.concatenate([inertia, numbers((self.gravity,)) * coupling, coupling, friction])
+        return np.concatenate([inertia, numbers("gravity") * coupling, coupling, friction])
 
     @property
     def coulomb_acceleration(self) -> float:

@@ -3,6 +3,7 @@
 Identified arms as a model file: where each number comes from, and how well it is known.
 """
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from decimal import Decimal
@@ -72,12 +73,29 @@ class Model:
         """Return a unit of SI as texts have it after a number; "" for three bodies, whose units are their own."""
         return "" if isinstance(self.parameters, ThreeBodyParameters) else form.format(name)
 
+    @cached_property
+    def decimals(self) -> dict[str, tuple[Fraction, ...]]:
+        """The parameters exactly as the file's decimals, by field.
+
+        A parameter that was changed after reading is the shortest decimal that reads as its double.
+        """
+        table, out = tomllib.loads(self.text, parse_float=Decimal), {}
+        given = {**table.get("arms", {}), **table.get("friction", {}), **table.get("primaries", {})}
+        given["gravity"] = table.get("gravity", {}).get("acceleration")
+        for one in fields(self.parameters):
+            numbers = [float(v) for v in np.atleast_1d(getattr(self.parameters, one.name))]
+            typed = given.get(one.name, [])
+            exact = [Fraction(v) for v in (typed if isinstance(typed, list) else [typed]) if v is not None]
+            same = [float(v) for v in exact] == numbers
+            out[one.name] = tuple(exact if same else [Fraction(repr(v)) for v in numbers])
+        return out
+
     @property
-    def exact_parameters(self) -> Sequence[Fraction | Decimal]:
-        """The equations' parameters as the decimals that the file gives, for extended precision."""
+    def exact_parameters(self) -> Sequence[Fraction]:
+        """The equations' parameters for exact arithmetic, from the file's decimals."""
         if isinstance(self.parameters, ArmChainParameters):
-            return self.parameters.viscous_only().decimal_base()
-        return [Decimal(repr(float(value))) for value in self.system.parameters]
+            return self.parameters.viscous_only().decimal_base(self.decimals)
+        return self.decimals["mass_ratio"]
 
     @property
     def arms(self) -> ArmChainParameters:

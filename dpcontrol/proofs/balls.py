@@ -8,11 +8,14 @@ A casadi graph is converted once to a list of operations with single assignments
 complex balls and power series of balls. Parameters are exact fractions.
 """
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from fractions import Fraction
+from functools import partial, reduce
+from operator import add, itemgetter, mul, neg, sub, truediv
 from typing import Any
 
 import casadi as ca
@@ -25,6 +28,15 @@ flint: Any = Later("flint")
 
 class NotClosed(Exception):
     """An enclosure does not close; the message names the step."""
+
+
+@contextmanager
+def located(where: str) -> Iterator[None]:
+    """Put a place before the message of an enclosure that does not close or of an operation without result."""
+    try:
+        yield
+    except (NotClosed, ZeroDivisionError, ValueError) as error:
+        raise NotClosed(f"{where} {error}") from error
 
 
 @contextmanager
@@ -51,19 +63,43 @@ def symmetric(radius: Any) -> Any:
     return flint.arb(0, ball(radius).abs_upper())
 
 
+def largest(values: Sequence[Any]) -> Any:
+    """Return the largest modulus."""
+    return reduce(lambda a, b: a.max(abs(b)), values, flint.arb(0))
+
+
+def folded(value: Any, period: Any) -> Any:
+    """Return a ball minus the nearest multiple of a period."""
+    return value - (value / period + 0.5).mid().floor() * period
+
+
 def exact(value: Any, digits: int = 40) -> Fraction:
     """Return the midpoint of a ball, rounded to `digits` significant digits."""
     return Fraction(ball(value).mid().str(digits, radius=False))
 
 
+_DECIMAL = re.compile(r"[+-]?\d{1,1200}(\.\d{0,1200})?([eE][+-]?\d{1,3})?")
+
+
+def fraction(value: Any) -> Fraction:
+    """Return an integer or a decimal of limited size as an exact number.
+
+    Raises:
+        ValueError: no such number.
+    """
+    if not isinstance(value, Fraction) and not _DECIMAL.fullmatch(str(value)):
+        raise ValueError(f"{str(value)[:40]!r} is not a decimal")
+    return Fraction(value)
+
+
+def number(text: Any) -> Any:
+    """Return an integer or a decimal as a ball."""
+    return ball(fraction(text))
+
+
 def decimal(value: Fraction) -> str:
     """Return the decimal digits of a fraction that has finitely many."""
     return str(Context(prec=1200).divide(Decimal(value.numerator), Decimal(value.denominator)))
-
-
-def text(value: Any, digits: int = 20) -> str:
-    """Format a ball as certain digits and a radius."""
-    return ball(value).str(digits)
 
 
 def bound(value: Any, *, lower: bool = False) -> str:
@@ -85,7 +121,7 @@ def identity() -> Any:
 
 def _power(base: Any, exponent: Any) -> Any:
     twice = 2 * exponent
-    if not twice.is_integer():
+    if not (isinstance(twice, flint.arb) and twice.is_integer()):
         return (_log(base) * exponent).exp()
     whole = int(float(twice))
     return base ** (whole // 2) if whole % 2 == 0 else _sqrt(base) ** whole
@@ -102,7 +138,7 @@ def _log(x: Any) -> Any:
 
 _UNARY: dict[int, Callable[[Any], Any]] = {
     ca.OP_ASSIGN: lambda a: a,
-    ca.OP_NEG: lambda a: -a,
+    ca.OP_NEG: neg,
     ca.OP_EXP: lambda a: a.exp(),
     ca.OP_LOG: _log,
     ca.OP_SQRT: _sqrt,
@@ -115,10 +151,12 @@ _UNARY: dict[int, Callable[[Any], Any]] = {
     ca.OP_TANH: lambda a: 1 - 2 / ((a + a).exp() + 1),
 }
 _BINARY: dict[int, Callable[[Any, Any], Any]] = {
-    ca.OP_ADD: lambda a, b: a + b,
-    ca.OP_SUB: lambda a, b: a - b,
-    ca.OP_MUL: lambda a, b: a * b,
-    ca.OP_DIV: lambda a, b: a / b,
+    ca.OP_ADD: add,
+    ca.OP_SUB: sub,
+    ca.OP_MUL: mul,
+    ca.OP_DIV: truediv,
+    ca.OP_POW: _power,
+    ca.OP_CONSTPOW: _power,
 }
 
 
@@ -128,20 +166,19 @@ class Instructions:
 
     Attributes:
         start: initial values, the state first, None if computed later.
-        steps: (function, indices of results, indices of arguments).
+        steps: (operation, index of its result, indices of its arguments).
         outputs: indices of entries, None for structural zeros.
     """
 
     start: tuple[Any, ...]
-    steps: tuple[tuple[Callable[..., Any], tuple[int, ...], tuple[int, ...]], ...]
+    steps: tuple[tuple[Callable[..., Any], int, tuple[int, ...]], ...]
     outputs: tuple[tuple[int | None, ...], ...]
 
     def __call__(self, state: Sequence[Any]) -> list[list[Any]]:
         """Return the entries of each output in column-major order."""
         work = [*state, *self.start[len(state) :]]
-        for function, into, arguments in self.steps:
-            result = function(*[work[i] for i in arguments])
-            work[into[0]], work[into[-1]] = result if len(into) == 2 else (result, result)
+        for operation, into, arguments in self.steps:
+            work[into] = operation(*[work[i] for i in arguments])
         return [[flint.arb(0) if i is None else work[i] for i in output] for output in self.outputs]
 
 
@@ -152,48 +189,38 @@ def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: S
         InputError: an operation of the expressions is not supported.
     """
     function = ca.Function("f", [state, parameters], ca.cse(list(outputs)))
-    known: list[Any] = [None] * state.shape[0]
+    known: list[Any] = [None] * state.shape[0] + [ball(v) for v in values]
     where: dict[int, int] = {}
-    angles: dict[int, tuple[int, int]] = {}
-    steps: list[tuple[Callable[..., Any], tuple[int, ...], tuple[int, ...]]] = []
+    angles: dict[int, int] = {}
+    steps: list[tuple[Callable[..., Any], int, tuple[int, ...]]] = []
     places: list[list[int | None]] = [[None] * function.numel_out(i) for i in range(function.n_out())]
-    entries = [function.sparsity_out(i).get_triplet() for i in range(function.n_out())]
-
-    def new(value: Any = None) -> int:
-        known.append(value)
-        return len(known) - 1
 
     def applied(operation: Callable[..., Any], *arguments: int) -> int:
-        if all(known[i] is not None for i in arguments):
-            return new(operation(*[known[i] for i in arguments]))
-        place = new()
-        steps.append((operation, (place,), arguments))
-        return place
+        constant = all(known[i] is not None for i in arguments)
+        known.append(operation(*[known[i] for i in arguments]) if constant else None)
+        if not constant:
+            steps.append((operation, len(known) - 1, arguments))
+        return len(known) - 1
 
     for k in range(function.n_instructions()):
         code, into, source = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
         if code == ca.OP_CONST:
-            where[into[0]] = new(ball(function.instruction_constant(k)))
+            where[into[0]] = applied(partial(ball, function.instruction_constant(k)))
         elif code == ca.OP_INPUT:
-            where[into[0]] = source[1] if source[0] == 0 else new(ball(values[source[1]]))
+            where[into[0]] = source[1] + source[0] * state.shape[0]
         elif code == ca.OP_OUTPUT:
-            rows, cols = entries[into[0]]
+            rows, cols = function.sparsity_out(into[0]).get_triplet()
             places[into[0]][rows[into[1]] + function.size1_out(into[0]) * cols[into[1]]] = where[source[0]]
         elif code in (ca.OP_SIN, ca.OP_COS):
+            # Sine and cosine of an angle are computed together.
             angle = where[source[0]]
             if angle not in angles:
-                both = (None, None) if known[angle] is None else known[angle].sin_cos()
-                angles[angle] = new(both[0]), new(both[1])
-                if both[0] is None:
-                    steps.append((lambda a: a.sin_cos(), angles[angle], (angle,)))
-            where[into[0]] = angles[angle][code == ca.OP_COS]
+                angles[angle] = applied(lambda a: a.sin_cos(), angle)
+            where[into[0]] = applied(itemgetter(int(code == ca.OP_COS)), angles[angle])
         elif code in _UNARY:
             where[into[0]] = applied(_UNARY[code], where[source[0]])
         elif code in _BINARY:
             where[into[0]] = applied(_BINARY[code], where[source[0]], where[source[1]])
-        elif code in (ca.OP_CONSTPOW, ca.OP_POW) and known[where[source[1]]] is not None:
-            exponent = known[where[source[1]]]
-            where[into[0]] = applied(lambda a, power=exponent: _power(a, power), where[source[0]])
         else:
             raise InputError(
                 f"the equations use casadi's operation {code}, which the prover does not support; write the energy "

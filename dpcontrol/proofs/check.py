@@ -1,16 +1,19 @@
-"""Independent check of a periodic orbit's certificate.
+"""Independent check of certificates of periodic orbits and closed walks.
 
 This code shares only flint's arithmetic with the search.
 
-The right-hand side of two arms is written by hand, with derivatives from dual numbers. The integrator is classical:
-Picard's iteration for a box that holds a step's solutions, Taylor polynomials at fixed steps, and Lagrange's remainder
-from the next coefficient over that box. Charts are not used. The unknowns are all nodes x_k, durations τ_k and
-one number ε,
+The equations of two arms and of three bodies are written by hand, with derivatives from dual numbers. The integrator is
+classical: Picard's iteration for a box that holds a step's solutions, Taylor polynomials, and Lagrange's remainder from
+the next coefficient over that box. Steps are halved until both are good. Charts are not used. The unknowns are all
+nodes x_k, durations τ_k and one number ε,
 
     Φ(x_k, τ_k) - x_{k+1} - [k last] (turn + ε v) = 0,      n_k·(x_k - x̄_k) = 0,      H(x_0) = h,
 
-and Newton–Kantorovich is applied to them about the certificate's numbers, in a ball of the radius that it calls
-`unique`. Since H(x_0 + ε v) = H(x_0) along a solution and ∇H·v has a sign, ε vanishes.
+and Newton–Kantorovich is applied to them about the certificate's numbers, in a ball of the radius `unique`. Since
+H(x_0 + ε v) = H(x_0) along a solution and ∇H·v has a sign, ε vanishes.
+
+A symbol's claims are then checked in the boxes of all steps: its section crossings, the lifted saddle at its stop, the
+nearest connection at its node, and its wraps.
 
 A certificate includes a digest of its content to detect accidental changes, on which the proof does not depend.
 
@@ -19,23 +22,32 @@ Source: Moore, Kearfott, Cloud, Introduction to Interval Analysis (2009), chapte
 
 import hashlib
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.proofs.balls import NotClosed, flint, fraction, identity, largest, number, symmetric, working
+from dpcontrol.proofs.symbols import Enclosed, check_symbols
 
-FORMAT = "dpcontrol proof 1"
-_BITS, _STEP, _ORDER, _BOX_ORDER = 140, Fraction(1, 500), 18, 8
+FORMAT = "dpcontrol proof 2"
+_BITS, _ORDER, _BOX_ORDER, _REMAINDER = 140, 18, 7, "1e-18"
+_LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2**20), 100_000, 2000
+"""Steps in s, and limits on the work that a file can cause."""
 
 
-class Rejected(Exception):
-    """A certificate is invalid; the message is one clause."""
+class CertificateCheck(NamedTuple):
+    """The verdict on a certificate: the proved statement, or the step that fails."""
+
+    proved: bool
+    status: str
+    statement: str | None
 
 
 def digest(certificate: Mapping[str, Any]) -> str:
@@ -67,6 +79,10 @@ class _Dual:
     def power(self, exponent: int) -> "_Dual":
         return self._by(self.value**exponent, exponent * self.value ** (exponent - 1))
 
+    def inverse_root(self) -> "_Dual":
+        found = self.value.rsqrt()
+        return self._by(found, found**3 / -2)
+
     def sine_cosine(self) -> "tuple[_Dual, _Dual]":
         sine, cosine = self.value.sin_cos()
         return self._by(sine, cosine), self._by(cosine, -sine)
@@ -74,64 +90,43 @@ class _Dual:
     __radd__, __rmul__ = __add__, __mul__
 
 
-class _Pendulum:
-    """Two arms in flint's arithmetic at the working precision."""
+class _Flow(ABC):
+    """A system's integrator in flint's arithmetic at the working precision; `angles` of its states turn."""
 
-    def __init__(self, flint: Any, data: Mapping[str, Any]) -> None:
-        self.flint, number = flint, self.number
-        keys = ("mass", "centre_of_mass", "length", "inertia")
-        (m1, m2), (a1, a2), (l1, _), (j1, j2) = ([Fraction(v) for v in data[key]] for key in keys)
-        gravity, g1 = Fraction(data["gravity"]), m1 * a1 + m2 * l1
-        exact = j1 + m1 * a1**2 + m2 * l1**2, j2 + m2 * a2**2, m2 * l1 * a2, gravity * g1, gravity * m2 * a2
-        self.numbers = [number(v) for v in exact]
+    angles: int
 
-    def number(self, text: Any) -> Any:
-        value = Fraction(text)
-        return self.flint.arb(self.flint.fmpq(value.numerator, value.denominator))
+    def __init__(self) -> None:
+        self.pace, self.left = _LONGEST, _MOST_STEPS
 
-    def about(self, radius: Any) -> Any:
-        return self.flint.arb(0, radius.abs_upper())
-
-    def matrix(self, entries: Sequence[Any]) -> Any:
-        return self.flint.arb_mat(4, 4, entries)
-
-    def identity(self) -> Any:
-        return self.matrix([self.flint.arb(int(k % 5 == 0)) for k in range(16)])
-
+    @abstractmethod
     def rate(self, x: Sequence[_Dual]) -> list[_Dual]:
-        a, b, c, g1, g2 = self.numbers
-        sine, cosine = (x[0] + x[1] * -1).sine_cosine()
-        first = sine * x[3].power(2) * -c + x[0].sine_cosine()[0] * -g1
-        second = sine * x[2].power(2) * c + x[1].sine_cosine()[0] * -g2
-        inverse = ((cosine * c).power(2) * -1 + a * b).power(-1)
-        turned = (first * b + cosine * second * -c) * inverse, (second * a + cosine * first * -c) * inverse
-        return [x[2], x[3], *turned]
+        """Return f(x)."""
+
+    @abstractmethod
+    def height(self, x: Sequence[_Dual]) -> _Dual:
+        """Return H(x)."""
 
     def energy(self, x: Sequence[Any]) -> _Dual:
-        a, b, c, g1, g2 = self.numbers
-        x = self.duals(x)
-        kinetic = x[2].power(2) * (a / 2) + x[3].power(2) * (b / 2)
-        coupled = (x[0] + x[1] * -1).sine_cosine()[1] * x[2] * x[3] * c
-        return kinetic + coupled + x[0].sine_cosine()[1] * -g1 + x[1].sine_cosine()[1] * -g2
+        return self.height(self.duals(x))
 
     def duals(self, x: Sequence[Any]) -> list[_Dual]:
-        return [_Dual(value, row) for value, row in zip(x, self.identity().tolist(), strict=True)]
+        return [_Dual(value, row) for value, row in zip(x, identity().tolist(), strict=True)]
 
     def slopes(self, x: Sequence[Any]) -> tuple[list[Any], Any]:
         found = self.rate(self.duals(x))
-        return [f.value for f in found], self.flint.arb_mat([f.partials for f in found])
+        return [f.value for f in found], flint.arb_mat([f.partials for f in found])
 
     def late(self, slopes: Any, time: Any) -> Any:
         """Return the flow's derivative over a time from an invariant box."""
-        grown = (self.matrix([v.abs_upper() for v in slopes.entries()]) * time).exp() - self.identity()
-        return self.identity() + self.matrix([self.about(v) for v in grown.entries()])
+        grown = (flint.arb_mat(4, 4, [v.abs_upper() for v in slopes.entries()]) * time).exp() - identity()
+        return identity() + flint.arb_mat(4, 4, [symmetric(v) for v in grown.entries()])
 
     def series(self, x: Sequence[Any], order: int, width: int) -> list[list[Any]]:
         """Return Taylor coefficients of the states and the flow's derivative."""
-        start = [[v] for v in x] + [[v] for row in self.identity().tolist() for v in row[:width]]
+        start = [[v] for v in x] + [[v] for row in identity().tolist() for v in row[:width]]
         for known in range(1, order + 1):
-            self.flint.ctx.cap = known
-            series = [self.flint.arb_series(c) for c in start]
+            flint.ctx.cap = known
+            series = [flint.arb_series(c) for c in start]
             found = self.rate([_Dual(series[i], series[4 + width * i :][:width]) for i in range(4)])
             for c, r in zip(start, [f.value for f in found] + [p for f in found for p in f.partials], strict=True):
                 c.append(r[known - 1] / known)
@@ -144,13 +139,13 @@ class _Pendulum:
             reached = [v + time * r for v, r in zip(x, self.slopes(box)[0], strict=True)]
             if all(r in b for r, b in zip(reached, box, strict=True)):
                 return box
-            box = [r.union(v) + self.about((r - v) / 8 + self.number("1e-25")) for r, v in zip(reached, x, strict=True)]
-        raise Rejected("a step's box does not close")
+            box = [r.union(v) + symmetric((r - v) / 8 + number("1e-25")) for r, v in zip(reached, x, strict=True)]
+        raise NotClosed("a step's box does not close")
 
-    def step(self, thin: Sequence[Any], carried: Any, spread: Any, h: Any) -> tuple[list[Any], Any]:
-        """Advance a thin point and the derivative by one step."""
+    def step(self, thin: Sequence[Any], carried: Any, spread: Any, h: Any) -> tuple[list[Any], Any, list[Any]]:
+        """Advance a thin point and the derivative by one step; return them and the box of all solutions."""
         box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]
-        around = self.rough(box, h * self.flint.arb(0.5, 0.5))
+        around = self.rough(box, h * flint.arb(0.5, 0.5))
 
         def ahead(near: Sequence[Any], order: int, last: Sequence[Any]) -> list[Any]:
             return [
@@ -159,110 +154,182 @@ class _Pendulum:
             ]
 
         far = [c[-1] for c in self.series(around, _ORDER + 1, 0)]
+        if not all(abs(r) * h ** (_ORDER + 1) < number(_REMAINDER) for r in far):
+            raise NotClosed("the remainder of a step is too large")
         # Coefficient k along a solution equals the coefficient at its state times the derivative.
-        rest = self.matrix([c[-1] for c in self.series(around, _BOX_ORDER + 1, 4)[4:]])
+        rest = flint.arb_mat(4, 4, [c[-1] for c in self.series(around, _BOX_ORDER + 1, 4)[4:]])
         rest = rest * self.late(self.slopes(around)[1], h)
         over = ahead(self.series(box, _BOX_ORDER, 4)[4:], _BOX_ORDER, rest.entries())
-        return ahead(self.series(thin, _ORDER, 0), _ORDER, far), self.matrix(over) * carried
+        return ahead(self.series(thin, _ORDER, 0), _ORDER, far), flint.arb_mat(4, 4, over) * carried, around
 
-    def flight(self, x: Sequence[Any], spread: Any, duration: Fraction) -> tuple[list[Any], Any]:
-        carried, thin, count = self.identity(), list(x), -(-duration // _STEP)
-        for _ in range(count):
-            thin, carried = self.step(thin, carried, spread, self.number(duration / count))
-        return thin, carried
+    def flight(self, x: Sequence[Any], spread: Any, duration: Fraction) -> tuple[list[Any], Any, list[list[Any]]]:
+        """Return the thin end, the derivative and the boxes of all steps."""
+        carried, thin, boxes, flown = identity(), list(x), [], Fraction(0)
+        self.pace = min(2 * self.pace, _LONGEST)
+        while flown < duration:
+            h, self.left = min(self.pace, duration - flown), self.left - 1
+            if self.pace < _SHORTEST or self.left < 0:
+                raise NotClosed("its flight takes too many or too short steps")
+            try:
+                thin, carried, around = self.step(thin, carried, spread, number(h))
+            except NotClosed:
+                self.pace /= 2
+                continue
+            boxes.append(around)
+            flown += h
+        return thin, carried, boxes
 
 
-def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> str:
-    """Check a certificate and return the proved statement.
+class _Pendulum(_Flow):
+    """Two arms; the constants are A, B, C, G₁ and G₂ of the guide."""
+
+    def __init__(self, data: Mapping[str, Any]) -> None:
+        super().__init__()
+        keys = ("mass", "centre_of_mass", "length", "inertia")
+        (m1, m2), (a1, a2), (l1, _), (j1, j2) = ([fraction(v) for v in data[key]] for key in keys)
+        (gravity,), self.angles = map(fraction, data["gravity"]), 2
+        g1 = m1 * a1 + m2 * l1
+        exact = j1 + m1 * a1**2 + m2 * l1**2, j2 + m2 * a2**2, m2 * l1 * a2, gravity * g1, gravity * m2 * a2
+        self.numbers = [number(v) for v in exact]
+
+    def rate(self, x: Sequence[_Dual]) -> list[_Dual]:
+        a, b, c, g1, g2 = self.numbers
+        sine, cosine = (x[0] + x[1] * -1).sine_cosine()
+        first = sine * x[3].power(2) * -c + x[0].sine_cosine()[0] * -g1
+        second = sine * x[2].power(2) * c + x[1].sine_cosine()[0] * -g2
+        inverse = ((cosine * c).power(2) * -1 + a * b).power(-1)
+        turned = (first * b + cosine * second * -c) * inverse, (second * a + cosine * first * -c) * inverse
+        return [x[2], x[3], *turned]
+
+    def height(self, x: Sequence[_Dual]) -> _Dual:
+        a, b, c, g1, g2 = self.numbers
+        kinetic = x[2].power(2) * (a / 2) + x[3].power(2) * (b / 2)
+        coupled = (x[0] + x[1] * -1).sine_cosine()[1] * x[2] * x[3] * c
+        return kinetic + coupled + x[0].sine_cosine()[1] * -g1 + x[1].sine_cosine()[1] * -g2
+
+
+class _ThreeBodies(_Flow):
+    """The planar circular restricted three-body problem in the rotating frame."""
+
+    def __init__(self, data: Mapping[str, Any]) -> None:
+        super().__init__()
+        (self.mu,), self.angles = map(number, data["mass_ratio"]), 0
+
+    def _pull(self, x: Sequence[_Dual]) -> list[tuple[Any, _Dual, _Dual]]:
+        """Return mass, distance along x and inverse distance of both primaries."""
+        bodies = (1 - self.mu, x[0] + self.mu), (self.mu, x[0] + (self.mu - 1))
+        return [(mass, along, (along.power(2) + x[1].power(2)).inverse_root()) for mass, along in bodies]
+
+    def rate(self, x: Sequence[_Dual]) -> list[_Dual]:
+        first, second = x[0] + x[3] * 2, x[1] + x[2] * -2
+        for mass, along, inverse in self._pull(x):
+            cube = inverse.power(3) * -mass
+            first, second = first + along * cube, second + x[1] * cube
+        return [x[2], x[3], first, second]
+
+    def height(self, x: Sequence[_Dual]) -> _Dual:
+        total = (x[2].power(2) + x[3].power(2)) * number("0.5")
+        for mass, along, inverse in self._pull(x):
+            total = total + (along.power(2) + x[1].power(2)) * (-mass / 2) + inverse * -mass
+        return total
+
+
+_SYSTEMS = {"double pendulum": _Pendulum, "three bodies": _ThreeBodies}
+
+
+def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> CertificateCheck:
+    """Check a certificate.
 
     Raises:
-        Rejected: the certificate is invalid; the message gives the failed step.
         PartMissing: python-flint is not installed.
     """
-    from dpcontrol.proofs.balls import flint, working
-
     try:
         if certificate["digest"] != digest(certificate) or certificate["format"] != FORMAT:
-            raise Rejected("its digest does not match its content, or its format is unknown")
-        if certificate["system"]["equations"] != "double pendulum":
-            raise Rejected("the check supports only the equations of the double pendulum")
+            raise NotClosed("its digest does not match its content, or its format is unknown")
         with working(_BITS):
-            return _checked(_Pendulum(flint, certificate["system"]), certificate, progress)
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, np.linalg.LinAlgError) as error:
-        raise Rejected(f"a value is missing or is not a number ({type(error).__name__}: {error})") from error
-
-
-class CertificateCheck(NamedTuple):
-    """The verdict on a certificate's file: the proved statement, or the step that fails."""
-
-    proved: bool
-    status: str
-    statement: str | None
+            own = _SYSTEMS[certificate["system"]["equations"]](certificate["system"])
+            return CertificateCheck(True, _checked(own, certificate, progress), str(certificate["statement"]))
+    except (NotClosed, LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        invalid = "" if isinstance(error, NotClosed) else f"a value is missing or invalid, {type(error).__name__}: "
+        return CertificateCheck(
+            False, f"rejected: the certificate does not prove its statement: {invalid}{error}", None
+        )
 
 
 def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck:
     """Check the certificate in a file.
 
     Raises:
-        InputError: the file is missing or unreadable.
+        InputError: the file is missing, unreadable or no certificate.
         PartMissing: python-flint is not installed.
     """
     try:
         content = json.loads(checked_source(file).read_text(encoding="utf-8"))
-        return CertificateCheck(True, check(content, progress), str(content["statement"]))
-    except (Rejected, ValueError, RecursionError) as error:
-        return CertificateCheck(False, f"rejected: the certificate does not prove its statement: {error}", None)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{file} is not a certificate: it is not JSON; give a file of `prove --out`") from error
+    if not isinstance(content, dict) or not {"format", "nodes", "digest"} & set(content):
+        raise InputError(f"{file} is not a certificate: none of its keys is one's; give a file of `prove --out`")
+    return check(content, progress)
 
 
-def _checked(own: _Pendulum, data: Mapping[str, Any], progress: Progress) -> str:
-    arb_mat, zero, number = own.flint.arb_mat, own.flint.arb(0), own.number
+def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     nodes, normals = ([[number(v) for v in row] for row in data[key]] for key in ("nodes", "normals"))
-    durations, scale = [Fraction(v) for v in data["durations"]], [number(v) for v in data["scale"]]
+    durations, scale = [fraction(v) for v in data["durations"]], [number(v) for v in data["scale"]]
     turns, unique, exists = [int(v) for v in data["turns"]], number(data["unique"]), number(data["exists"])
-    count, last = len(nodes), 5 * len(nodes)
+    count, last, flights = len(nodes), 5 * len(nodes), []
     sizes = {len(nodes), len(normals), len(durations)}, {len(v) for v in [*nodes, *normals, scale, turns]}
-    positive = count > 1 and 0 < exists <= unique and min(durations) > 0 and all(s > 0 for s in scale)
-    if sizes != ({count}, {4}) or not positive or any(turns[2:]):
-        raise Rejected("its nodes, normals, durations, turns or radii are inconsistent")
-    spread, product = arb_mat([[own.about(s * unique)] for s in scale]), own.identity()
-    matrix, residual = [[zero] * (last + 1) for _ in range(last + 1)], [zero] * (last + 1)
+    positive = 1 < count < _MOST_NODES and 0 < exists <= unique and min(durations) > 0 and all(s > 0 for s in scale)
+    if sizes != ({count}, {4}) or not positive or any(turns[own.angles :]):
+        raise NotClosed("its nodes, normals, durations, turns or radii are inconsistent")
+    spread, product = flint.arb_mat([[symmetric(s * unique)] for s in scale]), identity()
+    matrix, residual = [[flint.arb(0)] * (last + 1) for _ in range(last + 1)], [flint.arb(0)] * (last + 1)
     push = [g.mid() * s * s for g, s in zip(own.energy(nodes[0]).partials, scale, strict=True)]
     for k in range(count):
         progress("checking the flow", k / count)
         following = (k + 1) % count
-        thin, derivative = own.flight(nodes[k], spread, durations[k])
+        thin, derivative, boxes = own.flight(nodes[k], spread, durations[k])
         around = own.rough(
-            [c + d for c, d in zip(thin, (derivative * spread).entries(), strict=True)], own.about(unique)
+            [c + d for c, d in zip(thin, (derivative * spread).entries(), strict=True)], symmetric(unique)
         )
+        flights.append([*boxes, around])
         rates, slopes = own.slopes(around)
         derivative = own.late(slopes, unique) * derivative
         product = derivative * product
         for i in range(4):
-            row, turned = matrix[4 * k + i], 2 * own.flint.arb.pi() * turns[i] * int(following == 0)
+            row, turned = matrix[4 * k + i], 2 * flint.arb.pi() * turns[i] * int(following == 0)
             residual[4 * k + i] = (thin[i] - nodes[following][i] - turned) / scale[i]
             row[4 * k : 4 * k + 4] = [derivative[i, j] * scale[j] / scale[i] for j in range(4)]
-            row[4 * following + i] += own.number(-1)
+            row[4 * following + i] += number(-1)
             row[4 * count + k], row[last] = rates[i] / scale[i], -push[i] / scale[i] * int(following == 0)
             matrix[4 * count + k][4 * k + i] = normals[k][i] * scale[i]
     start = [c + d for c, d in zip(nodes[0], spread.entries(), strict=True)]
     residual[last] = own.energy(nodes[0]).value - number(data["energy"])
     matrix[last][:4] = [p * s for p, s in zip(own.energy(start).partials, scale, strict=True)]
-    inverse = arb_mat(np.linalg.inv(np.array([[float(v.mid()) for v in row] for row in matrix])).tolist())
-    off = (inverse * arb_mat(matrix)).tolist()
-    sums = [sum((abs(v - int(i == j)) for j, v in enumerate(row)), zero) for i, row in enumerate(off)]
-    steps = (inverse * arb_mat([[v] for v in residual])).entries()
-    contraction, first = (reduce(lambda a, b: a.max(b.abs_upper()), values, zero) for values in (sums, steps))
+    inverse = flint.arb_mat(np.linalg.inv(np.array([[float(v.mid()) for v in row] for row in matrix])).tolist())
+    off = (inverse * flint.arb_mat(matrix)).tolist()
+    contraction = largest(
+        [sum((abs(v - int(i == j)) for j, v in enumerate(row)), flint.arb(0)) for i, row in enumerate(off)]
+    )
+    first = largest((inverse * flint.arb_mat([[v] for v in residual])).entries())
     if not (contraction < 1 and first <= (1 - contraction) * exists):
-        raise Rejected("Newton–Kantorovich does not prove an orbit within `exists` of its nodes")
-    moved = [x + p * own.about(unique) for x, p in zip(start, push, strict=True)]
-    if sum((a * b for a, b in zip(own.energy(moved).partials, push, strict=True)), zero).contains(0):
-        raise Rejected("the energy does not determine the orbit")
-    period, (low, high) = number(sum(durations)) + count * own.about(exists), (number(v) for v in data["period"])
+        raise NotClosed("Newton–Kantorovich does not prove an orbit within `exists` of its nodes")
+    moved = [x + p * symmetric(unique) for x, p in zip(start, push, strict=True)]
+    if sum((a * b for a, b in zip(own.energy(moved).partials, push, strict=True)), flint.arb(0)).contains(0):
+        raise NotClosed("the energy does not determine the orbit")
+    period, (low, high) = number(sum(durations)) + count * symmetric(exists), map(number, data["period"])
     least, pair = number(data["multiplier_exceeds"]), abs(product.trace() - 2)
     # λ + 1/λ grows with |λ| > 1.
     if not (low <= period and period <= high and least >= 1 and pair > least + 1 / least):
-        raise Rejected("its period or its multiplier is not proved to be within its bounds")
+        raise NotClosed("its period or its multiplier is not proved to be within its bounds")
+    if data["symbols"]:
+        near = [[c + symmetric(s * exists) for c, s in zip(node, scale, strict=True)] for node in nodes]
+        times = [number(v) + symmetric(exists) for v in durations]
+        angles = [k < own.angles for k in range(4)]
+        check_symbols(
+            data["symbols"], Enclosed(flights, near, times, turns, angles, scale, lambda box: own.slopes(box)[0])
+        )
     return (
         f"exactly one periodic orbit crosses the {count} planes within {data['unique']} of the nodes (scaled); it is "
-        f"within {data['exists']}, its period lies in its bounds, its multiplier exceeds {data['multiplier_exceeds']}"
+        f"within {data['exists']}, its period lies in its bounds, its multiplier exceeds "
+        f"{data['multiplier_exceeds']}" + f", and it follows its {len(data['symbols'])} symbols" * bool(data["symbols"])
     )

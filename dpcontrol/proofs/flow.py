@@ -29,7 +29,18 @@ from typing import Any
 import casadi as ca
 
 from dpcontrol.dynamics.system import System
-from dpcontrol.proofs.balls import Fraction, Instructions, NotClosed, ball, columns, flint, identity, program, symmetric
+from dpcontrol.proofs.balls import (
+    Fraction,
+    Instructions,
+    NotClosed,
+    ball,
+    columns,
+    flint,
+    identity,
+    largest,
+    program,
+    symmetric,
+)
 
 Vector = list[Any]
 """A list of balls."""
@@ -50,18 +61,19 @@ class FlowSettings:
     left: float = 1e-19
 
 
-_ROUGH, _SECTORS, _SHARE, _GROWTH, _MOST_STEPS = 12, 5, 0.75, 1.04, 20_000
+_ROUGH, _SECTORS, _SHARE, _GROWTH, _MOST_TRIES, _MOST_STEPS = 12, 5, 0.75, 1.04, 40, 20_000
 """Degree of the disc's polynomial, sectors of its cover, and initial radius relative to the estimated convergence
-radius. Then the largest growth of a disc between steps, and the largest number of steps."""
+radius. Then the largest growth of a disc between steps, and the largest numbers of radii per step and of steps."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """Programs of f, (f, Df) and (H, ∇H) with exact parameters."""
+    """Programs of f, (f, Df), (H, ∇H) and ∂p/∂x with exact parameters."""
 
     rate: Instructions
     slopes: Instructions
     energy: Instructions
+    momenta: Instructions
 
     @classmethod
     def of(cls, system: System, parameters: Sequence[Fraction]) -> "Field":
@@ -70,11 +82,16 @@ class Field:
         rate = ca.substitute(e.rate, e.inputs, ca.SX.zeros(e.input_count))
         jacobian, gradient = ca.jacobian(rate, e.state), ca.gradient(e.hamiltonian, e.state)
         make = lambda *outputs: program(e.state, e.parameters, outputs, parameters)  # noqa: E731
-        return cls(make(rate), make(rate, jacobian), make(e.hamiltonian, gradient))
+        momenta = ca.jacobian(e.momentum, e.state)
+        return cls(make(rate), make(rate, jacobian), make(e.hamiltonian, gradient), make(momenta))
 
     def matrix(self, entries: Vector) -> list[Vector]:
         """Return the rows of Df from its entries in column-major order."""
         return [[entries[i + 4 * j] for j in range(4)] for i in range(4)]
+
+    def rates(self, state: Vector) -> Vector:
+        """Return f(x)."""
+        return self.rate(state)[0]
 
     def height(self, state: Vector) -> Any:
         """Return H(x)."""
@@ -88,12 +105,9 @@ class Field:
 @cache
 def _cover() -> list[Any]:
     """Return boxes that cover the upper half of the unit disc."""
-    boxes, half = [flint.acb(flint.arb(0, 0.5), flint.arb(0, 0.5))], flint.arb(0.75, 0.25)
-    for k in range(_SECTORS):
-        angle = (2 * k + 1 + flint.arb(0, 1)) / (2 * _SECTORS)
-        sine, cosine = angle.sin_cos_pi()
-        boxes.append(flint.acb(half * cosine, half * sine))
-    return boxes
+    half = flint.arb(0.75, 0.25)
+    angles = [((2 * k + 1 + flint.arb(0, 1)) / (2 * _SECTORS)).sin_cos_pi() for k in range(_SECTORS)]
+    return [flint.acb(flint.arb(0, 0.5), flint.arb(0, 0.5)), *(flint.acb(half * c, half * s) for s, c in angles)]
 
 
 def _horner(coefficients: Vector, time: Any) -> Any:
@@ -108,30 +122,12 @@ def _coefficients(series: Any, length: int) -> Vector:
 
 
 def taylor(field: Field, start: Vector, order: int) -> list[Vector]:
-    """Return Taylor coefficients 0 … order of the states over a box.
-
-    From the first m coefficients, f(x) - x' follows to order 2m. The others solve the linearised equations, so each
-    round doubles the number of coefficients.
-    """
-    known = 1
+    """Return Taylor coefficients 0 … order of the states over a box."""
     x = [[s] for s in start]
-    while known <= order:
-        following = min(2 * known, order + 1)
-        flint.ctx.cap = following - 1
-        rates = [_coefficients(r, following - 1) for r in field.rate([flint.arb_series(c) for c in x])[0]]
-        flint.ctx.cap = max(following - 1 - known, 1)
-        slope = field.matrix(field.slopes([flint.arb_series(c) for c in x])[1])
-        linear = [[_coefficients(s, flint.ctx.cap) for s in row] for row in slope]
-        change: list[Vector] = [[], [], [], []]
-        for k in range(known, following):
-            # Coefficient k of x comes from coefficient k - 1 of f(x).
-            value = [r[k - 1] for r in rates]
-            for i, row in enumerate(linear):
-                products = (a[k - 1 - known - m] * c for a, b in zip(row, change, strict=True) for m, c in enumerate(b))
-                value[i] = sum(products, value[i])
-            for one, v in zip(change, value, strict=True):
-                one.append(v / k)
-        x, known = [a + b for a, b in zip(x, change, strict=True)], following
+    for k in range(order):
+        flint.ctx.cap = k + 1
+        for c, rate in zip(x, field.rates([flint.arb_series(c) for c in x]), strict=True):
+            c.append(_coefficients(rate, k + 1)[k] / (k + 1))
     return x
 
 
@@ -147,119 +143,68 @@ def tangent(field: Field, x: list[Vector], order: int) -> list[Any]:
     return out
 
 
-@dataclass(frozen=True)
-class Disc:
-    """The disc of radius ρ in which a step's solutions are analytic.
-
-    It has bounds ε (N,) on the distance from the polynomial of the given degree, and on the flow's derivative (N, N).
-    """
-
-    radius: Any
-    bounds: Vector
-    derivative: Any
-    degree: int
-
-
-def _sup(values: list[Vector]) -> Vector:
-    """Return an upper bound of the largest modulus in each column."""
-    return [reduce(lambda a, b: a.max(b.abs_upper()), column, flint.arb(0)) for column in zip(*values, strict=True)]
-
-
-def disc(field: Field, x: list[Vector], radius: Any, guess: Vector | None) -> Disc | None:
-    """Return the disc of a radius if its enclosure closes, or None."""
-    degree, times = _ROUGH, [box * radius for box in _cover()]
-    p = [c[: degree + 1] for c in x]
-    slopes = [[c[k] * k for k in range(1, degree + 1)] for c in p]
-    values = [[_horner(c, t) for c in p] for t in times]
-    rates = [[_horner(c, t) for c in slopes] for t in times]
+def disc(field: Field, x: list[Vector], radius: Any, guess: Vector | None) -> tuple[Any, Vector, Any] | None:
+    """Return a disc's radius ρ if its enclosure closes, with ε (N,) and a bound on the flow's derivative (N, N)."""
+    times, p = [box * radius for box in _cover()], [c[: _ROUGH + 1] for c in x]
+    slopes = [[c[k] * k for k in range(1, _ROUGH + 1)] for c in p]
+    values, rates = ([[_horner(c, t) for c in rows] for t in times] for rows in (p, slopes))
     bounds = guess or [flint.arb(0)] * 4
     for _ in range(4):
         spread = [flint.acb(symmetric(b), symmetric(b)) for b in bounds]
         found = [field.slopes([v + e for v, e in zip(value, spread, strict=True)]) for value in values]
-        gaps = _sup(
-            [[f - r for f, r in zip(one[0], rate, strict=True)] for one, rate in zip(found, rates, strict=True)]
-        )
-        needed = [radius * g / (degree + 1) for g in gaps]
+        gaps = [[f - r for f, r in zip(one[0], rate, strict=True)] for one, rate in zip(found, rates, strict=True)]
+        needed = [radius * largest(column) / (_ROUGH + 1) for column in zip(*gaps, strict=True)]
         if not all(g.is_finite() for g in needed):
             return None
         if all(g <= b for g, b in zip(needed, bounds, strict=True)):
-            largest = _sup([one[1] for one in found])
-            grown = (columns(field.matrix(largest)) * radius).exp()
-            return Disc(radius, bounds, grown, degree) if all(g.is_finite() for g in grown.entries()) else None
+            steepest = [largest(column) for column in zip(*[one[1] for one in found], strict=True)]
+            grown = (columns(field.matrix(steepest)) * radius).exp()
+            return (radius, bounds, grown) if all(g.is_finite() for g in grown.entries()) else None
         bounds = [flint.arb((g * 5 / 4).upper()) for g in needed]
     return None
 
 
-@dataclass(frozen=True)
-class FlownBall:
-    """The enclosure of a flow after a duration.
-
-    For each step, `spans` has the start and length in s, and balls (N,) that enclose all solutions.
-    """
-
-    thin: Vector
-    derivative: Any
-    box: Vector
-    spans: list[tuple[Any, Any, Vector]]
-
-
-def fly(field: Field, start: Vector, spread: Any, duration: Fraction, settings: FlowSettings) -> FlownBall:
+def fly(
+    field: Field, start: Vector, spread: Any, duration: Fraction, settings: FlowSettings
+) -> tuple[Vector, Any, Vector, list[Vector]]:
     """Enclose the flow from a thin point, with derivatives over a box.
+
+    Returns:
+        The thin end (N,), the derivative (N, N), the box's end (N,), and balls (N,) that enclose all solutions during
+        each step.
 
     Raises:
         NotClosed: a step's enclosure does not close.
     """
     flown, spans, thin, carried = Fraction(0), [], start, identity()
-    guess: Vector | None = None
-    radius: Any = None
+    tried, guess = 10.0, None
     while flown < duration:
-        if len(spans) == _MOST_STEPS:
-            raise NotClosed(f"more than {_MOST_STEPS} steps")
-        where = f"the enclosure at {float(flown):.4g} s of a segment's flight does not close"
+        unclear = NotClosed(f"the enclosure at {float(flown):.4g} s of a segment's flight does not close")
         box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]
-        try:
-            point = taylor(field, thin, settings.order)
-            around = taylor(field, box, settings.box_order)
-        except (ZeroDivisionError, ValueError) as error:
-            raise NotClosed(where) from error
-        tried = min(_convergence(point), 10.0 if radius is None else radius * _GROWTH)
-        found = None
-        for _ in range(12):
-            found = disc(field, around, ball(tried), guess)
-            if found is not None:
-                break
-            tried, guess = tried * 0.85, None
-        if found is None:
-            raise NotClosed(where)
-        radius, guess = tried, [flint.arb((b * 9 / 8).upper()) for b in found.bounds]
+        point, around = taylor(field, thin, settings.order), taylor(field, box, settings.box_order)
+        tried = min(_convergence(point), tried * _GROWTH)
+        attempts = (disc(field, around, ball(tried * 0.85**k), None if k else guess) for k in range(_MOST_TRIES))
+        found = next((one for one in attempts if one is not None), None)
+        if found is None or len(spans) == _MOST_STEPS:
+            raise unclear
+        radius, bounds, derivative = found
+        tried, guess = float(radius), [flint.arb((b * 9 / 8).upper()) for b in bounds]
         step = min(Fraction(tried * settings.left ** (1 / (settings.order + 1))), duration - flown)
         h = ball(step)
-        ratio = h / found.radius
+        ratio, during = h / radius, flint.arb(0.5, 0.5) * h
         if not ratio < 1:
-            raise NotClosed(where)
+            raise unclear
         tail, box_tail = (ratio ** (order + 1) / (1 - ratio) for order in (settings.order, settings.box_order))
-        during = flint.arb(0.5, 0.5) * h
-        rough = [c[: found.degree + 1] for c in around]
-        at_most = (during / found.radius).abs_upper() ** (found.degree + 1)
-        spans.append(
-            (
-                ball(flown),
-                h,
-                [_horner(c, during) + symmetric(b * at_most) for c, b in zip(rough, found.bounds, strict=True)],
-            )
-        )
-        thin = [_horner(c, h) + symmetric(b * tail) for c, b in zip(point, found.bounds, strict=True)]
-        grown = flint.arb_mat(4, 4, [symmetric(g * box_tail) for g in found.derivative.entries()])
+        rough, at_most = [c[: _ROUGH + 1] for c in around], (during / radius).abs_upper() ** (_ROUGH + 1)
+        spans.append([_horner(c, during) + symmetric(b * at_most) for c, b in zip(rough, bounds, strict=True)])
+        thin = [_horner(c, h) + symmetric(b * tail) for c, b in zip(point, bounds, strict=True)]
+        grown = flint.arb_mat(4, 4, [symmetric(g * box_tail) for g in derivative.entries()])
         carried = (_horner(tangent(field, around, settings.box_order), h) + grown) * carried
         flown += step
-    box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]
-    return FlownBall(thin, carried, box, spans)
+    return thin, carried, [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)], spans
 
 
 def _convergence(x: list[Vector]) -> float:
-    """Return a guess of the disc's radius from the radius of convergence."""
-    order = len(x[0]) - 1
-    sizes = [max(abs(float(c[k].mid())) for c in x) for k in (order - 1, order)]
-    first = max(max(abs(float(c[1].mid())) for c in x), 1e-3)
-    rates = [(first / s) ** (1 / k) for s, k in zip(sizes, (order - 2, order - 1), strict=True) if s > 0]
-    return _SHARE * min([*rates, 10.0])
+    """Return a guess of the disc's radius from the last coefficients."""
+    first, last = (max(abs(float(c[k].mid())) for c in x for k in which) for which in ((1,), (-2, -1)))
+    return _SHARE * min(10.0, (max(first, 1e-3) / max(last, 1e-300)) ** (1 / (len(x[0]) - 2)))

@@ -26,44 +26,47 @@ import numpy as np
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.proofs.balls import Fraction, NotClosed, ball, exact, flint, symmetric
-from dpcontrol.proofs.charts import ChartSegment, Leg, Surface, chart_of, directions, segment
+from dpcontrol.proofs.balls import ball, columns, exact, flint, largest, located, symmetric
+from dpcontrol.proofs.charts import ChartSegment, Leg, Surface, legs_of, segment
 from dpcontrol.proofs.flow import FlowSettings
+from dpcontrol.tubes.frames import closed_frames
 
 Chain = tuple[Leg, ...]
 """A closed chain of legs, each of which ends at the next one's first chart."""
 
 
-def closed_chain(system: System, states: Array, durations: Array, turns: Sequence[int]) -> Chain:
-    """Return the chain of a closed orbit's nodes (K, N)."""
-    _, stms = system.propagator.flows_with_stm(states, durations)
-    ones = np.cos(np.arange(system.dimension) + 1.0) * system.scale
-    bases = directions(system, states, stms, closed=True, first=ones, last=ones)
-    charts = [chart_of(state, basis) for state, basis in zip(states, bases, strict=True)]
-    shifts = [(0, 0, 0, 0)] * (len(charts) - 1) + [tuple(int(k) for k in turns)]
-    legs = [
-        Leg(chart, charts[(k + 1) % len(charts)], Fraction(float(durations[k])), shifts[k])
-        for k, chart in enumerate(charts)
-    ]
-    return tuple(legs)
+def closed_chain(system: System, states: Array, durations: Array, turns: Sequence[int]) -> tuple[Chain, Array]:
+    """Return the chain of a closed orbit's nodes (K, N), and growth factors (K, 2)."""
+    bases, rates = closed_frames(system, states, durations)
+    return legs_of(np.concatenate([states, states[:1]]), bases, durations, turns), rates
 
 
 def enclose(
-    surface: Surface, chain: Chain, radius: Any, settings: FlowSettings, progress: Progress = no_progress
+    surface: Surface,
+    chain: Sequence[Leg],
+    widths: Sequence[Sequence[Any]],
+    settings: FlowSettings,
+    progress: Progress = no_progress,
 ) -> list[ChartSegment]:
-    """Enclose all maps of a chain over boxes of one radius.
+    """Enclose all maps of a chain over boxes.
+
+    Args:
+        widths (K + 1, 2): half-widths of the boxes, including those of the last leg's end.
 
     Raises:
         NotClosed: an enclosure does not close; the message names the segment.
     """
-    out, radii = [], [ball(radius)] * 2
+    out = []
     for k, leg in enumerate(chain):
         progress("enclosing the flow", k / len(chain))
-        try:
-            out.append(segment(surface, leg, radii, radii, settings))
-        except NotClosed as error:
-            raise NotClosed(f"in segment {k + 1} of {len(chain)} {error}") from error
+        with located(f"in segment {k + 1} of {len(chain)}"):
+            out.append(segment(surface, leg, *([ball(v) for v in row] for row in widths[k : k + 2]), settings))
     return out
+
+
+def even(chain: Chain, radius: Any) -> list[list[Any]]:
+    """Return half-widths (K + 1, 2) of boxes of one radius."""
+    return [[radius, radius]] * (len(chain) + 1)
 
 
 @dataclass(frozen=True)
@@ -84,36 +87,26 @@ class Newton:
 
 def newton(segments: Sequence[ChartSegment], radius: Any) -> Newton:
     """Apply the theorem to a closed chain over boxes of one radius."""
-    count = len(segments)
-    slopes = [np.array([[float(v.mid()) for v in row] for row in s.slope.tolist()]) for s in segments]
-    derivative = np.zeros((2 * count, 2 * count))
-    for k in range(count):
-        following = (k + 1) % count
-        derivative[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += slopes[k]
-        derivative[2 * k : 2 * k + 2, 2 * following : 2 * following + 2] -= np.eye(2)
-    inverse = np.linalg.inv(derivative)
-    values = flint.arb_mat(2 * count, 1, [v for s in segments for v in s.value])
-    step = (-(flint.arb_mat(inverse.tolist()) * values)).entries()
-    sums = [flint.arb(0)] * (2 * count)
-    for k in range(count):
-        # The columns of A DF for node k have terms from its own segment and from the previous one.
-        own = flint.arb_mat(inverse[:, 2 * k : 2 * k + 2].tolist()) * segments[k].slope
-        before = inverse[:, (2 * k - 2) % (2 * count) :][:, :2]
-        entries = own.entries()
-        for i in range(2 * count):
-            for j in range(2):
-                off = entries[2 * i + j] - float(before[i, j]) - int(i == 2 * k + j)
-                sums[i] = sums[i] + off.abs_upper()
-    residual, contraction = (reduce(lambda a, b: a.max(b.abs_upper()), vector, flint.arb(0)) for vector in (step, sums))
-    exists = residual / (1 - contraction)
-    return Newton(residual, contraction, flint.arb(exists.upper()), ball(radius), [float(v.mid()) for v in step])
+    size = 2 * len(segments)
+    rows = [[flint.arb(0)] * size for _ in range(size)]
+    for k, one in enumerate(segments):
+        for i, slopes in enumerate(one.slope.tolist()):
+            rows[2 * k + i][2 * k : 2 * k + 2] = slopes
+            rows[2 * k + i][(2 * k + 2 + i) % size] -= 1
+    inverse = columns(np.linalg.inv(np.array([[float(v.mid()) for v in row] for row in rows])).tolist())
+    step = (inverse * columns([[-v] for one in segments for v in one.value])).entries()
+    off = (inverse * columns(rows)).tolist()
+    sums = [sum((abs(v - int(i == j)) for j, v in enumerate(row)), flint.arb(0)) for i, row in enumerate(off)]
+    residual, contraction = largest(step), largest(sums)
+    exists = flint.arb((residual / (1 - contraction)).upper())
+    return Newton(residual, contraction, exists, ball(radius), [float(v.mid()) for v in step])
 
 
 def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], found: Newton) -> Chain:
     """Return the chain after a Newton step, rounded to decimals."""
     charts = []
     for leg, y in zip(chain, np.reshape(found.step, (-1, 2)).tolist(), strict=True):
-        state, _ = leg.first.lift(surface.field, surface.height, [ball(v) for v in y])
+        state, _ = leg.first.lift(surface.field, ball(surface.energy), [ball(v) for v in y])
         charts.append(replace(leg.first, node=tuple(exact(v) for v in state)))
     return tuple(
         replace(leg, first=first, second=second, duration=exact(one.at_node))
@@ -127,12 +120,11 @@ def multipliers(segments: Sequence[ChartSegment]) -> tuple[Any, Any] | None:
     The segments' derivatives are enclosed over boxes that contain the orbit.
     """
     product = reduce(lambda before, one: one.slope * before, segments, flint.arb_mat([[1, 0], [0, 1]]))
-    trace = product.trace()
-    if not abs(trace) > 2:
+    half = product.trace() / 2
+    if not abs(half) > 1:
         return None
-    half = trace / 2
     root = (half * half - 1).sqrt()
-    outside = half + root if trace > 0 else half - root
+    outside = half + root if half > 0 else half - root
     return outside, 1 / outside
 
 

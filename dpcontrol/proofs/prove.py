@@ -5,9 +5,10 @@ enclosure that does not close disproves nothing.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -16,18 +17,29 @@ from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.parts import versions
-from dpcontrol.foundation.progress import Cost, Progress, no_progress, part_of
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.plans.model import ModelSystem
-from dpcontrol.proofs.balls import NotClosed, bound, decimal, flint, text, working
+from dpcontrol.proofs.balls import NotClosed, ball, bound, decimal, flint, located, symmetric, working
 from dpcontrol.proofs.charts import ChartSegment, Surface
 from dpcontrol.proofs.check import FORMAT, digest
 from dpcontrol.proofs.connect import horseshoe, link, orbit_boxes
-from dpcontrol.proofs.decode import decoded
 from dpcontrol.proofs.flow import Field, FlowSettings
-from dpcontrol.proofs.periodic import Chain, Newton, closed_chain, enclose, improved, multipliers, newton, total_time
+from dpcontrol.proofs.periodic import (
+    Chain,
+    Newton,
+    closed_chain,
+    enclose,
+    even,
+    improved,
+    multipliers,
+    newton,
+    total_time,
+)
+from dpcontrol.proofs.symbols import Enclosed, check_symbols, described
 from dpcontrol.tubes.connections import Connection
-from dpcontrol.walks.shadowing import ShadowingOrbit
+from dpcontrol.tubes.frames import orbit_nodes
+from dpcontrol.walks.shadowing import ShadowingOrbit, phase_gap
 
 _HELP = "more precision, a smaller ball or shorter steps may help (--bits, --radius)"
 
@@ -80,14 +92,10 @@ def exact_energy(energy: Any) -> Fraction:
     return Fraction(repr(float(energy)) if isinstance(energy, float) else str(energy))
 
 
-def exact_parameters(system: System) -> list[Fraction]:
-    """Return a system's parameters as the decimals of its model's file."""
-    values = system.model.exact_parameters if isinstance(system, ModelSystem) else map(repr, system.parameters.tolist())
-    return [Fraction(value) for value in values]
-
-
 def surface_of(system: System, energy: Fraction) -> Surface:
     """Return the energy surface of a system at the working precision.
+
+    Parameters are the decimals of the model's file, or else the shortest decimals that read as their doubles.
 
     Raises:
         InputError: the system has more than two degrees of freedom, or unsupported operations.
@@ -95,8 +103,9 @@ def surface_of(system: System, energy: Fraction) -> Surface:
     if system.dimension != 4:
         raise InputError(f"{system.name} has {system.dimension // 2} degrees of freedom: proofs support only two")
     turning = tuple(bool(p == 2 * np.pi) for p in system.periods)
-    values = exact_parameters(system)
-    return Surface(Field.of(system, values), energy, turning, values)
+    values = [Fraction(repr(v)) for v in system.parameters.tolist()]
+    exact = system.model.exact_parameters if isinstance(system, ModelSystem) else values
+    return Surface(Field.of(system, exact), energy, turning)
 
 
 def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -> Proof:
@@ -105,48 +114,64 @@ def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -
     try:
         with working(bits):
             proof = work()
-    except NotClosed as error:
-        proof = Proof(kind, False, f"not proved: {error}; {_HELP}", statement, {}, 0.0)
-    except (ZeroDivisionError, np.linalg.LinAlgError) as error:
+    except (NotClosed, ZeroDivisionError, np.linalg.LinAlgError) as error:
         proof = Proof(kind, False, f"not proved: {error}; {_HELP}", statement, {}, 0.0)
     return replace(proof, seconds=time.perf_counter() - begun)
 
 
-def certificate(
-    statement: str, surface: Surface, system: System, chain: Chain, proof: tuple[list[ChartSegment], Newton]
-) -> dict[str, Any] | None:
-    """Return the certificate of a closed chain, for two arms only.
+def plain(value: Any) -> Any:
+    """Return exact numbers as decimals, and sequences as lists."""
+    if isinstance(value, Mapping):
+        return {key: plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    return decimal(value) if isinstance(value, Fraction) else repr(value) if isinstance(value, float) else value
 
-    Its radii include a margin for the enclosures of module check, which confirms its bounds.
+
+def certificate(
+    statement: str,
+    system: System,
+    chain: tuple[Surface, Chain],
+    proof: tuple[list[ChartSegment], Newton],
+    claims: Sequence[Mapping[str, Any]] = (),
+) -> dict[str, Any] | None:
+    """Return the certificate of a closed chain with its claims on symbols.
+
+    Only models from files with proved multipliers have one. Its radii include a margin for the enclosures of module
+    check, which confirms its bounds.
     """
-    segments, found = proof
-    parameters, pair = system.model.parameters if isinstance(system, ModelSystem) else None, multipliers(segments)
-    if not isinstance(parameters, ArmChainParameters) or pair is None:
+    (surface, legs), (segments, found) = chain, proof
+    pair = multipliers(segments)
+    if not isinstance(system, ModelSystem) or pair is None:
         return None
-    names = ("mass", "centre_of_mass", "length", "inertia")
-    arms = {name: [repr(float(v)) for v in getattr(parameters, name)] for name in names}
+    pendulum = isinstance(system.model.parameters, ArmChainParameters)
+    keys = ("mass", "centre_of_mass", "length", "inertia", "gravity") if pendulum else ("mass_ratio",)
     exists = max(100 * float(found.exists), _LEAST_RADIUS)
-    durations = [leg.duration for leg in chain]
+    durations = [leg.duration for leg in legs]
     reach = Fraction(exists) * 2 * len(durations)
+    scale = system.scale.tolist()
     content = {
         "format": FORMAT,
         "statement": statement,
         "versions": {name: number for name, number in versions().items() if name in ("dpcontrol", "python-flint")},
-        "system": {"equations": "double pendulum", **arms, "gravity": repr(float(parameters.gravity))},
-        "energy": decimal(surface.energy),
-        "nodes": [[decimal(v) for v in leg.first.node] for leg in chain],
-        "normals": [
-            [repr(float(row[2] / s**2)) for row, s in zip(leg.first.basis, system.scale, strict=True)] for leg in chain
-        ],
-        "durations": [decimal(v) for v in durations],
-        "turns": list(chain[-1].shift),
-        "scale": [repr(float(v)) for v in system.scale],
+        "system": {
+            "equations": "double pendulum" if pendulum else "three bodies",
+            **{key: system.model.decimals[key] for key in keys},
+        },
+        "energy": surface.energy,
+        "nodes": [leg.first.node for leg in legs],
+        "normals": [[row[2] / s**2 for row, s in zip(leg.first.basis, scale, strict=True)] for leg in legs],
+        "durations": durations,
+        "turns": legs[-1].shift,
+        "scale": scale,
         "exists": f"{exists:.3e}",
         "unique": f"{max(_UNIQUE, 10 * exists):.3e}",
-        "period": [decimal(sum(durations) - reach), decimal(sum(durations) + reach)],
+        "period": [sum(durations) - reach, sum(durations) + reach],
         "multiplier_exceeds": f"{0.9 * float(abs(pair[0])):.3e}",
+        "symbols": list(claims),
     }
-    return {**content, "digest": digest(content)}
+    shown = plain(content)
+    return {**shown, "digest": digest(shown)}
 
 
 _LEAST_RADIUS, _UNIQUE = 1e-12, 1e-10
@@ -162,10 +187,9 @@ def proved_chain(
         NotClosed: no radius closes; the message gives the last reason.
     """
     reason = NotClosed("no radius was tried")
-    for attempt in range(settings.tries):
-        radius = settings.radius / 100**attempt
+    for radius in (settings.radius / 100**attempt for attempt in range(settings.tries)):
         try:
-            segments = enclose(surface, chain, radius, settings.flow, progress)
+            segments = enclose(surface, chain, even(chain, radius), settings.flow, progress)
             found = newton(segments, radius)
             if found.proved:
                 return segments, found
@@ -201,36 +225,33 @@ def prove_orbit(
     if not orbit.converged:
         raise GoalMissed(f"no orbit to prove: {orbit.status}")
     system, count = orbit.system, settings.segments
-    statement = f"{system.name} has a hyperbolic periodic orbit about {orbit.saddle} at the energy {float(energy):g}"
+    statement = f"{system.name} has a hyperbolic periodic orbit about {orbit.saddle} at the energy {decimal(energy)}"
 
     def work() -> Proof:
         surface = surface_of(system, energy)
-        states = np.array([system.propagator.flow(orbit.state, orbit.period * k / count) for k in range(count)])
-        chain = closed_chain(system, states, np.full(count, orbit.period / count), [0] * 4)
-        rough, about = proved_chain(surface, chain, settings, part_of(progress, 0.0, 0.25))
+        chain, _ = closed_chain(system, *orbit_nodes(orbit, count), [0] * 4)
+        segments, found = proved_chain(surface, chain, settings, part_of(progress, 0.0, 0.25))
         fine = replace(settings.flow, order=44, left=1e-28)
-        chain = improved(surface, chain, rough, about)
-        # After a second Newton step, the theorem is applied to nodes accurate to the precision.
-        segments = enclose(surface, chain, about.unique, fine, part_of(progress, 0.25, 0.5))
-        chain = improved(surface, chain, segments, newton(segments, about.unique))
-        segments = enclose(surface, chain, about.unique, fine, part_of(progress, 0.5, 0.75))
-        found = newton(segments, about.unique)
+        # After two Newton steps, the theorem is applied to nodes accurate to the precision.
+        for begun in (0.25, 0.5):
+            chain = improved(surface, chain, segments, found)
+            segments = enclose(surface, chain, even(chain, found.unique), fine, part_of(progress, begun, begun + 0.25))
+            found = newton(segments, found.unique)
         if not found.proved:
             raise NotClosed("the theorem holds at the initial nodes, but not at the refined ones")
+        # These boxes for period and multipliers contain the proved orbit.
         narrow = found.exists * 1000 + flint.arb(1) / 10**24
-        sharp = enclose(surface, chain, narrow, replace(fine, box_order=40), part_of(progress, 0.75, 1.0))
-        # The boxes for period and multipliers must contain the proved orbit.
-        if not found.exists <= narrow:
-            raise NotClosed("the ball of the multipliers does not contain the orbit")
+        sharp = enclose(surface, chain, even(chain, narrow), replace(fine, box_order=40), part_of(progress, 0.75, 1.0))
         pair = multipliers(sharp)
-        period = total_time(sharp, found.exists)
+        period, within = total_time(sharp, found.exists), [symmetric(found.exists)] * 2
+        at_start, _ = chain[0].first.lift(surface.field, ball(surface.energy), within)
         figures = {
-            "period": text(period, 30),
-            "multipliers": None if pair is None else [text(v, 20) for v in pair],
+            "period": period.str(30),
+            "multipliers": None if pair is None else [v.str(20) for v in pair],
             "exists_within": bound(found.exists),
             "unique_within": bound(found.unique, lower=True),
             "contraction": bound(found.contraction),
-            "state": [text(v, 30) for v in sharp[-1].landed],
+            "state": [v.str(30) for v in at_start],
             "steps": sum(len(one.spans) for one in sharp),
         }
         if pair is None:
@@ -238,12 +259,42 @@ def prove_orbit(
                 "orbit", False, "not proved: the orbit exists and is unique, but its multipliers are not proved to lie "
                 "off the unit circle; more precision may help, unless the orbit is elliptic", statement, figures, 0.0,
             )  # fmt: skip
-        within = f"within {bound(found.unique, lower=True)} of the nodes; it is within {bound(found.exists)}"
-        status = f"proved: exactly one orbit {within}"
-        shown = certificate(statement, surface, system, chain, (sharp, found))
+        unique, exists = bound(found.unique, lower=True), bound(found.exists)
+        status = f"proved: exactly one orbit within {unique} of the nodes; it is within {exists}"
+        shown = certificate(statement, system, (surface, chain), (sharp, found))
         return Proof("orbit", True, status, statement, figures, 0.0, shown)
 
     return attempted("orbit", statement, settings.bits, work)
+
+
+def claims_of(walk: ShadowingOrbit, rivals: Sequence[Connection]) -> list[dict[str, Any]]:
+    """Return the claims on each symbol of a closed walk.
+
+    Each has its section, the segments from the middle of one stop to the middle of the next, and the marked node.
+    Saddles are lifted by whole turns. If a stop had no wraps, it would last for `rest` s between marked nodes.
+    """
+    lasts, nodes, out = walk.shot.guess.joints, sorted(walk.shot.guess.markers), []
+    kind = attrgetter("source.saddle", "target.saddle", "winding", "section")
+    for k, own in enumerate(walk.connections):
+        after, period = walk.connections[(k + 1) % len(walk.connections)], own.target.period
+        others = [other for other in rivals if kind(other) == kind(own) and other.name != own.name]
+        out.append(
+            {
+                "symbol": own.name,
+                "section": described(own.section),
+                "crossings": sum(own.hits) - 1,
+                "segments": [lasts[k - 1] + 1 if k else 0, lasts[k]],
+                "node": int(nodes[k]),
+                "turns": [int(v) for v in walk.offsets[k]],
+                "states": [[repr(float(v)) for v in one.state] for one in (own, *others)],
+                "stop": [repr(float(v)) for v in own.target.centre],
+                "stop_turns": [int(v) for v in walk.offsets[k + 1]],
+                "wraps": walk.wraps[k],
+                "period": repr(float(period)),
+                "rest": repr(float(own.time_in + after.time_out + phase_gap(own, after) * period)),
+            }
+        )
+    return out
 
 
 def prove_walk(
@@ -270,53 +321,46 @@ def prove_walk(
     if not walk.converged:
         raise GoalMissed(f"no orbit to prove: {walk.status}")
     system, orbit = walk.orbit.system, walk.orbit
-    text_of = ", ".join(walk.walk)
     statement = (
-        f"{system.name} has a closed orbit at the energy {float(energy):g} that follows {text_of} "
+        f"{system.name} has a closed orbit at the energy {decimal(energy)} that follows {', '.join(walk.walk)} "
         f"with wraps {list(walk.wraps)}"
     )
 
     def work() -> Proof:
         surface = surface_of(system, energy)
         assert orbit.turn is not None
-        turns = np.zeros(4, dtype=int)
-        for k, length in enumerate(system.turn_lengths):
-            turns[k] = round(float(orbit.turn[k] / length)) if length else 0
-            if turns[k] and not surface.turns[k]:
-                raise InputError(f"coordinate {k + 1} of {system.name} has a period other than 2π")
-        chain = closed_chain(system, orbit.states[:-1], np.diff(orbit.times), turns.tolist())
+        lengths = zip(orbit.turn, system.turn_lengths, strict=True)
+        turns = [round(float(turn / length)) if length else 0 for turn, length in lengths]
+        if any(turn and not turning for turn, turning in zip(turns, surface.turns, strict=True)):
+            raise InputError(f"{system.name} turns in a coordinate with a period other than 2π; it cannot be proved")
+        chain, _ = closed_chain(system, orbit.states[:-1], np.diff(orbit.times), turns)
         segments, found = proved_chain(surface, chain, settings, progress)
         pair = multipliers(segments)
         figures = {
-            "period": text(total_time(segments, found.exists), 20),
-            "multipliers": None if pair is None else [text(v, 8) for v in pair],
+            "period": total_time(segments, found.exists).str(20),
+            "multipliers": None if pair is None else [v.str(8) for v in pair],
             "exists_within": bound(found.exists),
             "unique_within": bound(found.unique, lower=True),
             "contraction": bound(found.contraction),
             "nodes": len(chain),
             "steps": sum(len(one.spans) for one in segments),
         }
-        try:
-            passages = decoded(surface, walk, segments, rivals)
-        except NotClosed as error:
-            return Proof(
-                "walk", False, "not proved: a closed orbit exists and is unique, but it is not proved to follow its "
-                f"symbols: {error}", statement, figures, 0.0,
-            )  # fmt: skip
-        figures["symbols"] = passages
+        claims = claims_of(walk, rivals)
+        flights, nodes, times = zip(*((one.spans, one.start, one.time) for one in segments), strict=True)
+        with located("a closed orbit exists and is unique, but it is not proved to follow its symbols:"):
+            enclosed = Enclosed(
+                flights, nodes, times, turns, surface.turns, [ball(v) for v in system.scale], surface.field.rates
+            )
+            check_symbols(claims, enclosed)
+        figures["symbols"] = [{key: one[key] for key in ("symbol", "crossings", "wraps")} for one in claims]
         status = (
             f"proved: exactly one orbit within {bound(found.unique, lower=True)} of the {len(chain)} nodes, and it "
-            f"follows its {len(passages)} symbols"
+            f"follows its {len(claims)} symbols"
         )
-        shown = certificate(statement, surface, system, chain, (segments, found))
+        shown = certificate(statement, system, (surface, chain), (segments, found), claims)
         return Proof("walk", True, status, statement, figures, 0.0, shown)
 
     return attempted("walk", statement, settings.bits, work)
-
-
-def cost(periods: float) -> Cost:
-    """Estimate the cost of a proof, 0.8 to 1.2 s per period."""
-    return Cost(f"{periods:.3g} periods of orbits", 1.2 * periods, 2e8, "prove")
 
 
 def prove_connections(
@@ -343,7 +387,7 @@ def prove_connections(
     kind = "horseshoe" if whole else "connection"
     statement = (
         f"{system.name} has {len(connections)} transversal connections from the orbit about {first.saddle} to that "
-        f"about {last.saddle} at the energy {float(energy):g}"
+        f"about {last.saddle} at the energy {decimal(energy)}"
     )
 
     def work() -> Proof:
@@ -356,22 +400,25 @@ def prove_connections(
                 links.append(link(surface, connection, source, target, settings.flow))
             except NotClosed as error:
                 failed.append(f"{connection.name}: {error}")
-        shown = [
-            {
-                "name": one.connection.name,
-                "angle_deg": one.angle.str(8, more=True),
-                "state": [text(x, 8) for x in one.state],
-            }
-            for one in links
-        ]
-        figures: dict[str, Any] = {"box": settings.box, "connections": shown, "failed": failed}
+        figures: dict[str, Any] = {
+            "box": settings.box,
+            "connections": [
+                {
+                    "name": one.connection.name,
+                    "angle_deg": one.angle.str(8, more=True),
+                    "state": [x.str(8) for x in one.state],
+                }
+                for one in links
+            ],
+            "failed": failed,
+        }
         if failed:
             status = f"not proved: {len(failed)} of {len(connections)} ({failed[0]}); {_HELP}"
             return Proof(kind, False, status, statement, figures, 0.0)
         status = f"proved: all {len(links)} exist and are transversal"
         if whole:
             least, entropy = horseshoe(surface, source, links)
-            figures |= {"least_wraps": max(map(max, least)), "entropy_at_least": text(entropy, 12), "least": least}
+            figures |= {"least_wraps": max(map(max, least)), "entropy_at_least": entropy.str(12), "least": least}
             status += (
                 f"; every walk on them with at least {figures['least_wraps']} wraps at each stop is realised by an "
                 f"orbit, and the topological entropy is at least {float(entropy) - 5e-5:.4f} per second"

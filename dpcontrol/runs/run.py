@@ -578,8 +578,8 @@ def check_exportable(itinerary: Itinerary) -> None:
         )
     if loop.supervisor.hold != "none":
         raise InputError(
-            f'supervisor: hold = "{loop.supervisor.hold}" searches for an orbit to hold, which C export does not support; export with '
-            'hold = "none"'
+            f'supervisor: hold = "{loop.supervisor.hold}" searches for an orbit to hold, which C export does not '
+            'support; export with hold = "none"'
         )
     if loop.supervisor.on_fall != "stop":
         raise InputError(

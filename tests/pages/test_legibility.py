@@ -25,6 +25,7 @@ from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.judge.comparison import compare
 from dpcontrol.judge.of_log import reference_view
 from dpcontrol.judge.preflight import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt
+from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
@@ -49,7 +50,6 @@ from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.recordings.recording import simulated_recording
 from dpcontrol.references.reference import summarised
-from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.interior import InteriorSettings, tube_interior
 
 LAB = load_model("lab")

@@ -14,10 +14,22 @@ import dpcontrol as dp
 
 pytest.importorskip("flint")
 
-from dpcontrol.proofs.check import Rejected, check, digest
+from dpcontrol.proofs.balls import NotClosed, working
+from dpcontrol.proofs.check import check, digest
 from dpcontrol.proofs.prove import ProofSettings
+from dpcontrol.proofs.symbols import Enclosed, check_symbols
 
 Change = Callable[[dict[str, Any]], None]
+
+
+@pytest.fixture(scope="module")
+def walk() -> dict[str, Any]:
+    """The certificate of lab's shortest closed walk at -0.07 J, with all connections as rivals."""
+    lab = dp.load_model("lab")
+    graph = dp.graph(lab, energy=-0.07)
+    proof = dp.prove(dp.shadow(graph, ["down-up +"], wraps=[0], periodic=True), rivals=graph)
+    assert proof.certificate is not None, proof.status
+    return json.loads(json.dumps(proof.certificate))
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +64,7 @@ def put(*path: Any, by: str = "", value: Any = None) -> Change:
 
 
 UNREADABLE = {
-    "format": put("format", value="dpcontrol proof 0"),
+    "format": put("format", value="dpcontrol proof 1"),
     "no nodes": put("nodes"),
     "a node less": put("nodes", 2),
     "a component less": put("nodes", 2, 3),
@@ -71,13 +83,27 @@ UNTRUE = {
     "a huge ball": put("unique", value="1e-2"),
     "a mass": put("system", "mass", 0, by="1e-8"),
     "an inertia": put("system", "inertia", 1, by="1e-10"),
-    "gravity": put("system", "gravity", by="1e-7"),
+    "gravity": put("system", "gravity", 0, by="1e-7"),
     "the energy": put("energy", by="1e-9"),
     "a duration": put("durations", 3, by="1e-9"),
     "a turn": put("turns", value=[0, 1, 0, 0]),
     "the period": put("period", 0, by="1e-9"),
     "the multiplier": put("multiplier_exceeds", value="600"),
     "no plane": put("normals", 0, value=["0", "0", "0", "0"]),
+    "work without end": put("durations", 0, value="1e9"),
+    "an exponent without end": put("energy", value="1e999999999"),
+}
+FALSE_SYMBOLS = {
+    "no crossings": put("symbols", 0, "crossings"),
+    "crossings": put("symbols", 0, "crossings", value=2),
+    "wraps": put("symbols", 0, "wraps", value=1),
+    "the stop's turns": put("symbols", 0, "stop_turns", value=[0, 2, 0, 0]),
+    "the stop": put("symbols", 0, "stop", 1, value="-3.2"),
+    "another connection": put("symbols", 0, "states", 0, value=["0.5088", "0", "12.4332", "-16.986"]),
+    "another section": put("symbols", 0, "section", "normal", value=["1", "0", "0", "0"]),
+    "no section": put("symbols", 0, "section"),
+    "the marked node": put("symbols", 0, "node", value=0),
+    "fewer segments": put("symbols", 0, "segments", value=[0, 5]),
 }
 
 
@@ -97,6 +123,12 @@ def corrupted(content: dict[str, Any], change: Change, *, sealed: bool) -> dict[
     return {**copy, "digest": digest(copy)} if sealed else copy
 
 
+def rejected(content: dict[str, Any]) -> bool:
+    """True if the check rejects a certificate with a reason."""
+    found = check(content)
+    return not found.proved and found.status.startswith("rejected: ") and found.statement is None
+
+
 @pytest.mark.parametrize("name", [*UNREADABLE, *UNTRUE])
 def test_a_corrupted_file_is_rejected_by_its_digest_with_exit_code_1(
     lab: dict[str, Any], name: str, tmp_path: Path
@@ -110,20 +142,52 @@ def test_a_corrupted_file_is_rejected_by_its_digest_with_exit_code_1(
 
 @pytest.mark.parametrize("name", UNREADABLE)
 def test_inconsistent_content_is_rejected_despite_a_valid_digest(lab: dict[str, Any], name: str) -> None:
-    with pytest.raises(Rejected):
-        check(corrupted(lab, UNREADABLE[name], sealed=True))
+    assert rejected(corrupted(lab, UNREADABLE[name], sealed=True))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", UNTRUE)
 def test_false_statements_are_rejected_despite_a_valid_digest(lab: dict[str, Any], name: str) -> None:
-    with pytest.raises(Rejected):
-        check(corrupted(lab, UNTRUE[name], sealed=True))
+    assert rejected(corrupted(lab, UNTRUE[name], sealed=True))
 
 
-def test_files_other_than_certificates_are_rejected(tmp_path: Path) -> None:
-    for content in ("", "[]", "{}", "null", "[" * 100_000, '{"format": "dpcontrol proof 1"}'):
-        file = tmp_path / "proof.json"
+@pytest.mark.slow
+def test_the_check_confirms_a_walk_and_rejects_false_symbols(
+    walk: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The flight is enclosed once; false claims are then compared with its boxes."""
+    flights: list[Enclosed] = []
+
+    def kept(claims: Any, enclosed: Enclosed) -> None:
+        flights.append(enclosed)
+        check_symbols(claims, enclosed)
+
+    monkeypatch.setattr("dpcontrol.proofs.check.check_symbols", kept)
+    assert "follows its 1 symbols" in check(walk).status
+    for change in FALSE_SYMBOLS.values():
+        content = corrupted(walk, change, sealed=True)
+        # Flights are enclosed at the precision of the check.
+        with working(140), pytest.raises((NotClosed, LookupError, ValueError)):
+            check_symbols(content["symbols"], flights[0])
+
+
+@pytest.mark.slow
+def test_the_check_confirms_three_bodies_and_rejects_another_mass(tmp_path: Path) -> None:
+    orbit = dp.orbit(dp.load_model("three-body"), "L1", energy=-1.515)
+    proof = dp.prove(orbit, settings=replace(ProofSettings(), segments=6))
+    assert proof.certificate is not None, proof.status
+    assert "exactly one periodic orbit" in check(proof.certificate).status
+    assert rejected(corrupted(proof.certificate, put("system", "mass_ratio", 0, by="1e-9"), sealed=True))
+
+
+def test_files_other_than_certificates_are_bad_input_and_incomplete_ones_are_rejected(tmp_path: Path) -> None:
+    file = tmp_path / "proof.json"
+    for content in ("", "[]", "{}", "null", "[" * 100_000, '{"title": "no certificate"}', '{"format": '):
         file.write_text(content, encoding="utf-8")
-        assert dpcontrol("prove", "check", file).code == 1, content[:20]
+        assert dpcontrol("prove", "check", file).code == 2, content[:20]
+    file.write_bytes(b"\xff\xfe\x00")
+    assert dpcontrol("prove", "check", file).code == 2
     assert dpcontrol("prove", "check", tmp_path / "none.json").code == 2
+    assert dpcontrol("prove", "check", tmp_path).code == 2
+    file.write_text('{"format": "dpcontrol proof 2"}', encoding="utf-8")
+    assert dpcontrol("prove", "check", file).code == 1

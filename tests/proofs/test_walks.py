@@ -58,7 +58,7 @@ def test_a_closed_walk_is_proved_with_its_period_multiplier_symbol_and_wraps(
 def test_its_certificate_is_confirmed(proof: Proof) -> None:
     assert proof.certificate is not None
     assert proof.certificate["turns"] == [0, 1, 0, 0]
-    assert "exactly one periodic orbit" in check(proof.certificate)
+    assert "exactly one periodic orbit" in check(proof.certificate).status
 
 
 def test_a_walk_with_other_symbols_wraps_or_turns_is_not_proved(graph: Edges, turn: ShadowingOrbit) -> None:

@@ -1,0 +1,151 @@
+"""Claims on the symbols of a closed walk, and their proof in boxes that enclose a flight.
+
+Claims are exact numbers as text, which certificates hold. They are proved in boxes of any integrator: in those of the
+search for `prove walk`, and in those of the independent check for `prove check`.
+
+Between the middles of its two stops, each symbol has as many section crossings as its connection, which are
+hits_u + hits_s - 1. Heights above the section are enclosed during every step. If a height may vanish, the speed across
+the section must have a definite sign, and the sheets before and after determine the number of crossings. In the middle
+of each stop, every angle is within half a turn of the walk's lifted saddle, which proves the winding of each symbol. At
+the marked node, the orbit is nearer to its connection than to any other one of the same kind. The time between two
+marked nodes determines the wraps.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+from dpcontrol.proofs.balls import NotClosed, flint, folded, largest, located, number
+
+Vector = list[Any]
+"""A list of balls."""
+_BEYOND = "1e9"
+"""Period of a section without one; no state is at such a height."""
+
+
+def dot(first: Sequence[Any], second: Sequence[Any]) -> Any:
+    """Return the scalar product of two vectors of balls."""
+    return sum((a * b for a, b in zip(first, second, strict=True)), flint.arb(0))
+
+
+def described(section: Any) -> dict[str, Any]:
+    """Return the numbers of a Poincaré section as decimals."""
+    side = (0.0,) * len(section.normal) if section.side is None else section.side
+    return {
+        "normal": [repr(v) for v in section.normal],
+        "offset": repr(section.offset),
+        "period": "2 pi" if section.period == 2 * math.pi else repr(section.period) if section.period else _BEYOND,
+        "side": [repr(v) for v in side],
+        "middle": repr(-1.0 if section.side is None else section.middle),
+        "reach": None if section.reach is None else repr(section.reach),
+    }
+
+
+def period_of(section: Mapping[str, Any]) -> Any:
+    """Return the period of a section's normal coordinate."""
+    return 2 * flint.arb.pi() if section["period"] == "2 pi" else number(section["period"])
+
+
+def crossings(section: Mapping[str, Any], boxes: Sequence[Vector], rates: Callable[[Vector], Vector]) -> int:
+    """Return the number of valid section crossings in boxes along a flight.
+
+    Raises:
+        NotClosed: the boxes are too wide to count.
+    """
+    lengths = [section["offset"], section["middle"], section["reach"] or 0]
+    rows = ([number(v) for v in row] for row in (section["normal"], section["side"], lengths))
+    (normal, side, (offset, middle, reach)), period = rows, period_of(section)
+    sheets = [((dot(normal, box) - offset) / period).floor().unique_fmpz() for box in boxes]
+    clear = [k for k, sheet in enumerate(sheets) if sheet is not None]
+    if not clear or clear[0] > 0 or clear[-1] + 1 < len(boxes):
+        raise NotClosed("the trajectory begins or ends on its section")
+    count = 0
+    for first, last in pairwise(clear):
+        passed, near = abs(int(sheets[last]) - int(sheets[first])), boxes[first + 1 : last]
+        beyond = [dot(side, box) - middle for box in near]
+        if section["reach"] is not None:
+            beyond = [abs(v) - reach for v in beyond]
+        if not near and passed:
+            raise NotClosed("a step's enclosure jumps over a section")
+        if near and not all(v <= 0 for v in beyond):
+            speeds = [dot(normal, rates(box)) for box in near]
+            if not all(v > 0 for v in beyond) or not (all(v > 0 for v in speeds) or all(v < 0 for v in speeds)):
+                raise NotClosed("the enclosures do not determine the number of section crossings")
+            count += passed
+    return count
+
+
+@dataclass(frozen=True)
+class Enclosed:
+    """A closed flight in boxes.
+
+    Attributes:
+        flights (K,): boxes of all steps in each segment.
+        nodes (K, N): boxes of first states.
+        times (K,): durations, s.
+        turns (N,): whole turns in one period.
+        angles (N,): True for the period 2π.
+        scale (N,): units of states.
+        rates: encloses f over a box.
+    """
+
+    flights: Sequence[Sequence[Vector]]
+    nodes: Sequence[Vector]
+    times: Sequence[Any]
+    turns: Sequence[int]
+    angles: Sequence[bool]
+    scale: Vector
+    rates: Callable[[Vector], Vector]
+
+    def away(self, box: Vector, state: Sequence[str], turns: Sequence[int]) -> Vector:
+        """Return the difference of a box and a lifted state."""
+        return [x - c - 2 * flint.arb.pi() * k for x, c, k in zip(box, map(number, state), turns, strict=True)]
+
+
+def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
+    """Prove that a closed orbit follows its symbols.
+
+    Raises:
+        NotClosed: the boxes do not prove a claim.
+    """
+    count, nodes = len(flown.flights), [claim["node"] for claim in claims]
+    edges = [edge for claim in claims for edge in (claim["segments"][0], claim["node"], claim["segments"][1])]
+    lifts = [lift for claim in claims for lift in (claim["turns"], claim["stop_turns"])]
+    joined = [edge + 1 for edge in edges[2:-1:3]] == edges[3::3] and (edges[0], edges[-1]) == (0, count - 1)
+    if not joined or edges != sorted(edges) or [[0] * 4, *lifts[1::2]] != [*lifts[::2], list(flown.turns)]:
+        raise NotClosed("the symbols do not follow one another around the orbit")
+    for k, (claim, following) in enumerate(zip(claims, [*nodes[1:], nodes[0] + count], strict=True), start=1):
+        first, node, last = claim["segments"][0], claim["node"], claim["segments"][1]
+        stopped = flown.away(flown.flights[last][len(flown.flights[last]) // 2], claim["stop"], claim["stop_turns"])
+        gaps = [flown.away(flown.nodes[node], state, claim["turns"]) for state in claim["states"]]
+        own, *others = (largest([v / s for v, s in zip(gap, flown.scale, strict=True)]) for gap in gaps)
+        stay = sum((flown.times[i % count] for i in range(node, following)), flint.arb(0))
+        section, begun = claim["section"], flown.flights[node][0]
+        level = dot([number(v) for v in section["normal"]], begun) - number(section["offset"])
+        with located(f"symbol {k} of {len(claims)}:"):
+            if not folded(level, period_of(section)).contains(0):
+                raise NotClosed("its marked node is not on its section")
+            found = crossings(section, [box for one in flown.flights[first : last + 1] for box in one], flown.rates)
+            if found != claim["crossings"]:
+                raise NotClosed(f"its section is crossed {found} times instead of {claim['crossings']}")
+            if not all(abs(v) < flint.arb.pi() for v, turning in zip(stopped, flown.angles, strict=True) if turning):
+                raise NotClosed("the whole turns up to the next stop differ from those of the walk")
+            if not all(own < other for other in others):
+                raise NotClosed("the orbit is not proved to be nearer to its connection than to all others")
+            wraps = whole((stay - number(claim["rest"])) / number(claim["period"]))
+            if wraps != claim["wraps"]:
+                raise NotClosed(f"the duration of its stop is that of {wraps} wraps instead of {claim['wraps']}")
+
+
+def whole(rounds: Any) -> int:
+    """Return the nearest whole number of rounds.
+
+    Raises:
+        NotClosed: the enclosure does not determine it.
+    """
+    found = (rounds + 0.5).floor().unique_fmpz()
+    if found is None:
+        raise NotClosed("the duration of a stop does not determine its wraps")
+    return int(found)

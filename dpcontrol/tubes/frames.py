@@ -1,0 +1,107 @@
+"""Nodes and bases along orbits and connections, in doubles.
+
+Proofs enclose the flow between sections through these nodes, in coordinates along these bases. They are choices only:
+no statement rests on them.
+"""
+
+import numpy as np
+
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.tubes.connections import Connection
+
+
+def directions(system: System, states: Array, stms: Array, *, closed: bool, first: Array, last: Array) -> Array:
+    """Return bases (K, N, N) of the nodes' sections, in doubles.
+
+    The columns are u, s, f, w. In scaled coordinates, u, s and w are orthogonal to the flow, and u and s lie in the
+    tangent plane of the energy surface.
+
+    Args:
+        stms (K - 1, N, N): state-transition matrices, (K, N, N) for a closed chain.
+        first (N,): growing direction at the first node.
+        last (N,): shrinking direction at the last node.
+    """
+    scale, numeric, count = system.scale, system.numeric, len(states)
+    flow = numeric.rate(states) / scale
+    flow = flow / np.linalg.norm(flow, axis=1, keepdims=True)
+    steep = numeric.gradient(states) * scale
+    steep = steep / np.linalg.norm(steep, axis=1, keepdims=True)
+    scaled = stms * scale / scale[:, None]
+
+    def along(k: int, vector: Array) -> Array:
+        flat = vector - flow[k] * (flow[k] @ vector)
+        flat = flat - steep[k] * (steep[k] @ flat)
+        return np.asarray(flat / np.linalg.norm(flat))
+
+    grows, shrinks = np.empty((count, states.shape[1])), np.empty((count, states.shape[1]))
+    rounds = 4 if closed else 1
+    vector = along(0, first / scale)
+    for k in range(rounds * count - (not closed)):
+        grows[k % count] = vector
+        vector = along((k + 1) % count, scaled[k % count] @ vector)
+    grows[-1 if not closed else 0] = vector
+    vector = along(count - 1, last / scale)
+    for k in reversed(range(rounds * count - (not closed))):
+        shrinks[(k + 1) % count] = vector
+        vector = along(k % count, np.linalg.solve(scaled[k % count], vector))
+    shrinks[0] = vector
+    return np.stack([grows, shrinks, flow, steep], axis=2) * scale[:, None]
+
+
+def closed_frames(system: System, states: Array, durations: Array) -> tuple[Array, Array]:
+    """Return bases (K + 1, N, N) along a closed orbit, and growth factors (K, 2).
+
+    Args:
+        states (K, N): nodes, of which the first follows the last.
+        durations (K,): flight times, s.
+    """
+    _, stms = system.propagator.flows_with_stm(states, durations)
+    ones = np.cos(np.arange(system.dimension) + 1.0) * system.scale
+    bases = directions(system, states, stms, closed=True, first=ones, last=ones)
+    bases = np.concatenate([bases, bases[:1]])
+    return bases, growth(bases, stms)
+
+
+def growth(bases: Array, stms: Array) -> Array:
+    """Return the growth factors (K, 2) of u and s between bases (K + 1, N, N)."""
+    maps = np.linalg.inv(bases[1:]) @ stms @ bases[:-1]
+    return np.abs(np.stack([maps[:, 0, 0], maps[:, 1, 1]], axis=1))
+
+
+def node_count(orbit: LyapunovOrbit) -> int:
+    """Return the number of nodes between which the orbit stretches by about two."""
+    return max(3, min(8, int(np.log(abs(orbit.unstable_multiplier)) / 0.75)))
+
+
+def orbit_nodes(orbit: LyapunovOrbit, count: int) -> tuple[Array, Array]:
+    """Return nodes (K, N) at equal times on a periodic orbit, and their durations (K,) in s."""
+    flow, step = orbit.system.propagator.flow, orbit.period / count
+    return np.array([flow(orbit.state, step * k) for k in range(count)]), np.full(count, step)
+
+
+def phased_times(connection: Connection, radius: float) -> tuple[Array, int, int, int]:
+    """Return a connection's node times (K,), section index and end phases.
+
+    The ends are in phase with a node of the orbit, at half the radius from it.
+    """
+    orbit, ends = connection.orbit, []
+    for end, at, sign in ((orbit.start, orbit.times[0], 1), (orbit.end, orbit.times[-1], -1)):
+        around = end.manifold.orbit
+        system, count = around.system, node_count(around)
+        phase = end.orbit_phase
+        lifted = system.propagator.flow(around.state, (phase % 1.0) * around.period)
+        lifted = lifted + np.asarray(end.turns) * system.turn_lengths
+        gap = np.linalg.norm((orbit.sample(np.array([at]))[0] - lifted) / system.scale)
+        rounds = np.log(gap / (radius / 2)) / np.log(abs(around.unstable_multiplier))
+        node = np.floor(sign * (phase - sign * rounds) * count) * sign
+        ends.append((float(at + (node / count - phase) * around.period), int(node) % count, around.period / count))
+    (start, first, step), (stop, last, late) = ends
+    before, after = int(np.ceil(-start / step)), int(np.ceil(stop / late))
+    return (
+        np.concatenate([np.linspace(start, 0.0, before + 1), np.linspace(0.0, stop, after + 1)[1:]]),
+        before,
+        first,
+        last,
+    )
