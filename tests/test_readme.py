@@ -268,10 +268,12 @@ def test_the_links_of_a_page_lead_to_files_and_headings(page: Path) -> None:
 
 
 def test_every_picture_is_shown_and_is_one() -> None:
-    links = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", EVERYTHING)
-    assert {Path(link).name for link in links} == {file.name for file in (ROOT / ".assets").iterdir()}
+    links = re.findall(r"!\[[^\]]+\]\(([^)]+)\)|(?:src|srcset)=\"([^\"]+)\"", EVERYTHING)
+    assert {Path(markdown or html).name for markdown, html in links} == {
+        file.name for file in (ROOT / ".assets").iterdir()
+    }
     for file in (ROOT / ".assets").iterdir():
-        head = {".png": b"\x89PNG\r\n\x1a\n", ".gif": b"GIF89a"}[file.suffix]
+        head = {".png": b"\x89PNG\r\n\x1a\n", ".gif": b"GIF89a", ".webp": b"RIFF"}[file.suffix]
         assert file.read_bytes().startswith(head)
         assert file.stat().st_size <= 3e6
 

@@ -83,6 +83,8 @@ def resolved(name: str) -> str:
     if wanted in known:
         return wanted
     ends = [path for path in known if path.endswith(f".{wanted}")]
+    # A key of [run] is written alone in a file too, so it has priority over tables such as [estimator].
+    ends = [path for path in ends if not path.startswith(("controller.", "estimator.", "supervisor."))] or ends
     if len(ends) == 1:
         return ends[0]
     if ends:

@@ -20,8 +20,8 @@ All settings of itineraries and runs, with their defaults and allowed values. Th
 
 The headings name the tables of an itinerary's file. On the command line, `--set PATH=VALUE` overrides a setting of a
 run, and `campaign --over PATH=V1,V2` varies it. In Python, `settings={"drive.lag": 0.005}` does the same. The last part
-of a path is enough if it is unique: `--set jerk=100`. Ten settings have options: `--mismatch`, `--initial-error`,
-`--lag`, `--delay`, `--counts`, `--travel`, `--controller`, `--estimator`, `--rate` and `--on-fall`.
+of a path is enough if it is unique or a key of `[run]`: `--set jerk=100`. Ten settings have options: `--mismatch`,
+`--initial-error`, `--lag`, `--delay`, `--counts`, `--travel`, `--controller`, `--estimator`, `--rate` and `--on-fall`.
 
 `dpcontrol schema itinerary` and `dpcontrol schema model` print the JSON Schema of files. Save it, and name it in the
 first line of a file, such as `#:schema itinerary.schema.json`. Editors with a TOML language server, such as Taplo, then

@@ -64,7 +64,7 @@ class Told(NoSink):
 @pytest.mark.parametrize("name", ["outer-turn", "turn-from-rest"])
 @pytest.mark.parametrize("impulse", [0.003, 0.01])
 def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
-    scene = load_itinerary(name).with_run(replace(TWICE, push_impulse=impulse))
+    scene = load_itinerary(name).with_run({**TWICE, "push_impulse": impulse})
     plan = make_plan(scene)
     law = Assembly(plan.reference, scene.model.arms, scene.loop).controller
     how = Assembly(plan.reference, scene.model.arms, scene.loop, law=law).recovery

@@ -106,6 +106,8 @@ BASES: dict[str, tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = {
     "preflight": ((("rest.toml",), ("--runs=3", "--workers=1")),),
     "rig": ((("rest.toml",), ("--runs=1",)),),
     "export": ((("rest.toml",), ("--out=exported",)), (("rest.toml",), ("--rate=100", "--out=exported"))),
+    "schema": ((("model",), ()), (("itinerary",), ())),
+    "config": (((), ()),),
     "score": ((("run.mcap",), ()), (("run.mcap", "swings.mcap"), ())),
     "review": (
         (("run.mcap",), ("--save=out.rrd",)),

@@ -56,8 +56,9 @@ def complaints(trial: Trial, ended: Ended) -> list[str]:
     elif ended.code == 2:
         if ended.left:
             found.append(f"bad input left {', '.join(ended.left)}")
-        if len(said) != 1 or not said[0].startswith("dpcontrol: "):
-            found.append(f"not one sentence: {ended.stderr!r}")
+        # Several mistakes of one file are reported together, one line each.
+        if not said or not all(line.startswith("dpcontrol: ") for line in said):
+            found.append(f"not one sentence for each mistake: {ended.stderr!r}")
     elif ended.code == 1 and not (said and any(line.startswith("dpcontrol: ") for line in said)):
         found.append(f"no reason for exit code 1: {ended.stderr!r}")
     if ended.code != 130 and (half := [name for name in ended.left if _half_written(name, trial)]):

@@ -121,7 +121,7 @@ def test_settings_of_a_law_have_paths_too() -> None:
         ({"lagg": 1}, "lagg: no run has this setting; did you mean 'drive.lag'?"),
         ({"drive.lagg": 1}, "drive.lagg: no run has this setting; did you mean 'drive.lag'?"),
         ({"xyz": 1}, "xyz: no run has this setting; `dpcontrol guide settings` lists all"),
-        ({"cart_noise": 1}, "several settings have this name; give estimator.cart_noise or sensors.cart_noise"),
+        ({"command_noise": 1, "drive.command_noise": 2}, "drive.command_noise is given twice"),
         ({"lag": 0.1, "drive.lag": 0.2}, "drive.lag = 0.2: drive.lag is given twice; give it once"),
         ({"lag": "x"}, "lag = 'x': must be a number"),
         ({"counts": 1.5}, "counts = 1.5: must be a whole number"),
@@ -160,7 +160,7 @@ def test_overrides_mean_the_same_in_python_and_on_the_command_line(tmp_path: Pat
 
 def test_run_options_still_work_and_are_deprecated() -> None:
     with pytest.warns(DeprecationWarning, match=r"dp\.RunOptions will go: give settings="):
-        options = {"lag": 0.002, "rate_noise": 0.1}
+        options = dp.RunOptions(lag=0.002, rate_noise=0.1)
     loop = dp.closed_loop("hold-down-down", options=options).plan.itinerary.loop
     assert (loop.drive.lag, loop.sensors.rate_noise) == (0.002, 0.1)
 
