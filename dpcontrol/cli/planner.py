@@ -12,7 +12,7 @@ from dpcontrol.foundation.interrupts import forget_interrupts
 def planner_command(
     *,
     model: str | None = argument(),
-    no_browser: bool = option(help="Address only, without a browser."),
+    no_browser: bool = option(help="Print the address only."),
     port: int = option(type=click.IntRange(0, 65535), default=0, help="Port on 127.0.0.1; 0 selects a free one."),
 ) -> None:
     """Plan in the browser, from an energy to a run, for the arms of `lab` or of MODEL.
@@ -25,7 +25,8 @@ def planner_command(
 
     with api.open_planner(model or "lab", browser=False, port=port) as planner:
         try:
-            show(Answer({"address": planner.address}, [f"planner at {planner.address}", "Ctrl-C ends it"]))
+            hints = [] if no_browser else ["Ctrl-C ends the planner"]
+            show(Answer({"address": planner.address}, [planner.address, *hints]))
             # A reader behind a pipe waits for the address.
             sys.stdout.flush()
             if not no_browser and not planner.open():

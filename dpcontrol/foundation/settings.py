@@ -256,7 +256,8 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
         _set(lines, first, key, _toml(value), end)
     out = "".join(lines)
     try:
-        same = tomllib.loads(out) == wanted
+        # As text, because NaN is not equal to itself.
+        same = _as_text(tomllib.loads(out)) == _as_text(wanted)
     except tomllib.TOMLDecodeError:
         same = False
     if not same:
@@ -264,6 +265,10 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
         where = f"its [{table}]" if table else "it"
         raise InputError(f"{file}: {where} is not written line by line and stays as it is; write there {shown}")
     return out
+
+
+def _as_text(values: Mapping[str, Any]) -> str:
+    return json.dumps(values, default=str, sort_keys=True)
 
 
 def _toml(value: Any) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import parse_toml, with_values
-from dpcontrol.planner.shown import fitting_model
+from dpcontrol.planner.shown import energies_of, fitting_model
 from dpcontrol.plans.itinerary import Itinerary, WalkPart, itinerary_from
 from dpcontrol.plans.model import Model, quoted
 from dpcontrol.walks.symbols import parse_walk
@@ -131,9 +131,9 @@ class Draft:
         return with_values(self.text, table, values, file=f"{_NAME}.toml")
 
 
-def first_text(model: str, energy: float) -> str:
-    """Return the initial text for a model and an energy (J)."""
-    return _TEXT.format(model=quoted(model), energy=energy)
+def first_text(model: str) -> str:
+    """Return the initial text for a model."""
+    return _TEXT.format(model=quoted(model), energy=energies_of(fitting_model(model))[2])
 
 
 def read_draft(text: str) -> Draft:

@@ -11,20 +11,21 @@ import secrets
 import socket
 import threading
 import webbrowser
-from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
+from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 from urllib.parse import parse_qs
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.parts import Later
+from dpcontrol.foundation.parts import Later, part
 from dpcontrol.foundation.shipped import known
 from dpcontrol.planner.session import PageSession
 from dpcontrol.planner.shown import fitting_model, shown_model
 from dpcontrol.planner.workers import Workers
 
-uvicorn, starlette = Later("uvicorn"), Later("starlette")
+uvicorn, applications, responses = Later("uvicorn"), Later("starlette.applications"), Later("starlette.responses")
+routing, websockets = Later("starlette.routing"), Later("starlette.websockets")
 _STATIC = Path(__file__).parent / "static"
 _FILES = {"/": ("index.html", "text/html"), "/planner.js": ("planner.js", "text/javascript"),
           "/planner.css": ("planner.css", "text/css")}  # fmt: skip
@@ -40,7 +41,7 @@ _LONGEST = 1 << 20
 """Largest message from a page, bytes."""
 
 
-class Planner:
+class Planner(AbstractContextManager["Planner"]):
     """A running planner, also usable as a context manager.
 
     Its page is at `address`.
@@ -54,7 +55,7 @@ class Planner:
             PartMissing: starlette, uvicorn or websockets is not installed.
         """
         for needed in ("starlette.applications", "uvicorn", "websockets"):
-            _ = Later(needed).__name__
+            part(needed)
         self._model = model
         # Imports and the model's equilibria take a second, so they are loaded before a page connects.
         shown_model(fitting_model(model))
@@ -65,16 +66,27 @@ class Planner:
         self._sessions: dict[str, PageSession] = {}
         self._pages: dict[str, set[asyncio.Queue[str]]] = {}
         self._marks: dict[str, str] = {}
-        config = uvicorn.Config(
-            self._guarded(self._application()), log_level="error", ws="websockets-sansio", ws_max_size=_LONGEST,
-            lifespan="off", timeout_graceful_shutdown=1, server_header=False, date_header=False,
-        )  # fmt: skip
-        self._server = uvicorn.Server(config)
+        self._application = applications.Starlette(
+            routes=[
+                *(routing.Route(path, self._file) for path in _FILES),
+                routing.WebSocketRoute("/page/{session}", self._page),
+            ]
+        )
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                self._guarded,
+                interface="asgi3",
+                log_level="error",
+                ws="websockets-sansio",
+                ws_max_size=_LONGEST,
+                lifespan="off",
+                timeout_graceful_shutdown=1,
+                server_header=False,
+                date_header=False,
+            )
+        )
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
         self._thread.start()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -104,38 +116,14 @@ class Planner:
             await self._workers.close()
             self._socket.close()
 
-    def _application(self) -> Any:
-        from starlette.applications import Starlette
-        from starlette.requests import Request
-        from starlette.responses import Response
-        from starlette.routing import Route, WebSocketRoute
-
-        async def file(request: Request) -> Response:
-            name, kind = _FILES[request.url.path]
-            content = (_STATIC / name).read_text(encoding="utf-8").replace("{token}", self._token)
-            return Response(content, media_type=kind, headers=_HEADERS)
-
-        routes: list[Any] = [Route(path, file) for path in _FILES]
-        return Starlette(routes=[*routes, WebSocketRoute("/page/{session}", self._page)])
-
-    def _guarded(self, application: Any) -> Callable[..., Any]:
-        """Wrap an application with checks of token, Host and Origin."""
-
-        async def guarded(scope: Any, receive: Any, send: Any) -> None:
-            if scope["type"] in ("http", "websocket") and not self._admits(scope):
-                if scope["type"] == "websocket":
-                    # The server answers a connection closed before acceptance with 403.
-                    await receive()
-                    await send({"type": "websocket.close", "code": 1008})
-                    return
-                from starlette.responses import PlainTextResponse
-
-                refused = PlainTextResponse("403: open the address that `dpcontrol planner` printed\n", 403, _HEADERS)
-                await refused(scope, receive, send)
-                return
-            await application(scope, receive, send)
-
-        return guarded
+    async def _guarded(self, scope: Any, receive: Any, send: Any) -> None:
+        """Forward requests that pass the checks; answer others with status 403."""
+        answer = self._application
+        if not self._admits(scope):
+            answer = responses.PlainTextResponse(
+                "403: open the address that `dpcontrol planner` printed\n", 403, _HEADERS
+            )
+        await answer(scope, receive, send)
 
     def _admits(self, scope: Any) -> bool:
         headers = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]
@@ -149,10 +137,13 @@ class Planner:
             and secrets.compare_digest(tokens[0].encode(), self._token.encode())
         )
 
+    async def _file(self, request: Any) -> Any:
+        name, kind = _FILES[request.url.path]
+        content = (_STATIC / name).read_text(encoding="utf-8").replace("{token}", self._token)
+        return responses.Response(content, media_type=kind, headers=_HEADERS)
+
     async def _page(self, socket: Any) -> None:
         """Receive the commands of one page and send its data."""
-        from starlette.websockets import WebSocketDisconnect
-
         name = socket.path_params["session"]
         await socket.accept()
         messages: asyncio.Queue[str] = asyncio.Queue()
@@ -162,36 +153,29 @@ class Planner:
             messages.put_nowait(text)
 
         async def send() -> None:
-            with suppress(WebSocketDisconnect, RuntimeError):
+            with suppress(websockets.WebSocketDisconnect, RuntimeError):
                 while True:
                     await socket.send_text(await messages.get())
 
         sending = asyncio.create_task(send())
         try:
-            while True:
-                text = await socket.receive_text()
-                try:
-                    request = json.loads(text)
-                except (ValueError, RecursionError):
-                    request = None
-                session.command(request)
-        except (WebSocketDisconnect, KeyError):
             # A message of bytes causes a KeyError; our pages send text only.
-            pass
+            with suppress(KeyError):
+                async for text in socket.iter_text():
+                    session.command(text)
         finally:
             sending.cancel()
             self._pages[name].discard(messages)
 
     def _session(self, name: str) -> PageSession:
         """Return the session with this name, created if necessary."""
-        if name in self._sessions:
-            return self._sessions[name]
+        if name not in self._sessions:
+            self._sessions[name] = PageSession(self._workers, self._model, partial(self._send, name))
+        return self._sessions[name]
 
-        def send(text: str) -> None:
-            for messages in self._pages.get(name, ()):
-                messages.put_nowait(text)
-
-        return self._sessions.setdefault(name, PageSession(self._workers, self._model, send))
+    def _send(self, name: str, text: str) -> None:
+        for messages in self._pages.get(name, ()):
+            messages.put_nowait(text)
 
     def _models(self) -> str:
         listed = []
@@ -207,9 +191,8 @@ class Planner:
     def _mark(self, model: str, found: str) -> None:
         """Send the energies of a model's bifurcations to all pages."""
         self._marks[model] = f'{{"marks":{{"model":{json.dumps(model)},"found":{found}}}}}'
-        for pages in self._pages.values():
-            for messages in pages:
-                messages.put_nowait(self._marks[model])
+        for name in self._pages:
+            self._send(name, self._marks[model])
 
 
 def _listening(port: int) -> socket.socket:

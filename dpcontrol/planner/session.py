@@ -17,7 +17,7 @@ from typing import Any
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import plain, write_whole
 from dpcontrol.planner.draft import Draft, enough_wraps, fault_of, first_text, read_draft
-from dpcontrol.planner.shown import energies_of, fitting_model, shown_model
+from dpcontrol.planner.shown import shown_model
 from dpcontrol.planner.workers import WorkerJob, Workers
 from dpcontrol.plans.plan import plan_key
 
@@ -26,7 +26,8 @@ _UNDONE = 200
 _ITINERARIES, _LOGS = Path("itineraries"), Path("logs")
 _KEYS = {"": {"energy", "walk", "wraps", "start", "finish"}, "run": {"mismatch", "lag", "pushes"}}
 """Keys with controls on the page, by table."""
-_AFTER = {"": ("plan", "run", "seeds", "page"), "plan": ("run", "seeds", "page"), "run": ("page",)}
+_OUTDATED = {"plan": ("plan", "run", "seeds", "page"), "settings": ("run", "seeds", "page"), "run": ("run", "page"),
+             "seeds": ("seeds",), "page": ("page",)}  # fmt: skip
 """Results that become outdated, by the item that changes."""
 
 Done = Callable[[Any], None]
@@ -38,7 +39,7 @@ class PageSession:
     def __init__(self, workers: Workers, model: str, send: Callable[[str], None]) -> None:
         self._workers, self._send = workers, send
         self._folder = Path(tempfile.mkdtemp(prefix="dpcontrol-planner-"))
-        self._texts, self._at, self._typed = [self._first(model)], 0, False
+        self._texts, self._at, self._typed = [first_text(model)], 0, False
         self._draft = read_draft(self._texts[0])
         self._name = next(name for name in _names() if not (_ITINERARIES / f"{name}.toml").exists())
         self._atlas: dict[str, Any] = {}
@@ -50,14 +51,13 @@ class PageSession:
         self._shown: dict[str, str] = {}
         self._jobs: dict[str, WorkerJob] = {}
         self._again: Callable[[], None] | None = None
-        self._look()
+        self._read()
 
     def everything(self) -> list[str]:
         """Return all messages for a newly loaded page."""
-        first = [] if self._draft.model is None else [_message("model", shown_model(self._draft.model))]
         # The count of commands restarts, because the old value belongs to the previous page.
         self._acknowledged = 0
-        return [*first, *self._shown.values(), _message("state", self.state())]
+        return [*self._shown.values(), _message("state", self.state())]
 
     def state(self) -> dict[str, Any]:
         """Return the page's data other than motions and drawings."""
@@ -81,22 +81,22 @@ class PageSession:
             "ack": self._acknowledged,
         }
 
-    def command(self, request: Any) -> None:
-        """Execute a page's command and send the new state; errors become messages."""
+    def command(self, text: str) -> None:
+        """Execute a page's command (JSON) and send the new state; errors become messages."""
         try:
-            given = dict(request)
+            given = dict(json.loads(text))
             self._acknowledged = int(given.pop("n", 0))
             self._set_message("")
             getattr(self, f"do_{given.pop('do')}")(**given)
         except InputError as error:
             self._set_message(str(error), "error")
-        except (TypeError, ValueError, OverflowError, KeyError, AttributeError) as error:
+        except (TypeError, ValueError, OverflowError, KeyError, AttributeError, RecursionError) as error:
             self._set_message(f"invalid command: {error}", "error")
         self._send_state()
 
     def do_model(self, name: str) -> None:
         """Start a new itinerary with another model."""
-        self._change(self._first(str(name)))
+        self._change(first_text(str(name)))
 
     def do_set(self, values: dict[str, Any], table: str = "") -> None:
         """Set values in the itinerary's text."""
@@ -118,16 +118,7 @@ class PageSession:
 
     def do_plan(self) -> None:
         """Plan the itinerary."""
-        draft = self._whole()
-
-        def failed(sentence: str) -> None:
-            wraps = enough_wraps(sentence)
-            self._made["plan"] = {
-                "converged": False, "status": sentence, "fault": fault_of(sentence, draft.walk),
-                "wraps": wraps if wraps and len(wraps) == len(draft.wraps) else None,
-            }  # fmt: skip
-
-        self._work("plan", failed=failed, text=draft.text)
+        self._work("plan", text=self._whole().text)
 
     def do_run(self, seed: int = 0) -> None:
         """Run the plan, which is computed first if it is not cached."""
@@ -151,7 +142,6 @@ class PageSession:
     def do_film(self) -> None:
         """Write a film of the run."""
         film = self._target(_LOGS / f"{self._name}-{self._run()['seed']}.gif", "film")
-        film.parent.mkdir(parents=True, exist_ok=True)
         self._work("film", lambda _: self._note(film=str(film)), log=self._run()["log"], film=str(film))
 
     def do_name(self, name: str) -> None:
@@ -198,9 +188,6 @@ class PageSession:
         self._at = min(max(self._at + by, 0), len(self._texts) - 1)
         self._read()
 
-    def _first(self, model: str) -> str:
-        return first_text(model, energies_of(fitting_model(model))[2])
-
     def _whole(self) -> Draft:
         if self._draft.itinerary is None:
             wrong = self._draft.mistake
@@ -232,28 +219,32 @@ class PageSession:
     def _read(self, *, typed: bool = False) -> None:
         """Parse the current text and request the atlas of its energy."""
         before, self._draft, self._typed = self._draft, read_draft(self._texts[self._at]), typed
-        if self._draft.model is not None and self._draft.model is not before.model:
-            self._send(_message("model", shown_model(self._draft.model)))
+        if self._draft.model is not None:
+            self._show("model", _message("model", shown_model(self._draft.model)))
         if self._made_of != _content(self._draft):
-            self._forget("")
-        elif self._draft.text != before.text:
             self._forget("plan")
+        elif self._draft.text != before.text:
+            self._forget("settings")
         self._look()
 
+    def _show(self, kind: str, message: str) -> None:
+        if self._shown.get(kind) != message:
+            self._shown[kind] = message
+            self._send(message)
+
     def _forget(self, changed: str) -> None:
-        for kind in _AFTER.get(changed, ()):
+        for kind in _OUTDATED.get(changed, ()):
             self._made.pop(kind, None)
             self._shown.pop(kind, None)
 
     def _look(self, *, again: bool = False) -> None:
         """Start the atlas for the text's energy, unless it is current."""
-        draft, job = self._draft, self._jobs.get("look")
+        draft = self._draft
         given = {"model": draft.values.get("model", "lab"), "energy": draft.energy}
-        before = self._atlas if job is None else job.given
-        same = all(before.get(key) == value for key, value in given.items())
+        same = all(self._atlas.get(key) == value for key, value in given.items())
         if draft.energy is None or draft.model is None or (same and not again):
             return
-        if job is not None:
+        if (job := self._jobs.get("look")) is not None:
             job.kill()
         self._shown.pop("atlas", None)
         self._atlas = given
@@ -265,13 +256,11 @@ class PageSession:
         failed = partial(self._set_message, kind="error")
         self._start("look", "atlas", found, failed, given, partial(self._look, again=True))
 
-    def _work(self, what: str, done: Done | None = None, *, failed: Done | None = None, **given: Any) -> None:
+    def _work(self, what: str, done: Done | None = None, **given: Any) -> None:
         if (job := self._jobs.get("work")) is not None:
             raise InputError(f"{job.what} is running: wait for it, or cancel it")
         content = _content(self._draft)
-        self._forget("" if what == "plan" else what)
-        self._made.pop(what, None)
-        self._shown.pop(what, None)
+        self._forget(what)
         text = self._draft.text
 
         def found(value: Any) -> None:
@@ -281,11 +270,17 @@ class PageSession:
 
         def missed(sentence: str) -> None:
             self._set_message(sentence, "error")
-            if failed is not None and content == _content(self._draft):
-                failed(sentence)
+            if what == "plan" and content == _content(self._draft):
+                wraps = enough_wraps(sentence)
                 self._made_of = content
+                self._made[what] = {
+                    "converged": False,
+                    "status": sentence,
+                    "fault": fault_of(sentence, self._draft.walk),
+                    "wraps": wraps if wraps and len(wraps) == len(self._draft.wraps) else None,
+                }
 
-        again = partial(self._work, what, done, failed=failed, **given)
+        again = partial(self._work, what, done, **given)
         self._start("work", what, done or found, missed, given, again)
 
     def _start(
@@ -295,9 +290,7 @@ class PageSession:
             if self._jobs.get(slot) is not job:
                 return
             if word.startswith("show:"):
-                kind = word.removeprefix("show:")
-                self._shown[kind] = f'{{"{kind}":{value}}}'
-                self._send(self._shown[kind])
+                self._show(kind := word.removeprefix("show:"), f'{{"{kind}":{value}}}')
                 return
             if word == "remark":
                 self._set_message(json.loads(value), "remark")

@@ -5,7 +5,6 @@ lengths, angles or equations of the arms.
 """
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -80,7 +79,6 @@ def shown_model(model: Model) -> dict[str, Any]:
     }
 
 
-@cache
 def fitting_model(name: str) -> Model:
     """Return a model by name or path.
 
@@ -89,10 +87,10 @@ def fitting_model(name: str) -> Model:
     """
     model = load_model(name)
     if (count := model.arms.count) != 2:
-        why = {1: "no connections to choose from"}.get(
-            count, "connections at single energies: `dpcontrol guide triple`"
+        why = {1: "a single arm has no connections"}.get(
+            count, f"{count} arms have connections at single energies only: see `dpcontrol guide triple`"
         )
-        raise InputError(f"{name}: {count} arm{'s' if count > 1 else ''} have {why}; choose a model of two arms")
+        raise InputError(f"{name}: {why}; choose a model of two arms")
     return model
 
 

@@ -23,11 +23,16 @@ from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Rem
 from dpcontrol.foundation.files import plain
 from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.foundation.settings import parse_toml
+from dpcontrol.judge.of_log import run_view
 from dpcontrol.logs import read_log
+from dpcontrol.pages.film import write_film
+from dpcontrol.pages.layout import save_figure
+from dpcontrol.pages.picture import check_viewer, view_in_window
 from dpcontrol.planner.shown import energies_of, figures_of, fitting_model, shown_atlas, shown_plan, shown_run
 from dpcontrol.plans.atlas import make_atlas, make_branches
 from dpcontrol.plans.itinerary import itinerary_from
 from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.runs.campaign import CampaignSettings, Case, run_campaign
 from dpcontrol.runs.run import Run, run_plan
 
 SEEDS = 20
@@ -87,23 +92,27 @@ def _plan(report: Reporter, *, text: str) -> dict[str, Any]:
 
 
 def _run(report: Reporter, *, text: str, seed: int, log: str) -> dict[str, Any]:
-    run = _flown(text, seed, report.progress, Path(log))
+    plan = _planned(text, part_of(report.progress, 0.0, 0.1))
+    plan = replace(plan, itinerary=plan.itinerary.with_run({}, seed=seed))
+    run = run_plan(plan, Path(log), force=True, progress=part_of(report.progress, 0.1, 1.0))
     report.write("show:run", shown_run(run.log))
     return {**run.document(), "sentence": run.status, "log": log}
 
 
 def _seeds(report: Reporter, *, text: str) -> dict[str, Any]:
-    done: list[bool] = []
-    for seed in range(SEEDS):
-        within = part_of(report.progress, seed / SEEDS, (seed + 1) / SEEDS)
-        done.append(_flown(text, seed, within).converged)
-        report.write("show:seeds", done)
-    return {"completed": sum(done), "runs": SEEDS}
+    plan = _planned(text, report.progress)
+    campaign = run_campaign(
+        plan,
+        [Case(_NAME, (), plan.itinerary.loop)],
+        settings=CampaignSettings(SEEDS, workers=1),
+        yes=True,
+        progress=report.progress,
+    )
+    report.write("show:seeds", [row["completed"] for row in campaign.rows])
+    return {"completed": campaign.completed.successes, "runs": SEEDS}
 
 
 def _page(report: Reporter, *, log: str) -> None:
-    from dpcontrol.pages.layout import save_figure
-
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "page.png"
         save_figure(Run(read_log(log)).plot(), file)
@@ -111,16 +120,11 @@ def _page(report: Reporter, *, log: str) -> None:
 
 
 def _film(report: Reporter, *, log: str, film: str) -> None:
-    from dpcontrol.judge.of_log import run_view
-    from dpcontrol.pages.film import write_film
-
-    write_film(run_view(read_log(log)), film, progress=report.progress)
+    write_film(run_view(read_log(log)), film, yes=True, progress=report.progress)
 
 
 def _rerun(_: Reporter, *, log: str) -> None:
-    from dpcontrol.judge.of_log import run_view
-    from dpcontrol.pages.picture import view_in_window
-
+    check_viewer("press Page or Film, or save the log and review it on another computer")
     view_in_window(run_view(read_log(log)), Path(log).stem)
 
 
@@ -133,12 +137,6 @@ JOBS: dict[str, Callable[..., Any]] = {
 def _planned(text: str, progress: Progress) -> Plan:
     model = fitting_model(str(parse_toml(text, f"{_NAME}.toml").get("model", "lab")))
     return make_plan(itinerary_from(text, _NAME, model), progress=progress)
-
-
-def _flown(text: str, seed: int, progress: Progress, log: Path | None = None) -> Run:
-    plan = _planned(text, part_of(progress, 0.0, 0.1))
-    scene = plan.itinerary.with_run({}, seed=seed)
-    return run_plan(replace(plan, itinerary=scene), log, force=True, progress=part_of(progress, 0.1, 1.0))
 
 
 def main() -> None:

@@ -26,10 +26,9 @@ class WorkerJob:
     def __init__(
         self, do: str, given: dict[str, Any], on_report: OnReport, again: Callable[[], None] | None = None
     ) -> None:
-        self.what, self.given, self.done, self.again = do, given, 0.0, again
+        self.what, self.done, self.again = do, 0.0, again
         self._line = json.dumps({"do": do, **given}).encode() + b"\n"
-        self._on_report, self._killed = on_report, False
-        self._process: Process | None = None
+        self._on_report = on_report
 
     def start(self, workers: "Workers", *, nice: int = 0) -> None:
         """Start the job; a process with a nice value is not reused."""
@@ -37,39 +36,29 @@ class WorkerJob:
 
     def kill(self) -> None:
         """Kill the job and suppress further reports."""
-        self._killed = True
-        if self._process is not None:
-            _end(self._process)
+        self._task.cancel()
 
     async def _follow(self, workers: "Workers", nice: int) -> None:
         async with workers.gentle if nice else workers.slots:
-            if not self._killed:
-                await self._followed(await workers.taken(), workers, nice)
-
-    async def _followed(self, process: Process, workers: "Workers", nice: int) -> None:
-        if self._killed:
-            workers.give_back(process)
-            return
-        self._process = process
-        assert process.stdin is not None
-        assert process.stdout is not None
-        if nice and hasattr(os, "setpriority"):
-            os.setpriority(os.PRIO_PROCESS, process.pid, nice)
-        with suppress(OSError):
-            process.stdin.write(self._line)
-            await process.stdin.drain()
-        while (line := await process.stdout.readline()) and not self._killed:
-            word, _, value = line.decode().rstrip("\n").partition(" ")
-            if word == "progress":
-                self.what, self.done = json.loads(value)
-            if ended := word in ("done", "failed"):
-                _end(process) if nice else workers.give_back(process)
-            self._on_report(word, value)
-            if ended:
-                return
-        code = await process.wait()
-        if not self._killed:
-            self._on_report("died", f"signal {-code}" if code < 0 else f"exit code {code}")
+            process: Any = await workers.taken()
+            ended = False
+            try:
+                if nice and hasattr(os, "setpriority"):
+                    os.setpriority(os.PRIO_PROCESS, process.pid, nice)
+                with suppress(OSError):
+                    process.stdin.write(self._line)
+                    await process.stdin.drain()
+                while not ended and (line := await process.stdout.readline()):
+                    word, _, value = line.decode().rstrip("\n").partition(" ")
+                    if word == "progress":
+                        self.what, self.done = json.loads(value)
+                    ended = word in ("done", "failed")
+                    self._on_report(word, value)
+                if not ended:
+                    code = await process.wait()
+                    self._on_report("died", f"signal {-code}" if code < 0 else f"exit code {code}")
+            finally:
+                workers.give_back(process) if ended and not nice else _end(process)
 
 
 class Workers:

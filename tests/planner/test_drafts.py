@@ -7,7 +7,7 @@ import pytest
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.planner.draft import enough_wraps, fault_of, first_text, read_draft
 
-FIRST = first_text("lab", 0.2)
+FIRST = first_text("lab")
 WALK = ["down-up > up-down", "up-down > down-up"]
 
 
@@ -37,6 +37,7 @@ def test_edits_keep_other_keys_and_comments() -> None:
     [
         ("energy = 0.2", "energy = ", 3),
         ("energy = 0.2", 'energy = "high"', 3),
+        ("energy = 0.2", "energy = nan", 3),
         ('model  = "lab"', 'model  = "lob"', 2),
         ("walk   = []", 'walk   = ["sideways"]', 4),
         ("wraps  = []", "wraps  = [1, 2, 3]", 5),

@@ -1,103 +1,31 @@
 """The planner's page in a headless browser, from energy to a saved itinerary that completes."""
 
-import shutil
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from browser_page import Page, kill_workers
+from PIL import Image
 
 import dpcontrol as dp
 
 pytest.importorskip("starlette")
-webdriver = pytest.importorskip("selenium.webdriver")
-from selenium.webdriver.chrome.service import Service  # noqa: E402
-from selenium.webdriver.common.keys import Keys  # noqa: E402
-from selenium.webdriver.support.ui import Select  # noqa: E402
+pytest.importorskip("selenium")
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select
 
-BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not (BROWSER and DRIVER), reason="needs chromium and chromedriver (Debian: chromium-driver)"),
-]
-OPTIONS = (
-    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
-    "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
-    "--window-size=1280,860",
-)  # fmt: skip
-PATIENCE = 600.0
-"""Time limit of a plan on a busy machine, s."""
-
-
-class Page:
-    """The planner's page, operated like a user."""
-
-    def __init__(self, driver: Any, address: str) -> None:
-        self.driver, self.address = driver, address
-        driver.get(address)
-        self.idle()
-
-    @property
-    def state(self) -> dict[str, Any]:
-        return self.driver.execute_script("return window.planner.state")
-
-    def idle(self) -> dict[str, Any]:
-        end = time.monotonic() + PATIENCE
-        while (state := self.state)["busy"] or "toml" not in state:
-            assert time.monotonic() < end, state["busy"]
-            time.sleep(0.05)
-        return state
-
-    def role(self, name: str, more: str = "") -> Any:
-        return self.driver.find_element("css selector", f'[data-role="{name}"]{more}')
-
-    def press(self, name: str, more: str = "") -> dict[str, Any]:
-        self.role(name, more).click()
-        return self.idle()
-
-    def type(self, name: str, text: str) -> dict[str, Any]:
-        self.role(name).clear()
-        self.role(name).send_keys(text)
-        return self.idle()
-
-    def connect(self, ends: str) -> dict[str, Any]:
-        return self.press("connection", f'[data-name^="{ends}"]')
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(tmp_path_factory.mktemp("planner"))
-        with dp.open_planner("lab", browser=False) as planner:
-            yield planner.address
-
-
-@pytest.fixture(scope="module")
-def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    options = webdriver.ChromeOptions()
-    options.binary_location = BROWSER
-    for option in (*OPTIONS, f"--user-data-dir={tmp_path_factory.mktemp('chromium')}"):
-        options.add_argument(option)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    made = webdriver.Chrome(options=options, service=Service(DRIVER))
-    yield made
-    made.quit()
-
-
-@pytest.fixture
-def page(driver: Any, address: str) -> Iterator[Page]:
-    driver.switch_to.new_window("tab")
-    yield Page(driver, address)
-    driver.close()
-    driver.switch_to.window(driver.window_handles[0])
+pytestmark = pytest.mark.slow
+FIRST, SECOND = "down-up>up-down", "up-down>down-up"
+READABLE = 4.5
+"""Contrast of text of normal size, WCAG 2.2, criterion 1.4.3."""
 
 
 def test_an_itinerary_is_built_planned_run_and_saved_and_the_command_line_completes_it(page: Page) -> None:
     page.type("energy", "0.2")
-    page.connect("down-up>up-down")
-    state = page.connect("up-down>down-up")
-    assert [name.split("[")[0] for name in state["walk"]] == ["down-up>up-down", "up-down>down-up"]
+    page.connect(FIRST)
+    state = page.connect(SECOND)
+    assert [name.split("[")[0] for name in state["walk"]] == [FIRST, SECOND]
     wraps = state["wraps"][0]
     assert page.press("wraps-plus", '[data-stop="0"]')["wraps"] == [wraps + 1]
     for end in ("start", "finish"):
@@ -150,6 +78,144 @@ def test_an_unknown_symbol_is_named_and_framed(page: Page) -> None:
     assert "only above" in state["mistake"]["message"]
     assert page.driver.find_elements("css selector", "#walk .fault")
     assert page.type("energy", "0.2")["mistake"] is None
+
+
+def follows(page: Page, *, mismatch: float = 0.05) -> dict[str, Any]:
+    """Run the smallest itinerary and return the state."""
+    text = page.state["toml"].replace("walk   = []", 'walk = ["down-up > up-down"]')
+    page.type("toml", text.replace("mismatch      = 0.02", f"mismatch = {mismatch}"))
+    assert page.press("plan")["plan"]["converged"]
+    return page.press("run")
+
+
+def test_a_run_is_drawn_filmed_and_repeated_with_twenty_seeds(page: Page) -> None:
+    assert follows(page)["run"]["completed"]
+    page.press("page")
+    width = "return document.querySelector('#paper[open] img')?.naturalWidth ?? 0"
+    assert page.driver.execute_script(width) > 1000
+    ActionChains(page.driver).send_keys(Keys.ESCAPE).perform()
+    assert not page.all("#paper[open]")
+    page.driver.refresh()
+    page.idle()
+    assert not page.all("#paper[open]")
+    state = page.press("film")
+    with Image.open(state["saved"]["film"]) as film:
+        assert film.n_frames / 25 == pytest.approx(state["plan"]["duration"], abs=0.2)
+    assert "there is no display" in page.press("rerun")["message"]["text"]
+    assert page.role("status").get_attribute("class") == "error"
+    assert page.press("seeds")["seeds"]["runs"] == len(page.all("#bar i")) == 20
+    assert len(page.all("#bar .good")) == page.state["seeds"]["completed"]
+
+
+def test_a_failed_plan_names_the_symbol_the_limit_and_the_remedy(page: Page) -> None:
+    text = page.state["toml"].replace("walk   = []", 'walk = ["down-up > up-down"]')
+    page.type("toml", text.replace("[run]", "[limits]\nposition = 0.01\n[run]"))
+    state = page.press("plan")
+    assert not state["plan"]["converged"]
+    assert state["plan"]["status"] in page.role("status").text
+    assert not page.role("save").get_attribute("disabled")
+
+
+def test_a_killed_worker_is_reported_and_its_work_is_repeated(page: Page) -> None:
+    follows(page)
+    page.role("run").click()
+    page.until(lambda state: state["working"] and state["busy"]["done"] > 0.1)
+    kill_workers()
+    state = page.until(lambda state: state["retry"])
+    assert "ended (signal 9)" in page.role("status").text
+    assert (state["run"], state["busy"]) == (None, None)
+    assert page.press("retry")["run"]["completed"]
+    assert not page.role("retry").is_displayed()
+
+
+def test_work_is_cancelled_and_leaves_the_plan(page: Page) -> None:
+    plan = follows(page)["plan"]
+    page.role("run").click()
+    page.until(lambda state: state["working"] and state["busy"]["done"] > 0.1)
+    state = page.press("cancel")
+    assert state["message"]["text"].startswith("cancelled")
+    assert (state["run"], state["plan"]) == (None, plan)
+    assert page.press("run")["run"]["completed"]
+
+
+def test_a_model_that_cannot_be_loaded_is_listed_with_its_message(page: Page) -> None:
+    listed = {option.get_attribute("value"): option for option in Select(page.role("model")).options}
+    assert listed["lab"].is_enabled()
+    assert not listed["broken"].is_enabled()
+    assert "broken.toml is not valid TOML" in listed["broken"].text
+
+
+def test_a_corrected_model_name_brings_the_atlas_back(page: Page) -> None:
+    text = page.idle()["toml"]
+    count = len(page.all("[data-role=connection]"))
+    assert page.type("toml", text.replace('"lab"', '"lob"'))["mistake"]["line"] == 2
+    assert page.type("toml", text)["mistake"] is None
+    assert len(page.all("[data-role=connection]")) == count > 0
+
+
+# Visits places of a canvas until a connection of the list is highlighted, and returns the place and the name.
+FIND = """
+const canvas = document.getElementById(arguments[0]), box = canvas.getBoundingClientRect();
+for (let y = 4; y < box.height; y += 4) for (let x = 4; x < box.width; x += 4) {
+  const place = { clientX: box.left + x, clientY: box.top + y, bubbles: true };
+  canvas.dispatchEvent(new PointerEvent("pointermove", place));
+  const hot = document.querySelector("#list .hot");
+  if (hot) return [x - box.width / 2, y - box.height / 2, hot.dataset.name];
+}"""
+
+
+@pytest.mark.parametrize("zoom", ["1", "2"])
+@pytest.mark.parametrize("canvas", ["section", "graph"])
+def test_a_point_or_an_arrow_is_highlighted_and_appended(page: Page, canvas: str, zoom: str) -> None:
+    page.driver.execute_script("document.documentElement.style.zoom = arguments[0]", zoom)
+    element = page.driver.find_element("id", canvas)
+    page.driver.execute_script("arguments[0].scrollIntoView({ block: 'center' })", element)
+    x, y, name = page.driver.execute_script(FIND, canvas)
+    caption = page.driver.find_element("id", "caption").get_attribute("textContent")
+    button = page.role("connection", f'[data-name="{name}"]')
+    assert button.find_element("tag name", "small").get_attribute("textContent") in caption
+    ActionChains(page.driver).move_to_element_with_offset(element, x, y).click().perform()
+    assert page.idle()["walk"] == [name]
+
+
+# Lists the controls that another element covers at their centres, and the page's width against the window's.
+COVERED = """
+const wrong = [...document.querySelectorAll("[data-role]:not([hidden])")].filter((one) => {
+  if (one.closest("[hidden]")) return false;
+  one.scrollIntoView({ block: "center" });
+  const { left, top, width, height } = one.getBoundingClientRect();
+  const there = document.elementFromPoint(left + width / 2, top + height / 2);
+  return width > 0 && there !== one && !one.contains(there);
+});
+return [wrong.map((one) => one.dataset.role), document.documentElement.scrollWidth - innerWidth];"""
+CONTRAST = """
+const light = (colour) => colour.match(/[\\d.]+/g).slice(0, 3).map((one) => one / 255)
+  .map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4))
+  .reduce((sum, c, k) => sum + c * [0.2126, 0.7152, 0.0722][k], 0);
+const ground = (one) => {
+  const own = getComputedStyle(one).backgroundColor;
+  return own === "rgba(0, 0, 0, 0)" && one.parentElement ? ground(one.parentElement) : own;
+};
+return [...document.querySelectorAll("h1, h2, small, .key, label, #toml, #lines, button.main:enabled")]
+  .map((one) => [light(getComputedStyle(one).color), light(ground(one))].sort((a, b) => b - a))
+  .map(([high, low]) => (high + 0.05) / (low + 0.05));"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("zoom", ["1", "2"])
+def test_every_control_can_be_reached_and_read(page: Page, zoom: str, scheme: str) -> None:
+    page.connect(FIRST)
+    page.connect(SECOND)
+    page.driver.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    )
+    page.driver.execute_script("document.documentElement.style.zoom = arguments[0]", zoom)
+    covered, beyond = page.driver.execute_script(COVERED)
+    assert covered == []
+    assert beyond <= 0
+    assert min(page.driver.execute_script(CONTRAST)) >= READABLE
+    ground = page.driver.execute_script("return getComputedStyle(document.body).backgroundColor")
+    assert (int(ground[4:].split(",")[0]) < 128) == (scheme == "dark")
 
 
 def test_the_keyboard_alone_appends_plays_and_saves(page: Page) -> None:

@@ -225,7 +225,7 @@ def test_processes_that_always_die_are_given_up_with_a_reason(
         def shutdown(self, **_: Any) -> None: ...
 
     monkeypatch.setattr(processes, "ProcessPoolExecutor", Dying)
-    with pytest.raises(GoalMissed, match="workers died 4 times, with 3 jobs undone"):
+    with pytest.raises(GoalMissed, match="workers died 4 times, with 3 unfinished jobs"):
         campaign(turn, tmp_path / "never.parquet", workers=2)
     assert not (tmp_path / "never.parquet").exists()
 

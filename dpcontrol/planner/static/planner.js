@@ -60,6 +60,7 @@ const taken = {
   plan: () => show("plan"),
   run: () => show("run"),
   page(picture) {
+    if (!state.toml) return; // after a reload the drawing stays closed
     id("paper").querySelector("img").src = picture;
     id("paper").showModal();
   },
@@ -70,7 +71,8 @@ function takeState(value) {
   const before = state.busy ?? { what: "…", done: 0 };
   state = { ...value, late, busy: value.busy ?? (late ? before : null) };
   const { atlas } = got;
-  if (atlas && (state.energy !== atlas.energy || state.model !== atlas.model)) {
+  const other = state.model !== atlas?.model && !state.mistake;
+  if (atlas && (state.energy !== atlas.energy || other)) {
     got.atlas = hovered = chosen = null;
   }
   if (!state.plan?.converged) got.plan = null;
@@ -99,6 +101,7 @@ function fill(element, key, content) {
 // Set an input's value unless the user is at it, or has just emptied it.
 function keep(input, value) {
   const text = String(value), away = document.activeElement !== input || input.type === "range";
+  if (input.value === text) input.kept = text;
   if (!away || state.late || input.value === text) return;
   if (input.value !== "" || input.kept !== text) input.value = input.kept = text;
 }
@@ -142,7 +145,7 @@ function render() {
 }
 function renderModels() {
   fill(role("model"), [got.models, state.model], () => got.models.map((one) => make("option", {
-    value: one.name, textContent: one.problem ? `${one.name}: ${one.problem}` : one.name,
+    value: one.name, textContent: one.problem || one.name,
     disabled: Boolean(one.problem), selected: one.name === state.model })));
 }
 function renderEnergy() {
@@ -308,14 +311,15 @@ function recolour() {
     colours[name] = getComputedStyle(probe).color;
   }
   probe.remove();
-  for (const canvas of all(".tile canvas")) canvas.look.still = null;
   drawStill();
 }
+
+const sharp = (canvas) => Math.min(devicePixelRatio * (canvas.currentCSSZoom ?? 1), 2);
 
 // Return a canvas's context in CSS pixels, cleared, with its size.
 function ready(canvas) {
   const { clientWidth: width, clientHeight: height } = canvas;
-  const scale = Math.min(devicePixelRatio, 2);
+  const scale = sharp(canvas);
   const [wide, high] = [Math.round(width * scale), Math.round(height * scale)];
   if (canvas.width !== wide) canvas.width = wide;
   if (canvas.height !== high) canvas.height = high;
@@ -458,7 +462,6 @@ function drawGraph() {
       write(pen, word, x, y + 11 * k - 5, "center", "middle", colours[here ? "panel" : "ink"]));
   }
 }
-const lasts = ({ frames, rate }) => (frames.length - 1) / rate;
 
 // Return the joints at a time, between two frames.
 function jointsAt({ frames, rate }, seconds) {
@@ -483,7 +486,8 @@ function drawStage() {
   id("strip").hidden = !value;
   if (!now || !got.model) return nothing(area);
   const { motion } = now, travel = value?.travel ?? 0, reach = 1.08 * got.model.reach;
-  if (playing) time = (time + Math.min(tileTime - last, 0.1)) % lasts(motion);
+  const duration = (motion.frames.length - 1) / motion.rate;
+  if (playing) time = (time + Math.min(tileTime - last, 0.1)) % duration;
   const scale = Math.min(height / (2 * reach), width / (2 * (travel + reach))) / FINE;
   const at = { x: (x) => width / 2 + scale * x, y: (y) => height / 2 - scale * y };
   const tips = (frames) => frames.map((frame) => [at.x(frame.at(-2)), at.y(frame.at(-1))]);
@@ -530,16 +534,13 @@ function drawStrip(value) {
 }
 function drawTiles() {
   for (const canvas of got.model ? all(".tile canvas") : []) {
-    const { look } = canvas, moves = look.frames.length > 1;
-    const still = `${canvas.clientWidth} ${canvas.clientHeight}`;
-    if (!moves && look.still === still) continue;
-    look.still = still;
-    const { pen, width, height } = ready(canvas), scale = height / (2.2 * got.model.reach * FINE);
+    const { pen, width, height } = ready(canvas), { frames, period } = canvas.look;
+    const scale = height / (2.2 * got.model.reach * FINE);
     const at = { x: (x) => width / 2 + scale * x, y: (y) => height / 2 - scale * y };
     // An orbit's last sample is one step before its first.
-    const { frames, period } = look;
-    look.closed ??= { frames: [...frames, frames[0]], rate: frames.length / period };
-    drawArms(pen, jointsAt(look.closed, tileTime % period), at, 3, moves ? null : colours.ghost);
+    const closed = { frames: [...frames, frames[0]], rate: frames.length / period };
+    const colour = frames.length > 1 ? null : colours.ghost;
+    drawArms(pen, jointsAt(closed, tileTime % period), at, 3, colour);
   }
 }
 function frame(now) {
@@ -553,7 +554,7 @@ function frame(now) {
 // Act when an input has not been changed for a while; until then the page is busy.
 function after(wait, act) {
   let timer = 0;
-  return (given) => {
+  return (given, delay = wait) => {
     pending += timer ? 0 : 1;
     state = { ...state, busy: state.busy ?? { what: "…", done: 0 } };
     clearTimeout(timer);
@@ -561,7 +562,7 @@ function after(wait, act) {
       timer = 0;
       pending -= 1;
       act(given);
-    }, wait);
+    }, delay);
   };
 }
 const setEnergy = after(400, (text) => {
@@ -570,13 +571,13 @@ const setEnergy = after(400, (text) => {
 });
 for (const [input, other] of [[role("energy"), id("slider")], [id("slider"), role("energy")]]) {
   input.oninput = () => { other.value = input.value; setEnergy(input.value); };
-  input.onchange = input.oninput;
+  input.onchange = () => input.value && setEnergy(input.value, 0);
 }
 role("model").onchange = (event) => send("model", { name: event.target.value });
 for (const which of ["start", "finish"]) {
   role(which).onchange = (event) => set({ [which]: event.target.value });
 }
-const setText = after(200, () => send("toml", { text: role("toml").value }));
+const setText = after(100, () => send("toml", { text: role("toml").value }));
 role("toml").oninput = () => { renderLines(); setText(); };
 role("toml").onscroll = () => { id("lines").scrollTop = role("toml").scrollTop; };
 for (const input of all("input[data-key]")) {
@@ -593,16 +594,21 @@ id("play").onclick = () => {
   playing = !playing;
   id("play").textContent = playing ? "❚❚" : "▶";
 };
-const local = (event) => [event.offsetX, event.offsetY];
+const local = ({ clientX, clientY, currentTarget: { clientWidth }, currentTarget }) => {
+  const { left, top, width } = currentTarget.getBoundingClientRect();
+  return [clientX - left, clientY - top].map((one) => (one * clientWidth) / width);
+};
 function pointAt([x, y]) {
   const at = scales(), far = ({ place: [q, p] }) => Math.hypot(at.x(q) - x, at.y(p) - y);
   return shownOnes().sort((a, b) => far(a) - far(b)).find((one) => far(one) < 10)?.name ?? null;
 }
 function arrowAt([x, y]) {
-  const pen = id("graph").getContext("2d"), scale = Math.min(devicePixelRatio, 2);
-  pen.lineWidth = 10;
-  const hit = arrows.find(({ path }) => pen.isPointInStroke(path, x * scale, y * scale));
-  return hit?.one.name ?? null;
+  const pen = id("graph").getContext("2d"), scale = sharp(id("graph"));
+  const within = (width) => arrows.find(({ path }) => {
+    pen.lineWidth = width;
+    return pen.isPointInStroke(path, x * scale, y * scale);
+  });
+  return (within(3) ?? within(10))?.one.name ?? null;
 }
 function zoom(factor, place = null) {
   const at = scales(), [x, y] = place ?? [at.x(view.x), at.y(view.y)];
