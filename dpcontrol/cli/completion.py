@@ -70,7 +70,7 @@ COMPLETERS: dict[tuple[str, str], Completer] = {
     ("", "topic"): completing(_found("foundation.guide", "topics")),
     ("", "fault"): completing(_found("rig.bench", "FAULTS")),
     ("", "controller"): completing(_found("loop.controllers", "CONTROLLERS")),
-    ("run", "estimator"): completing(_found("loop.controllers", "ESTIMATORS")),
+    ("", "estimator"): completing(_found("loop.controllers", "ESTIMATORS")),
     ("", "on_fall"): completing(_found("loop.result", "ON_FALL")),
     ("", "over"): completing(_found("plans.overrides", "settings_to_vary")),
     ("figures", "names"): completing(_found("cli.charts", "FIGURES")),

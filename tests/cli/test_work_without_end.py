@@ -28,7 +28,7 @@ TURN = ("-s", "down-up +")
         ((*WALK, "--random", "1000000000"), "--random"),
         ((*WALK, "--random", "1", "--lengths", "1", "1000000000"), "--lengths"),
         (("bifurcations", "lab", "--from", "down-up", "--to", "down-up", "--energies", "-0.11", "-0.09", "--samples",
-          "1000000000"), "samples"),
+          "1000000"), "samples"),
         ((*WALK, "--hits", "9,9", "--length", "1"), "hits up to 9,9: up to 243 searches"),
         (("import", "--simulated", "lab", "--swings", "1000000000"), "swings"),
         (("import", "--simulated", "lab", "--swings", "1000", "--seconds", "1000"), "swings"),
@@ -113,12 +113,12 @@ def test_charts_are_estimated_and_rejected_beyond_an_hour(monkeypatch: pytest.Mo
 def test_python_rejects_long_work_and_names_its_keyword() -> None:
     model = load_model("lab")
     with pytest.raises(InputError, match=r"samples.*will take about.*reduce the work"):
-        dp.find_bifurcations(model, "down-up", "down-up", energies=(-0.11, -0.09), samples=10**9)
+        dp.find_bifurcations(model, "down-up", "down-up", energies=(-0.11, -0.09), samples=10**6)
     found = dp.graph(model, energy=-0.07)
     with pytest.raises(InputError, match=r"wraps.*will take about.*reduce the work"):
         dp.shadow(found, ["down-up +", "down-up +"], wraps=[500_000])
-    with pytest.raises(InputError, match=r"swings = 1000000000.*will take about.*reduce the work"):
-        dp.swings(model, count=10**9)
+    with pytest.raises(InputError, match=r"swings = 1000000.*will take about.*reduce the work"):
+        dp.swings(model, count=10**6)
 
 
 @pytest.mark.parametrize("begin", [dp.run, dp.campaign, dp.plan])
