@@ -123,7 +123,7 @@ def test_what_cannot_be_tracked_is_refused(turn: tuple[StandIn, Reference], mode
         LAB, **{k: getattr(LAB, k)[:1] for k in ("mass", "centre_of_mass", "length", "inertia", "viscous")}
     )
     other = SampledModel(arm_chain_equations(1, Level.CART), single.base(), period=1e-3)
-    with pytest.raises(InputError, match="use one model"):
+    with pytest.raises(InputError, match="use the same model"):
         tracking_controller(turn[1], other, TvlqrSettings())
     with pytest.raises(InputError, match="effort = 0"):
         TvlqrSettings(effort=0)

@@ -81,7 +81,7 @@ def test_functions_refuse_arguments_of_the_wrong_type(orbit, call, words):
         (lambda: dp.run("one-arm", log=3), "log = 3"),
         (lambda: dp.campaign([]), "planned = []"),
         (lambda: dp.campaign("one-arm", over=3), "over = 3"),
-        (lambda: dp.campaign("one-arm", over={"lag": "x"}), "drive: lag = 'x'"),
+        (lambda: dp.campaign("one-arm", over={"lag": "x"}), "lag = 'x': must be a number"),
         (lambda: dp.campaign("one-arm", over={"lag": []}), "over: lag has no values"),
         (lambda: dp.campaign("one-arm", first_seed=None), "first_seed = None"),
         (lambda: dp.closed_loop(3), "planned = 3"),
