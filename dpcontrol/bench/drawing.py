@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
 
 from dpcontrol.bench.chart import LEADING, ChartPage, EdgeMap, Panel, Point, Searches, name_of, unit_of
@@ -49,8 +50,9 @@ def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
         return _searches_figure(page, parts[0])
     columns = min(len(parts), LEADING)
     rows = -(-len(parts) // columns)
-    picture = Figure(figsize=(WIDTH * columns, HEIGHT * rows + 1.2), layout="constrained", dpi=110)
-    picture.get_layout_engine().set(w_pad=0.15, h_pad=0.1)
+    picture = Figure(
+        figsize=(WIDTH * columns, HEIGHT * rows + 1.2), layout=ConstrainedLayoutEngine(w_pad=0.15, h_pad=0.1), dpi=110
+    )
     picture.suptitle(page.title, fontsize=14, color=INK, x=0.01, ha="left")
     panels = [part for part in parts if isinstance(part, Panel)]
     methods = list(dict.fromkeys(p.method for panel in panels for p in panel.points))

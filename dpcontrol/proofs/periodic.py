@@ -60,7 +60,8 @@ def enclose(
     for k, leg in enumerate(chain):
         progress("enclosing the flow", k / len(chain))
         with located(f"in segment {k + 1} of {len(chain)}"):
-            out.append(segment(surface, leg, *([ball(v) for v in row] for row in widths[k : k + 2]), settings))
+            before, after = ([ball(v) for v in row] for row in widths[k : k + 2])
+            out.append(segment(surface, leg, before, after, settings))
     return out
 
 

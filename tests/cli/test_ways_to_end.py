@@ -59,7 +59,10 @@ def test_a_command_without_stderr_does_its_work(tmp_path: Path, streams: str) ->
 
 @pytest.mark.parametrize(
     ("blow", "said"),
-    [("arm = 1\nimpulse = 0.01", "[blows 1] the key 'time' is missing"), ("tiem = 1.0", "is 'tiem' a misspelling of it?")],
+    [
+        ("arm = 1\nimpulse = 0.01", "[blows 1] the key 'time' is missing"),
+        ("tiem = 1.0", "is 'tiem' a misspelling of it?"),
+    ],
 )
 def test_a_blow_without_a_time_gives_one_sentence(tmp_path: Path, blow: str, said: str) -> None:
     file = tmp_path / "struck.toml"

@@ -94,7 +94,7 @@ def test_lyapunov_orbits_close_in_both_arms_planes(shown):
 @pytest.mark.parametrize(("saddle", "arm", "count"), [("down-up", 1, 7), ("up-down", 0, 4)])
 def test_either_sense_has_tubes_that_turn_that_way(saddle, arm, count, shown):
     page = paper.senses_page(shown, saddle=saddle)
-    spaces, cuts = page.figure.axes[0::2], page.figure.axes[1::2]
+    spaces, cuts = ([a for a in page.figure.axes if (a.name == "3d") is space] for space in (True, False))
     start = load_model("lab").system.equilibria[saddle][arm]
     for space, axes, sense in zip(spaces, cuts, (1, -1), strict=True):
         leaving = drawn(space, style.UNSTABLE) + drawn(space, style.PALE_UNSTABLE)
