@@ -147,7 +147,7 @@ def test_heteroclinic_orbits_lead_from_one_orbit_to_the_other(shown):
     for space, (source, target) in zip(page.figure.axes, (("down-up", "up-down"), ("up-down", "down-up")), strict=True):
         (leaves,) = drawn(space, style.saddle_colour(source))
         joined = np.vstack(drawn(space, style.saddle_colour(target)))
-        flights = [f for colour in ("#1f6fb4", "#d9640d") for f in drawn(space, colour) if len(f) > 100]
+        flights = [f for colour in style.CONNECTIONS[:2] for f in drawn(space, colour) if len(f) > 100]
         assert len(flights) == 2
         for flight in flights:
             for end, orbit in ((flight[0], leaves), (flight[-1], joined)):

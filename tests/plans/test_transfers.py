@@ -243,7 +243,7 @@ def test_transitions_fill_a_square_and_are_refused_where_there_are_none(there_an
     figure = dp.picture(there_and_back, transitions=True)
     # Two equilibria: there and back beside the two themselves, each with its arms and its cart.
     assert [len(axes.lines) for axes in figure.axes] == [3, 19, 19, 3]
-    assert [bool(axes.texts) for axes in figure.axes] == [False, True, True, False]
+    assert [bool(axes.get_xlabel()) for axes in figure.axes] == [False, True, True, False]
     dpcontrol("plan", "cross", "--out", str(file))
     refused = dpcontrol("reference", str(file), "--transitions", str(tmp_path / "none.png"))
     assert refused.code == 2
