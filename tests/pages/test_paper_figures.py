@@ -126,7 +126,7 @@ def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay(shown):
     stars = [line.get_data() for line in panels[0].lines if line.get_marker() == "*"]
     assert stars
     # A trajectory that starts inside both tubes is inside the unstable tube's cut at its next return.
-    titles = [axes.get_title(loc="left") for axes in panels[:8]]
+    titles = [" ".join(axes.get_title(loc="left").split()) for axes in panels[:8]]
     assert "100% in unstable" in titles[1]
     assert "100% in stable" in titles[5]
     system = load_model("lab").system
