@@ -128,7 +128,7 @@ def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay(shown):
     # A trajectory that starts inside both tubes is inside the unstable tube's cut at its next return.
     titles = [" ".join(axes.get_title(loc="left").split()) for axes in panels[:8]]
     assert "100% in unstable" in titles[1]
-    assert "100% in stable" in titles[5]
+    assert any("100% in stable" in title for title in titles[2:])
     system = load_model("lab").system
     section = system.sections["down-up", "down-up"]
     orbit = lyapunov_orbit(system, "down-up", energy=wheels.WHEEL_ENERGIES["down-up"])
