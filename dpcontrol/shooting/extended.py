@@ -1,10 +1,13 @@
-"""Orbits refined in 113-bit arithmetic, 30 digits instead of 12: periodic ones, connections, and orbits of walks.
+"""Orbits refined in 113-bit arithmetic: periodic orbits, connections, and orbits of walks, to 30 digits instead of 12.
 
-The equations are those in double, their residuals evaluated in 113 bits and divided by the largest before the step is
-solved for in double, where nothing underflows; so each Newton step leaves about 1e-12 of the residual. Open orbits are
-led out along both local manifolds until their amplitude is a < 1e-20: what the linear manifold leaves out, a², and the
-double Floquet vector's share, a · 1e-12, are then far below what is asked. Closed orbits close, at the exact energy,
-and need no manifold. Angles are lifted about resting positions, which are π times whole numbers at full precision.
+The equations are those in double precision. Their residuals are evaluated in 113 bits and divided by the largest, so
+the step can be computed in double precision without underflow. Each Newton step leaves about 1e-12 of the residual.
+
+Open orbits are extended along both local manifolds until their amplitude is a < 1e-20. The errors of the linear
+manifold, a², and of the double Floquet vector, a · 1e-12, are then far below the tolerance. Closed orbits close at the
+exact energy and need no manifold. Angles are lifted about resting positions, which are whole multiples of π at full
+precision.
+
 Source: Higham, Accuracy and Stability of Numerical Algorithms (2002), chapter 12 (refinement with extended residuals).
 """
 
@@ -28,10 +31,14 @@ from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingEquations, Unk
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """amplitude: on the local manifolds at the outer nodes, scaled; tolerance: of every residual (rad, rad/s, J).
+    """Settings of a refinement.
 
-    segments: nodes per period of what is led out, half as many as a periodic orbit gets. stalled: refinement ends when
-    a step leaves more than this share of the residual.
+    Attributes:
+        amplitude: scaled amplitude on the local manifolds at the outer nodes.
+        segments: nodes per period of the extensions; a periodic orbit has twice as many.
+        iterations: largest number of Newton steps.
+        tolerance: largest residual (rad, rad/s, J).
+        stalled: refinement ends if a step leaves more than this share of the residual.
     """
 
     amplitude: float = 1e-20
@@ -43,12 +50,15 @@ class RefinementSettings:
 
 @dataclass(frozen=True, eq=False)
 class ExtendedOrbit(Brief):
-    """An orbit in extended precision: periodic, or between two periodic ones.
+    """An orbit in extended precision: periodic, or between two periodic orbits.
 
-    times (K + 1,) s, zero at the first marked node; states (K + 1, N) of the nodes; marked (k,): nodes on the sections
-    of the symbols. residual: largest gap at a node, distance from a section or energy error (rad, rad/s, J);
-    correction: how far the double nodes were off, largest component. ends: the periodic orbits that it leaves and
-    joins, none of a periodic one.
+    Attributes:
+        times (K + 1,): times of the nodes, s, zero at the first marked node.
+        states (K + 1, N): states of the nodes.
+        marked (k,): nodes on the sections of the symbols.
+        residual: largest gap at a node, distance from a section or energy error (rad, rad/s, J).
+        correction: largest error of the double nodes.
+        ends: first and last periodic orbit; empty for a periodic orbit.
     """
 
     guess: Guess
@@ -65,21 +75,21 @@ class ExtendedOrbit(Brief):
 
     @property
     def state(self) -> Extended:
-        """The state (N,) at the first marked node: on the first symbol's section, or at phase zero."""
+        """The state (N,) at the first marked node, on the first symbol's section or at phase zero."""
         return self.states[self.marked[0]]
 
     @property
     def digits(self) -> list[str]:
-        """That state as decimal digits, one string for each component."""
+        """The components of the state as decimal digits."""
         return digits(self.state)
 
     @property
     def duration(self) -> Any:
-        """Seconds from the first node to the last: of a periodic orbit, its period."""
+        """Time from the first node to the last, s: the period of a periodic orbit."""
         return self.times[-1] - self.times[0]
 
     def at(self, phase: Any) -> Extended:
-        """Return a periodic orbit's state (N,) at a 113-bit phase (period 1), lifted, flown from the node before it."""
+        """Return the lifted state (N,) of a periodic orbit at a 113-bit phase (period 1)."""
         assert self.guess.turn is not None
         rounds = float(np.floor(float(phase)))
         elapsed = (phase - extended(rounds)[()]) * self.duration
@@ -98,14 +108,18 @@ def refine(
 ) -> ExtendedOrbit:
     """Refine the double solution of multiple shooting, open or closed, in 113-bit arithmetic.
 
-    energy: exact, that of the double orbit by default; parameters (p,): exact values of the equations' parameters, by
-    default the doubles of the system as the binary numbers that they are. Rounding a parameter to double moves a
-    connection by 1e-15 and limits how long free flight follows it to what double precision gives: where the numbers
-    are decimals, give them as decimals or fractions. An orbit that cannot be refined comes back with `converged` False
-    and a status that says why.
+    Rounding a parameter to double moves a connection by 1e-15 and limits the time for which free flight follows it.
+    If the parameters are decimals, pass them as decimals or fractions.
+
+    Args:
+        energy: exact energy, by default that of the double orbit.
+        parameters (p,): exact parameters of the equations, by default the doubles of the system.
+
+    Returns:
+        The refined orbit. If the refinement fails, `converged` is False and the status has the reason.
 
     Raises:
-        GoalMissed: a periodic orbit at an open one's end could not be refined, or heyoka has no 113-bit reals.
+        GoalMissed: a periodic orbit at an end cannot be refined, or heyoka has no 113-bit reals.
     """
     settings = settings or RefinementSettings()
     system = solution.system
@@ -125,10 +139,7 @@ def refine(
 
 
 def exact_position(system: System, state: Array) -> Extended:
-    """Return a resting state (N,) whose angles are whole multiples of π in double as those multiples in extended.
-
-    Other components are taken as the binary numbers that they are.
-    """
+    """Return a resting state (N,) in extended precision: angles as whole multiples of π, the rest as doubles."""
     halves = np.where(np.isfinite(system.periods), state / np.pi, 0.0)
     whole = np.rint(halves)
     angular = np.isfinite(system.periods) & (np.abs(halves - whole) < 1e-12)
@@ -136,7 +147,7 @@ def exact_position(system: System, state: Array) -> Extended:
 
 
 def _exact_level(system: System, level: float) -> Any:
-    """Return the value of normal · x on a section; of angles, a multiple of π in double is one in extended."""
+    """Return the value of normal · x on a section; multiples of π are exact."""
     whole = np.rint(level / np.pi)
     if np.isfinite(system.periods).any() and abs(level / np.pi - whole) < 1e-12:
         return pi_times(whole)[()]
@@ -150,9 +161,11 @@ def refine_orbit(
     propagator: ExtendedPropagator | None = None,
     settings: RefinementSettings | None = None,
 ) -> ExtendedOrbit:
-    """Refine a periodic orbit as a closed one; its first node, which a mirror keeps, stays on that mirror.
+    """Refine a periodic orbit as a closed orbit whose first node stays on its section.
 
-    energy: a 113-bit real, that of the double orbit by default, as is the propagator of the system's doubles.
+    Args:
+        energy: 113-bit real, by default the energy of the double orbit.
+        propagator: by default that of the system's doubles.
 
     Raises:
         GoalMissed: the residual stays above the tolerance, or heyoka has no 113-bit reals.
@@ -175,7 +188,7 @@ def refine_orbit(
     found = _newton(guess, propagator, energy, settings)
     if not found.converged:
         raise GoalMissed(
-            f"the periodic orbit {orbit.saddle} could be refined only to a residual of {float(found.residual):.1e}; "
+            f"the refinement of the periodic orbit {orbit.saddle} stops at a residual of {float(found.residual):.1e}; "
             "use double precision"
         )
     return found
@@ -190,9 +203,11 @@ def _newton(
     kept: slice = slice(None),
     ends: tuple[ExtendedOrbit, ...] = (),
 ) -> ExtendedOrbit:
-    """Refine a double solution by Newton steps with residuals in extended precision; keep the best.
+    """Return the best of the Newton steps with residuals in extended precision.
 
-    kept: the nodes whose correction is reported; ends: the refined periodic orbits of an open orbit.
+    Args:
+        kept: nodes whose correction is reported.
+        ends: refined periodic orbits of an open orbit.
     """
     system, equations = guess.system, _ExactEquations(guess, propagator, energy, ends)
     amplitudes = extended(np.array([end.amplitude for end in guess.ends or ()]))
@@ -215,7 +230,7 @@ def _newton(
         if residual == 0 or residual > settings.stalled * previous or iteration == settings.iterations:
             break
         matrix = equations.matrix(doubles, stms, flown)
-        # The right-hand side is as large as its own largest entry here, whatever the residual has shrunk to.
+        # The division keeps the right-hand side of order one for any residual.
         scaled = (right / residual).astype(float) * equations.rows
         now = equations.moved(now, extended(splu(matrix).solve(-scaled) * equations.columns) * residual)
     residual, now = best
@@ -225,8 +240,8 @@ def _newton(
     status += f"{correction:.1e}"
     if not converged:
         status = (
-            f"not refined: the gap stays at {float(residual):.1e} after {iteration} iterations{failure}; put "
-            "nodes nearer together, or use double precision"
+            f"not refined: the gap stays at {float(residual):.1e} after {iteration} iterations{failure}; use more "
+            "nodes, or use double precision"
         )
     marked = np.array(sorted(guess.markers))
     times = np.concatenate([extended(np.zeros(1)), np.cumsum(now.durations)])
@@ -237,7 +252,7 @@ def _newton(
 
 
 class _ExactEquations(ShootingEquations):
-    """The equations in 113 bits: levels of marked sections, ends or closure, and energy at full precision."""
+    """The equations with levels of sections, ends, closure and energy in 113 bits."""
 
     numbers = staticmethod(extended)
 
@@ -252,7 +267,7 @@ class _ExactEquations(ShootingEquations):
         self.bases = [_base(end, known) for end, known in zip(guess.ends or (), ends, strict=True)]
 
     def largest(self, now: Unknowns, arrived: Extended, right: Extended) -> Any:
-        """Return the largest gap, distance from a section or energy error of the unknowns with these residuals."""
+        """Return the largest gap, distance from a section or energy error."""
         first = now.states[0 if self.guess.closed else min(self.levels)]
         off = right[self.n * self.count :][: self.nodes]
         wrong = self.hamiltonian(first) - self.energy
@@ -260,7 +275,7 @@ class _ExactEquations(ShootingEquations):
 
 
 def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:
-    """Return γ(φ) (N,) at the end's phase, turned around for a stable manifold, lifted by the end's whole turns."""
+    """Return the lifted γ(φ) (N,) at the end's phase, time-reversed for a stable manifold."""
     orbit = end.manifold.orbit
     system = orbit.system
     state = known.at(extended(end.phase)[()])
@@ -271,7 +286,7 @@ def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:
 
 
 def _lengthened(guess: Guess, ends: tuple[ManifoldEnd, ManifoldEnd], settings: RefinementSettings) -> tuple[Guess, int]:
-    """Return an open orbit led farther out on both local manifolds, and how many nodes were put before its own."""
+    """Return an open orbit extended on both local manifolds, and the number of nodes added in front."""
     states, durations, owners, led_ends = [guess.states], [guess.durations], [guess.owners], []
     first = 0
     for end, before in zip(ends, (True, False), strict=True):

@@ -1,26 +1,28 @@
-"""Multiple shooting with free segment lengths: an orbit from a guess by Newton's method, and how well it is known.
+"""Multiple shooting with free segment lengths: an orbit from a guess by Newton's method, and its error estimate.
 
-An orbit is nodes x_0 … x_K and durations τ_0 … τ_{K-1}; its equations make residuals and a sparse Jacobian:
+An orbit consists of nodes x_0 … x_K and durations τ_0 … τ_{K-1}. Its equations give residuals and a sparse Jacobian:
 
     Φ(x_k, τ_k) - x_{k+1} + ε ∇H(x_{k+1}) [k a joint] = 0,      n_k·(x_k - r_k) = 0 at the inner nodes.
 
-Marked nodes stay on a named section (n_k its normal); at all others n_k is the flow's own direction, so that a node
-never slides along its orbit and a wrong flight time is mended by its own segment instead of by all that follow.
-Open: x_0 = γ(φ₀) + a₀ v(φ₀) and x_K alike, phases fixed, amplitudes free. Closed: x_K = x_0 + whole turns and
-H(x_0) = h. Energy makes one equation redundant; ε makes the system square and vanishes at the solution
-(Muñoz-Almaraz et al., Continuation of periodic orbits in conservative and Hamiltonian systems, 2003).
+Marked nodes stay on a named section with normal n_k. At all other nodes n_k is the direction of the flow. A node
+therefore never slides along its orbit, and each segment corrects its own flight time.
 
-Short segments keep rounding from growing: the gap at a node stays near 1e-14 where single shooting from a distance δ
-is limited to 1e-15/δ.
+Open orbits start at x_0 = γ(φ₀) + a₀ v(φ₀) and end at an x_K of the same form, with fixed phases and free amplitudes.
+Closed orbits satisfy x_K = x_0 + whole turns and H(x_0) = h. Conservation of energy makes one equation redundant. The
+unknown ε makes the system square and vanishes at the solution (Muñoz-Almaraz et al., Continuation of periodic orbits
+in conservative and Hamiltonian systems, 2003).
 
-*Newton's method.* Steps are damped by the natural monotonicity test, which does not depend on how the equations are
-scaled: a step counts as good when the simplified step from its end (same Jacobian) is shorter than itself. Lengths are
-largest scaled components. With h = ω ‖Δx‖ < 1/2, ω the affine-invariant Lipschitz constant and Δx the last Newton
-step, a solution lies within (1 - √(1 - 2h))/ω. Here ω is what one step showed and all is computed in double: an
-estimate, no proof.
+Short segments limit the growth of rounding errors. The gap at a node stays near 1e-14, but single shooting from a
+distance δ reaches only 1e-15/δ.
 
-A periodic orbit that shadows a walk of eight symbols has λ ≈ 1e100: its monodromy matrix holds nothing but λ_u in
-double precision. The segments' matrices are small, and products of vectors through them keep their logarithms.
+*Newton's method.* The natural monotonicity test, which does not depend on the scaling of the equations, damps the
+steps. A step passes if the simplified step from its end (same Jacobian) is shorter. The length of a step is its largest
+scaled component. Let ω be the affine-invariant Lipschitz constant and Δx the last Newton step. If h = ω ‖Δx‖ < 1/2, a
+solution lies within (1 - √(1 - 2h))/ω. Here one step in double precision gives ω, so the result is an estimate and no
+proof.
+
+A periodic orbit that shadows a walk of eight symbols has λ ≈ 1e100. In double precision its monodromy matrix contains
+λ_u only. The matrices of the segments are small, so products of vectors with them preserve the logarithms.
 
 Source: Deuflhard, Newton Methods for Nonlinear Problems (2011), section 3.3, algorithm NLEQ-ERR, and theorem 2.3
 (Newton–Kantorovich in affine-covariant form).
@@ -46,8 +48,10 @@ from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
 class ManifoldEnd(Brief):
     """A point γ(φ) + a v(φ) on a local manifold, lifted by whole turns.
 
-    stable: the manifold is the unstable one turned around in time; then phase and amplitude are those of the
-    turned-around point, and grow backward in time. turns (N,): whole turns added to the coordinates.
+    Attributes:
+        stable: True if the manifold is the time-reversed unstable one. Phase and amplitude are then those of the
+            reversed point and grow backward in time.
+        turns (N,): whole turns added to the coordinates.
     """
 
     manifold: UnstableManifold
@@ -58,17 +62,17 @@ class ManifoldEnd(Brief):
 
     @property
     def orbit_phase(self) -> float:
-        """The phase at which the periodic orbit runs in step with this point: its asymptotic phase."""
+        """The asymptotic phase of the point on the periodic orbit."""
         if not self.stable:
             return self.phase
         orbit = self.manifold.orbit
         turned = orbit.reverser @ (orbit.state - orbit.centre) + orbit.centre
-        # A reverser runs the orbit backward from its own start, or from half a period on.
+        # A reverser maps the start of the orbit to itself or to the point half a period later.
         fixed = float(orbit.system.scaled_distance(turned, orbit.state)) < 1e-9
         return (0.0 if fixed else 0.5) - self.phase
 
     def _periods(self, seconds: Any) -> Any:
-        """Return by how many periods the manifold's own phase grows in a time: a stable one runs backward."""
+        """Return the change of the manifold's phase over a time, in periods; negative on a stable manifold."""
         return seconds / self.manifold.orbit.period * (-1.0 if self.stable else 1.0)
 
     def point(self) -> tuple[Array, Array]:
@@ -77,13 +81,13 @@ class ManifoldEnd(Brief):
         return self.states(np.zeros(1))[0], self.manifold.orbit.reverser @ along if self.stable else along
 
     def moved(self, seconds: float) -> "ManifoldEnd":
-        """Return the end after the flow has carried it on by `seconds` (negative: back)."""
+        """Return the end moved along the flow by `seconds`, backward if negative."""
         periods = self._periods(seconds)
         grown = self.amplitude * float(np.exp(self.manifold.exponent * periods))
         return replace(self, phase=self.phase + periods, amplitude=grown)
 
     def states(self, seconds: Array) -> Array:
-        """Return states (K, N) on the manifold at times (K,) s from the end, by the linear flow on it."""
+        """Return states (K, N) on the manifold at times (K,) s from the end, by the linearised flow."""
         periods, orbit = self._periods(np.asarray(seconds)), self.manifold.orbit
         frame = self.manifold.frame(self.phase + periods)
         amplitudes = self.amplitude * np.exp(self.manifold.exponent * periods)
@@ -95,10 +99,14 @@ class ManifoldEnd(Brief):
 
 @dataclass(frozen=True)
 class ShootingOrbit(Brief):
-    """Nodes of an orbit, and between them the flow.
+    """An orbit as nodes that are connected by the flow.
 
-    times (K + 1,) s; states (K + 1, N) on one lift. ends: of an open orbit, on its local manifolds; turn (N,): of a
-    closed one, what its last node adds to its first. residual: largest gap at a node (rad, rad/s).
+    Attributes:
+        times (K + 1,): times of the nodes, s.
+        states (K + 1, N): states of the nodes on one lift.
+        ends: both ends of an open orbit on its local manifolds, None for a closed orbit.
+        turn (N,): difference of last and first node of a closed orbit, None for an open orbit.
+        residual: largest gap at a node (rad, rad/s).
     """
 
     system: System
@@ -113,36 +121,36 @@ class ShootingOrbit(Brief):
 
     @property
     def closed(self) -> bool:
-        """Whether the orbit is periodic (but for whole turns of its angles)."""
+        """True if the orbit is periodic up to whole turns of its angles."""
         return self.turn is not None
 
     @property
     def start(self) -> ManifoldEnd:
-        """The first node of an open orbit, on the local unstable manifold of the periodic orbit that it leaves."""
+        """The first node of an open orbit, on the local unstable manifold of its first periodic orbit."""
         assert self.ends is not None
         return self.ends[0]
 
     @property
     def end(self) -> ManifoldEnd:
-        """The last node of an open orbit, on the local stable manifold of the periodic orbit that it joins."""
+        """The last node of an open orbit, on the local stable manifold of its last periodic orbit."""
         assert self.ends is not None
         return self.ends[1]
 
     @property
     def duration(self) -> float:
-        """Seconds from the first node to the last: of a closed orbit, its period."""
+        """Time from the first node to the last, s: the period of a closed orbit."""
         return float(self.times[-1] - self.times[0])
 
     def sample(self, times: Array) -> Array:
-        """Return states (M, N) at any times (M,) s, each flown from the node before it.
+        """Return states (M, N) at any times (M,) s, each propagated from the node before it.
 
-        Outside the nodes' times the local manifolds continue an open orbit, and a closed one goes round again.
+        Beyond its nodes an open orbit continues on the local manifolds, and a closed orbit repeats.
         """
-        asked = np.asarray(times, dtype=float)
-        rounds = np.zeros_like(asked)
+        times = np.asarray(times, dtype=float)
+        rounds = np.zeros_like(times)
         if self.turn is not None:
-            rounds = np.floor((asked - self.times[0]) / self.duration)
-        wanted, inverse = np.unique(asked - rounds * self.duration, return_inverse=True)
+            rounds = np.floor((times - self.times[0]) / self.duration)
+        wanted, inverse = np.unique(times - rounds * self.duration, return_inverse=True)
         out = np.empty((len(wanted), self.system.dimension))
         outside = np.zeros(len(wanted), dtype=bool)
         if self.ends is not None:
@@ -161,11 +169,17 @@ class ShootingOrbit(Brief):
 
 @dataclass(frozen=True)
 class Guess(Brief):
-    """Where Newton's method starts.
+    """The start of Newton's method.
 
-    states (K + 1, N); durations (K,) s; owners (K + 1,): index of the symbol that a node belongs to, for naming who is
-    at fault; markers: node -> (normal (N,), value) of the section on which it stays. ends: the two manifold ends, or
-    None for a closed orbit, whose last node is its first plus `turn` (N,). energy in the system's unit.
+    Attributes:
+        states (K + 1, N): states of the nodes.
+        durations (K,): durations of the segments, s.
+        owners (K + 1,): index of each node's symbol, for messages.
+        markers: node -> (normal (N,), value) of the section on which it stays.
+        energy: energy of a closed orbit, in the system's unit.
+        joints: nodes whose energy equation contains ε.
+        ends: both ends on the manifolds, None for a closed orbit.
+        turn (N,): difference of last and first node of a closed orbit.
     """
 
     system: System
@@ -180,13 +194,13 @@ class Guess(Brief):
 
     @property
     def closed(self) -> bool:
-        """Whether the orbit is to be periodic."""
+        """True if the orbit must be periodic."""
         return self.ends is None
 
 
 @dataclass(frozen=True)
 class Unknowns(Brief):
-    """A point of Newton's method: states (K + 1, N), durations (K,) s, amplitudes (2,) or (0,), and ε."""
+    """The unknowns of Newton's method: states (K + 1, N), durations (K,) s, amplitudes (2,) or (0,), and ε."""
 
     states: Array
     durations: Array
@@ -195,11 +209,11 @@ class Unknowns(Brief):
 
 
 class ShootingEquations:
-    """The equations of one guess, their sparsity worked out once; unknowns are scaled.
+    """The equations of one guess with their sparsity; unknowns are scaled.
 
-    bases, slopes: of both manifold ends at their fixed phases, point = base + amplitude · slope. These, the markers'
-    levels, the turn, the energy and its function may be replaced by ones in another arithmetic, which `numbers` turns
-    doubles into: residuals and unknowns are then in that arithmetic.
+    The points on both manifold ends are base + amplitude · slope. Subclasses may replace bases, slopes, the markers'
+    levels, the turn, the energy and its function by values in another arithmetic. `numbers` converts doubles to it, and
+    residuals and unknowns are then in that arithmetic.
     """
 
     numbers: Callable[[Any], Any] = staticmethod(np.asarray)
@@ -215,8 +229,8 @@ class ShootingEquations:
         self.hamiltonian: Callable[[Any], Any] = guess.system.numeric.hamiltonian
         self.n, self.count = guess.system.dimension, len(guess.durations)
         n, count, closed = self.n, self.count, guess.closed
-        # Columns: each node's state but for the open ends', then the durations, then (a₀, a_K) if open, then ε.
-        # A jump leaves the energy by its square: where ε takes it up, the pieces between the jumps keep theirs.
+        # Columns: the states of all nodes except open ends, the durations, (a₀, a_K) if open, and ε.
+        # A jump changes the energy by its square. ε absorbs the change at the joints, so each piece keeps its energy.
         self.unfolded = list(guess.joints) or [0]
         self.first_node, self.nodes = (0, count) if closed else (1, count - 1)
         self.inner = slice(self.first_node, self.first_node + self.nodes)
@@ -224,8 +238,8 @@ class ShootingEquations:
         self.durations_end = self.states_end + count
         self.size = self.durations_end + (1 if closed else 3)
         scale = guess.system.scale
-        # Amplitudes stay in scaled length: relative to themselves they would be 1e10 times worse conditioned.
-        # ε multiplies an energy gradient: rad/s per unit of energy.
+        # Amplitudes are scaled lengths. Scaled by themselves they would be conditioned 1e10 times worse.
+        # ε multiplies an energy gradient, in rad/s per unit of energy.
         amplitudes, unit = [] if closed else [1.0, 1.0], guess.system.energy_scale
         lengths = np.full(count, np.abs(guess.durations).mean())
         self.columns = np.concatenate([np.tile(scale, self.nodes), lengths, amplitudes, [unit]])
@@ -233,9 +247,9 @@ class ShootingEquations:
         self._places()
 
     def _places(self) -> None:
-        """List the rows and columns of all entries, in the order in which `matrix` fills them."""
+        """List the rows and columns of all entries in the order of `matrix`."""
         n, count, closed = self.n, self.count, self.guess.closed
-        # Open ends have no columns of their own; the last node of a closed orbit has its first one's.
+        # Open ends have no columns. The last node of a closed orbit shares the columns of the first.
         column = {node: n * k for k, node in enumerate(range(count + 1)[self.inner])} | ({count: 0} if closed else {})
         self.starting = [k for k in range(count) if k in column]
         self.arriving = [k for k in range(count) if k + 1 in column]
@@ -253,7 +267,7 @@ class ShootingEquations:
         self._scaling = self.rows[self._row] * self.columns[self._col]
 
     def normals(self, states: Array) -> Array:
-        """Return the rows (nodes, N) on which inner nodes stay: a section's where marked, else the flow's."""
+        """Return the normals (nodes, N) of inner nodes: those of a section at marked nodes, else of the flow."""
         rates = self.system.numeric.rate(states[self.inner])
         normals = rates / self.system.scale**2
         normals /= np.sum(normals * rates, axis=1, keepdims=True)
@@ -262,7 +276,7 @@ class ShootingEquations:
         return normals
 
     def matrix(self, states: Array, stms: Array, arrived: Array) -> csc_array:
-        """Return the scaled Jacobian, from doubles in any arithmetic; arrived (K, N): where the segments end."""
+        """Return the scaled Jacobian from doubles; arrived (K, N): ends of the segments."""
         numeric = self.system.numeric
         minus = np.tile(-np.eye(self.n).ravel(), len(self.arriving))
         values = [stms[self.starting].ravel(), minus, numeric.rate(arrived).ravel(), self.normals(states).ravel()]
@@ -275,7 +289,7 @@ class ShootingEquations:
         return csc_array((entries, (self._row, self._col)), shape=(self.size, self.size))
 
     def residuals(self, now: Unknowns, arrived: Array) -> Array:
-        """Return gaps, distances from marked sections, and the energy's error if closed, not scaled."""
+        """Return unscaled gaps, distances from marked sections, and the energy error of a closed orbit."""
         numbers, gaps = self.numbers, arrived - now.states[1:]
         gradients = self.system.numeric.gradient(now.states[1:][self.unfolded].astype(float))
         gaps[self.unfolded] = gaps[self.unfolded] + numbers(gradients) * now.unfolding
@@ -298,7 +312,7 @@ class ShootingEquations:
         return self.placed(Unknowns(states, durations, amplitudes, now.unfolding + change[-1]))
 
     def placed(self, unknowns: Unknowns) -> Unknowns:
-        """Return the unknowns with the last node (and the first, if open) where amplitudes, or closure, put them."""
+        """Return the unknowns with end nodes that follow from amplitudes or closure."""
         states = unknowns.states
         if self.guess.closed:
             states[-1] = states[0] + self.turn
@@ -308,29 +322,29 @@ class ShootingEquations:
         return unknowns
 
     def sizes(self, step: Array) -> Array:
-        """Return the largest scaled change (K,) of each node and of the segment that leaves it.
-
-        ε does not belong to the orbit.
-        """
+        """Return the largest scaled change (K,) of each node and of the segment after it, without ε."""
         out = np.abs(step[self.states_end : self.durations_end])
         out[self.inner] = np.maximum(out[self.inner], np.abs(step[: self.states_end]).reshape(-1, self.n).max(axis=1))
         return out
 
 
 _NO_STEP = (
-    "no step towards an orbit, however short, brings it nearer: there may be none so near to a tangency of two tubes; "
-    "ask for more wraps beside it"
+    "no step reduces the error, however short: near a tangency of two tubes there may be no orbit; "
+    "use more wraps beside this symbol"
 )
 
 
 @dataclass(frozen=True)
 class NewtonSettings:
-    """When to stop. tolerance: largest gap at a node (rad, rad/s); smallest_damping: below it the guess is given up.
+    """Settings of Newton's method.
 
-    settled: a step of this scaled length moves nothing but rounding; certain: one of this length is taken untested;
-    stretched: a segment that grows by this many
-    times its guessed length, or shrinks as much, has lost its guess; stalled: this many such steps that do not halve
-    the gap end the search.
+    Attributes:
+        tolerance: largest gap at a node (rad, rad/s).
+        smallest_damping: least damping; below it the method stops.
+        settled: scaled length of a step that changes only rounding.
+        certain: scaled length up to which a step is not tested.
+        stretched: largest ratio of a segment's length to its guess, in either direction.
+        stalled: number of steps in a row that may fail to halve the gap.
     """
 
     iterations: int = 30
@@ -344,12 +358,15 @@ class NewtonSettings:
 
 @dataclass(frozen=True)
 class Shot(Brief):
-    """What Newton's method left.
+    """The result of Newton's method.
 
-    orbit: its time is zero at the first marked node. correction: scaled length of the last Newton step; lipschitz: the
-    affine-invariant Lipschitz constant ω as the last long step showed it, None where no step was long enough to;
-    condition: 1-norm condition number of the scaled Jacobian; stms (K, N, N) of the segments; fault: the symbol at
-    which the last step was largest.
+    Attributes:
+        orbit: the orbit, with time zero at the first marked node.
+        correction: scaled length of the last Newton step.
+        lipschitz: affine-invariant Lipschitz constant ω from the last long step, None if no step was long enough.
+        condition: 1-norm condition number of the scaled Jacobian.
+        stms (K, N, N): state-transition matrices of the segments.
+        fault: index of the symbol with the largest last step.
     """
 
     guess: Guess
@@ -362,14 +379,14 @@ class Shot(Brief):
 
     @property
     def solution(self) -> Guess:
-        """The guess with the nodes and ends that were found for it."""
+        """The guess with the nodes and ends of the solution."""
         orbit = self.orbit
         return replace(self.guess, states=orbit.states, durations=np.diff(orbit.times), ends=orbit.ends)
 
 
 @dataclass(frozen=True)
 class _Linear:
-    """The equations linearised at one point: the Newton step, its length, and the symbol where it is largest."""
+    """The linearised equations: the Newton step, its length, and the symbol with the largest change."""
 
     factors: Any
     matrix: csc_array
@@ -382,7 +399,7 @@ class _Linear:
 
 @dataclass(frozen=True)
 class _Step:
-    """An accepted step: where it led, how it was damped, the simplified step from there, and ω if it was long."""
+    """An accepted step: its end, damping and simplified step, and ω if it was long."""
 
     unknowns: Unknowns
     damping: float
@@ -391,11 +408,11 @@ class _Step:
 
 
 class _Lost(Exception):
-    """Newton's method cannot go on; the message says why."""
+    """Newton's method stopped; the message has the reason."""
 
 
 def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot:
-    """Refine a guess into an orbit by damped Newton steps on all nodes and durations at once."""
+    """Refine a guess into an orbit by damped Newton steps on all unknowns."""
     settings = settings or NewtonSettings()
     equations = ShootingEquations(guess)
     amplitudes = np.array([end.amplitude for end in guess.ends or ()])
@@ -424,26 +441,26 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
             except _Lost:
                 if not done:
                     raise
-                # Steps from an orbit that is as good as rounding lets it be lead nowhere better.
+                # The orbit is accurate to rounding, so no step improves it.
                 break
-            # The first steps are far away; ω matters where the solution is.
+            # The first steps are far from the solution, and ω is needed near it.
             lipschitz = lipschitz if taken.lipschitz is None else taken.lipschitz
             now = taken.unknowns
     except (_Lost, ArithmeticError) as error:
         failure = str(error)
     residual = np.inf if linear is None else linear.residual
-    # On the way an amplitude may change its sign: so small are they that any error of the guess moves them across and
-    # the next step back.
+    # During the iteration an amplitude may change its sign: it is so small that an error of the guess changes it, and
+    # the next step changes it back.
     crossed = (float(a) * end.amplitude <= 0 for a, end in zip(now.amplitudes, guess.ends or (), strict=True))
     if not failure and any(crossed):
-        failure = "the orbit left its first orbit, or met its last, on the other side of the tube"
+        failure = "the orbit leaves its first or joins its last periodic orbit on the other side of the tube"
     converged = residual <= settings.tolerance and not failure
     if converged:
         status = f"converged in {iteration} iterations to a gap of {residual:.1e}"
     else:
         if not failure and residual < 1e-6:
-            failure = "rounding grows too far over a segment: put nodes nearer together"
-        failure = failure or "the iterations were used up: ask for more wraps, or put nodes nearer together"
+            failure = "rounding errors grow too much over a segment: use more nodes"
+        failure = failure or "all iterations are used: use more wraps or more nodes"
         status = f"not converged: gap {residual:.1e} after {iteration} iterations ({failure})"
     ends = None
     if guess.ends is not None:
@@ -463,7 +480,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
 
 
 def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
-    """Fly all segments with their state-transition matrices and return the Newton step."""
+    """Propagate all segments with their state-transition matrices and return the Newton step."""
     arrived, stms = equations.system.propagator.flows_with_stm(now.states[:-1], now.durations)
     right = equations.residuals(now, arrived) * equations.rows
     matrix = equations.matrix(now.states, stms, arrived)
@@ -479,7 +496,7 @@ def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
 
 
 def _predicted(equations: ShootingEquations, before: _Linear, linear: _Linear, taken: _Step) -> float:
-    """Return the damping that the last step's error suggests (NLEQ-ERR, equation 3.48)."""
+    """Return the damping predicted from the error of the last step (NLEQ-ERR, equation 3.48)."""
     wrong, after = (float(equations.sizes(x).max()) for x in (taken.simplified - linear.step, taken.simplified))
     if wrong == 0.0 or linear.length == 0.0:
         return 1.0
@@ -495,7 +512,7 @@ def _step(
         trial = equations.moved(now, damping * linear.step * equations.columns)
         ratios = trial.durations / equations.guess.durations
         if ratios.min() < 1 / settings.stretched or ratios.max() > settings.stretched:
-            reason = "a segment lost its length: the walk needs more wraps, or nodes nearer together"
+            reason = "a segment is too far from its guessed length: use more wraps or more nodes"
             damping /= 4
             continue
         try:
@@ -507,19 +524,19 @@ def _step(
         simplified = linear.factors.solve(-(equations.residuals(trial, landed) * equations.rows))
         after, bent = (float(equations.sizes(x).max()) for x in (simplified, simplified - (1 - damping) * linear.step))
         length = damping * linear.length
-        # Steps this short are good; what rounding leaves of the test would refuse them.
+        # Steps this short are good, but rounding errors could make the test reject them.
         if after <= (1 - damping / 4) * linear.length or length <= settings.certain:
-            # Below 1e-7 the bend of the equations is hidden in rounding.
+            # Below 1e-7 rounding errors hide the curvature of the equations.
             return _Step(trial, damping, simplified, 2 * bent / length**2 if length > 1e-7 else None)
         damping = min(damping / 2, damping * length / (2 * bent))
     raise _Lost(reason)
 
 
 def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:
-    """Return the 1-norm condition number of the scaled Jacobian, the inverse's norm estimated from below.
+    """Return the 1-norm condition number of the scaled Jacobian, with a lower bound of the inverse's norm.
 
-    Higham & Tisseur's block algorithm (SIAM J. Matrix Anal. Appl. 21, 2000). scipy's draws from the generator that all
-    of a program shares: an orbit would not have the same estimate twice.
+    This is Higham & Tisseur's block algorithm (SIAM J. Matrix Anal. Appl. 21, 2000). The one in scipy uses the global
+    random generator, so its estimate of an orbit changes between calls.
     """
     solve, size = linear.factors.solve, len(linear.step)
     probes = np.random.default_rng(0).choice([-1.0, 1.0], (size, columns)) / size
@@ -531,7 +548,7 @@ def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:
         if grown <= norm:
             break
         norm = grown
-        # The norm is reached at a unit vector: those along which the sum of magnitudes grows fastest come next.
+        # A unit vector attains the norm. Try those along which the sum of magnitudes grows fastest.
         slopes = np.abs(solve(np.where(images < 0, -1.0, 1.0), "T")).max(axis=1)
         probes = np.zeros((size, columns))
         probes[np.argsort(-slopes, kind="stable")[:columns], np.arange(columns)] = 1.0
@@ -540,7 +557,7 @@ def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:
 
 @dataclass(frozen=True)
 class ClosedMultipliers(Brief):
-    """Logarithms of |λ_u| (forward) and |λ_s| (backward, independently), and the sign of both."""
+    """Logarithms of |λ_u| and |λ_s|, computed independently, and the sign of both."""
 
     log_unstable: float
     log_stable: float
@@ -553,9 +570,9 @@ class ClosedMultipliers(Brief):
 
 
 def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
-    """Return the multipliers of a closed orbit from the state-transition matrices (K, N, N) of its segments.
+    """Return the multipliers of a closed orbit from its segments' state-transition matrices (K, N, N).
 
-    The unstable direction is carried around forward until it repeats, the stable one backward.
+    Power iteration runs forward for the unstable direction and backward for the stable one.
     """
     scaled = stms * scale / scale[:, None]
     forward, sign = _growth(scaled)
@@ -564,8 +581,8 @@ def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
 
 
 def _growth(matrices: Array) -> tuple[float, int]:
-    """Return the logarithm of the growth of a vector in one round, and whether it comes back turned around."""
-    # A start with a share of every direction; the dominant one gains λ² a round.
+    """Return the logarithm of a vector's growth in one round, and the sign of its direction."""
+    # The start has components in every direction. The dominant one gains λ² a round.
     vector = np.cos(np.arange(matrices.shape[1]) + 1.0)
     before, total = vector, 0.0
     for _ in range(4):
@@ -580,12 +597,16 @@ def _growth(matrices: Array) -> tuple[float, int]:
 
 @dataclass(frozen=True)
 class ErrorEstimate(Brief):
-    """Lengths are scaled (largest component of a node's state, durations over the mean segment).
+    """The error estimate of an orbit; lengths are scaled.
 
-    condition: of the scaled Jacobian, 1-norm; kantorovich: h, None where no step was long enough to show ω; radius:
-    within which the true orbit's nodes should lie, None where h ≥ 1/2; energy_error: largest over the nodes, in the
-    energy's unit; departure: largest distance of a node from the guess; stops: distance from the periodic orbit at each
-    stop's nearest node. multipliers: of a periodic orbit.
+    Attributes:
+        condition: 1-norm condition number of the scaled Jacobian.
+        kantorovich: h, None if no step was long enough for ω.
+        radius: estimated distance of the true orbit's nodes, None if h ≥ 1/2.
+        energy_error: largest error over the nodes, in the energy's unit.
+        departure: largest distance of a node from the guess.
+        stops: distance of the nearest node from the periodic orbit, for each stop.
+        multipliers: of a periodic orbit, else None.
     """
 
     condition: float
@@ -598,10 +619,10 @@ class ErrorEstimate(Brief):
 
 
 def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
-    """Return the error estimate of a converged shot; stops: the periodic orbits after its marked nodes, in order."""
+    """Return the error estimate of a converged shot; stops: the periodic orbits after its marked nodes."""
     guess, orbit = shot.guess, shot.orbit
     h = None if shot.lipschitz is None else shot.lipschitz * shot.correction
-    # Without ω, and below rounding, the last step is what is known of the distance.
+    # Without ω, and below rounding errors, the last step estimates the distance.
     radius: float | None = shot.correction
     if shot.lipschitz is not None and h is not None and h > 1e-8:
         radius = float((1 - np.sqrt(1 - 2 * h)) / shot.lipschitz) if h < 0.5 else None

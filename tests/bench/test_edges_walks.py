@@ -34,4 +34,4 @@ def test_too_small_a_tolerance_is_named_with_the_symbol_and_the_remedy():
     says = border(1, 4).says
     assert says.startswith("2 of 2 not converged; symbol ")
     assert "not converged: gap" in says
-    assert "nodes nearer together" in says
+    assert "more nodes" in says

@@ -44,7 +44,7 @@ def test_zero_wraps_are_too_few_just_above_the_saddle_node(system, tangent):
         assert not failed.converged
         assert failed.fault in (0, 1)
         assert failed.status.startswith(f"symbol {failed.fault + 1} of 2 ({walk[failed.fault].name})")
-        assert "ask for more wraps beside it" in failed.status
+        assert "use more wraps beside this symbol" in failed.status
         assert "must be at least [1]" in solver.advice(failed)
         assert solver.least(walk) == (1,)
         assert classifier.complaints(solver.solve(walk, [1])) == []
@@ -113,4 +113,4 @@ def test_one_node_per_period_is_reported_as_too_few(crossing):
     assert short.converged
     assert not long.converged
     assert long.status.startswith(f"symbol {long.fault + 1} of 2 ({walk[long.fault].name})")
-    assert "nodes nearer together" in long.status
+    assert "more nodes" in long.status
