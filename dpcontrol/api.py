@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
     from dpcontrol.control.export import ControllerSource
     from dpcontrol.foundation.cache import CacheContents
+    from dpcontrol.foundation.config import Configured
     from dpcontrol.identification.fit import Design
     from dpcontrol.identification.identify import Identification
     from dpcontrol.identification.replay import Replay
@@ -1084,6 +1085,25 @@ def schema(of: Literal["itinerary", "model"]) -> dict[str, Any]:
     from dpcontrol.plans.tables import schema as schema_of
 
     return schema_of(of)
+
+
+@checked
+def config() -> "tuple[Configured, ...]":
+    """Return the defaults of the command line with their sources.
+
+    Returns:
+        Settings with value and source: an environment variable, the file, or the built-in default.
+
+    Raises:
+        InputError: the file has a mistake.
+
+    Examples:
+        >>> [one.source for one in dp.config() if one.name == "logs"]
+        ['default']
+    """
+    from dpcontrol.foundation.config import configured
+
+    return tuple(configured())
 
 
 @checked

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "dpcontrol" / "guide"
 FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(dp, name))]
 GROUPS = {
-    "api-models": ("Models", ["load_model", "equilibria", "mjcf"]),
+    "api-models": ("Models", ["load_model", "equilibria", "mjcf", "schema"]),
     "api-orbits": (
         "Orbits and tubes",
         [
@@ -56,7 +56,7 @@ GROUPS = {
         "Recordings",
         ["open_recording", "write_recording", "swings", "identify", "design_experiments", "replay"],
     ),
-    "api-other": ("Cache, guide and charts", ["cache", "read_guide", "draw_charts"]),
+    "api-other": ("Cache, guide and charts", ["cache", "config", "read_guide", "draw_charts"]),
 }
 """Title of each page, and the functions of `dp` and the classes on it, in order."""
 CLASSES = {"ClosedLoop": "runs/closed_loop.py", "Run": "runs/run.py"}

@@ -16,6 +16,8 @@ IN_PYTHON = {
     "model": ("load_model", "equilibria", "mjcf"),
     "guide": ("read_guide",),
     "cache": ("cache",),
+    "config": ("config",),
+    "schema": ("schema",),
     "orbit": ("orbit", "family", "rotating_orbits", "rotating_families", "sustained_orbit"),
     "connect": ("connections", "refine"),
     "bifurcations": ("find_bifurcations",),
@@ -56,7 +58,7 @@ def test_a_name_in_python_exists_and_is_documented(name: str) -> None:
     assert owner or name in dp.__all__
     function = getattr(CLASSES[owner], method) if owner else getattr(dp, name)
     assert callable(function)
-    assert len((inspect.getdoc(function) or "").splitlines()[0]) > 20
+    assert (inspect.getdoc(function) or "").splitlines()[0].endswith(".")
 
 
 def test_no_public_name_is_that_of_a_subpackage() -> None:
