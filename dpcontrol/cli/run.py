@@ -175,9 +175,9 @@ def run_command(
     keep_every: int = option(
         default=1, metavar="N", group=NIGHT, help="Interval of the older logs to keep: each N-th."
     ),
-    resume: bool = option(group=NIGHT, help="Go on with the night of this folder, which was interrupted."),
+    resume: bool = option(group=NIGHT, help="Continuation of the interrupted run in this folder."),
     settings: dict[str, Any] = run_settings(),
-    live: bool = option(group=OUTPUT, help="Show the run in the viewer while it happens."),
+    live: bool = option(group=OUTPUT, help="View of the run while it happens."),
     out: Path | None = file_option(
         suffix=".mcap", help="Log to write [logs/NAME-SEED.mcap]; with --hours the folder of that name without .mcap."
     ),
@@ -342,10 +342,10 @@ def export_command(
         type=click.FloatRange(min=1, max=100_000),
         help="Clock of a Cortex-M4, MHz. Rates beyond its speed are rejected.",
     ),
-    unit: bool = option("--fmu", help="Write a co-simulation unit (FMI 2.0) for Simulink, Modelica tools, FMPy."),
+    unit: bool = option("--fmu", help="Co-simulation unit (FMI 2.0) for Simulink, Modelica tools, FMPy."),
     settings: dict[str, Any] = run_settings(),
-    out: Path = option(type=click.Path(path_type=Path), group=OUTPUT, help="Folder to write; with --fmu NAME.fmu."),
-    force: bool = option("--force", group=OUTPUT, help="Replace files of these names in a folder that is there."),
+    out: Path = option(type=click.Path(path_type=Path), group=OUTPUT, help="Folder to write, or NAME.fmu with --fmu."),
+    force: bool = option("--force", group=OUTPUT, help="Replacement of existing files with these names."),
     yes: bool = YES,
 ) -> Answer:
     """Write the controller of an itinerary as C99 for your own target: estimator, law and supervisor in one call.
@@ -431,7 +431,7 @@ def rig_command(
     watchdog: float = option(default=0.1, group=SERVER, help="Silence of the loop until the cart is stopped, s."),
     key_file: Path | None = option(type=FILE, group=SERVER, help=KEY_HELP),
     insecure: bool = option(group=SERVER, help="No key: anyone with access to --host can drive the cart."),
-    hanging: bool = option(help="Begin with the arms hanging, as `dpcontrol commission` needs; nothing is planned."),
+    hanging: bool = option(help="Hanging arms at the start, without a plan, as for `dpcontrol commission`."),
     fault: tuple[str, ...] = option(type=_FAULT, metavar="NAME", help=FAULT_HELP),
     settings: dict[str, Any] = run_settings(),
     yes: bool = YES,
@@ -488,7 +488,9 @@ def commission_command(
     seed: int = option(default=0, help="Seed of all random numbers on the example bench."),
     fault: tuple[str, ...] = option(type=_FAULT, metavar="NAME", help=FAULT_HELP),
     settings: dict[str, Any] = run_settings(),
-    write: bool = option(group=OUTPUT, help="Write delay, lag, zeros and counts as measured into ITINERARY's [run]."),
+    write: bool = option(
+        group=OUTPUT, help="Update of [run] in ITINERARY with the measured delay, lag, zeros and counts."
+    ),
 ) -> Answer:
     """Measure a rig before its first run: signs, scales, zeros, delay, lag, switches.
 
