@@ -235,9 +235,11 @@ def whole_night(axes: Axes, found: Night) -> None:
 
 
 def whole_preflight(axes: Axes, found: Preflight) -> None:
-    """Draw the endings that a preflight found."""
-    shares = [one.runs / found.share.runs for one in found.endings]
-    axes.barh([one.words for one in found.endings], shares, color=style.LIMIT, height=0.6)
+    """Draw the shares of completed runs and of each other ending."""
+    names = ["completed", *(one.words for one in found.endings)]
+    counts = np.array([found.share.successes, *(one.runs for one in found.endings)])
+    colours = [style.GOOD, *[style.LIMIT] * len(found.endings)]
+    axes.barh(names, counts / found.share.runs, color=colours, height=0.6)
     axes.invert_yaxis()
     quiet(axes, f"{found.status}", x="share of runs that end so")
 

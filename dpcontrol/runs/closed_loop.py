@@ -92,8 +92,7 @@ class ClosedLoop(Timed):
     def document(self) -> dict[str, Any]:
         """Return the plan and the options as values for JSON."""
         options = {
-            name: value if isinstance(value, int | float) else str(value)
-            for name, value in self.options.given().items()
+            name: value if isinstance(value, int | float) else str(value) for name, value in self.options.items()
         }
         return {"plan": self.plan.document(), "options": options}
 
