@@ -25,7 +25,7 @@ from dpcontrol.dynamics.components import Terms as Terms
 from dpcontrol.dynamics.mjcf import CART_MASS, LAG, mjcf_text
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.checked import Bounds, Count, Hit, Index, Positive, Seed, Workers, checked
+from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
 from dpcontrol.plans.model import Model, ModelSystem, model_of
@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     from dpcontrol.walks.walks import WalkRequest
 
 Place = Path | str
-NotNegative = Annotated[float, Bounds(0)]
+NotNegative = Annotated[float, Between(0)]
 _ARMS = {"inner": 1, "outer": 2}
 _SWEPT, _SWEPT_BYTES = 2.0, 1e6
 """What each energy of a sweep for bifurcations takes, in s and bytes, for each crossing of the section."""
@@ -936,7 +936,7 @@ def open_atlas(file: Place) -> "Atlas":
 
 
 @checked
-def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[int, Bounds(0, 65535)] = 0) -> "Planner":
+def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[int, Between(0, 65535)] = 0) -> "Planner":
     """Start the planner, a page in the browser.
 
     Args:

@@ -123,7 +123,7 @@ class Missing:
 
 
 @dataclass(frozen=True)
-class Panel:
+class Diagram:
     """One diagram of points for the same work.
 
     It holds the reason for keeping a default off the front.
@@ -147,7 +147,7 @@ class Panel:
     judged: bool = True
     timed: bool = True
 
-    def titled(self, title: str, x_label: str, y_label: str, **more: Any) -> "Panel":
+    def titled(self, title: str, x_label: str, y_label: str, **more: Any) -> "Diagram":
         """Return the diagram with these titles and labels; `more` are further fields."""
         return replace(self, title=title, x_label=x_label, y_label=y_label, **more)
 
@@ -562,7 +562,7 @@ class PrecisionChart(ChartPage):
     """
 
     PARTS: ClassVar[str] = "panels"
-    parts: tuple[Panel, ...]
+    parts: tuple[Diagram, ...]
 
     def __post_init__(self) -> None:
         super().__post_init__()

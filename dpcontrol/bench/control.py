@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.bench.chart import Panel, PrecisionChart
+from dpcontrol.bench.chart import Diagram, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.estimator_settings import (
     AdaptiveEkfSettings,
@@ -116,7 +116,7 @@ def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
     )  # fmt: skip
 
 
-def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str] = ("", "")) -> Panel:
+def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str] = ("", "")) -> Diagram:
     """Return error against the seconds of a tick.
 
     Only successful controllers have points; the others have reasons.
@@ -220,7 +220,7 @@ def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -
     return step
 
 
-def _pair(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str], why: str) -> tuple[Panel, Panel]:
+def _pair(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str], why: str) -> tuple[Diagram, Diagram]:
     """Return the task's two panels against a tick's time.
 
     They show the error, and the share of failures at the large mismatch.
@@ -234,7 +234,7 @@ def _pair(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str]
     )  # fmt: skip
 
 
-def _tracking(seeds: int) -> tuple[Panel, Panel]:
+def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
     scene = load_itinerary("outer-turn")
     reference, arms = make_plan(scene).reference, scene.model.arms
     task = ControlTask("One turn", reference, arms, _completed(reference))
@@ -250,7 +250,7 @@ def _tracking(seeds: int) -> tuple[Panel, Panel]:
     return _pair(task, made, seeds=seeds, default=("adaptive", ""), why=why)
 
 
-def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Panel, Panel, Panel]:
+def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagram, Diagram, Diagram]:
     model = load_model("lab")
     orbit = sustained_orbit(lyapunov_orbit(model.system, "down-up", energy=-0.07), model.arms)
     angles = orbit.state(np.linspace(0, orbit.period, 1000))[:, : model.arms.count]
@@ -276,12 +276,12 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Panel
         if p.method.startswith("OGY")
     )
     why = "more sections detect an error earlier, and then need less effort"
-    return error, failures, Panel(
+    return error, failures, Diagram(
         "An orbit by pulses: effort", "rms of the feedback, m/s²", _ERROR, spending, why=why, timed=False
     )  # fmt: skip
 
 
-def _hold(weights: tuple[float, ...], seeds: int) -> Panel:
+def _hold(weights: tuple[float, ...], seeds: int) -> Diagram:
     """Return the panel of both arms held up; `weights` are multiples of the default effort weight."""
     start = np.array([np.pi, np.pi, 0.0, 0.0])
     whole = np.concatenate([start, [0.0, 0.0]])
@@ -399,7 +399,7 @@ def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: floa
     return KnownSwing(commands, states, np.column_stack([relative, states[:, 2 * n]]))
 
 
-def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, quick: bool) -> Panel:
+def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, quick: bool) -> Diagram:
     model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=PERIOD)
     judged: dict[tuple[str, str], Judged] = {}
     tried: list[Alternative[Any]] = []

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from dpcontrol.bench.chart import Panel, Point, PrecisionChart
+from dpcontrol.bench.chart import Diagram, Point, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare, timed_in_turns
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
@@ -74,7 +74,7 @@ def connections_chart(quick: bool, progress: Progress) -> PrecisionChart:
     )
 
 
-def orbit_panel(progress: Progress, *, quick: bool) -> Panel:
+def orbit_panel(progress: Progress, *, quick: bool) -> Diagram:
     """Return the diagram of Lyapunov orbits: continuation step and tolerance against error."""
     system = load_model("lab").system
     found = lyapunov_orbit(system, "down-up", energy=ENERGY)
@@ -127,7 +127,7 @@ def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]
     return error if error < 0.01 else float("inf")
 
 
-def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progress, *, quick: bool) -> Panel:
+def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progress, *, quick: bool) -> Diagram:
     """Return the diagram of searches.
 
     It varies distance of the seeds, first phases, chord and tolerance.
@@ -169,7 +169,7 @@ def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
     return [crossing.states[0] for crossing in crossings.found]
 
 
-def three_body_panel(*, quick: bool) -> Panel:
+def three_body_panel(*, quick: bool) -> Diagram:
     """Return the diagram of the three-body problem's L1-L2 connection.
 
     It includes hiten's stored point.
@@ -188,7 +188,7 @@ def three_body_panel(*, quick: bool) -> Panel:
         Point("dpcontrol", f"{len(found)} connections", run.seconds, gap, default=True, yardstick=run.yardstick),
         Point("hiten 0.5.4 (stored)", "", run.seconds * SLOWER, gap * WIDER, outside=True, stored=True, note=note),
     )
-    return Panel(
+    return Diagram(
         "L1 to L2 of three bodies, with the orbits", "time, s", "gap where the pieces meet", points,
         {"dpcontrol": run.start_up}, floor=GAP_ROUNDING,
     )  # fmt: skip
@@ -269,7 +269,7 @@ def transcribed(problem: ReferenceProblem, name: str, interval: float, solver: s
     return solve(problem, first, settings=settings, limits=problem.limits)
 
 
-def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> tuple[Panel, Panel]:
+def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> tuple[Diagram, Diagram]:
     """Return the diagrams of error between nodes and of cost.
 
     Both come from the same solutions.
@@ -308,7 +308,7 @@ def _turns(*, quick: bool, quick_most: float = 1.2, most: float = 6.0) -> dict[s
     return {"rounds": 9, "most": quick_most if quick else most, "least": 2 if quick else 3, "starts_up": False}
 
 
-def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Panel:
+def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Diagram:
     """Return the diagram of whole searches.
 
     They refine the mesh to the tolerance between nodes.
@@ -334,7 +334,7 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     )  # fmt: skip
 
 
-def rockit_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Panel:
+def rockit_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Diagram:
     """Return the diagram of the crossing's start.
 
     There is no weight on the guess. If rockit is installed, it solves the problem too.
@@ -373,7 +373,7 @@ def rockit_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) 
                   note="as measured where it was installed: pip install 'dpcontrol[bench]'")
             for n, (slower, error) in ROCKIT.items()
         )  # fmt: skip
-    return Panel(
+    return Diagram(
         f"the first {STRETCH:g} s, free of the guess", "time, s", "error of the states, scaled", points,
         why="interval and tolerance are chosen for whole itineraries",
     )  # fmt: skip

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
 
-from dpcontrol.bench.chart import LEADING, ChartPage, EdgeMap, Panel, Point, Searches, name_of, unit_of
+from dpcontrol.bench.chart import LEADING, ChartPage, Diagram, EdgeMap, Point, Searches, name_of, unit_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.units import quantity
@@ -54,7 +54,7 @@ def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
         figsize=(WIDTH * columns, HEIGHT * rows + 1.2), layout=ConstrainedLayoutEngine(w_pad=0.15, h_pad=0.1), dpi=110
     )
     picture.suptitle(page.title, fontsize=14, color=INK, x=0.01, ha="left")
-    panels = [part for part in parts if isinstance(part, Panel)]
+    panels = [part for part in parts if isinstance(part, Diagram)]
     methods = list(dict.fromkeys(p.method for panel in panels for p in panel.points))
     looks = {m: (MARKS[k % len(MARKS)], SERIES[k % len(SERIES)]) for k, m in enumerate(methods)}
     shared = _share_heights(parts)
@@ -64,7 +64,7 @@ def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
     axes = axes[: len(parts)]
     for axis, part in zip(axes, parts, strict=True):
         axis.margins(0.12, 0.1)
-        if isinstance(part, Panel):
+        if isinstance(part, Diagram):
             _draw_panel(axis, part, looks)
         else:
             _draw_map(axis, part)
@@ -152,11 +152,11 @@ def _draw_map(axis: Any, one: EdgeMap) -> None:
     _readable_ticks(axis.yaxis, unit_of(one.y_label), many=10 * _MANY)
 
 
-def _height(panel: Panel, error: float) -> float:
+def _height(panel: Diagram, error: float) -> float:
     return max(error, panel.floor, FLOOR) if panel.log_y else error
 
 
-def _draw_panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
+def _draw_panel(axis: Any, panel: Diagram, looks: dict[str, tuple[str, str]]) -> None:
     for method in dict.fromkeys(p.method for p in panel.points):
         mark, colour = looks[method]
         points = sorted((p for p in panel.points if p.method == method), key=lambda p: p.seconds)
@@ -208,7 +208,7 @@ _ALONG = np.linspace(0.3, 0.8, 8)
 _SIDES = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1)])
 
 
-def _label_settings(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]], *, named: bool) -> None:
+def _label_settings(axis: Any, panel: Diagram, looks: dict[str, tuple[str, str]], *, named: bool) -> None:
     """Write settings beside their marks, with the method's name if `named`.
 
     The place has the least overlap with marks, rings, the front and other labels.
@@ -254,7 +254,7 @@ def _label_settings(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]], 
             axis.annotate("", xytext=nearest / unit, arrowprops=line, **look)
 
 
-def _labels(panel: Panel, *, named: bool) -> dict[int, str]:
+def _labels(panel: Diagram, *, named: bool) -> dict[int, str]:
     """Return the label of each point that has one: settings on the front and of defaults, and each method once."""
     chosen = {id(p) for p in (*panel.front, *panel.defaults)}
     few = len(panel.points) <= MOST_LABELS

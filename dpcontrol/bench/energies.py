@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
+from dpcontrol.bench.chart import Diagram, Missing, Point, PrecisionChart
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import equilibrium
@@ -77,7 +77,7 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
             missing.append(Missing("loop", label, f"no run completes at ±{MISMATCH:.0%}"))
     if not any(p.default for p in points):
         raise GoalMissed(f"{itinerary.name}: no comparison without its energy: {missing[0].reason}")
-    panel = Panel(
+    panel = Diagram(
         itinerary.title, "energy above the highest saddle's, J", "∫u², m²/s³", tuple(points), missing=tuple(missing),
         judged=False, timed=False,
     )  # fmt: skip

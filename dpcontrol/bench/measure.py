@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench.chart import Missing, Panel, Point
+from dpcontrol.bench.chart import Diagram, Missing, Point
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress
 
@@ -42,7 +42,7 @@ _SHORT = 0.05
 
 
 @dataclass(frozen=True)
-class Timed(Generic[T]):
+class TimedWork(Generic[T]):
     """Median seconds of a call, and its start-up.
 
     It also has the first result and the yardstick's median seconds.
@@ -80,7 +80,7 @@ def timed_in_turns(
     clock: Callable[[], float] = time.process_time,
     beside: Callable[[], float] = yardstick,
     progress: Progress = no_progress,
-) -> dict[Key, Timed[T]]:
+) -> dict[Key, TimedWork[T]]:
     """Call each function once, then measure all in turns.
 
     Each of `rounds` measures every function for at least `grain` s.
@@ -168,12 +168,12 @@ class _Measured(Generic[T]):
         self._speed.measure()
         return begin, end
 
-    def timed(self) -> Timed[T]:
+    def timed(self) -> TimedWork[T]:
         """Return the result of all measurements."""
         first = self._corrected(*self._first)
         found = [self._corrected(begin, end) / self._calls for begin, end in self.found]
         seconds = statistics.median(found) if found else first
-        return Timed(seconds, max(first - seconds, 0.0), self._result, self._speed.usual)
+        return TimedWork(seconds, max(first - seconds, 0.0), self._result, self._speed.usual)
 
     def _corrected(self, begin: float, end: float) -> float:
         took = end - begin
@@ -224,7 +224,7 @@ class Judged:
 def compare(
     alternatives: Sequence[Alternative[T]], judge: Callable[[Alternative[T], T], Judged | str], rounds: int = 31,
     *, starts_up: bool = True, **turns: Any,
-) -> Panel:  # fmt: skip
+) -> Diagram:  # fmt: skip
     """Time alternatives in turns and judge their first results.
 
     If the judgement is a text, the point is missing for this reason.
@@ -260,4 +260,4 @@ def compare(
             Point(one.method, one.setting, run.seconds / one.units, found.error, default=one.default,
                   outside=one.outside, note=found.note, others=found.others, yardstick=run.yardstick)
         )  # fmt: skip
-    return Panel("", "", "", tuple(points), start_up, tuple(missing))
+    return Diagram("", "", "", tuple(points), start_up, tuple(missing))

@@ -37,8 +37,8 @@ from scipy.interpolate import BarycentricInterpolator
 from dpcontrol.bench.chart import (
     AT_ONCE,
     Border,
+    Diagram,
     Missing,
-    Panel,
     Point,
     PrecisionChart,
     Search,
@@ -856,7 +856,7 @@ def searches_of(flights: Sequence[Compared]) -> Searches:
     return Searches("Flights between the same states in the same time", tuple(found), "as cheap as along tubes")
 
 
-def success_panel(flights: Sequence[Compared]) -> Panel:
+def success_panel(flights: Sequence[Compared]) -> Diagram:
     """Return the diagram of failing tries against time.
 
     The share of failures is drawn against the time of one try.
@@ -870,7 +870,7 @@ def success_panel(flights: Sequence[Compared]) -> Panel:
                 Point(method, short(one.name), tally["seconds_in_all"] / tally["tries"], 1 - share, others=tally,
                       default=method == TUBES, note=f"{tally['converged']:g} of {tally['tries']:g} tries")
             )  # fmt: skip
-    return Panel(
+    return Diagram(
         "Same ends, same time: success",
         "time of a try on one core, s",
         "share of tries that find no flight",
@@ -881,7 +881,7 @@ def success_panel(flights: Sequence[Compared]) -> Panel:
     )
 
 
-def effort_panel(flights: Sequence[Compared]) -> Panel:
+def effort_panel(flights: Sequence[Compared]) -> Diagram:
     """Return the diagram of the best flight's effort against time.
 
     The time is that of all tries.
@@ -898,13 +898,13 @@ def effort_panel(flights: Sequence[Compared]) -> Panel:
                 Point(method, short(one.name), tally["seconds_in_all"], best.checked.effort / one.ours.checked.effort,
                       default=method == TUBES, note=note, others=tally | numbers(best))
             )  # fmt: skip
-    return Panel(
+    return Diagram(
         "Same ends, same time: best flight", "time of all tries on one core, s", "∫u², times that along tubes",
         tuple(points), missing=tuple(missing), judged=False, timed=False,
     )  # fmt: skip
 
 
-def feedback_panel(flights: Sequence[Compared]) -> Panel:
+def feedback_panel(flights: Sequence[Compared]) -> Diagram:
     """Return the diagram of the loop's effort at ±5 %.
 
     It is drawn against that of the reference.
@@ -922,13 +922,13 @@ def feedback_panel(flights: Sequence[Compared]) -> Panel:
                 Point(name, short(one.name), best.checked.effort, loop.effort, default=method == TUBES,
                       note=f"{loop.completed:.0%} come through", others=numbers(best))
             )  # fmt: skip
-    return Panel(
+    return Diagram(
         "Feedback too, plants off by 5 %", "∫u² of the reference, m²/s³", "∫u² of the loop, m²/s³", tuple(points),
         missing=tuple(missing), judged=False, timed=False,
     )  # fmt: skip
 
 
-def front_panel(title: str, found: Sequence[Charted]) -> Panel:
+def front_panel(title: str, found: Sequence[Charted]) -> Diagram:
     """Return the diagram of effort against time.
 
     It shows references and the loops that follow them.
@@ -941,10 +941,10 @@ def front_panel(title: str, found: Sequence[Charted]) -> Panel:
         for c in found
         if c.followed is not None and c.followed.completed
     ]  # fmt: skip
-    return Panel(title, "time, s", "∫u², m²/s³", tuple(points), judged=False, timed=False)
+    return Diagram(title, "time, s", "∫u², m²/s³", tuple(points), judged=False, timed=False)
 
 
-def walk_panels(walks: Sequence[Compared]) -> tuple[Panel, ...]:
+def walk_panels(walks: Sequence[Compared]) -> tuple[Diagram, ...]:
     """Return the diagrams of longer walks, if any.
 
     Seconds to a flight, and failures, are drawn against the number of symbols.
@@ -968,14 +968,14 @@ def walk_panels(walks: Sequence[Compared]) -> tuple[Panel, ...]:
                 missing.append(Missing(method, one.name, f"none of {tally['tries']:g} tries found a flight"))
     more: dict[str, Any] = {"judged": False, "timed": False}
     return (
-        Panel("Longer walks: time", "turns of the outer arm", "time to a flight on one core, s", tuple(times),
+        Diagram("Longer walks: time", "turns of the outer arm", "time to a flight on one core, s", tuple(times),
               missing=tuple(missing), **more),
-        Panel("Longer walks: success", "turns of the outer arm", "share of tries that find no flight", tuple(shares),
+        Diagram("Longer walks: success", "turns of the outer arm", "share of tries that find no flight", tuple(shares),
               log_y=False, **more),
     )  # fmt: skip
 
 
-def robustness_panel(flights: Sequence[Compared]) -> Panel:
+def robustness_panel(flights: Sequence[Compared]) -> Diagram:
     """Return the diagram of the largest blow survived.
 
     Without blows it shows the sensitivity to the arms' parameters.
@@ -991,7 +991,7 @@ def robustness_panel(flights: Sequence[Compared]) -> Panel:
                       1 / loop.blow if struck else loop.sensitivity, default=method == TUBES, others=numbers(best))
             )  # fmt: skip
     label = "1 / largest blow survived, 1/(N m s)" if struck else "rad astray for a unit of a parameter's error"
-    return Panel(
+    return Diagram(
         "Robustness", "∫u² of the reference, m²/s³", label, tuple(points), judged=False, timed=False
     )  # fmt: skip
 

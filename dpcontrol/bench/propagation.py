@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench.chart import Panel, PrecisionChart
+from dpcontrol.bench.chart import Diagram, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
@@ -233,7 +233,7 @@ def work_of(system: System, states: Array, duration: float) -> Work:
     return Work(system, states, duration, np.array([exact.flow(extended(x), length) for x in states]).astype(float))
 
 
-def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Panel:
+def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Diagram:
     """Fly each candidate; failures are missing with their reason."""
 
     def judge(_: Alternative[Array], arrived: Array) -> Judged | str:
@@ -373,7 +373,7 @@ def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array
     return np.array([flow.flow(extended(x), tick) for x in states]).astype(float)
 
 
-def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]:
+def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diagram]:
     """Return the diagrams of a tick's time and error.
 
     One is of a single run, the other of many at once.

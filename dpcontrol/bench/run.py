@@ -28,7 +28,7 @@ from dpcontrol.bench.chart import (
     GROUPS,
     SPREAD,
     ChartPage,
-    Panel,
+    Diagram,
     Point,
     check_names,
 )
@@ -158,7 +158,7 @@ WORSE = 3.0
 """Tolerated ratio of a default's error to the earlier one: rounding differs by less from build to build."""
 
 
-def earlier_panels(folder: Path, name: str) -> tuple[Panel, ...]:
+def earlier_panels(folder: Path, name: str) -> tuple[Diagram, ...]:
     """Return a chart's panels from an earlier drawing in `folder`.
 
     Raises:
@@ -175,14 +175,14 @@ def earlier_panels(folder: Path, name: str) -> tuple[Panel, ...]:
         raise InputError(f"{file} is no drawing of a chart: {error}; draw it again with --out {folder}") from error
 
 
-def _panel(document: Mapping[str, Any]) -> Panel:
+def _panel(document: Mapping[str, Any]) -> Diagram:
     known = {f.name for f in fields(Point)}
     points = tuple(Point(**{name: value for name, value in p.items() if name in known}) for p in document["points"])
     titles = {name: document[name] for name in ("title", "x_label", "y_label", "floor", "judged", "timed")}
-    return Panel(points=points, **titles)
+    return Diagram(points=points, **titles)
 
 
-def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
+def changes(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
     """Return a sentence for each changed front, except ties."""
     known = {panel.title: panel for panel in before}
     found = []
@@ -192,7 +192,7 @@ def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _changes(before: Panel, after: Panel) -> list[str]:
+def _changes(before: Diagram, after: Diagram) -> list[str]:
     # Points missing in one drawing were not measured (another package is not installed) and are skipped.
     names = {p.name for p in before.points} & {p.name for p in after.points}
     before, after = (replace(p, points=tuple(x for x in p.points if x.name in names)) for p in (before, after))
@@ -209,12 +209,12 @@ def _changes(before: Panel, after: Panel) -> list[str]:
     return found
 
 
-def losses(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
+def losses(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
     """Return a sentence for each default that became slower or less accurate."""
     return slower(before, after) + less_accurate(before, after)
 
 
-def slower(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
+def slower(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
     """Return a sentence for each default with a larger x value.
 
     It is compared with the earlier one.
@@ -230,7 +230,7 @@ def slower(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def less_accurate(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
+def less_accurate(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
     """Return a sentence for each default with a larger error than before."""
     return tuple(
         f"{panel.title}: {now.name} errs by {now.error:.2g}, and did by {was.error:.2g}"
@@ -239,7 +239,7 @@ def less_accurate(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str,
     )
 
 
-def _defaults(before: Sequence[Panel], after: Sequence[Panel]) -> Iterator[tuple[Panel, Point, Point]]:
+def _defaults(before: Sequence[Diagram], after: Sequence[Diagram]) -> Iterator[tuple[Diagram, Point, Point]]:
     """Yield each panel with one of its defaults, now and before."""
     known = {(panel.title, p.name): p for panel in before for p in panel.points}
     for panel in after:

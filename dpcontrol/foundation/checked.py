@@ -1,7 +1,7 @@
 """The check of public functions' arguments against their annotations, before anything is computed.
 
 Annotations of public functions may be text, because results' classes are imported when they are needed. A value fits
-the name of a class if its class or one of its bases has this name. Numbers must be finite, and lie within `Bounds` if
+the name of a class if its class or one of its bases has this name. Numbers must be finite, and lie within `Between` if
 these are annotated. A wrong number of arguments and an unknown keyword remain Python's TypeError.
 """
 
@@ -26,7 +26,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
-class Bounds:
+class Between:
     """Bounds of an annotated number: at least `least`, at most `most`, greater than `above`."""
 
     least: float = -math.inf
@@ -34,12 +34,12 @@ class Bounds:
     above: float = -math.inf
 
 
-Seed = Annotated[int, Bounds(0, 2**62)]
-Workers = Annotated[int, Bounds(0, 4096)]
-Count = Annotated[int, Bounds(1, 1_000_000)]
-Hit = Annotated[int, Bounds(1, 1000)]
-Index = Annotated[int, Bounds(0, 1_000_000)]
-Positive = Annotated[float, Bounds(above=0)]
+Seed = Annotated[int, Between(0, 2**62)]
+Workers = Annotated[int, Between(0, 4096)]
+Count = Annotated[int, Between(1, 1_000_000)]
+Hit = Annotated[int, Between(1, 1000)]
+Index = Annotated[int, Between(0, 1_000_000)]
+Positive = Annotated[float, Between(above=0)]
 
 _MAKERS: dict[str, str] = {}
 """Public functions by the name of the class that they return first."""

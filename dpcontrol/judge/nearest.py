@@ -10,7 +10,7 @@ from dpcontrol.judge.run_view import RunView
 
 
 @dataclass(frozen=True)
-class LimitUse:
+class NearestLimit:
     """The largest value of a quantity, and its limit.
 
     Attributes:
@@ -38,18 +38,18 @@ class LimitUse:
         return f"{self.name} {self.value:.3g} of {self.limit:.4g} {self.unit} ({self.share:.0%})"
 
 
-def limit_uses(view: RunView) -> tuple[LimitUse, ...]:
+def limit_uses(view: RunView) -> tuple[NearestLimit, ...]:
     """Return the use of each limit that a view has, the nearest to its limit first.
 
     Limits are those of the cart, and the distance from the reference beyond which an itinerary counts as lost.
     """
-    found: list[LimitUse] = []
+    found: list[NearestLimit] = []
 
     def add(name: str, values: Array, limit: float, unit: str, scale: float = 1.0) -> None:
         sizes = np.abs(values)
         if np.isfinite(sizes).any() and limit > 0 and np.isfinite(limit):
             row = int(np.nanargmax(sizes))
-            found.append(LimitUse(name, scale * float(sizes[row]), scale * limit, unit, float(view.time[row])))
+            found.append(NearestLimit(name, scale * float(sizes[row]), scale * limit, unit, float(view.time[row])))
 
     n = view.arms
     if view.limits is not None and view.has_cart:

@@ -136,7 +136,7 @@ class LiveView:
 
 
 @dataclass
-class Shown:
+class ShownState:
     """The displayed part of a run.
 
     It holds recording, log before the first row, plan and last rows (K, D).
@@ -151,7 +151,7 @@ class Shown:
     tail: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
-    def of(cls, recording: "rr.RecordingStream", start: RunLog) -> "Shown":
+    def of(cls, recording: "rr.RecordingStream", start: RunLog) -> "ShownState":
         """Return the initial view, without flight data.
 
         It shows the plan with its orbits and tubes.
@@ -265,7 +265,7 @@ def show(file: Path, address: str) -> None:
 
     recording = rr.RecordingStream("dpcontrol")
     recording.connect_grpc(address)
-    shown, events = Shown.of(recording, start), ()
+    shown, events = ShownState.of(recording, start), ()
     for rows, more in messages(sys.stdin.fileno(), viewer):
         events += more
         if len(rows):

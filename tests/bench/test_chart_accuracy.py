@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import dpcontrol.bench
 from dpcontrol.bench import design
 from dpcontrol.bench.chart import CHARTS, GROUPS, Point
-from dpcontrol.bench.measure import Alternative, Timed
+from dpcontrol.bench.measure import Alternative, TimedWork
 from dpcontrol.bench.propagation import (
     Stepper,
     buffered_rate,
@@ -192,7 +192,7 @@ def test_a_build_without_extended_reals_is_told(system, monkeypatch):
 @pytest.mark.parametrize("name", [name for name in CHARTS if name not in GROUPS["edges"]])
 def test_no_default_of_a_quick_chart_errs_by_more_than_it_did(name, monkeypatch):
     def once(functions, *_, worth=lambda key, result: True, **__):
-        found = {key: Timed(1.0, 0.0, function()) for key, function in functions.items()}
+        found = {key: TimedWork(1.0, 0.0, function()) for key, function in functions.items()}
         for key, timed in found.items():
             worth(key, timed.result)
         return found

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from matplotlib.text import Annotation
 
-from dpcontrol.bench.chart import Panel, Point, PrecisionChart, Search, Searches
+from dpcontrol.bench.chart import Diagram, Point, PrecisionChart, Search, Searches
 from dpcontrol.bench.drawing import figure
 
 LEAST = 8.0
 """Points: the smallest text of the visual standard."""
 
 
-def drawn(*panels: Panel):
+def drawn(*panels: Diagram):
     """Return the picture's axes, laid out as when it is saved."""
     picture = figure(PrecisionChart("x", "title", ("1", "2", "3"), "", panels), panels)
     picture.draw_without_rendering()
@@ -26,7 +26,7 @@ def test_labels_are_legible_and_cover_neither_marks_nor_rings_nor_one_another() 
     points = [Point(f"m{k % 2}", f"1e-{k:02d}", *spot, default=k % 5 == 0) for k, spot in enumerate(spots.tolist())]
     # Two nearly in one place, the first with its ring.
     points.append(Point("m1", "beside", 1.05 * spots[0, 0], spots[0, 1]))
-    (axes,) = drawn(Panel("crowded", "s", "error", tuple(points)))
+    (axes,) = drawn(Diagram("crowded", "s", "error", tuple(points)))
     labels = {t.get_text(): t for t in axes.texts if isinstance(t, Annotation) and t.get_text()}
     assert set(labels) == {p.setting for p in points}
     assert min(label.get_fontsize() for label in labels.values()) >= LEAST
@@ -42,7 +42,7 @@ def test_labels_are_legible_and_cover_neither_marks_nor_rings_nor_one_another() 
 
 def test_a_page_of_many_methods_names_each_beside_a_mark_and_has_no_legend_of_them() -> None:
     points = tuple(Point(f"method {k}", "", 10.0**-k, 10.0 ** (k - 6), default=k == 2) for k in range(6))
-    (axes,) = drawn(Panel("many", "time of a tick, s", "error", points))
+    (axes,) = drawn(Diagram("many", "time of a tick, s", "error", points))
     names = [t.get_text() for t in axes.texts if isinstance(t, Annotation) and t.get_text()]
     assert sorted(names) == [f"method {k}" for k in range(6)]
     (legend,) = axes.figure.legends
@@ -51,7 +51,7 @@ def test_a_page_of_many_methods_names_each_beside_a_mark_and_has_no_legend_of_th
 
 def test_axes_have_units_with_prefixes_and_the_title_states_the_result() -> None:
     points = (Point("ours", "", 8e-6, 1e-3, default=True), Point("theirs", "", 2.4e-5, 1e-3))
-    (axes,) = drawn(Panel("A tick", "time of a tick, s", "error of the angles, rad", points))
+    (axes,) = drawn(Diagram("A tick", "time of a tick, s", "error of the angles, rad", points))
     assert axes.get_xlabel() == "time of a tick"
     assert {t.get_text().split()[-1] for t in axes.get_xticklabels() if t.get_text()} == {"µs"}
     assert {t.get_text().split()[-1] for t in axes.get_yticklabels() if t.get_text()} <= {"mrad", "µrad"}
@@ -60,7 +60,7 @@ def test_axes_have_units_with_prefixes_and_the_title_states_the_result() -> None
 
 
 def test_a_fourth_diagram_is_on_the_appendix() -> None:
-    panels = tuple(Panel(f"{k}", "s", "error", (Point("m", "", 1.0, 1.0, default=True),)) for k in range(4))
+    panels = tuple(Diagram(f"{k}", "s", "error", (Point("m", "", 1.0, 1.0, default=True),)) for k in range(4))
     page = PrecisionChart("x", "title", ("1", "2", "3"), "", panels)
     assert page.pages == {"": panels[:3], "-more": panels[3:]}
 
@@ -68,7 +68,7 @@ def test_a_fourth_diagram_is_on_the_appendix() -> None:
 def test_a_leading_diagram_is_alone_on_its_page_and_names_the_best_search() -> None:
     searches = (Search("ours", 5, 5, 5, 5.0, default=True), Search("a", 10, 9, 1, 50.0), Search("b", 10, 2, 2, 60.0))
     lead = Searches("flights", searches, "as cheap as ours")
-    panels = (Panel("0", "s", "error", (Point("m", "", 1.0, 1.0, default=True),)),)
+    panels = (Diagram("0", "s", "error", (Point("m", "", 1.0, 1.0, default=True),)),)
     page = PrecisionChart("x", "title", ("1", "2", "3"), "", panels, lead)
     assert page.pages == {"": (lead,), "-more": panels}
     assert "the best other search, b, takes 30 s for one as cheap" in lead.finding()
@@ -81,7 +81,7 @@ def test_a_leading_diagram_is_alone_on_its_page_and_names_the_best_search() -> N
 @pytest.mark.parametrize("shares", [(0.0, 0.0), (0.0, 0.4), (0.0, 0.12)])
 def test_shares_are_shown_from_none_up_and_never_below(shares: tuple[float, float]) -> None:
     points = tuple(Point("m", f"{k}", 1.0 + k, share, default=k == 0) for k, share in enumerate(shares))
-    (axes,) = drawn(Panel("failures", "s", "share that fails", points, log_y=False))
+    (axes,) = drawn(Diagram("failures", "s", "share that fails", points, log_y=False))
     ticks = axes.get_yticks()
     assert ticks.min() == 0.0
     assert 0.1 <= ticks.max() <= 1.0

@@ -10,14 +10,14 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.bench import chart as registry
-from dpcontrol.bench.chart import ALLOWED, Panel, Point, PrecisionChart
+from dpcontrol.bench.chart import ALLOWED, Diagram, Point, PrecisionChart
 from dpcontrol.bench.run import draw_charts
 
 READING = ("first", "second", "third")
 
 
 def panel(*points, **more):
-    return Panel("panel", "time, s", "error", tuple(points), **more)
+    return Diagram("panel", "time, s", "error", tuple(points), **more)
 
 
 def points_of(pairs, default=()):

@@ -3,13 +3,13 @@
 import pytest
 from command_line import dpcontrol
 
-from dpcontrol.bench.chart import Panel, Point
+from dpcontrol.bench.chart import Diagram, Point
 from dpcontrol.bench.run import TIED, changes, losses
 
 
 def panel(*pairs, stored=()):
     points = [Point(f"m{k}", "", t, e, stored=k in stored) for k, (t, e) in enumerate(pairs)]
-    return Panel("panel", "s", "error", tuple(points))
+    return Diagram("panel", "s", "error", tuple(points))
 
 
 FIRST = panel((1.0, 1e-3), (2.0, 1e-6), (4.0, 1e-9), (4.1, 1e-8))
@@ -52,7 +52,7 @@ def test_what_was_measured_in_one_drawing_only_has_no_order():
 
 def default(seconds, error, *, yardstick=1.0, **more):
     points = (Point("ours", "", seconds, error, default=True, yardstick=yardstick), Point("theirs", "", 1.0, 1.0))
-    return (Panel("panel", "time, s", "error", points, **more),)
+    return (Diagram("panel", "time, s", "error", points, **more),)
 
 
 def test_a_default_that_became_slower_or_less_accurate_is_told():

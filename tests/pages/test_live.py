@@ -16,7 +16,7 @@ from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.foundation.rendering import live_view
 from dpcontrol.logs import read_log
 from dpcontrol.pages import live
-from dpcontrol.pages.live import LiveView, Shown, messages
+from dpcontrol.pages.live import LiveView, ShownState, messages
 from dpcontrol.pages.picture import viewer_program
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
@@ -70,7 +70,7 @@ def test_sent_data_arrive_as_rows_at_fifty_hertz_and_are_drawn(plan, tmp_path: P
     os.close(sink.view._pipe)
     recording = rr.RecordingStream("test")
     kept = recording.memory_recording()
-    shown, count = Shown.of(recording, start), 0
+    shown, count = ShownState.of(recording, start), 0
     for got, events in messages(sink.reading, None):
         shown.add(got, events)
         np.testing.assert_allclose(np.diff(got[:, 0]), 0.02, atol=1e-9)
