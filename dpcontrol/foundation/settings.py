@@ -444,7 +444,7 @@ def help_of(kind: type) -> dict[str, str]:
 
 def _declared(kind: type) -> dict[str, Mapping[str, Any]]:
     """Return the metadata of each declared setting; help that a subclass leaves out is inherited."""
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, Mapping[str, Any]] = {}
     for one in fields(kind):  # type: ignore[arg-type]
         own = [
             metadata
@@ -567,7 +567,7 @@ def _mistake(
     if isinstance(value, tuple) and get_origin(hint) is not None:
         inside = next((value[k] for k in wrong["loc"] if isinstance(k, int)), value)
         return InputError(f"{place} {key} holds {inside!r}: {_TYPES.get(hint, wrong['msg'])}")
-    text = _TYPES.get(hint, wrong["msg"])
+    text = str(_TYPES.get(hint, wrong["msg"]))
     if hint is int and (bounds := bounds_of(kind).get(key)):
         text += f", {bounds.range}"
     return place.error(key, list(value) if isinstance(value, tuple) else value, text)

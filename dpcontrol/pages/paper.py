@@ -90,7 +90,7 @@ def _relief(axes: Axes, field: Field, *, angular: bool) -> None:
             angle_axis(axes, which, step=1.0)
         getattr(axes, f"set_{which}label")(label, fontsize=style.SMALL, labelpad=-4)
     axes.tick_params(labelsize=style.SMALL, pad=-2)
-    axes.locator_params(axis="z", nbins=4)
+    axes.locator_params(axis="z", nbins=4)  # type: ignore[arg-type]
 
 
 def _hill(axes: Axes, field: Field, energy: float, points: Points, *, angular: bool, title: str) -> None:

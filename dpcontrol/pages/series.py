@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -331,7 +332,7 @@ def _rates(view: RunView) -> Chart:
     return Chart("rates", "Rates", "rad/s", tuple(lines), note=by, hint=by)
 
 
-def _use(view: RunView, which: int) -> dict[str, float | None]:
+def _use(view: RunView, which: int) -> dict[str, Any]:
     """Return one of the cart's limits and its use by a reference, as fields of a chart."""
     used = None if view.summary is None else view.summary.uses[which].largest
     return {"bound": None if view.limits is None else view.limits[which], "used": used}

@@ -173,6 +173,7 @@ def read_run_settings(
     for number, one in enumerate(run.pop("blows", ()), start=1):
         with mistakes:
             blows.append(decode(Push, one, replace(top, table=f"blows {number}")))
+    given = RunTable()
     with mistakes:
         given = decode(RunTable, run, places["run"], also=["blows"])
         for part, kind in BENCH.items():

@@ -124,11 +124,12 @@ def _of_type(name: str, value: Any, hint: Any) -> Any:
     """
     if isinstance(value, list | tuple) and "tuple" in str(hint):
         return tuple(value)
-    number = isinstance(value, Real) and not isinstance(value, bool)
-    if hint is int and number and (isinstance(value, Integral) or float(value).is_integer()):
-        return int(value)
-    if hint is not int and "float" in str(hint) and number and hint != tuple[float, ...]:
-        return float(value)
+    if isinstance(value, Real) and not isinstance(value, bool):
+        number: Any = value
+        if hint is int and (isinstance(value, Integral) or float(number).is_integer()):
+            return int(number)
+        if hint is not int and "float" in str(hint) and hint != tuple[float, ...]:
+            return float(number)
     if hint is str and isinstance(value, str):
         return value
     raise InputError(f"{name} = {value!r}: must be {_kind(hint)}")

@@ -117,7 +117,7 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
     if not joined or edges != sorted(edges) or [[0] * 4, *lifts[1::2]] != [*lifts[::2], list(flown.turns)]:
         raise NotClosed("the symbols do not follow one another around the orbit")
     for k, (claim, following) in enumerate(zip(claims, [*nodes[1:], nodes[0] + count], strict=True), start=1):
-        first, node, last = claim["segments"][0], claim["node"], claim["segments"][1]
+        first, node, last = (int(edge) for edge in (claim["segments"][0], claim["node"], claim["segments"][1]))
         stopped = flown.away(flown.flights[last][len(flown.flights[last]) // 2], claim["stop"], claim["stop_turns"])
         gaps = [flown.away(flown.nodes[node], state, claim["turns"]) for state in claim["states"]]
         own, *others = (largest([v / s for v, s in zip(gap, flown.scale, strict=True)]) for gap in gaps)
