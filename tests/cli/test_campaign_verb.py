@@ -36,7 +36,7 @@ def test_the_document_agrees_with_the_table_and_failures_repeat(tmp_path: Path) 
     ("arguments", "naming"),
     [
         (("--over", "mismach=0.1"), "mismatch"),
-        (("--over", "mismatch"), "NAME=VALUE"),
+        (("--over", "mismatch"), "PATH=VALUE"),
         (("--over", "mismatch=low"), "low"),
         (("--over", "mismatch=0.1", "--over", "mismatch=0.2"), "twice"),
         (("--over", "controller=tvlqg"), "tvlqr"),
