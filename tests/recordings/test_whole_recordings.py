@@ -186,5 +186,5 @@ def test_a_recording_of_another_number_of_arms_than_the_models_is_rejected(tmp_p
     recording = import_recording(tmp_path / "single.mat")
     with pytest.raises(InputError, match="1 arms and the model 2"):
         replay_recording(recording, load_model("lab").arms, filter_settings("ekf"))
-    with pytest.raises(InputError, match="of 1 arms, the model has 2"):
+    with pytest.raises(InputError, match="has 1 arms, the model has 2"):
         identify([recording], load_model("lab").arms)
