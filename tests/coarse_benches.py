@@ -24,7 +24,7 @@ MOVED = 1e-3
 
 
 def flown(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> list[Flight]:
-    return flights(plan.itinerary.with_run(BENCH.over(options.given())), plan.reference, seeds)
+    return flights(plan.itinerary.with_run({**BENCH, **options}), plan.reference, seeds)
 
 
 def completed(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> tuple[float, list[str]]:
@@ -41,7 +41,7 @@ def delays_of_stuck_scales(plan: Plan, options: Mapping[str, Any], seeds: Sequen
     delays = []
     for seed in seeds:
         at = float(np.random.default_rng(seed).uniform(0, 0.8 * plan.reference.duration))
-        (flight,) = flown(plan, options.over({"stuck_at": at, "stuck_sensor": 2}), [seed])
+        (flight,) = flown(plan, {**options, "stuck_at": at, "stuck_sensor": 2}, [seed])
         rate, cart = flight.settings.rate, flight.run.truth[:, -2]
         first = min(math.ceil(at * rate), len(cart) - 1)
         moved = np.flatnonzero(np.abs(cart[first:] - cart[first]) >= MOVED)

@@ -64,7 +64,7 @@ def runs(itinerary: Itinerary, reference: Reference, options: Mapping[str, Any],
             time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied, rate_hz=loop.rate,
             limits=bounds, ended=ended, flights=run.flights,
         )  # fmt: skip
-        yield Case(f"seed {seed}, {options.given()}", flown, None)
+        yield Case(f"seed {seed}, {options}", flown, None)
 
 
 def counted_states(flown: Flown, plan: Plan) -> Array:
@@ -191,7 +191,7 @@ class Comparison:
 
 def for_plan(options: Mapping[str, Any], plan: Any) -> dict[str, Any]:
     """Return suitable options for a plan; kept stops require a special law."""
-    values = options.given()
+    values = options
     if "program" in plan.reference.notes:
         values.pop("controller", None)
     return {**values}

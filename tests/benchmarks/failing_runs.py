@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from command_line import dpcontrol
 
+from dpcontrol.plans.overrides import typed
 from dpcontrol.plans.plan import Plan
 from dpcontrol.runs.campaign import Case, Job
 from dpcontrol.runs.preflight import outcomes
@@ -68,10 +69,10 @@ def drawn_options(cause: str, random: np.random.Generator) -> dict[str, Any]:
     """Return the options of a rig with one cause of failures."""
     name, low, high = CAUSES[cause]
     if name == "controller":
-        return BENCH.over({"controller": str(random.choice(LAWS)), "mismatch": 0.2})
+        return {**BENCH, "controller": str(random.choice(LAWS)), "mismatch": 0.2}
     value = float(f"{math.exp(random.uniform(math.log(low), math.log(high))):.3g}")
     pushes = {"pushes": 2} if cause == "pushes" else {}
-    return BENCH.over({name: round(value) if name in ("counts", "delay", "rate") else value, **pushes})
+    return {**BENCH, name: round(value) if name in ("counts", "delay", "rate") else value, **pushes}
 
 
 def failing_runs(plans: Sequence[Plan], *, seed: int, each: int = 2) -> Iterator[Failing]:
@@ -94,7 +95,7 @@ def failing_runs(plans: Sequence[Plan], *, seed: int, each: int = 2) -> Iterator
 def typed_remedies(run: Failing, plan: Path, folder: Path) -> Typed | None:
     """Run it on the command line, ask why it failed, and type each remedy; None if the run is completed."""
     log = folder / "failing.mcap"
-    words = ["run", plan, *shlex.split(run.options.typed), "--seed", str(run.seed), "--force"]
+    words = ["run", plan, *shlex.split(typed(run.options)), "--seed", str(run.seed), "--force"]
     if dpcontrol(*words, "--out", log).code != 1:
         return None
     asked = dpcontrol("score", log, "--why", "--json", "--yes")

@@ -70,7 +70,7 @@ def finer(name: str, border: HazardBorder, values: Sequence[float], own: float) 
     factor = 1000 / load_itinerary(name).loop.rate if border.setting == "delay" else SHOWN.get(border.setting, 1.0)
     settings = [value / factor for value in values]
     over = {border.setting: [round(v) for v in settings] if border.setting in ("delay", "counts") else settings}
-    fixed = BENCH.over({"pushes": 2}) if border.setting == "push_impulse" else BENCH
+    fixed = {**BENCH, "pushes": 2} if border.setting == "push_impulse" else BENCH
     cases = cases_of(load_itinerary(name), fixed=fixed, over=over)
     return [share / own for share in shares(name, cases, FINER_RUNS)]
 

@@ -56,7 +56,7 @@ PICTURE = Path(__file__).parents[2] / ".assets" / "replanning.png"
 
 
 def test_the_arms_of_a_seed_are_those_that_its_run_draws() -> None:
-    scene = load_itinerary("outer-turn").with_run(BENCH.over({"mismatch": 0.3}))
+    scene = load_itinerary("outer-turn").with_run({**BENCH, "mismatch": 0.3})
     draw = scene.loop.draw(scene.model.arms, ticks=2, seed=FIRST_SEED)
     assert draw.plant.arms == true_arms(scene.model.arms, FIRST_SEED, 0.3)
 
@@ -86,7 +86,7 @@ def measured(name: str, mismatch: float) -> dict[str, Any]:
     scene = load_itinerary(name)
     plan, arms = make_plan(scene), scene.model.arms
     orbits = [shadowing_orbit(scene, part=part) for part in scene.walks]
-    (case,) = cases_of(scene, fixed=BENCH.over({"mismatch": mismatch}), over={})
+    (case,) = cases_of(scene, fixed={**BENCH, "mismatch": mismatch}, over={})
     job = Job(name, plan.archive, arms, case, tuple(range(FIRST_SEED, FIRST_SEED + RUNS)), "compiled", replayed=0)
     rows = run_job(job)
     failed, completed = ([row for row in rows if row["completed"] is done] for done in (False, True))

@@ -25,7 +25,7 @@ BENCHES = {
 def test_rounding_encoders_change_the_outcome_of_one_seed_in_a_hundred_at_most(name: str) -> None:
     scene = load_itinerary("outer-turn")
     archive = make_plan(scene).file.read_bytes()
-    (case,) = cases_of(scene, fixed=BENCHES[name].over({"command_noise": 0.3}), over={})
+    (case,) = cases_of(scene, fixed={**BENCHES[name], "command_noise": 0.3}, over={})
     many = Job(scene.name, archive, scene.model.arms, case, tuple(range(SEEDS)), "compiled", replayed=0)
     pairs = list(zip(run_job(many), run_job(replace(many, path="ticks")), strict=True))
     assert {row["path"] for pair in pairs for row in pair} == {"compiled", "ticks"}

@@ -71,7 +71,7 @@ def judged(number: int) -> dict[str, Any]:
     first = FIRST + 2 * number * TOGETHER % 30_000
     seen, false, stuck = Counter[str](), list[tuple[str, str]](), list[str]()
     for flight in flights(plan.itinerary.with_run(options), plan.reference, range(first, first + count)):
-        where = f"{number} {flight.scene} {flight.seed} {options.given()}: {flight.run.reason}"
+        where = f"{number} {flight.scene} {flight.seed} {options}: {flight.run.reason}"
         if not faulty and "stuck" in flight.run.reason:
             stuck.append(where)
         if not flight.verdict.problem:

@@ -88,7 +88,7 @@ def test_between_motions_time_and_commands_go_on_without_a_gap(ready) -> None:
 def test_a_run_that_does_not_fall_is_the_one_that_could_not_recover(ready) -> None:
     result, told = ready()
     assert told.names == ["resume"]
-    scene = load_itinerary("outer-turn").with_run(replace(BENCH, on_fall="stop"), seed=3)
+    scene = load_itinerary("outer-turn").with_run({**BENCH, "on_fall": "stop"}, seed=3)
     plan = make_plan(scene)
     alone = Assembly(plan.reference, scene.model.arms, scene.loop).simulate()
     np.testing.assert_array_equal(result.ticks.truth, alone.ticks.truth)

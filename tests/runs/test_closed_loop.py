@@ -53,5 +53,5 @@ def test_a_campaign_of_the_object_counts_as_the_shortcut_does(loop: ClosedLoop) 
 
 
 def test_an_unknown_setting_is_named_before_anything_is_planned() -> None:
-    with pytest.raises(dp.InputError, match=r"mismatches = 0\.1: no such run setting"):
+    with pytest.raises(dp.InputError, match=r"mismatches: no run has this setting; did you mean 'mismatch'"):
         dp.closed_loop("outer-turn", mismatches=0.1)

@@ -102,7 +102,7 @@ def test_a_change_is_worth_what_it_rescues_less_what_it_loses(turn: Plan, monkey
         monkeypatch,
         lambda loop, random: (loop.mismatch <= 0.1 or random.uniform() < 0.75) and loop.controller.kind == "tvlqr",
     )
-    found = preflight(turn, replace(HARD, mismatch=0.2), settings=PreflightSettings(runs=128, workers=1))
+    found = preflight(turn, {**HARD, "mismatch": 0.2}, settings=PreflightSettings(runs=128, workers=1))
     best, worst = found.changes[0], found.changes[-1]
     assert "half the mismatch" in best.text
     assert best.gain == pytest.approx(1 - found.share.rate, abs=ROUNDING)

@@ -41,7 +41,7 @@ def test_each_remedy_completes_the_run_and_beats_harmless_changes(plan: Plan, fo
     assert found.reason == failed.score().reason
     named = {change.text: change.options for group in changes(plan.itinerary) for change in group}
     assert {trial.change: trial.option for trial in found.trials} == {
-        text: named[text].typed for text in (trial.change for trial in found.trials)
+        text: typed(named[text]) for text in (trial.change for trial in found.trials)
     }
     assert "--travel 0.03" in found.saves or "--travel 0.0225" in found.saves
     assert 0 < len(found.saves) < len(found.trials)
@@ -79,7 +79,7 @@ def test_options_read_from_a_log_give_the_settings_of_the_command_line(failed: R
     logged = _plan(log, tmp_path)
     assert logged.itinerary.loop == asked.loop
     for change in ({"controller": "tvlqr"}, {"estimator": "ukf"}, {"travel": 0.3, "counts": 0}):
-        expected = scene.with_run(typed.over(change.given()), seed=3)
+        expected = scene.with_run({**asked_for, **change}, seed=3)
         assert _with_options(logged, scene, change).itinerary.loop == expected.loop
 
 
