@@ -11,6 +11,7 @@ MOST = 8
 OPEN = {
     ("control", "__init__"): "names of a layout's parts; what a library's program hands on to its base",
     ("control", "compute_process_sigmas"): "overrides a method of filterpy",
+    ("plans", "__init__"): "the deprecated options of a run, by any name",
     ("runs", "_log_in_memory"): "metadata of a log, by any name",
     ("runs", "log_writer"): "metadata of a log, by any name",
 }
