@@ -19,7 +19,7 @@ import click
 from click.shell_completion import CompletionItem
 
 import dpcontrol
-from dpcontrol.cli.verbs import DEBUG, Call, print_json, say
+from dpcontrol.cli.verbs import Call, print_json, say
 from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark
 from dpcontrol.foundation.interrupts import interrupts, terminated
 
@@ -142,7 +142,7 @@ class _Verbs(click.Group):
 @click.version_option(
     dpcontrol.__version__, prog_name="dpcontrol", help="Version, and with --json the versions of all parts."
 )
-@click.option("--debug", **DEBUG)
+@click.option("--debug", is_flag=True, expose_value=False, help="Traceback of an error on stderr; also after a verb.")
 @click.pass_context
 def cli(ctx: click.Context) -> None:
     """Design trajectories of a double pendulum on a cart, and test closed loops that follow them.
@@ -176,11 +176,13 @@ def _defaults() -> dict[str, dict[str, Any]]:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit; user errors are one line on stderr without a traceback."""
     given: Any = sys.argv[1:] if arguments is None else arguments
+    # One option of the program instead of one of each verb, accepted on either side of the verb.
+    debug, given = "--debug" in given, [text for text in given if text != "--debug"]
     for stream in (sys.stdout, sys.stderr):
         # A terminal without arrows shows question marks instead of an error.
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
-    call = Call()
+    call = Call(debug=debug)
     try:
         if any("\0" in text for text in given):
             raise InputError("an argument contains a NUL character; remove it")

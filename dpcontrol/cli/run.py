@@ -134,7 +134,7 @@ def _given(settings: Sequence[tuple[str, Any]], **named: Any) -> dict[str, Any]:
 BENCH = "Bench"
 KEY_HELP = "File with the shared key of bench and loop [the environment's DPCONTROL_RIG_KEY]."
 NIGHT = "Long run"
-_WITH_FROM = ("source", "out", "force", "as_json", "debug")
+_WITH_FROM = ("source", "out", "force", "as_json")
 
 
 @verb("run", example="dpcontrol run outer-turn --seed 3 --mismatch 0.05")

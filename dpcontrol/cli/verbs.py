@@ -62,17 +62,6 @@ def claim_free(file: Path, make: Callable[[Path], T]) -> T:
     return click.get_current_context().with_resource(free_name(file, make))
 
 
-def note_debug(context: click.Context, param: click.Parameter, value: bool) -> None:
-    """Note --debug, before a verb or after it."""
-    context.ensure_object(Call).debug |= value
-
-
-DEBUG: dict[str, Any] = {
-    "is_flag": True, "expose_value": False, "callback": note_debug, "help": "Traceback of an error on stderr."
-}  # fmt: skip
-"""Settings of the option --debug."""
-
-
 class TextTable(NamedTuple):
     """A table in the terminal, with the first column aligned left and the others right."""
 
@@ -259,8 +248,6 @@ def verb(
         params.append(
             Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="Answer as one JSON document on stdout.")
         )
-
-        params.append(Option(["--debug"], group=OUTPUT, **DEBUG))
 
         def run(*, as_json: bool, **given: Any) -> None:
             click.get_current_context().ensure_object(Call).as_json = as_json
