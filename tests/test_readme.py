@@ -215,8 +215,9 @@ def test_the_commands_that_show_the_numbers_run() -> None:
 
 def test_every_verb_and_option_that_the_text_mentions_exists() -> None:
     helps = {verb: dpcontrol(verb, "--help") for verb in VERBS}
+    helps["the program"] = dpcontrol("--help")
     assert all(ended.code == 0 for ended in helps.values())
-    known = {"--version", "--help", *re.findall(r"--[a-z][a-z-]*", "".join(ended.stdout for ended in helps.values()))}
+    known = set(re.findall(r"--[a-z][a-z-]*", "".join(ended.stdout for ended in helps.values())))
     for page, text in PAGES.items():
         mentioned = re.findall(r"`(?:dpcontrol )?(\w*)[^`\n]*?(--[a-z][a-z-]*)", text)
         assert {option for verb, option in mentioned if verb != "ruff"} <= known, page.name
