@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
+from dpcontrol.control.symbolic import Wanted as Wanted
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.components import Sizes as Sizes
 from dpcontrol.dynamics.components import SymbolicPlant as SymbolicPlant
@@ -28,6 +29,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
+from dpcontrol.loop.protocols import UserEstimator, UserLaw, UserPlant, UserRig
 from dpcontrol.plans.model import Model, ModelSystem, model_of
 from dpcontrol.plans.model import load_model as load_model
 from dpcontrol.plans.overrides import RunOptions as RunOptions
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
     from dpcontrol.judge.comparison import RunComparison
     from dpcontrol.judge.night import Night
     from dpcontrol.logs import LogSummary, Recovery
+    from dpcontrol.loop.result import Reading as Reading
     from dpcontrol.orbits.family import LyapunovFamily
     from dpcontrol.orbits.lyapunov import Equilibrium, LyapunovOrbit
     from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
@@ -79,6 +82,10 @@ if TYPE_CHECKING:
     from dpcontrol.walks.shadowing import ShadowingOrbit
     from dpcontrol.walks.walks import WalkRequest
 
+Law = UserLaw
+Estimator = UserEstimator
+Plant = UserPlant
+Rig = UserRig
 Place = Path | str
 NotNegative = Annotated[float, Between(0)]
 _ARMS = {"inner": 1, "outer": 2}
@@ -187,6 +194,7 @@ def connections(
     from dpcontrol.tubes.connections import find_connections
 
     target = source if target is None else target
+    source.system.check_same(target.system)
     for one in (source, target):
         _found(one.converged, f"the orbit about {one.saddle}", one.status)
     with reporting(progress, "connections") as report:
@@ -374,6 +382,8 @@ def shadow(
     edges = searches if isinstance(searches, Edges) else _edges(searches)
     solver = WalkSolver(edges.known)
     if isinstance(walk, WalkRequest):
+        own = walk.chain[0].source
+        _same_level(edges.system, edges.energy, own.system, own.energy)
         (answer,) = solved([walk], solver)
         if answer.orbit is None:
             raise GoalMissed(answer.status)
@@ -424,7 +434,11 @@ def prove(
     from dpcontrol.proofs.prove import exact_energy, prove_connections, prove_orbit, prove_walk
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
+    if not isinstance(found, LyapunovOrbit) and not found.connections:
+        raise InputError("found: the search has no connection to prove; search at another energy or with more hits")
     own = found if isinstance(found, LyapunovOrbit) else found.connections[0].source
+    if rivals is not None:
+        _same_level(own.system, own.energy, rivals.system, rivals.energy)
     height = exact_energy(own.energy if energy is None else energy)
     with reporting(progress, "proof") as report:
         if not isinstance(found, LyapunovOrbit | ShadowingOrbit):
@@ -656,13 +670,14 @@ def run(
     seed: Seed = 0,
     settings: Mapping[str, object] | None = None,
     options: Mapping[str, object] | None = None,
+    rig: "Rig | RigLink | str | None" = None,
     log: Place | None = None,
     force: bool = False,
     live: bool = False,
     yes: bool = False,
     progress: Reporting = None,
 ) -> "Run":
-    """Run a closed loop once on the simulated bench.
+    """Run a closed loop once, simulated or on a rig.
 
     Args:
         planned: plan, or name or path of an itinerary.
@@ -671,6 +686,8 @@ def run(
         seed: seed of the random numbers; by default 0.
         settings: run settings by path, such as {"drive.lag": 0.005}; by default none.
         options: deprecated; use `settings`.
+        rig: object with `read()`, `command(acceleration)` and `stop()`, address of a bench in real time, or link of
+            `rig_link`; by default the simulated bench.
         log: log to write; by default the run stays in memory.
         force: replace the log of another run there.
         live: show the run in the viewer.
@@ -691,7 +708,7 @@ def run(
     chosen = _settings(settings, options, mismatch=mismatch, plant=plant)
     with reporting(progress, "run") as report:
         loop = _closed(planned, chosen, yes=yes, progress=part_of(report, 0.0, 0.5))
-        return loop.run(seed=seed, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
+        return loop.run(seed=seed, rig=rig, log=log, force=force, live=live, progress=part_of(report, 0.5, 1.0))
 
 
 @checked
@@ -747,6 +764,7 @@ def campaign(
     first_seed: Seed = 0,
     transitions: bool = False,
     workers: Workers = 0,
+    scheduler: str = "",
     out: Place | None = None,
     force: bool = False,
     yes: bool = False,
@@ -765,6 +783,7 @@ def campaign(
         first_seed: first seed; by default 0.
         transitions: run each transfer from hold to hold separately.
         workers: processes, 0 for one per processor.
+        scheduler: address of a Dask cluster that runs instead; by default none.
         out: Parquet table to write; by default none.
         force: replace the table of another campaign there.
         yes: accept work of more than an hour or 4 GB; by default refused.
@@ -783,7 +802,7 @@ def campaign(
     """
     from dpcontrol.runs.campaign import CampaignSettings
 
-    counts = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
+    counts = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers, scheduler=scheduler)
     with reporting(progress, "campaign") as report:
         chosen = _settings(settings, options, mismatch=mismatch, plant=plant)
         loop = _closed(planned, chosen, yes=yes, progress=part_of(report, 0.0, 0.1))
@@ -986,10 +1005,12 @@ def open_recording(
         >>> dp.open_recording(log).arms
         2
     """
+    from dpcontrol.recordings.checks import checked_repairs
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import load_recording
 
     path = Path(file)
+    checked_repairs(tuple(repairs))
     if path.suffix.lower() == ".mcap" and mapping is None:
         return load_recording(path)
     with reporting(progress, "import") as report:
@@ -1033,6 +1054,10 @@ def picture(
     from dpcontrol.walks.atlas import Atlas
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
+    if transitions and not isinstance(result, Plan):
+        raise InputError("transitions = True draws the transfers of a plan: give one")
+    if film is not None and isinstance(result, Atlas):
+        raise InputError(f"{film}: an atlas does not move: give a run, a plan or a walk's orbit")
     view = None
     if isinstance(result, Run | Plan):
         plan = isinstance(result, Plan)
@@ -1044,19 +1069,13 @@ def picture(
         lengths = arms.length if isinstance(arms, ArmChainParameters) else None
         figure = draw_walk(result, arm_lengths=lengths, model=system.name)
         view = WalkStory(result, lengths).view(system.name)
-    elif isinstance(result, Atlas):
-        figure = draw_atlas(result)
     else:
-        raise InputError(f"{type(result).__name__}: a picture is of a run, a plan, a walk's orbit or an atlas")
-    if transitions:
-        if not isinstance(result, Plan):
-            raise InputError("transitions = True draws the transfers of a plan: give one")
+        figure = draw_atlas(result)
+    if transitions and isinstance(result, Plan):
         from dpcontrol.pages.transitions import draw_transitions
 
         figure = draw_transitions(summarised(result.reference))
-    if film is not None:
-        if view is None:
-            raise InputError(f"{film}: an atlas does not move: give a run, a plan or a walk's orbit")
+    if film is not None and view is not None:
         from dpcontrol.pages.film import write_film
 
         write_film(view, film)
@@ -2017,6 +2036,12 @@ def _system(model: Model | System | str) -> System:
 def _found(converged: bool, what: str, status: str) -> None:
     if not converged:
         raise GoalMissed(f"{what}: {status}")
+
+
+def _same_level(system: System, energy: float, other: System, other_energy: float) -> None:
+    system.check_same(other)
+    if energy != other_energy:
+        raise InputError(f"the results are of different energies, {energy:g} and {other_energy:g}; use one")
 
 
 def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":

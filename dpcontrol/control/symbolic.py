@@ -41,7 +41,13 @@ class SymbolicLaw:
         InputError: `function` cannot be called, or `first` has another length.
     """
 
-    def __init__(self, function: Callable[..., Any], *, memory: int = 0, first: Sequence[float] | None = None) -> None:
+    def __init__(
+        self,
+        function: Callable[[ca.SX, Wanted, ca.SX, ca.SX], tuple[Any, Any]],
+        *,
+        memory: int = 0,
+        first: Sequence[float] | None = None,
+    ) -> None:
         self.__name__ = getattr(function, "__name__", type(function).__name__)
         if not callable(function):
             raise InputError(f"controller: {function!r} is not a function(state, reference, memory, parameters)")

@@ -34,10 +34,11 @@ from dpcontrol.dynamics.equations import (
 )
 from dpcontrol.dynamics.propagator import Propagator, Section, taylor_system
 from dpcontrol.foundation.arguments import number
-from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.arrays import Array, checked_array
+from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
-from dpcontrol.foundation.settings import Settings, setting, suggest
+from dpcontrol.foundation.settings import Settings, check_names, setting, suggest
 from dpcontrol.foundation.shown import Brief
 
 EnergyFunction = Callable[[tuple[ca.SX, ...], tuple[ca.SX, ...], dict[str, ca.SX]], ca.SX]
@@ -164,6 +165,7 @@ class System(Brief):
         rates = (f"rate_{one[6:]}" if one.startswith("angle_") else f"{letter}_{one}" for one in names)
         return (*names, *rates)
 
+    @checked
     def unit(self, name: str, form: str = " {}") -> str:
         """Return a unit of SI as texts have it after a number, or "" if the system's units are its own."""
         return form.format(name) if self.si else ""
@@ -200,6 +202,7 @@ class System(Brief):
                 self.sections, self.section_scale, self.flight_periods)  # fmt: skip
         return "\n".join([*functions, repr(rest)])
 
+    @checked
     def equilibrium(self, name: str) -> Array:
         """Return the state (N,) of the named equilibrium.
 
@@ -210,6 +213,7 @@ class System(Brief):
             raise InputError(f"{self.name} has no equilibrium {name!r}: {suggest(name, self.equilibria)}")
         return self.equilibria[name]
 
+    @checked
     def section_between(self, source: str, target: str, name: str | None = None) -> Section:
         """Return the section on which connections between two saddles are sought, or the one of a short name.
 
@@ -220,12 +224,14 @@ class System(Brief):
             if name not in self.named_sections:
                 raise InputError(f"{self.name} has no section {name!r}: {suggest(name, self.named_sections)}")
             return self.named_sections[name]
+        check_names("saddle", (source, target), self.equilibria)
         if (source, target) not in self.sections:
             isolated = "; three arms have connections at isolated energies: search a range of them (--energies LO HI)"
             hint = isolated if self.dimension == 6 else ""
             raise InputError(f"{self.name} has no section between {source} and {target}{hint}")
         return self.sections[source, target]
 
+    @checked
     def check_same(self, other: "System") -> None:
         """Raise an error if another system has another name, other coordinates or other parameters.
 
@@ -239,11 +245,11 @@ class System(Brief):
 
     def nearest_turns(self, difference: Array) -> Array:
         """Return the whole periods (…, N) nearest to a difference of states: integers, zero off angles."""
-        return np.rint(np.asarray(difference) / self.periods)
+        return np.rint(checked_array("difference", difference, len(self.periods)) / self.periods)
 
     def scaled_distance(self, first: Array, second: Array) -> Array:
         """Return the largest scaled component of the difference of states (…, N), angles modulo a turn."""
-        difference = np.asarray(first) - np.asarray(second)
+        difference = checked_array("first", first, len(self.scale)) - checked_array("second", second, len(self.scale))
         difference = difference - self.nearest_turns(difference) * self.turn_lengths
         return np.max(np.abs(difference) / self.scale, axis=-1)
 

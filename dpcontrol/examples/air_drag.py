@@ -10,6 +10,7 @@ import casadi as ca
 from matplotlib.figure import Figure
 
 import dpcontrol as dp
+from dpcontrol.dynamics.components import ComponentFrame
 
 
 @dataclass(frozen=True)
@@ -20,11 +21,11 @@ class AirDrag(dp.SymbolicPlant):
     length: tuple[float, ...]
 
     @classmethod
-    def sizes(cls, arms):
+    def sizes(cls, arms: int) -> dp.Sizes:
         return dp.Sizes(parameters=2 * arms)
 
     @classmethod
-    def terms(cls, frame):
+    def terms(cls, frame: ComponentFrame) -> dp.Terms:
         drag, length = ca.vertsplit(frame.parameters, [0, 2, 4])
         across, up, lost = frame.velocity[-1], ca.SX(0), ca.SX(0)
         for k in range(2):

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 import dpcontrol as dp
+from dpcontrol.dynamics.components import ComponentFrame
 
 
 @dataclass(frozen=True)
@@ -21,23 +23,23 @@ class EddyBrake(dp.SymbolicPlant):
     since: float
 
     @classmethod
-    def sizes(cls, arms):
+    def sizes(cls, arms: int) -> dp.Sizes:
         return dp.Sizes(states=1, parameters=2, modes=1)
 
     @classmethod
-    def terms(cls, frame):
+    def terms(cls, frame: ComponentFrame) -> dp.Terms:
         strength = frame.parameters[0] * frame.modes[0]
         return dp.Terms(dissipation=strength * frame.velocity[0] ** 2 / 2, rates=ca.SX(1))
 
     @classmethod
-    def chosen(cls, frame, mass, acceleration):
+    def chosen(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
         return ca.if_else(frame.states >= frame.parameters[1] - 1e-9, 1, 0)
 
     @classmethod
-    def guards(cls, frame):
+    def guards(cls, frame: ComponentFrame) -> ca.SX:
         return ca.if_else(frame.modes, 1, frame.parameters[1] - frame.states)
 
-    def start(self, state):
+    def start(self, state: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.zeros(1)
 
 

@@ -12,14 +12,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import dpcontrol as dp
+from dpcontrol.control.interface import schedule_of
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.simulated import SimulatedRig
 
+Array = np.ndarray[Any, np.dtype[Any]]
 LOST, COMPLETED, EFFORT = 1.5, 100.0, 0.01
 """Error that ends an episode (rad), reward of a completed itinerary, and cost of full acceleration."""
 
 
-class BenchEnv(gymnasium.Env):
+class BenchEnv(gymnasium.Env[Array, Array]):
     """An itinerary on the simulated bench.
 
     The observation consists of the sines and cosines of the measured angles, the angular rates over the last step (in
@@ -35,29 +37,30 @@ class BenchEnv(gymnasium.Env):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as gymnasium declares it
 
     def __init__(self, itinerary: str = "outer-turn", *, ticks: int = 10, **options: Any) -> None:
-        self.loop = dp.closed_loop(itinerary, controller="feedforward", **{"mismatch": 0.02, **options})
+        self.loop = dp.closed_loop(itinerary, settings={"controller": "feedforward", "mismatch": 0.02, **options})
         self.assembly, self.ticks = self.loop.assembly, ticks
-        schedule: Any = self.assembly.controller.schedule(1)
+        schedule = schedule_of(self.assembly.controller, 1)
+        assert schedule is not None
         self.states, self.forward = schedule.references, schedule.rows[:, 0]
-        self.queued, self.arms = schedule.queued.tolist(), self.assembly.arms.count
+        self.queued, self.arms = [float(one) for one in schedule.queued], self.assembly.arms.count
         self.most = self.assembly.limits.acceleration
         size = 5 * self.arms + 3
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Draw the bench's arms, initial errors and blows from a seed."""
         super().reset(seed=seed)
         own, drawn = self.assembly, int(self.np_random.integers(1 << 31))
         draw = own.draw(seed=drawn)
         start = own.controller.first_state
         self.rig = SimulatedRig(draw, own.settings.bench, limits=own.limits, start=start, queued=self.queued)
-        self.tick, self.truth, self.commands = 0, [], []
+        self.tick, self.truth, self.commands = 0, list[Array](), list[float]()
         self.measured = self.rig.read().positions
         self.before = self.measured
         return self._observed(), {"seed": drawn}
 
-    def _observed(self) -> np.ndarray:
+    def _observed(self) -> Array:
         n, wanted = self.arms, self.states[self.tick]
         rates = (self.measured - self.before) / (self.ticks * self.rig.period)
         angles = self.measured[:n]
@@ -65,7 +68,7 @@ class BenchEnv(gymnasium.Env):
         parts = [np.sin(angles), np.cos(angles), rates[:n] / 10, [self.measured[n], rates[n] / 3], errors]
         return np.concatenate([*parts, [self.forward[self.tick] / self.most]]).astype(np.float32)
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Apply the agent's action for some ticks or until the run ends."""
         own, last = float(np.clip(action, -1.0, 1.0)[0]) * self.most, len(self.states) - 1
         self.before, reason, distance = self.measured, "", 0.0
@@ -100,7 +103,7 @@ class BenchEnv(gymnasium.Env):
 def rewards(env: BenchEnv, gain: float, *, seed: int) -> list[float]:
     """Return the rewards of an episode with proportional feedback of the angles."""
     seen, _ = env.reset(seed=seed)
-    found, over, n = [], False, env.arms
+    found, over, n = list[float](), False, env.arms
     while not over:
         action = np.array([gain * float(seen[3 * n + 2 : 4 * n + 2].sum())], dtype=np.float32)
         seen, reward, over, _, _ = env.step(np.clip(action, -1, 1))

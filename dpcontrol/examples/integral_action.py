@@ -9,8 +9,9 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+import scipy.linalg
 from matplotlib.figure import Figure
-from scipy.linalg import solve_discrete_are
+from numpy.typing import NDArray
 
 import dpcontrol as dp
 
@@ -29,22 +30,25 @@ plan = dp.plan("tilted.toml")
 model = dp.closed_loop(plan).assembly.model
 
 
-def gains(weight: float) -> np.ndarray:
+def gains(weight: float) -> NDArray[np.float64]:
     """Return the gains on the errors and the cart's weighted integral."""
     a, b = (one[0] for one in model.linearised(plan.reference.state(0.0)[None], np.zeros(1)))
-    integrates = np.block([[a, np.zeros((6, 1))], [model.period * np.eye(6)[CART], 1.0]])
+    integrates = np.eye(7)
+    integrates[:6, :6], integrates[6, :6] = a, model.period * np.eye(6)[CART]
     push = np.append(b, 0.0)[:, None]
-    cost = solve_discrete_are(integrates, push, np.diag([100.0, 100.0, 1.0, 1.0, 10.0, 1.0, weight]), np.eye(1))
-    return (push.T @ cost @ integrates / (1 + push.T @ cost @ push))[0]
+    states = np.diag([100.0, 100.0, 1.0, 1.0, 10.0, 1.0, weight])
+    cost = np.array(scipy.linalg.solve_discrete_are(integrates, push, states, np.eye(1)), dtype=np.float64)
+    found: NDArray[np.float64] = push.T @ cost @ integrates / (1 + push.T @ cost @ push)
+    return found.ravel()
 
 
 def law(weight: float) -> dp.SymbolicLaw:
     """Return the regulator, without integral action if the weight is 0."""
     gain = gains(max(weight, 1e-9))
 
-    def lqr(state, reference, memory, parameters):
-        error = state - reference.state
-        command = reference.feedforward - ca.dot(gain[:6], error) - (gain[6] * memory[0] if weight else 0)
+    def lqr(state: ca.SX, reference: dp.Wanted, memory: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX]:
+        error: ca.SX = state - reference.state
+        command: ca.SX = reference.feedforward - ca.dot(gain[:6], error) - (gain[6] * memory[0] if weight else 0)
         return command, memory + model.period * error[CART]
 
     return dp.SymbolicLaw(lqr, memory=1)

@@ -5,12 +5,20 @@
 # model by 2 %.
 
 # %%
-import mujoco
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco as mujoco_package
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 import dpcontrol as dp
+from dpcontrol.plans.plan import Plan
+from dpcontrol.runs.run import Run
 
+mujoco: Any = mujoco_package
+"""MuJoCo has no type stubs."""
 MISMATCH, ERROR, LAG, SUBSTEPS = 0.02, 0.02, 0.002, 2
 COUNT, SCALE = 2 * np.pi / 40_000, 1e-6
 
@@ -18,7 +26,7 @@ COUNT, SCALE = 2 * np.pi / 40_000, 1e-6
 class MujocoRig:
     """A rig with random arms near `model`, which starts near the reference."""
 
-    def __init__(self, plan, *, seed: int) -> None:
+    def __init__(self, plan: Plan, *, seed: int) -> None:
         random, model, first = np.random.default_rng(seed), plan.itinerary.model, plan.reference.state(0.0)
         arms = model.arms.mismatched(MISMATCH, random)
         self.model = mujoco.MjModel.from_xml_string(dp.mjcf(arms, lag=LAG))
@@ -30,12 +38,12 @@ class MujocoRig:
         self.wanted, self.acting, self.on_its_way, self.begun = first[2 * n + 1], 0.0, 0.0, False
 
     @property
-    def truth(self):
+    def truth(self) -> NDArray[np.float64]:
         """Angles and rates of the arms, position and velocity of the cart."""
         q, v = self.data.qpos, self.data.qvel
         return np.concatenate([np.cumsum(q[1:]), np.cumsum(v[1:]), [q[0], v[0]]])
 
-    def read(self):
+    def read(self) -> NDArray[np.float64]:
         if self.begun:
             for _ in range(SUBSTEPS):
                 step = self.model.opt.timestep
@@ -55,7 +63,7 @@ class MujocoRig:
         self.on_its_way = self.acting = self.wanted = 0.0
 
 
-def flown(name: str, seeds) -> list:
+def flown(name: str, seeds: Sequence[int]) -> list[Run]:
     """Simulate runs of an itinerary in MuJoCo."""
     plan = dp.plan(name)
     loop = dp.closed_loop(plan, drive_lag=LAG)

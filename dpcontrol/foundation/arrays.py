@@ -1,9 +1,30 @@
 """Array types by element; docstrings give shapes and meaning."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
+from dpcontrol.foundation.arguments import shortened
+from dpcontrol.foundation.errors import InputError
 
 Array = NDArray[np.float64]
 """Array of floats."""
 Flags = NDArray[np.bool_]
 """Array of booleans."""
+
+
+def checked_array(name: str, values: Any, width: int | None = None) -> Array:
+    """Return numbers (…) or, given a width, (…, width) as an array.
+
+    Raises:
+        InputError: the values are no real numbers, or their last axis has another length.
+    """
+    expected = "numbers" if width is None else f"states of {width} numbers"
+    try:
+        found = np.asarray(values)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"{name} = {shortened(values)}: must be {expected}") from error
+    if found.dtype.kind not in "iuf" or (width is not None and found.shape[-1:] != (width,)):
+        raise InputError(f"{name} = {shortened(values)}: must be {expected}")
+    return found.astype(float, copy=False)

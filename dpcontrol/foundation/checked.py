@@ -8,8 +8,9 @@ these are annotated. A wrong number of arguments and an unknown keyword remain P
 import builtins
 import inspect
 import math
+import re
 import types
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cache, wraps
 from numbers import Integral, Real
@@ -19,7 +20,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import numpy as np
 
 from dpcontrol.foundation.arguments import allowed_range, shortened
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.settings import suggest
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -48,7 +49,8 @@ _MAKERS: dict[str, str] = {}
 def checked(function: Function) -> Function:
     """Return a function that raises InputError if an argument does not fit its annotation."""
     signature = inspect.signature(function)
-    _MAKERS.setdefault(str(signature.return_annotation), function.__name__)
+    if function.__qualname__ == function.__name__:
+        _MAKERS.setdefault(str(signature.return_annotation), function.__name__)
 
     @cache
     def hints() -> dict[str, Any]:
@@ -102,6 +104,8 @@ def check(name: str, value: Any, hint: Any) -> None:
         elif kind in (Sequence, Collection, tuple) and is_list(value) and len(value) == _length(option, value):
             for k, one in enumerate(value):
                 check(name, one, inner[0 if Ellipsis in inner else min(k, len(inner) - 1)])
+    if isinstance(value, str | Path) and not _is_line(str(value)):
+        raise InputError(f"{name} = {shortened(value)}: must be one short line without control characters")
     texts = [one for option in options if get_origin(option) is Literal for one in get_args(option)]
     if isinstance(value, str) and texts and all(isinstance(one, str) for one in texts):
         raise InputError(f"{name} = {shortened(value)}: {suggest(value, texts)}")
@@ -139,8 +143,18 @@ def _fits(value: Any, hint: Any) -> bool:
         return isinstance(value, bool | np.bool_)
     if hint is None or hint is Any or hint is object or isinstance(hint, TypeVar):
         return value is None or hint is not None
+    if isinstance(value, str | Path) and hint in (str, Path):
+        return isinstance(value, hint) and _is_line(str(value))
+    if getattr(hint, "_is_protocol", False):
+        return value is not None  # The object's methods are checked where they are called.
     kind = kind or hint
     return callable(value) if kind is Callable else not isinstance(kind, type) or isinstance(value, kind)
+
+
+def _is_line(text: str) -> bool:
+    """Return True if a text is one line without control characters, and short enough for a path."""
+    parts = re.split(r"[/\\]", text)
+    return printable(text) == text and "\n" not in text and len(text) < 4000 and all(len(one) < 250 for one in parts)
 
 
 _LARGEST = 1.7976931348623157e308
@@ -152,8 +166,10 @@ def _fits_any(value: Any, hint: Any) -> bool:
 
 
 def is_list(value: Any) -> bool:
-    """Return True if a value has entries without names, and is no text."""
-    return isinstance(value, Collection | np.ndarray) and not isinstance(value, str | bytes | Mapping)
+    """Return True if a value has entries in an order, without names, and is no text."""
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Collection) and not isinstance(value, str | bytes | Mapping | Set)
 
 
 def _length(hint: Any, value: Any) -> int:

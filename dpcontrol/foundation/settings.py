@@ -24,6 +24,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_origin, get_type_hints
 
+from dpcontrol.foundation.arguments import shortened
 from dpcontrol.foundation.errors import InputError, InputErrors, Mistakes, mistakes_of
 
 T = TypeVar("T")
@@ -188,11 +189,23 @@ class Table:
 
 def suggest(value: str, choices: Iterable[str]) -> str:
     """Return what is allowed instead of `value`, the nearest spelling first."""
-    choices = [str(choice) for choice in choices]
+    choices = [str(choice) for choice in choices] or ["none"]
     close = nearest(str(value), choices)
     if close:
         return f"did you mean {close!r}? Allowed: {', '.join(choices)}"
     return f"allowed: {', '.join(choices)}"
+
+
+def check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:
+    """Raise an error for the first name that is not known.
+
+    Raises:
+        InputError: unknown name; the message has the nearest spelling.
+    """
+    known = tuple(known)
+    for name in names:
+        if name not in known:
+            raise InputError(f"unknown {what} {shortened(name)}: {suggest(name, known)}")
 
 
 def nearest(value: str, choices: Iterable[str]) -> str:

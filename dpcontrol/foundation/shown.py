@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.arrays import Array, checked_array
 from dpcontrol.foundation.checked import Count, checked
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import plain
@@ -167,10 +167,7 @@ def checked_times(times: Any) -> Array:
     Raises:
         InputError: they are not finite numbers.
     """
-    try:
-        found = np.asarray(times, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"times: must be finite numbers, s ({error})") from error
+    found = checked_array("times", times)
     if not np.isfinite(found).all():
         raise InputError("times: must be finite numbers, s")
     return found

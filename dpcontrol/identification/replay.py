@@ -38,6 +38,7 @@ from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -410,6 +411,7 @@ class Replay(Brief):
     nis_means: NisMeans | None = None
     """Mean of the NIS, None if there is none."""
 
+    @checked
     def summary(self, model: str) -> str:
         """Return a sentence on the model's prediction errors and the estimator's consistency."""
         rms = sorted(1e3 * fit.rms for fit in self.fits)

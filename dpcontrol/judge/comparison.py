@@ -68,6 +68,8 @@ def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
     Raises:
         InputError: there are too many runs, their pendulums differ, or the symbol is missing in all.
     """
+    if not runs:
+        raise InputError("logs = []: give one at least")
     if len(runs) > MOST:
         raise InputError(f"{len(runs)} logs are too many for one picture: compare up to {MOST}")
     if len({view.arms for view in runs}) > 1:

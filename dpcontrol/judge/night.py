@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import CATCH, LAP, REST, RESUME, RETURN, START
@@ -166,11 +168,19 @@ class Night(Shown):
         """Names of the estimated parameters."""
         return tuple(dict.fromkeys(name for digest in self.digests for name in digest.extras))
 
+    @checked
     def course(self, name: str) -> tuple[Array, Array]:
         """Return hours (K,) and means (K,) of a parameter, by file.
 
         A short last file is omitted.
+
+        Args:
+            name: estimated parameter, such as "zero_1".
+
+        Raises:
+            InputError: unknown parameter.
         """
+        check_names("parameter", [name], self.estimated)
         own = [digest for digest in self.digests if name in digest.extras]
         least = _SHORT * max(digest.end - digest.first for digest in own)
         hours, values = np.array(

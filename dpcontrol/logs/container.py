@@ -13,6 +13,7 @@ cut or damaged file metadata could not be verified. Each metadata record therefo
 Source: the MCAP format specification, version 0.
 """
 
+import errno
 import json
 import mimetypes
 import os
@@ -270,6 +271,8 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
     Raises:
         OSError: the file cannot be created.
     """
+    if not path.name:
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     names = [path.with_name(path.name + SUFFIX)]
     names += [path.with_name(f"{path.name}.{os.getpid()}-{k}{SUFFIX}") for k in range(1, 100)]
     for name in names[:-1]:

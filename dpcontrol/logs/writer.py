@@ -458,7 +458,7 @@ class LogWriter:
         compression: int = COMPRESSION,
     ):
         self.path = Path(path)
-        self.partial = self.path.with_name(self.path.name + ".partial")
+        self.partial = self.path.parent / (self.path.name + ".partial")
         self._lengths = tuple(float(length) for length in arm_lengths)
         self._has_cart = has_cart
         self._limits = limits

@@ -28,9 +28,11 @@ from scipy.optimize import brentq
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.orbits.lyapunov import (
     LinearCentre,
@@ -410,8 +412,18 @@ class Family(Shown, Generic[Member]):
         sizes = np.abs(self.floquet_multipliers[:, 0])
         return pandas_classes()[0]({"energy": self.energies, "period": self.periods, "multiplier": sizes})
 
+    @checked
     def column(self, name: str) -> NDArray[Any]:
-        """Return one attribute of all members, (K, …)."""
+        """Return one attribute of all members, (K, …).
+
+        Args:
+            name: attribute, such as "period".
+
+        Raises:
+            InputError: unknown attribute.
+        """
+        known = [one for one in dir(self.members[0]) if not one.startswith("_")]
+        check_names("attribute", [name], known)
         return np.array([getattr(member, name) for member in self.members])
 
 

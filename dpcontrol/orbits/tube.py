@@ -92,6 +92,11 @@ class Tube(Shown):
         orbit = self.orbit
         if not isinstance(section, Section):
             section = orbit.system.section_between(orbit.saddle, orbit.saddle, section)
+        if len(section.normal) != orbit.system.dimension:
+            raise InputError(
+                f"section {section.name}: has {len(section.normal)} coefficients, and {orbit.system.name} has "
+                f"{orbit.system.dimension} states; use a section of this system"
+            )
         if self.stable and not section.kept_by(orbit.reverser, orbit.centre):
             raise InputError(f"section {section.name}: not preserved by the reverser about {orbit.saddle}; use another")
         cut = tube_cut(self.manifold, section, hit=hit)

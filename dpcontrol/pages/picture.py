@@ -275,6 +275,8 @@ def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
     Raises:
         InputError: a file is missing or damaged, or one of several files is not a log.
     """
+    if not files:
+        raise InputError("files = []: give one at least")
     first, *others = files
     if others:
         from dpcontrol.judge.comparison import compare

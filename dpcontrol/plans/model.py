@@ -25,6 +25,7 @@ from dpcontrol.dynamics.chain import (
 )
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.arguments import path as path_of
+from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.errors import InputError, Mistakes, remark
 from dpcontrol.foundation.files import in_the_way, write_whole
 from dpcontrol.foundation.settings import Place, Settings, decode, nearest, parse_toml, read_toml, setting
@@ -69,6 +70,7 @@ class Model:
             own = pendulum_system(self.name, self.parameters)
         return ModelSystem(**{f.name: getattr(own, f.name) for f in fields(own)}, model=self)
 
+    @checked
     def unit(self, name: str, form: str = " {}") -> str:
         """Return a unit of SI as texts have it after a number; "" for three bodies, whose units are their own."""
         return "" if isinstance(self.parameters, ThreeBodyParameters) else form.format(name)
@@ -140,7 +142,8 @@ def model_of(system: System) -> Model:
     return system.model
 
 
-def load_model(name: str) -> Model:
+@checked
+def load_model(name: str | Path) -> Model:
     """Load a model.
 
     Args:

@@ -265,6 +265,8 @@ def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck
     """
     try:
         content = json.loads(checked_source(file).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read {file}: {error.strerror}; give a file of `prove --out`") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{file} is not a certificate: it is not JSON; give a file of `prove --out`") from error
     if not isinstance(content, dict) or not {"format", "nodes", "digest"} & set(content):

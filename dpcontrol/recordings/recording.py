@@ -30,6 +30,7 @@ import numpy as np
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import Count, Index, checked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source, content_hash, picked
 from dpcontrol.foundation.progress import Cost
@@ -108,7 +109,8 @@ class Recording(Timed):
         measured = [*self.angles.T, *([] if self.cart is None else [self.cart])]
         return np.stack([np.interp(checked_times(times), self.time, one) for one in measured], axis=-1)
 
-    def frame(self, count: int | None = None) -> "DataFrame":
+    @checked
+    def frame(self, count: Count | None = None) -> "DataFrame":
         """Return a pandas table with one row per sample, or `count` interpolated rows.
 
         Raises:
@@ -124,11 +126,17 @@ class Recording(Timed):
         """Number of arms."""
         return self.angles.shape[1]
 
-    def segment(self, index: int) -> "Recording":
+    @checked
+    def segment(self, index: Index) -> "Recording":
         """Return the segment of this 0-based index as a recording.
 
         It keeps the original times.
+
+        Raises:
+            InputError: there is no such segment.
         """
+        if index >= len(self.segments):
+            raise InputError(f"index = {index}: {self.name} has segments 0 to {len(self.segments) - 1}")
         rows = slice(*self.segments[index])
         columns = {name: getattr(self, name) for name in ("time", "angles", "rates", "cart", "command")}
         cut = {name: None if values is None else values[rows] for name, values in columns.items()}

@@ -54,7 +54,7 @@ class Trajectory(Brief):
         index = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(self.mesh) - 2)
         tau = (flat - self.mesh[index]) / (self.mesh[index + 1] - self.mesh[index])
         rows = interpolation_matrix(places, tau)
-        return np.einsum("mk,mkn->mn", rows, values[index]).reshape(*at.shape, -1)
+        return np.einsum("mk,mkn->mn", rows, values[index]).reshape(*at.shape, values.shape[-1])
 
     def state(self, times: ArrayLike) -> Array:
         """Return states (…, nx) at `times` (…) s; times outside count as the nearest end."""

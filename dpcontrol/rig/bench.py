@@ -39,7 +39,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.processes import end_with_parent
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Settings, check_names, setting
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Reading, Rig
@@ -559,8 +559,9 @@ def checked_faults(faults: Sequence[str], arms: int) -> tuple[str, ...]:
     """Return faults for practice.
 
     Raises:
-        InputError: a fault concerns an arm that does not exist.
+        InputError: an unknown fault, or one of an arm that does not exist.
     """
+    check_names("fault", faults, FAULTS)
     for name in faults:
         if arms < 2 and ("-2-" in name or name in ("encoders-swapped", "angles-not-summed")):
             raise InputError(f"--fault {name}: requires at least two arms, and the model has {arms}; choose another")

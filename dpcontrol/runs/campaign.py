@@ -625,7 +625,7 @@ def check_parts(file: Path, record: Mapping[str, Any]) -> None:
 
 def parts_of(file: Path) -> Path:
     """Return the folder of the finished jobs of an interrupted campaign."""
-    return file.with_name(file.name + ".parts")
+    return file.parent / (file.name + ".parts")
 
 
 _DECISIVE = ("itinerary", "model", "scene_hash", "model_hash", "cases", "transitions")

@@ -10,7 +10,7 @@ from dpcontrol.control.export import ControllerSource
 from dpcontrol.control.margins import Margins
 from dpcontrol.foundation.arguments import place
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.checked import Count, Index, Seed, Workers, checked
+from dpcontrol.foundation.checked import Count, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.progress import Reporting, reporting
 from dpcontrol.foundation.rendering import live_view
@@ -20,6 +20,7 @@ from dpcontrol.judge.preflight import Preflight
 from dpcontrol.logs import read_log
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.own import OwnObject, load_own
+from dpcontrol.loop.protocols import UserRig
 from dpcontrol.plans.plan import Plan, recoverable, with_kept_starts
 from dpcontrol.runs.campaign import (
     STANDARD_CAMPAIGN,
@@ -121,7 +122,7 @@ class ClosedLoop(Timed):
         self,
         *,
         seed: Seed = 0,
-        rig: object = None,
+        rig: UserRig | RigLink | str | None = None,
         program: Path | str | None = None,
         library: Path | str | None = None,
         log: Path | str | None = None,
@@ -148,10 +149,13 @@ class ClosedLoop(Timed):
                 for a live view.
             GoalMissed: there is no reference to follow, no controller can be made for it, or the rig failed at once.
         """
+        link = linked(rig)
+        own = load_own("rig", rig) if isinstance(rig, str) and link is None else None
+        if rig is not None and link is None and own is None:
+            own = OwnObject("rig", rig)
         plan, assembly = self._flown
         scene = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
         plan, shown, out = replace(plan, itinerary=scene), live_view if live else None, place("log", log)
-        link = linked(rig)
         if program is not None and (link is None or link.address != OWN_BENCH):
             raise InputError('program: controls the example bench; give rig="udp" as well')
         if link is not None:
@@ -161,19 +165,19 @@ class ClosedLoop(Timed):
             else:
                 run_with_program(plan, out, Path(program), real_time=link.real_time, force=force)
             return Run(read_log(out))
-        own = load_own("rig", rig) if isinstance(rig, str) else None if rig is None else OwnObject("rig", rig)
         with reporting(progress, "run") as report:
             return run_plan(
                 plan, out, assembly=assembly.under(scene.loop), library=place("library", library), rig=own,
                 force=force, live=shown, progress=report,
             )  # fmt: skip
 
+    @checked
     def night(
         self,
-        hours: float | NightSettings,
+        hours: Positive | NightSettings,
         folder: Path | str,
         *,
-        rig: object = None,
+        rig: RigLink | str | None = None,
         resume: bool = False,
         force: bool = False,
         live: bool = False,
@@ -243,6 +247,7 @@ class ClosedLoop(Timed):
                 transitions=transitions, force=force, yes=yes, progress=report,
             )  # fmt: skip
 
+    @checked
     def standard_score(
         self,
         controllers: Sequence[str] = (),
@@ -313,7 +318,7 @@ class ClosedLoop(Timed):
         folder: Path | str | None = None,
         *,
         single: bool = False,
-        clock: float | None = None,
+        clock: Positive | None = None,
         force: bool = False,
         progress: Reporting = None,
     ) -> ControllerSource:

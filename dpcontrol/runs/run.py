@@ -29,6 +29,7 @@ from dpcontrol.control.tick import TickProgram
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import commit
+from dpcontrol.foundation.checked import Count, Workers, checked
 from dpcontrol.foundation.config import log_folder
 from dpcontrol.foundation.errors import GoalMissed, InputError, mistakes_of, remark
 from dpcontrol.foundation.files import (
@@ -40,7 +41,7 @@ from dpcontrol.foundation.files import (
     write_folder,
     write_whole,
 )
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, Reporting, no_progress, reporting
 from dpcontrol.foundation.settings import Place, decode, frozen, with_values
 from dpcontrol.foundation.shipped import folders
 from dpcontrol.foundation.shown import Timed, checked_times
@@ -130,10 +131,14 @@ class Run(Timed):
         """The verdict in one line."""
         return self._judged.sentence if self._judged else f"{len(self.log.time):,} samples, no plan to be judged by"
 
-    def why(self, *, workers: int = 0, yes: bool = False, progress: Progress = no_progress) -> "Why":
+    @checked
+    def why(self, *, workers: Workers = 0, yes: bool = False, progress: Reporting = None) -> "Why":
         """Return which options of `dpcontrol run` complete a run that failed, and more often than harmless changes do.
 
-        workers: processes, 0 for one on each processor. yes: however long it takes.
+        Args:
+            workers: processes, 0 for one on each processor.
+            yes: however long it takes.
+            progress: where progress goes; see `dpcontrol.api`.
 
         Raises:
             InputError: the log is not of a simulated run, lacks what a repetition needs, or it would take too long.
@@ -147,7 +152,8 @@ class Run(Timed):
             def typed(change: Mapping[str, Any]) -> Plan:
                 return _with_options(plan, scene, change)
 
-            return why(plan, self.score(), typed, workers=workers, yes=yes, progress=progress)
+            with reporting(progress, "why") as report:
+                return why(plan, self.score(), typed, workers=workers, yes=yes, progress=report)
 
     def margins(self) -> Margins:
         """Return the gain, delay and lag that the loop bears.
@@ -214,7 +220,8 @@ class Run(Timed):
             return self.sample()
         return np.stack([np.interp(checked_times(times), self.log.time, one) for one in states.T], axis=-1)
 
-    def frame(self, count: int | None = None) -> "DataFrame":
+    @checked
+    def frame(self, count: Count | None = None) -> "DataFrame":
         """Return a pandas table with one row per tick (see `RunLog.frame`), or `count` interpolated rows of states.
 
         Raises:

@@ -21,8 +21,9 @@ from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.propagator import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arguments import shortened
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import local_manifold
@@ -89,9 +90,19 @@ class ExtendedOrbit(Brief):
         return self.times[-1] - self.times[0]
 
     def at(self, phase: Any) -> Extended:
-        """Return the lifted state (N,) of a periodic orbit at a 113-bit phase (period 1)."""
-        assert self.guess.turn is not None
-        rounds = float(np.floor(float(phase)))
+        """Return the lifted state (N,) of a periodic orbit at a 113-bit phase (period 1).
+
+        Raises:
+            InputError: the orbit is not periodic, or the phase is not a finite number.
+        """
+        if self.guess.turn is None:
+            raise InputError("the orbit is not periodic and has no phase; use its `times` and `states`")
+        try:
+            rounds = float(np.floor(float(phase)))
+        except (TypeError, ValueError) as error:
+            raise InputError(f"phase = {shortened(phase)}: must be a number, in periods") from error
+        if not np.isfinite(rounds):
+            raise InputError(f"phase = {shortened(phase)}: must be a finite number, in periods")
         elapsed = (phase - extended(rounds)[()]) * self.duration
         node = int(np.searchsorted(self.times.astype(float), float(elapsed), side="right")) - 1
         node = min(max(node, 0), len(self.times) - 2)

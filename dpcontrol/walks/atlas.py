@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
-from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.arrays import Array, checked_array
+from dpcontrol.foundation.checked import Hit, checked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.cut import Piece
 from dpcontrol.orbits.lyapunov import OrbitRecord
@@ -228,12 +230,28 @@ class Atlas(Shown):
         """Return the connection graph, with orbits of all families as nodes."""
         return connection_graph(self.orbits, ((c.source, c.target, c) for c in self.connections))
 
+    @checked
     def between(self, source: str, target: str) -> tuple[AtlasConnection, ...]:
-        """Return the connections from one saddle's orbit to another's."""
+        """Return the connections from one saddle's orbit to another's.
+
+        Args:
+            source: saddle that the connections leave.
+            target: saddle that they join.
+
+        Raises:
+            InputError: unknown saddle.
+        """
+        check_names("saddle", (source, target), [point.name for point in self.points])
         return tuple(c for c in self.connections if (c.source, c.target) == (source, target))
 
-    def cut(self, saddle: str, section: str, hit: int) -> AtlasCut:
+    @checked
+    def cut(self, saddle: str, section: str, hit: Hit) -> AtlasCut:
         """Return a tube's cut.
+
+        Args:
+            saddle: saddle whose tube it is.
+            section: name of the section.
+            hit: number of the crossing.
 
         Raises:
             InputError: the atlas does not contain this cut.
@@ -243,8 +261,19 @@ class Atlas(Shown):
                 return cut
         raise InputError(f"the atlas of {self.model} holds no crossing {hit} of {section} by the tube of {saddle}")
 
+    @checked
     def turned(self, states: Array, saddle: str) -> Array:
-        """Map states (…, N) of the unstable tube to the stable tube."""
+        """Map states of the unstable tube to the stable tube.
+
+        Args:
+            states: states (…, N).
+            saddle: saddle whose tubes they are.
+
+        Raises:
+            InputError: unknown saddle, or states of another length.
+        """
+        check_names("saddle", [saddle], [point.name for point in self.points])
+        states = checked_array("states", states, len(self.reverser))
         centre = next(point.state for point in self.points if point.name == saddle)
         return (states - centre) @ self.reverser.T + centre
 

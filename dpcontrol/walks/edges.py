@@ -19,9 +19,11 @@ import networkx as nx
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.budget import Budget
+from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.cut import Cut, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
@@ -165,12 +167,31 @@ class Edges(Shown):
         """All connections, including those outside the graph."""
         return (*self.connections, *self.named)
 
+    @checked
     def between(self, source: str, target: str) -> tuple[Connection, ...]:
-        """Return the connections from one saddle's orbit to another's."""
+        """Return the connections from one saddle's orbit to another's.
+
+        Args:
+            source: saddle that the connections leave.
+            target: saddle that they join.
+
+        Raises:
+            InputError: unknown saddle.
+        """
+        check_names("saddle", (source, target), (*self.system.equilibria, *self.orbits))
         return tuple(c for c in self.connections if (c.source.saddle, c.target.saddle) == (source, target))
 
+    @checked
     def leaving(self, saddle: str) -> tuple[Connection, ...]:
-        """Return the connections that leave a saddle's orbit."""
+        """Return the connections that leave a saddle's orbit.
+
+        Args:
+            saddle: saddle.
+
+        Raises:
+            InputError: unknown saddle.
+        """
+        check_names("saddle", [saddle], (*self.system.equilibria, *self.orbits))
         return tuple(c for c in self.connections if c.source.saddle == saddle)
 
     def document(self) -> dict[str, Any]:

@@ -1,0 +1,72 @@
+"""Users' scripts check under the strict modes of pyright and mypy, with the settings that the guide gives."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+import dpcontrol
+
+pytestmark = pytest.mark.slow
+ROOT = Path(dpcontrol.__file__).parents[1]
+EXAMPLES = sorted((ROOT / "dpcontrol" / "examples").glob("[a-z]*.py"))
+OUTSIDE = {"gym_env": "gymnasium", "mujoco_rig": "mujoco"}
+"""Examples of packages that are extras."""
+MISTAKEN = """# pyright: strict
+import dpcontrol as dp
+
+run = dp.run("outer-turn", mismatch="much")
+law: dp.Law = "adaptive"
+rig: dp.Rig = run.score().completed
+"""
+"""A script with three mistakes, which the checkers find only if they see the types."""
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a user's folder with the guide's settings and the examples."""
+    folder = tmp_path_factory.mktemp("typed")
+    guide = (ROOT / "dpcontrol" / "guide" / "python.md").read_text(encoding="utf-8")
+    (config,) = re.findall(r"```toml\n(\[tool\.pyright\].*?)```", guide, re.DOTALL)
+    paths = f'extraPaths = ["{ROOT.as_posix()}"]'
+    (folder / "mistaken").mkdir()
+    for place in (folder, folder / "mistaken"):
+        text = config.replace("[tool.pyright]", f'[tool.pyright]\nexclude = ["mistaken"]\n{paths}')
+        (place / "pyproject.toml").write_text(text, encoding="utf-8")
+    for file in EXAMPLES:
+        if file.stem not in OUTSIDE or find_spec(OUTSIDE[file.stem]) is not None:
+            shutil.copy(file, folder)
+    (folder / "mistaken" / "mistaken.py").write_text(MISTAKEN, encoding="utf-8")
+    return folder
+
+
+def checked(folder: Path, *command: str) -> str:
+    """Return the output of a checker."""
+    pytest.importorskip(command[0])
+    environment = {**os.environ, "MYPYPATH": str(ROOT), "PYTHONPATH": ""}
+    done = subprocess.run(
+        [sys.executable, "-m", *command], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    return done.stdout + done.stderr
+
+
+def test_examples_check_under_pyright_strict(project: Path) -> None:
+    assert "\n0 errors" in "\n" + checked(project, "pyright", "--pythonpath", sys.executable)
+
+
+def test_examples_check_under_mypy_strict(project: Path) -> None:
+    files = [file.name for file in project.glob("*.py")]
+    assert "Success: no issues" in checked(project, "mypy", "--strict", "--follow-imports=silent", *files)
+
+
+def test_both_find_mistakes_in_the_types_of_arguments(project: Path) -> None:
+    by_pyright = checked(project / "mistaken", "pyright", "--pythonpath", sys.executable)
+    by_mypy = checked(project / "mistaken", "mypy", "--strict", "--follow-imports=silent", "mistaken.py")
+    for line in (4, 5, 6):
+        assert f"mistaken.py:{line}:" in by_pyright
+        assert f"mistaken.py:{line}:" in by_mypy
