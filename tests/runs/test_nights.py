@@ -47,7 +47,7 @@ def test_a_night_goes_on_after_falls_unless_it_is_told_not_to() -> None:
 
 def test_what_keeps_stops_by_its_own_clock_is_left_out_of_a_night_and_that_is_said() -> None:
     linger = load_itinerary("linger")
-    with pytest.warns(Remark, match=r'linger.toml: \[controller\] keep = "tvlqr" has a clock of its own'):
+    with pytest.warns(Remark, match=r'linger.toml: \[controller\] keep = "tvlqr" has internal timing'):
         loop = night_itinerary(linger, asked={}).loop
     assert (loop.keep, loop.supervisor.on_fall) == ("none", "resume")
     with pytest.raises(InputError, match="run with --set keep=none"):
@@ -185,9 +185,9 @@ def test_a_short_night_is_repeated_interrupted_resumed_and_told(tmp_path: Path) 
     assert [file.name for file in sorted(folder.glob("*.mcap"))] == ["turn-0001.mcap", "turn-0002.mcap"]
     # The turn's end meets its start, half a wobble before the last.
     assert (done.uptime, done.repetitions, len(done.falls)) == (pytest.approx(1.0, abs=1e-3), 1, 0)
-    with pytest.raises(InputError, match="holds a long run already; go on with it by --resume"):
+    with pytest.raises(InputError, match="already holds a long run; continue it with --resume"):
         run_night(plan, out, night)
-    with pytest.raises(InputError, match=r"is complete: .* ask for more --hours"):
+    with pytest.raises(InputError, match=r"is complete: .* raise --hours"):
         run_night(plan, out, night, resume=True)
     with pytest.raises(InputError, match="holds no long run to resume"):
         run_night(plan, tmp_path / "other.mcap", night, resume=True)

@@ -124,7 +124,7 @@ def test_where_all_complete_nothing_is_tried_and_where_none_does_no_border_is_so
     made_up(monkeypatch, lambda loop, random: False)
     hopeless = preflight(turn, settings=SMALL)
     assert (hopeless.borders, hopeless.likely) == ((), False)
-    assert any("too few to seek borders" in note for note in hopeless.notes)
+    assert any("too few to find borders" in note for note in hopeless.notes)
     assert {c.gain for c in hopeless.changes} == {0.0}
 
 
