@@ -19,8 +19,7 @@ other draws unchanged, and a longer run begins like a shorter one. Draws for eac
 a run does not grow with its duration.
 
 Sources: the data sheets of the rig, with 40,000 counts per turn, 1 µm on the cart, a drive commanded in velocity, 3
-m/s,
-and limit switches at both ends. Seed sequences: O'Neill, as in numpy.random.SeedSequence.
+m/s, and limit switches at both ends. Seed sequences: O'Neill, as in numpy.random.SeedSequence.
 """
 
 import math

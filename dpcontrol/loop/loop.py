@@ -284,7 +284,7 @@ class ControlLoop:
             over = f"command {wish:.3g} m/s², cut to {figures['command']:.3g} m/s²"
             text = over if abs(wish) > self.limits.acceleration else f"cart at {fastest:g} m/s"
             self._event(now, "warn", "saturated", text)
-        if figures["doubted"]:
+        if figures["untrusted"]:
             self._event(now, "info", "controller", self.ticker.flag_estimate())
 
     def _event(self, time_s: float, level: str, name: str, text: str) -> None:

@@ -116,12 +116,10 @@ class SupervisorSettings(Settings, table="supervisor"):
 
     Attributes:
         lost_tracking: mean distance of an angle from the reference beyond which feedback cannot return, rad. Half a
-            turn
-            is π, and a completed period requires 0.1.
+            turn is π, and a completed period requires 0.1.
         resynchronise: distance at which the clock moves to the nearest phase, rad, 0 for never.
         lost_estimate: mean NIS per degree of freedom. It reaches thousands if encoders are exact to a count and the
-            model
-            is wrong by a tenth, without harm. 1e5 is about 0.04 rad.
+            model is wrong by a tenth, without harm. 1e5 is about 0.04 rad.
         restarts: restarts of the estimator within a second before it counts as lost.
         missing: longest time without a measurement, s.
         braking: share of the largest acceleration that stopping assumes. The actual braking is harder.
@@ -412,8 +410,7 @@ class BatchRun(Brief):
     """One run of K ticks with the data that judge it and a few figures, in SI units.
 
     times (K,). truth (K, 2n+2). references (K, n): angles. applied (K,). ending, reason, falls, flights and hardest:
-    see
-    `LoopResult`.
+    see `LoopResult`.
     """
 
     times: Array

@@ -97,8 +97,7 @@ class AtlasSettings(Settings, table="atlas"):
 
     Attributes:
         hits: crossings of the unstable and the stable tube at every section. None selects the first crossings of each
-            kind
-            that meet, up to last_hit.
+            kind that meet, up to last_hit.
         search: settings of each search.
         strands: stored trajectories of each branch, for drawing, and their instants.
     """

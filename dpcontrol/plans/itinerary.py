@@ -298,8 +298,7 @@ class Itinerary:
 
     Attributes:
         start, finish: "orbit" (on the first or last part's orbit, at its exact rates, which rigs cannot start from),
-            "rest"
-            (hanging) or "hold" (at the equilibrium of the first or last part, for both ends or neither).
+            "rest" (hanging) or "hold" (at the equilibrium of the first or last part, for both ends or neither).
         keeps: True if the file plans stops as stays on sustained orbits. Other controllers follow the same reference.
         zeros: readings (n,) of a rig's hanging arms, rad, or none.
         stored: .npz file of its existing plan, if any.

@@ -82,8 +82,7 @@ def walk_goal(
     """Return the goal of following a shadowing orbit from start to end.
 
     round_off: True for ends that are extended to phase zero of their periodic orbits, with the arms at the saddle's
-    angles.
-    Transfers reach these states more easily than those in mid-swing.
+    angles. Transfers reach these states more easily than those in mid-swing.
     """
     system, chain = orbit.connections[0].source.system, orbit.connections
     n = system.dimension // 2

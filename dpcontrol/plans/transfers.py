@@ -11,8 +11,7 @@ the arms' parameters,
 
 The sensitivity is the largest root of the sum of squares of the angles' errors, over all arms and parameters. It orders
 the failures of transfers from rest to Down-Up on plants with errors of 0.3. With sensitivities of 2.3, 2.5, 3.3 and
-4.7,
-runs fail 5, 6, 28 and 51 times in 200. Effort gives the reverse order.
+4.7, runs fail 5, 6, 28 and 51 times in 200. Effort gives the reverse order.
 
 The cost is the time, the cart's effort ∫u² and stroke. Approaches are to families of Lyapunov orbits: for each family,
 the orbit that the pendulum comes closest to, by the largest component of the scaled gap. A family shrinks to its

@@ -556,8 +556,7 @@ class PlanNotes(TypedDict):
         taken: cost of each transfer.
         energy: energy of the first orbit, J.
         polished: least scaled distance to each stop's orbit, of a plan re-optimised as a whole. Such a plan keeps
-            crossings,
-            windings and wraps, but can leave the neighbourhood of the orbits.
+            crossings, windings and wraps, but can leave the neighbourhood of the orbits.
     """
 
     itinerary: str

@@ -20,8 +20,7 @@ solved by Gauss collocation on the reference's intervals, whose polynomials are 
 
 Sources: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (1990), for control on sections. Betts,
 Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7, for the resolution of
-intervals.
-Hairer, Lubich & Wanner, Geometric Numerical Integration, section II.1, for the method.
+intervals. Hairer, Lubich & Wanner, Geometric Numerical Integration, section II.1, for the method.
 """
 
 from collections.abc import Callable

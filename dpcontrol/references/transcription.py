@@ -168,8 +168,7 @@ class _Program:
 
     Variables, by column: an interval's start, its support values and its inputs. A support value that is the next
     interval's start is left out, unless the solver requires separate stages. Then follow the last state and, if it is
-    free,
-    the factor of the duration.
+    free, the factor of the duration.
     """
 
     def __init__(

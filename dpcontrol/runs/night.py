@@ -184,8 +184,7 @@ def _starts_beside(plan: Plan, recovery: RecoveryPlan, *, waits: bool) -> Iterat
     """Plan transfers from rest to the stops in a separate process, and append each one to the recovery plan.
 
     Each transfer is cached, so a run that ends early loses none. With `waits`, a run that needs a transfer waits for
-    the
-    first one, which only simulated time can. Otherwise its arms keep resting.
+    the first one, which only simulated time can. Otherwise its arms keep resting.
     """
     starts, first, problems = recovery.starts, threading.Event(), list[GoalMissed]()
     context = multiprocessing.get_context("spawn")
@@ -380,8 +379,7 @@ def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
     """Return the expected wait of a simulated night for its first transfer from rest, in ticks.
 
     The transfer is needed if laps begin from rest. It may be needed after a blow: the forecast is then the geometric
-    mean
-    of a night with the wait and one without.
+    mean of a night with the wait and one without.
 
     Args:
         settings: settings of the loop.

@@ -265,8 +265,7 @@ def run_plan(
 
     Raises:
         InputError: the log cannot be written or belongs to another run, the model's file lacks the uncertainty of a
-            drawn
-            plant, the library is of another itinerary, or a live view has no display.
+            drawn plant, the library is of another itinerary, or a live view has no display.
         GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
     plan = recoverable(plan.followed())
@@ -642,8 +641,7 @@ def export_unit(
     """Write the controller of a planned itinerary as a co-simulation unit to `out`.
 
     Returns its C, and the reason if the unit has no binary for this platform, else "". For other arguments and errors
-    see
-    `export_plan`.
+    see `export_plan`.
     """
     from dpcontrol.control.export import controller_unit
 
@@ -942,8 +940,7 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
     """Run a planned itinerary on an example bench with an external program as the controller, log and score it.
 
     The log is written after the run: the loop processes the recorded readings, which gives its estimates and demands.
-    The
-    log contains the true states and differs from that of a simulated run by the effects of real time.
+    The log contains the true states and differs from that of a simulated run by the effects of real time.
 
     real_time: request priority from the system and from the program.
 

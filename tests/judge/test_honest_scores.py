@@ -67,7 +67,7 @@ def test_a_nis_inside_its_band_but_off_its_mean_is_called_so(log: RunLog) -> Non
     assert found.nis_means.inside_95 == 0.0
     assert found.nis_means.mean == pytest.approx(1.02, abs=0.05)
     far = score(replace(log, controls={**log.controls, "nis": nis / 2}))
-    assert "expects far more noise than there is; set counts and noise" in "\n".join(score_text(far))
+    assert "assumes far too much noise; set counts and noise" in "\n".join(score_text(far))
     assert found.document()["nis_means"] == {"mean": found.nis_means.mean, "expected": 3, "inside_95": 0.0}
 
 
