@@ -227,9 +227,9 @@ def graph(
     from dpcontrol.walks.walks import vertex_names
 
     system = _system(model)
-    asked = parse_walk(symbols, vertex_names(system)) if symbols else ()
+    requested = parse_walk(symbols, vertex_names(system)) if symbols else ()
     with reporting(progress, "connections") as report:
-        return find_edges(system, energy, symbols=asked, progress=report)
+        return find_edges(system, energy, symbols=requested, progress=report)
 
 
 @checked
@@ -1590,7 +1590,7 @@ def start_bench(
     scene = load_itinerary(itinerary).with_run(_settings(settings, options), seed=seed)
     with reporting(progress, "rig") as report:
         where = BenchAddress() if at is None else at
-        return example_bench(scene, where, hanging=hanging, faults=faults, say=remark, yes=yes, progress=report)
+        return example_bench(scene, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=report)
 
 
 @checked
@@ -1647,7 +1647,7 @@ def commission(
             practice=scene.with_run(chosen, seed=seed),
             faults=faults,
             switches=switches,
-            tell=lambda text: report(text, 0.0),
+            notify=lambda text: report(text, 0.0),
         )
     if write and found.changes:
         write_whole(*measured_text(scene, found.changes))

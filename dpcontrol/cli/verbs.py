@@ -294,7 +294,7 @@ def print_json(document: Mapping[str, Any]) -> None:
     click.echo(printable(json.dumps(plain(document), indent=1, ensure_ascii=False), json=True))
 
 
-def say(text: str) -> None:
+def print_message(text: str) -> None:
     """Print a line on stderr, beside the answer."""
     click.echo(printable(text), err=True)
 

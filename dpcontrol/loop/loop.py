@@ -150,9 +150,9 @@ class ControlLoop:
             except ArithmeticError as failure:
                 self._fail(k, failure)
                 break
-            asked = clock()
+            began = clock()
             report = ticker(k, reading, None if noise is None else noise[k])
-            thought(clock() - asked)
+            thought(clock() - began)
             rig.command(report.item(command, 0))
             take(k - self._first, reading, report, rig.truth, ticker.references[k - ticker.began])
             self._done = done = k + 1

@@ -475,14 +475,22 @@ class JudgedTicks:
         self._nis[k, lane] = math.nan
 
     def run(
-        self, lane: int, count: int, references: Array, *, stands_from: int, period: float, ending: Ending, reason: str
+        self,
+        lane: int,
+        count: int,
+        references: Array,
+        *,
+        still_from: int,
+        period: float,
+        ending: Ending,
+        reason: str,
     ) -> BatchRun:
         """Return one run of `count` ticks; references (K, n) are constant from the tick of a stop on."""
         rest, count = self._done % _TURN, min(count, self._done)
         self._truth[lane, self._done - rest : self._done] = self._latest[:rest, :, lane]
         wanted = references[:count].copy()
-        if stands_from < count:
-            wanted[stands_from:] = wanted[stands_from]
+        if still_from < count:
+            wanted[still_from:] = wanted[still_from]
         times = np.asarray(np.arange(count) * period, dtype=np.float64)
         return BatchRun(
             times, self._truth[lane, :count], wanted, self._applied[:count, lane].copy(), ending, reason,

@@ -226,16 +226,20 @@ def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
         role: _of_kind(role, given[role], getattr(loop, role)) for role in ("controller", "estimator") if role in given
     }
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
-    adaptive, knows = isinstance(law, AdaptiveSettings), Augment.PARAMETERS in filters.augments
+    adaptive, augmented = isinstance(law, AdaptiveSettings), Augment.PARAMETERS in filters.augments
     defaults = estimators_of(law).get(filters.kind, OwnEstimator)
     if adaptive and isinstance(filters, OwnEstimator):
         raise InputError(
             f'controller: kind = "adaptive" needs the errors of the model, which {filters.kind} does not estimate; use '
             '"tvlqr"'
         )
-    if own and not isinstance(filters, OwnEstimator) and (type(filters) is not defaults or (adaptive and not knows)):
+    if (
+        own
+        and not isinstance(filters, OwnEstimator)
+        and (type(filters) is not defaults or (adaptive and not augmented))
+    ):
         # The adaptive law needs the parameters' errors.
-        needed = {"augment": defaults.augment} if adaptive and not knows else {}
+        needed = {"augment": defaults.augment} if adaptive and not augmented else {}
         own["estimator"] = defaults(**{**_changed(filters), **needed})
     loop, changes, mistakes = replace(loop, **own, **_followed(law)), dict[str, dict[str, Any]](), Mistakes()
     for path, value in given.items():
@@ -349,7 +353,7 @@ class Itinerary:
         Raises:
             InputError: they do, and the model's file does not give it.
         """
-        return self.model.known_to if self.loop.model_uncertainty else None
+        return self.model.identified_uncertainty if self.loop.model_uncertainty else None
 
     def with_run(self, settings: Mapping[str, Any], *, seed: int | None = None) -> "Itinerary":
         """Return the itinerary with some run settings replaced by path, and the seed if given.

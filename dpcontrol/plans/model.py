@@ -4,6 +4,7 @@ A model file of identified arms gives the source and the uncertainty of each num
 """
 
 import tomllib
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from decimal import Decimal
@@ -111,7 +112,7 @@ class Model:
         return self.parameters
 
     @property
-    def known_to(self) -> Uncertainty:
+    def identified_uncertainty(self) -> Uncertainty:
         """Uncertainty of the arms.
 
         Raises:
@@ -122,6 +123,12 @@ class Model:
                 f"{self.path} has no [uncertainty] to draw from; identify the model from recordings, or use a mismatch"
             )
         return self.uncertainty
+
+    @property
+    def known_to(self) -> Uncertainty:
+        """Deprecated name of `identified_uncertainty`."""
+        warnings.warn("Model.known_to will go: use identified_uncertainty", DeprecationWarning, stacklevel=2)
+        return self.identified_uncertainty
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -271,10 +271,10 @@ _NODE = 1e-3
 """Shortest interval, s."""
 
 
-def _tightened(limits: Limits, asked: Limits, largest: dict[str, float]) -> Limits | None:
-    """Return node limits that pull the polynomials inside `asked`; None if they are inside."""
+def _tightened(limits: Limits, required: Limits, largest: dict[str, float]) -> Limits | None:
+    """Return node limits that pull the polynomials inside `required`; None if they are inside."""
     changes = {}
-    for name, bound in asked.named().items():
+    for name, bound in required.named().items():
         over = largest[name] - bound
         if over > _LIMIT_SLACK:
             # The excess shifts to other intervals as the limit moves; tightening by more ends in a few rounds.
@@ -423,7 +423,7 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
     if not converged:
         status = (
             f"not converged: the guess is {worst:.1e} from a frictionless motion where {settings.tolerance:.1e} is "
-            'asked; check that it is an orbit of the same arms, or use level "cart"'
+            'required; check that it is an orbit of the same arms, or use level "cart"'
         )
     return Reference.of(
         trajectory, problem.limits, status=status, converged=converged, max_error_between_nodes=worst,

@@ -709,7 +709,7 @@ def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list
         ticks = max(round(plan.reference.duration * case.loop.rate), 1)
         lockstep = settings.path == "compiled" and case.loop.lockstep
         size = max(min(settings.batch, (MOST_TICKS if lockstep else MOST_TICKS_OF_LOOPS) // ticks), 1)
-        uncertainty = plan.itinerary.model.known_to if case.loop.model_uncertainty else None
+        uncertainty = plan.itinerary.model.identified_uncertainty if case.loop.model_uncertainty else None
         jobs += [
             Job(name, archive, arms, case, tuple(seeds[k : k + size]), settings.path, uncertainty, settings.replayed)
             for k in range(0, settings.runs, size)

@@ -199,7 +199,7 @@ class ClosedLoop(Timed):
         """
         night = hours if isinstance(hours, NightSettings) else NightSettings(hours)
         out, link = Path(folder), linked(rig)
-        scene = night_itinerary(self.plan.itinerary, asked=self.options)
+        scene = night_itinerary(self.plan.itinerary, given=self.options)
         check_folder(night_folder(out), resume=resume, force=force)
         night_cost(scene, night, night_folder(out), real_time=link is not None, yes=yes)
         with reporting(progress, "night") as report:

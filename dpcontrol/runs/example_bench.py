@@ -37,7 +37,7 @@ def example_bench(
     *,
     hanging: bool = False,
     faults: Sequence[str] = (),
-    say: Callable[[str], None] = lambda text: None,
+    notify: Callable[[str], None] = lambda text: None,
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> UdpBench:
@@ -48,7 +48,7 @@ def example_bench(
         at: socket of the bench.
         hanging: begin with hanging arms, for commissioning, without a plan.
         faults: wiring mistakes for practice (default none).
-        say: called with a sentence on each event.
+        notify: called with a sentence on each event.
         yes: accept any duration of planning.
         progress: called with a label and the completed share.
 
@@ -75,5 +75,5 @@ def example_bench(
         key=key,
         insecure=at.insecure,
         settings=at.settings,
-        report=say,
+        report=notify,
     )

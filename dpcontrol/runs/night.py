@@ -102,18 +102,18 @@ def night_folder(out: Path) -> Path:
     return out.with_suffix("") if out.suffix == ".mcap" else out
 
 
-def night_itinerary(itinerary: Itinerary, *, asked: Mapping[str, object]) -> Itinerary:
+def night_itinerary(itinerary: Itinerary, *, given: Mapping[str, object]) -> Itinerary:
     """Return an itinerary with the defaults of long runs: after a fall they continue, without limit.
 
-    Settings in `asked` override these defaults. A keeper of stops with internal timing is replaced by gains by time.
+    Settings in `given` override these defaults. A keeper of stops with internal timing is replaced by gains by time.
     """
-    asked = canonical(asked)
+    given = canonical(given)
     supervisor, keep = itinerary.loop.supervisor, itinerary.loop.keep
-    if supervisor.on_fall == "stop" and "supervisor.on_fall" not in asked:
+    if supervisor.on_fall == "stop" and "supervisor.on_fall" not in given:
         supervisor = replace(supervisor, on_fall="resume")
-    if "supervisor.attempts" not in asked:
+    if "supervisor.attempts" not in given:
         supervisor = replace(supervisor, attempts=0)
-    if keep != "none" and supervisor.on_fall != "stop" and "controller.keep" not in asked:
+    if keep != "none" and supervisor.on_fall != "stop" and "controller.keep" not in given:
         remark(
             f'{itinerary.path}: [controller] keep = "{keep}" has internal timing and cannot resume after a fall; '
             "this long run keeps its stops with gains by time, as with --set keep=none"

@@ -36,7 +36,7 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress,
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.campaign import plain_reason
-from dpcontrol.judge.preflight import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt
+from dpcontrol.judge.preflight import EndingShare, Fact, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
@@ -440,10 +440,10 @@ _KINDS, _CHANGES = 10, 9
 _CHOICES = tuple(map(_Amounts.of, (320, 256, 192, 160, 128, 96, 64, 48, 32)))
 
 
-def _amounts(asked: int, seconds: float, *, lockstep: bool) -> _Amounts:
+def _amounts(seeds: int, seconds: float, *, lockstep: bool) -> _Amounts:
     """Return the numbers of seeds, for the given rate seeds or those affordable at `seconds` each."""
-    if asked:
-        return _Amounts.of(asked)
+    if seeds:
+        return _Amounts.of(seeds)
     runs = ((one, one.runs if lockstep else one.rate) for one in _CHOICES)
     return next((one for one, count in runs if count * seconds <= _AFFORD), _CHOICES[-1])
 
@@ -470,7 +470,7 @@ def preflight(
         GoalMissed: the plan did not converge, no controller can be made for it, or workers died repeatedly.
     """
     began, options, settings = time.perf_counter(), options or {}, settings or PreflightSettings()
-    scene, known = as_known(plan.followed().itinerary, options)
+    scene, known = with_known_errors(plan.followed().itinerary, options)
     loop, name = scene.loop, scene.name
     ticks = max(round(plan.reference.duration * loop.rate), 1)
     lockstep, tick = loop.lockstep, seconds_of(loop)
@@ -479,7 +479,7 @@ def preflight(
     workers, count = settings.workers or processors(), amounts.runs if searches else amounts.rate
     work = f"up to {count:,} runs of {ticks / loop.rate:.1f} s"
     announce(Cost(work, count * ticks * tick / workers, 4e8 * workers, f"preflight of {name}"), yes=yes)
-    uncertainty = scene.model.known_to if loop.model_uncertainty else None
+    uncertainty = scene.model.identified_uncertainty if loop.model_uncertainty else None
     seeds = range(settings.first_seed, settings.first_seed + amounts.rate)
     case, arms = Case("preflight", (), loop), scene.model.arms
     job = Job(name, plan.archive, arms, case, tuple(seeds), "compiled", uncertainty, replayed=0)
@@ -536,8 +536,8 @@ def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
     return tuple(EndingShare(*words, len(rows), rows[0].seed, rows[0].reason) for words, rows in ordered)
 
 
-def as_known(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Known]]:
-    """Return the scene with its runs drawn from what is known of the arms and the bench, and what that is.
+def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Fact]]:
+    """Return the scene with its runs drawn from the known errors of arms and bench, and a list of these.
 
     Raises:
         InputError: an impossible setting.
@@ -561,21 +561,21 @@ def as_known(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, l
     known = []
     if loop.model_uncertainty:
         source = f"identified: {scene.model.path.name}"
-        known.append(Known("arms", f"standard errors × {loop.model_uncertainty:g}", source))
+        known.append(Fact("arms", f"standard errors × {loop.model_uncertainty:g}", source))
     if loop.plant is not None:
-        known.append(Known("plant", "other arms", of("plant")))
+        known.append(Fact("plant", "other arms", of("plant")))
     if loop.mismatch or not loop.model_uncertainty:
         unknown = "" if identified else f"; {scene.model.path.name} has no [uncertainty]"
         source = "assumed" if assumed else of("mismatch")
-        known.append(Known("arms", f"each parameter off by up to ±{loop.mismatch:.3g}", source + unknown))
+        known.append(Fact("arms", f"each parameter off by up to ±{loop.mismatch:.3g}", source + unknown))
     limit = loop.travel or scene.limits.position
     known += [
-        Known("start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
-        Known("delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
-        Known("lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
-        Known("encoders", f"{sensors.counts:,} counts a turn" if sensors.counts else "not rounded", of("counts")),
-        Known("zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
-        Known("travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
+        Fact("start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
+        Fact("delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
+        Fact("lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
+        Fact("encoders", f"{sensors.counts:,} counts a turn" if sensors.counts else "not rounded", of("counts")),
+        Fact("zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
+        Fact("travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
     ]
     others = {
         "command noise": (drive.command_noise, "m/s²", "command_noise"),
@@ -583,13 +583,13 @@ def as_known(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, l
         "tilt": (blows.tilt, "rad", "tilt"),
         "blows": (blows.push_impulse if blows.pushes else 0.0, "N m s", "push_impulse"),
     }
-    known += [Known(name, f"{value:g} {unit}", of(key)) for name, (value, unit, key) in others.items() if value]
+    known += [Fact(name, f"{value:g} {unit}", of(key)) for name, (value, unit, key) in others.items() if value]
     for key in ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "initial_rate", "initial_cart"):
         if value := getattr(loop.mechanics, key):
             shown = " and ".join(f"{one:g}" for one in (value if isinstance(value, tuple) else (value,)))
             unit = bounds_of(MechanicsSettings)[key].unit
-            known.append(Known(key.replace("_", " "), f"{shown} {unit}", of(key)))
-    known.append(Known("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator")))
+            known.append(Fact(key.replace("_", " "), f"{shown} {unit}", of(key)))
+    known.append(Fact("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator")))
     return chosen, known
 
 

@@ -854,7 +854,7 @@ def commission_rig(
     practice: Itinerary | None = None,
     faults: Sequence[str] = (),
     switches: float = 0.0,
-    tell: Callable[[str], None] = lambda text: None,
+    notify: Callable[[str], None] = lambda text: None,
 ) -> "Commissioning":
     """Check a rig before its first run; see `dpcontrol.rig.commissioning`.
 
@@ -873,7 +873,7 @@ def commission_rig(
     recipe = hanging_recipe(practice or itinerary, faults=faults)
     find = partial(
         commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=_limits(itinerary),
-        zeros=itinerary.zeros, switches=switches, options=options, tell=tell,
+        zeros=itinerary.zeros, switches=switches, options=options, notify=notify,
     )  # fmt: skip
     if link is None:
         return find(recipe.rig(()))
@@ -929,7 +929,7 @@ def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, liv
         if deadlines.strangers:
             writer.event(float(result.ticks.times[-1]), "warn", "rig", deadlines.strangers)
         writer.result(**outcome(result), rig=rig.address, **deadlines.record())
-    return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
+    return RigRun(score(read_log(out)), result, deadlines, tuple(process.messages if process else ()))
 
 
 PROGRAM_WATCHDOG = 0.03
@@ -973,7 +973,7 @@ def _log_recorded(
     from dpcontrol.rig.bench import RecordedRig
 
     if process.record is None:
-        raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.said)}")
+        raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.messages)}")
     with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:
         loop = assembly.loop(sink=LogSink(writer))
         rig = RecordedRig(process.record, loop.ticker.program)
@@ -987,4 +987,4 @@ def _log_recorded(
             controller_program=content_hash(program.read_bytes()), command_difference=repr(rig.difference),
             **(kept.record() if kept else {}),
         )  # fmt: skip
-    return RigRun(score(read_log(out)), result, kept, tuple(process.said), rig.difference)
+    return RigRun(score(read_log(out)), result, kept, tuple(process.messages), rig.difference)
