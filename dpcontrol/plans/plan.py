@@ -6,7 +6,8 @@ scored and reviewed without other files.
 
 import json
 import os
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from io import BytesIO
@@ -105,6 +106,21 @@ class Plan(ByReference, Timed):
         if not self.converged:
             raise GoalMissed(f"{self.itinerary.name} has no reference to follow: {self.status}")
         return self
+
+    def margins(self, options: Mapping[str, object] | None = None) -> Any:
+        """Deprecated: use `dp.closed_loop(plan).margins()`."""
+        return self._closed_loop("margins", options).margins()
+
+    def preflight(self, options: Mapping[str, object] | None = None, **more: Any) -> Any:
+        """Deprecated: use `dp.closed_loop(plan).preflight()`."""
+        return self._closed_loop("preflight", options).preflight(**more)
+
+    def _closed_loop(self, method: str, options: Mapping[str, object] | None) -> Any:
+        import dpcontrol as dp
+
+        text = f"Plan.{method} will go: use dp.closed_loop(plan).{method}() instead"
+        warnings.warn(text, DeprecationWarning, stacklevel=3)
+        return dp.closed_loop(self, settings=options)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON output of `dpcontrol plan`."""
