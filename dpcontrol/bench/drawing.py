@@ -137,9 +137,8 @@ def _draw_map(axes: Axes, one: EdgeMap, *, first: bool) -> None:
     else:
         axes.set_yscale("log")
         axes.set_xscale("log" if one.log_x and min(names, default=0) > 0 else "linear")
-    cases.set_ticks(list(names), list(names.values()) if across and first else [f"{x:.4g}" for x in names])
-    if across and not first:
-        cases.set_ticklabels([])
+    labels = [line * first for line in names.values()] if across else [quantity(x, unit_of(one.x_label)) for x in names]
+    cases.set_ticks(list(names), labels)
     cases.set_minor_locator(NullLocator())
     # Most borders span less than a decade, so its parts are labelled too.
     _readable_ticks(values, unit_of(one.y_label), many=10 * _MANY)
