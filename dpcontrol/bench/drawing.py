@@ -97,7 +97,7 @@ def _searches_page(lead: Searches) -> Page:
             place, text = (
                 (s.seconds_to_good * 1.1, quantity(s.seconds_to_good, "s")) if s.good else (0.02, "none found")
             )
-            look = {} if s.good else {"transform": axes.get_yaxis_transform()}
+            look: dict[str, Any] = {} if s.good else {"transform": axes.get_yaxis_transform()}
             axes.text(place, k, text, va="center", fontsize=TEXT, color=INK, **look)
         axes.set_yticks([])
         axes.set_ylim(len(names) - 0.5, -0.5)
