@@ -590,5 +590,5 @@ def _reference(values: Mapping[str, Any], place: Place) -> ReferenceSettings:
     try:
         method_named(settings.method)
     except InputError as error:
-        raise InputError(f"{place} method: {error}") from error
+        raise InputError(f"{place} {error}") from error
     return settings

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import nearest
 from dpcontrol.foundation.shown import Brief
 
 
@@ -160,14 +161,14 @@ def method_named(name: str) -> Method:
         return lobatto(3, name=name)
     family, _, count = name.partition("-")
     if family not in _FAMILIES or not (count.isascii() and count.isdecimal()):
+        names = [f"{family}-{number}" for family, (_, least) in _FAMILIES.items() for number in range(least, 13)]
+        close = nearest(name, [*names, "hermite-simpson"])
         raise InputError(
-            f"method = {name!r}: allowed are radau-2 to radau-12, gauss-1 to gauss-12, lobatto-2 to lobatto-12 and "
-            "hermite-simpson"
+            f"method = {name!r}: {f'did you mean {close!r}? Allowed' if close else 'allowed'}: radau-2 to radau-12, "
+            "gauss-1 to gauss-12, lobatto-2 to lobatto-12 and hermite-simpson"
         )
     make, least = _FAMILIES[family]
     number = int(count)
     if not least <= number <= 12:
-        raise InputError(
-            f"{family}-{int(count)}: the method has {least} to 12 points here; radau-7 serves the pendulum"
-        )
+        raise InputError(f"method = {name!r}: {family} has {least} to 12 points; radau-7 suits the pendulum")
     return make(number)
