@@ -1979,7 +1979,7 @@ def draw_charts(
         InputError: an unknown chart, too much work, or the folder is not writable.
 
     Examples:
-        >>> dp.draw_charts(["edges-walks"], quick=True)  # doctest: +SKIP
+        >>> dp.draw_charts(["edges-margins"], quick=True)  # doctest: +SKIP
     """
     from dpcontrol.bench.run import draw_charts as drawn
 
