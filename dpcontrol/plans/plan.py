@@ -111,9 +111,13 @@ class Plan(ByReference, Timed):
         """Deprecated: use `dp.closed_loop(plan).margins()`."""
         return self._closed_loop("margins", options).margins()
 
-    def preflight(self, options: Mapping[str, object] | None = None, **more: Any) -> Any:
+    def preflight(
+        self, options: Mapping[str, object] | None = None, *, runs: int = 0, workers: int = 0, yes: bool = False,
+        progress: Progress = no_progress,
+    ) -> Any:  # fmt: skip
         """Deprecated: use `dp.closed_loop(plan).preflight()`."""
-        return self._closed_loop("preflight", options).preflight(**more)
+        loop = self._closed_loop("preflight", options)
+        return loop.preflight(runs=runs, workers=workers, yes=yes, progress=progress)
 
     def _closed_loop(self, method: str, options: Mapping[str, object] | None) -> Any:
         import dpcontrol as dp
