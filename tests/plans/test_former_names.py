@@ -53,3 +53,9 @@ def test_a_run_with_former_options_has_their_settings(tmp_path: Path) -> None:
     assert "--rate-noise will go: use --set sensors.rate_noise=VALUE instead" in former.stderr
     settings = json.loads(dp.open_log(tmp_path / "run.mcap").log.metadata["run_settings"])
     assert (settings["drive_lag"], settings["sensors"]["rate_noise"]) == (0.002, 0.01)
+
+
+def test_options_of_a_closed_loop_are_its_settings() -> None:
+    with pytest.warns(DeprecationWarning, match="use settings= instead"):
+        loop = dp.closed_loop("hold-down-down", options={"drive.lag": 0.002})
+    assert loop.plan.itinerary.loop.drive.lag == 0.002
