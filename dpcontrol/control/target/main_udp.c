@@ -57,7 +57,7 @@ static struct {
     unsigned char key[LONGEST_KEY];
     size_t key_size;
     uint64_t request, session; /* of HELLO, and of this run */
-    uint32_t said, newest;   /* sequence numbers */
+    uint32_t sequence, newest;   /* sequence numbers */
     double period, begin, last_packet;
     uint32_t ticks;
     int arms;
