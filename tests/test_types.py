@@ -32,7 +32,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a user's folder with the guide's settings and the examples."""
     folder = tmp_path_factory.mktemp("typed")
     guide = (ROOT / "dpcontrol" / "guide" / "python.md").read_text(encoding="utf-8")
-    (config,) = re.findall(r"```toml\n(\[tool\.pyright\].*?)```", guide, re.DOTALL)
+    (config,) = re.findall(r"```toml\n(# pyproject\.toml\n.*?)```", guide, re.DOTALL)
     paths = f'extraPaths = ["{ROOT.as_posix()}"]'
     (folder / "mistaken").mkdir()
     for place in (folder, folder / "mistaken"):
