@@ -106,7 +106,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True)
-class Case:
+class Case(Brief):
     """One combination of what a campaign varies: its label, the values by name, and the loop's settings."""
 
     label: str
