@@ -399,9 +399,9 @@ class EdgeMap:
             return f"no line {self.far}"
         unit = unit_of(self.y_label)
         low, high = (quantity(y, unit) for y in (min(measured), max(measured)))
-        between = f"at {low}" if low == high else f"from {low} to {high}"
+        between = f"at {low}" if low == high else f"between {low} and {high}"
         off = [b.off for b in self.borders if b.off is not None]
-        return f"the border is {between}" + (f"; theory is within {max(off):.0%}" if off else "")
+        return f"{self.far} {between}" + (f", at most {max(off):.0%} from the prediction" if off else "")
 
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each border with a fault.
@@ -607,7 +607,7 @@ def _of(module: str, function: str = "chart") -> Drawer:
     return chart
 
 
-_EDGES = ("propagation", "seeds", "walks", "references", "control", "moving", "ogy", "estimation", "margins")
+_EDGES = ("control", "moving", "ogy", "estimation", "margins")
 CHARTS: dict[str, Drawer] = {
     "propagation": _of("propagation"),
     **{name: _of("design", f"{name}_chart") for name in ("connections", "transcription")},

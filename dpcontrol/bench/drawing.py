@@ -1,184 +1,180 @@
-"""Pictures of charts: at most three diagrams a page, each with its result as title.
+"""Pictures of charts: pages of at most three diagrams, each with its result as title, by the layout engine of pages.
 
-A page of up to two methods has a legend for them; with more, each method's name is beside its best mark. Settings are
+A page of up to two methods has a key for them; with more, each method's name is beside its best mark. Settings are
 beside the marks on the front and the defaults. Axes have units with SI prefixes.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from textwrap import fill
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
 
 from dpcontrol.bench.chart import LEADING, ChartPage, Diagram, EdgeMap, Point, Searches, name_of, unit_of
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.units import quantity
-from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, SERIES
+from dpcontrol.pages.layout import Page, Panel, key, save_figure
+from dpcontrol.pages.panels import quiet
+from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, PAPER, SERIES, SMALL, TEXT
 
 MARKS = "osD^v<>Pph*X8d"
 FLOOR = 1e-17
 """Drawn position of an error of exactly zero."""
-WIDTH, HEIGHT = 6.4, 5.6
-LEGEND = 2
-"""Methods in a legend; with more, each has its name beside a mark."""
+_TALL, _LINE = 3.7, 0.3
+"""Heights of a row of diagrams and of a search's bar, inches."""
+IN_KEY = 2
+"""Methods in a key; with more, each has its name beside a mark."""
 _FEW, _MANY = 6.0, 100.0
 """Ranges of a logarithmic axis: below the first 1, 2, 5 give too few labels, from the second on powers are enough."""
 
 
-def save_chart(page: ChartPage, picture: Path, parts: Sequence[Any] | None = None) -> None:
-    """Draw some of a chart's diagrams, by default all, to a PNG.
+def save_chart(page: ChartPage, picture: Path, parts: Sequence[Any] | None = None, *, dark: bool = False) -> None:
+    """Draw some of a chart's diagrams, by default all, to a PNG; `dark` is its variant for dark web pages.
 
     Raises:
         InputError: the file cannot be written.
     """
-    with whole_file(picture, suffix=".png") as temporary:
-        figure(page, page.parts if parts is None else parts).savefig(temporary, format="png")
+    save_figure(figure(page, page.parts if parts is None else parts, dark=dark), picture)
 
 
-def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
+def figure(page: ChartPage, parts: Sequence[Any], *, dark: bool = False) -> Figure:
     """Return a picture of some of a chart's diagrams, side by side.
 
     Each method has one colour and mark throughout.
     """
     if isinstance(parts[0], Searches):
-        return _searches_figure(page, parts[0])
-    columns = min(len(parts), LEADING)
-    rows = -(-len(parts) // columns)
-    picture = Figure(
-        figsize=(WIDTH * columns, HEIGHT * rows + 1.2), layout=ConstrainedLayoutEngine(w_pad=0.15, h_pad=0.1), dpi=110
-    )
-    picture.suptitle(page.title, fontsize=14, color=INK, x=0.01, ha="left")
+        return _searches_page(parts[0]).figure(dark=dark)
     panels = [part for part in parts if isinstance(part, Diagram)]
     methods = list(dict.fromkeys(p.method for panel in panels for p in panel.points))
     looks = {m: (MARKS[k % len(MARKS)], SERIES[k % len(SERIES)]) for k, m in enumerate(methods)}
-    shared = _share_heights(parts)
-    axes = picture.subplots(rows, columns, squeeze=False, sharey=shared).ravel()
-    for axis in axes[len(parts) :]:
-        axis.set_visible(False)
-    axes = axes[: len(parts)]
-    for axis, part in zip(axes, parts, strict=True):
-        axis.margins(0.12, 0.1)
-        if isinstance(part, Diagram):
-            _draw_panel(axis, part, looks)
-        else:
-            _draw_map(axis, part)
-        axis.set_title(fill(f"{part.title}: {part.finding()}", 64), fontsize=11, color=INK, loc="left")
-        axis.set_xlabel(name_of(part.x_label))
-        axis.set_ylabel(name_of(part.y_label))
-        if shared:
-            axis.label_outer()
-    text = [fill(line, int(WIDTH * columns * 13)) for line in page.reading]
-    picture.supxlabel("\n".join(text), fontsize=9, color=INK, x=0.01, ha="left")
-    handles = dict(pair for axis in axes for pair in zip(*axis.get_legend_handles_labels()[::-1], strict=True))
-    if handles:
-        picture.legend(handles.values(), handles.keys(), loc="outside upper right", ncols=6, fontsize=9, frameon=False)
-    if panels:
+    drawn, columns = Page(page.title, page.chosen), 2 if panels else LEADING
+    for row in (parts[k : k + columns] for k in range(0, len(parts), columns)):
+        drawn.row(*(partial(_draw, part=part, looks=looks, first=part is row[0]) for part in row), height=_TALL)
+    picture = drawn.text("\n".join(page.reading)).figure(dark=dark)
+    for axes, panel in zip(picture.axes, panels, strict=False):
         # The space for labels is known once the axes have their positions.
-        picture.draw_without_rendering()
-        for axis, panel in zip(axes, panels, strict=True):
-            _label_settings(axis, panel, looks, named=len(methods) > LEGEND)
+        _label_settings(axes, panel, looks, named=len(methods) > IN_KEY)
     return picture
 
 
-def _searches_figure(page: ChartPage, lead: Searches) -> Figure:
-    """Return a picture of success rates on the left and of the time to a good solution on the right."""
+def _draw(axes: Axes, part: Any, looks: dict[str, tuple[str, str]], *, first: bool) -> None:
+    """Draw a diagram or a map; the first of a row names the cases of all."""
+    axes.margins(0.12, 0.1)
+    quiet(axes, f"{part.title}: {part.finding()}", x=name_of(part.x_label), y=name_of(part.y_label))
+    if isinstance(part, Diagram):
+        _draw_panel(axes, part, looks)
+    else:
+        _draw_map(axes, part, first=first)
+
+
+def _searches_page(lead: Searches) -> Page:
+    """Return a page of success rates on the left and of the time to a good solution on the right."""
     names = [s.method[:1].upper() + s.method[1:] for s in lead.searches]
-    picture = Figure(figsize=(1.6 * WIDTH, 1.2 + 0.5 * len(names) + 1.0), layout="constrained", dpi=110)
-    picture.suptitle(fill(lead.finding(), 88), fontsize=13, fontweight="bold", color=INK, x=0.01, ha="left")
-    rates, times = picture.subplots(1, 2, sharey=True, width_ratios=(3, 2))
-    for k, s in enumerate(lead.searches):
-        colour = SERIES[0] if s.default else MARK
-        rates.barh(k, s.found / s.tries, color=FAINT, height=0.62)
-        rates.barh(k, s.good / s.tries, color=colour, height=0.62)
-        rates.text(1.01, k, f"{s.good / s.tries:.0%} of {s.tries}", va="center", fontsize=9, color=INK)
-        if s.good:
-            times.barh(k, s.seconds_to_good, color=colour, height=0.62)
-            times.text(s.seconds_to_good * 1.1, k, quantity(s.seconds_to_good, "s"), va="center", fontsize=9, color=INK)
-        else:
-            times.text(0.02, k, "none found", va="center", fontsize=9, color=INK, transform=times.get_yaxis_transform())
-    rates.set_yticks(range(len(names)), names, fontsize=10)
-    rates.invert_yaxis()
-    rates.set_xlim(0, 1.18)
-    rates.set_xticks([0, 0.25, 0.5, 0.75, 1.0])
-    rates.xaxis.set_major_formatter(PercentFormatter(1.0))
-    rates.set_xlabel(f"tries that find a flight (grey); {lead.good} (colour)")
-    times.set_xscale("log")
-    times.margins(x=0.25)
-    _readable_ticks(times.xaxis, "s")
-    times.set_xlabel("time of one core to a flight as cheap")
-    for axis in (rates, times):
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.tick_params(which="both", colors=INK)
-        for part in (axis.xaxis.label, *axis.spines.values()):
-            part.set_color(INK)
-    return picture
+
+    def rates(axes: Axes) -> None:
+        quiet(axes, f"Tries that find a flight (grey), and those {lead.good} (colour)")
+        for k, s in enumerate(lead.searches):
+            axes.barh(k, s.found / s.tries, color=FAINT, height=0.62)
+            axes.barh(k, s.good / s.tries, color=SERIES[0] if s.default else MARK, height=0.62)
+            axes.text(1.01, k, f"{s.good / s.tries:.0%} of {s.tries}", va="center", fontsize=TEXT, color=INK)
+        axes.set_yticks(range(len(names)), names, fontsize=TEXT, color=INK)
+        axes.invert_yaxis()
+        axes.set_xlim(0, 1.18)
+        axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0])
+        axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+
+    def times(axes: Axes) -> None:
+        quiet(axes, "Time of one core to a flight as cheap")
+        for k, s in enumerate(lead.searches):
+            if s.good:
+                axes.barh(k, s.seconds_to_good, color=SERIES[0] if s.default else MARK, height=0.62)
+            place, text = (
+                (s.seconds_to_good * 1.1, quantity(s.seconds_to_good, "s")) if s.good else (0.02, "none found")
+            )
+            look: dict[str, Any] = {} if s.good else {"transform": axes.get_yaxis_transform()}
+            axes.text(place, k, text, va="center", fontsize=TEXT, color=INK, **look)
+        axes.set_yticks([])
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        axes.set_xscale("log")
+        axes.margins(x=0.25)
+        _readable_ticks(axes.xaxis, "s")
+
+    return Page(lead.finding()).row(Panel(rates, share=3), Panel(times, share=2), height=0.8 + _LINE * len(names))
 
 
-def _share_heights(parts: Sequence[Any]) -> bool:
-    """True if all diagrams are maps of one quantity."""
-    return all(isinstance(part, EdgeMap) for part in parts) and len({part.y_label for part in parts}) == 1
-
-
-def _draw_map(axis: Any, one: EdgeMap) -> None:
+def _draw_map(axes: Axes, one: EdgeMap, *, first: bool) -> None:
+    """Draw a map upright, or with lines across if they have names, such as itineraries, instead of numbers."""
     names = {b.x: b.line for b in sorted(one.borders, key=lambda b: b.x)}
-    # Numbered positions show the lines' names.
-    named = not one.log_x and list(names) == list(range(len(names)))
-    for works, mark, colour, label in ((True, "o", GOOD, one.near), (False, "x", LIMIT, one.far)):
-        shown = [(b.x, t.y) for b in one.borders for t in b.trials if t.works is works]
-        axis.plot([x for x, _ in shown], [y for _, y in shown], mark, color=colour, markersize=5, label=label)
-    for places, style in (
-        ([(b.x, b.measured) for b in one.borders if b.measured is not None],
-         {"marker": "_", "linestyle": "-", "color": INK, "markersize": 16, "label": "measured border"}),
-        ([(b.x, b.predicted) for b in one.borders if b.predicted is not None],
-         {"marker": "D", "linestyle": "--", "color": MARK, "markersize": 7, "markerfacecolor": "none",
-          "markeredgecolor": INK, "label": fill(f"predicted: {one.theory}", 60)}),
-    ):  # fmt: skip
+    across = not one.log_x and list(names) == list(range(len(names)))
+    borders = [{"x": b.x, "measured": b.measured, "predicted": b.predicted} for b in one.borders]
+    trials = [{"x": b.x, one.near if t.works else one.far: t.y} for b in one.borders for t in b.trials]
+    looks: dict[str, dict[str, Any]] = {
+        one.near: {"marker": "o", "linestyle": "none", "color": GOOD, "markersize": 5},
+        one.far: {"marker": "x", "linestyle": "none", "color": LIMIT, "markersize": 5},
+        "measured": {"marker": "|" if across else "_", "color": INK, "markersize": 14},
+        "predicted": {"marker": "D", "linestyle": "--", "color": MARK, "markersize": 7, "markerfacecolor": "none"},
+    }
+    shown = {}
+    for label, look in looks.items():
+        places = [(row["x"], row[label]) for row in (*trials, *borders) if row.get(label) is not None]
         if places:
-            # Itineraries and laws have no order, so no line joins them.
-            axis.plot(*zip(*places, strict=True), linewidth=1.2, **(style | {"linestyle": "none"} if named else style))
-    if one.log_x and all(b.x > 0 for b in one.borders):
-        axis.set_xscale("log")
-    axis.set_yscale("log")
-    labels = list(names.values()) if named else [f"{x:.4g}" for x in names]
-    axis.set_xticks(list(names), labels, fontsize=8.5, rotation=35 if named else 0, ha="right" if named else "center")
-    axis.xaxis.set_minor_locator(NullLocator())
+            # Cases with names have no order, so no line joins them.
+            shown[label] = {"linewidth": 1.2, **look, **({"linestyle": "none"} if across else {})}
+            axes.plot(*zip(*(place[:: -1 if across else 1] for place in places), strict=True), **shown[label])
+    key(axes, [(label, {**look, "markersize": 6}) for label, look in shown.items()])
+    cases, values = (axes.yaxis, axes.xaxis) if across else (axes.xaxis, axes.yaxis)
+    if across:
+        axes.set_xscale("log")
+        axes.set_xlabel(name_of(one.y_label))
+        axes.set_ylabel("")
+        axes.invert_yaxis()
+    else:
+        axes.set_yscale("log")
+        axes.set_xscale("log" if one.log_x and min(names, default=0) > 0 else "linear")
+    labels = [line * first for line in names.values()] if across else [quantity(x, unit_of(one.x_label)) for x in names]
+    cases.set_ticks(list(names), labels)
+    cases.set_minor_locator(NullLocator())
     # Most borders span less than a decade, so its parts are labelled too.
-    _readable_ticks(axis.yaxis, unit_of(one.y_label), many=10 * _MANY)
+    _readable_ticks(values, unit_of(one.y_label), many=10 * _MANY)
 
 
 def _height(panel: Diagram, error: float) -> float:
     return max(error, panel.floor, FLOOR) if panel.log_y else error
 
 
-def _draw_panel(axis: Any, panel: Diagram, looks: dict[str, tuple[str, str]]) -> None:
+def _draw_panel(axis: Axes, panel: Diagram, looks: dict[str, tuple[str, str]]) -> None:
+    entries: list[tuple[str, str | dict[str, Any]]] = []
     for method in dict.fromkeys(p.method for p in panel.points):
         mark, colour = looks[method]
         points = sorted((p for p in panel.points if p.method == method), key=lambda p: p.seconds)
         hollow = any(p.outside or p.stored for p in points)
         axis.plot(
             [p.seconds for p in points], [_height(panel, p.error) for p in points], mark, color=colour, markersize=6,
-            markerfacecolor="white" if hollow else colour, label=method if len(looks) <= LEGEND else "", zorder=3,
+            markerfacecolor=PAPER if hollow else colour, zorder=3,
         )  # fmt: skip
+        if len(looks) <= IN_KEY:
+            entries.append((method, {"marker": mark, "linestyle": "none", "color": colour, "markersize": 6}))
     front = panel.front
+    look: dict[str, Any] = {"color": FAINT, "linewidth": 4}
     axis.plot(
-        [p.seconds for p in front], [_height(panel, p.error) for p in front], color=FAINT, linewidth=4, zorder=1,
-        drawstyle="steps-post", label="best at its cost",
-    )  # fmt: skip
+        [p.seconds for p in front], [_height(panel, p.error) for p in front], zorder=1, drawstyle="steps-post", **look
+    )
+    entries.append(("best at its cost", look))
+    ring: dict[str, Any] = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "color": LIMIT}
     for p in panel.defaults:
-        axis.plot(p.seconds, _height(panel, p.error), "o", markersize=_RING, markerfacecolor="none", color=LIMIT,
-                  zorder=4)  # fmt: skip
+        axis.plot(p.seconds, _height(panel, p.error), markersize=_RING, zorder=4, **ring)
     if panel.defaults:
-        axis.plot([], [], "o", markersize=9, markerfacecolor="none", color=LIMIT, label="default of dpcontrol")
+        entries.append(("default of dpcontrol", {"markersize": 9, **ring}))
+    key(axis, entries)
     axis.set_xscale("log")
     if panel.log_y:
         axis.set_yscale("log")
-    axis.grid(True, which="major", color=FAINT, linewidth=0.5)
     _readable_ticks(axis.xaxis, unit_of(panel.x_label))
     if panel.log_y:
         _readable_ticks(axis.yaxis, unit_of(panel.y_label))
@@ -198,8 +194,8 @@ def _share_axis(axis: Any, most: float) -> None:
     axis.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-_RING, _LABEL, _CLEAR = 15.0, 8.5, 10.0
-"""Diameter of a ring, height of a label's letters, and width of a mark, in points."""
+_RING, _CLEAR = 15.0, 10.0
+"""Diameter of a ring and width of a mark, in points."""
 _AWAY = np.array([0.0, 6.0, 12.0, 20.0, 30.0, 42.0, 60.0])
 """Tried distances between mark and label, in points; from `_LED` on a line connects them."""
 _LED = 10.0
@@ -213,8 +209,8 @@ def _label_settings(axis: Any, panel: Diagram, looks: dict[str, tuple[str, str]]
 
     The place has the least overlap with marks, rings, the front and other labels.
     """
-    unit = axis.figure.dpi / 72
-    renderer = axis.figure._get_renderer()
+    picture = axis.get_figure(root=True)
+    unit, renderer = picture.dpi / 72, picture.canvas.get_renderer()
 
     def pixels(points: Sequence[Point]) -> Array:
         return axis.transData.transform([(p.seconds, _height(panel, p.error)) for p in points])
@@ -232,7 +228,8 @@ def _label_settings(axis: Any, panel: Diagram, looks: dict[str, tuple[str, str]]
             continue
         look = {"textcoords": "offset points", "xy": (p.seconds, _height(panel, p.error)), "in_layout": False}
         colour = looks[p.method][1]
-        look |= {"fontsize": _LABEL, "color": colour, "ha": "center", "va": "center"}
+        look |= {"fontsize": SMALL, "color": colour, "ha": "center", "va": "center"}
+        look |= {"path_effects": [withStroke(linewidth=2, foreground=PAPER)]}
         text = axis.annotate(shown[id(p)], xytext=(0, 0), **look)
         extent = np.array([*text.get_window_extent(renderer).size])
         away = np.repeat(_AWAY, len(_SIDES))

@@ -1,16 +1,5 @@
 """Maps of failure: the limit of each method, beside the prediction of a formula of a few lines.
 
-*Fixed steps.* About an equilibrium a method multiplies the motion of an eigenvalue s by its stability function in a
-step, R(sh) = 1 + sh bᵀ (I - sh A)⁻¹ 1. At the first step with |R| above 1 for an s with Re s < 0, a motion grows that
-should decay. Source: Hairer & Wanner, Solving Ordinary Differential Equations II (1996), section IV.2.
-
-*Shadowing.* A node's rounding grows by λ^(1/s) to the next of s nodes in a period, which bounds the gaps; the constant
-is random. Source: Stoer & Bulirsch, Introduction to Numerical Analysis, 3rd ed., section 7.3.5.
-
-*References.* The error between nodes of a method with K points falls as the interval's length h to the power K. The
-longest interval for a tolerance ε is h₀ (ε / e(h₀))^(1/K), from one solution on a finer mesh.
-Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
-
 *Control.* An error ξ of the unstable direction obeys ξ' = λξ + bu with |u| ≤ a. At the first command it has grown to
 ξ e^{λd}. A command can correct it only below a·b/λ: d < ln(a |b| / (λ |ξ|)) / λ. For a wrong model, plant, prediction
 through the commands in flight and gain form one linear map of (x, commands). At the border its largest eigenvalue is on
@@ -24,450 +13,45 @@ Source: Feller, An Introduction to Probability Theory and Its Applications I, 3r
 
 *Margins.* The loop's margins, beside campaigns with a drive that differs from the model.
 
-Seeds of tubes, and OGY by its sections, are only measured. For random outcomes the border is at half the successes.
+OGY by its sections is only measured. For random outcomes the border is at half the successes.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
 
-import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
-from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
 from dpcontrol.bench.chart import Attempt, Border, EdgeChart, EdgeMap, find_border, half_of, measured_maps
 from dpcontrol.bench.control import held
-from dpcontrol.bench.propagation import Stepper
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Controller, SampledModel
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import OrbitController, orbit_controller
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
-from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
-from dpcontrol.dynamics.compiled import fixed_step
-from dpcontrol.dynamics.plant import PlantParameters, longest_step
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import BatchRun, Ending
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.plans.itinerary import Itinerary, load_itinerary
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.plans.planning import shadowing_orbit
-from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
-from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference, still
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
-from dpcontrol.references.trajectory import even_mesh, first_trajectory
-from dpcontrol.shooting.newton import NewtonSettings
-from dpcontrol.tubes.connections import Connection, find_connections
-from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.walks.edges import find_edges
-from dpcontrol.walks.shadowing import ShadowingSettings, shadow
-
-Complex = NDArray[np.complex128]
-Step = Callable[[Array, float], Array]
-"""(state (N,), length in s) -> following state (N,)."""
 
 SADDLE, SADDLE_ENERGY = "down-up", -0.07
 """Saddle to hold, and its energy, J."""
 WALK = "outer-turn"
-
-SADDLES = ("down-down", "down-up", "up-down", "up-up")
-AMPLITUDE = 1e-6
-"""Size of the initial motion: small, so that it stays linear, and large against rounding."""
-STEPS = 3
-"""Number of steps, limited because rounding in the growing direction must not reach the observed motion."""
-RK4 = (np.array([[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1.0, 0]]), np.array([1, 2, 2, 1]) / 6)
-DOP = (np.array(DOP853.A), np.array(DOP853.B))
-
-
-def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of fixed steps; quick: two saddles."""
-    arms = load_model("lab").arms
-    saddles = SADDLES[1::2] if quick else SADDLES
-    split = longest_step(PlantParameters(arms))
-
-    def border(saddle: str, **method: Any) -> Border:
-        # Equilibria are not numbers, so their lines are placed side by side.
-        return replace(step_border(arms, saddle, **method), x=float(saddles.index(saddle)))
-
-    def unused_step(h: float, _: str) -> str:
-        return f"never taken: the simulated bench splits steps longer than {split:g} s"
-
-    maps = [
-        (
-            EdgeMap(title, "equilibrium", "step, s", log_x=False, far="grows, though it should die out",
-                    theory="|R(sh)| = 1 for the first of the decaying motions"),
-            partial(border, tableau=tableau, step=step, says=says), saddles,
-        )
-        for title, tableau, step, says in (
-            ("Model of controllers and filters: Runge-Kutta 4", RK4, model_step(arms), _run_at),
-            ("Plant: 12 stages of DOP853", DOP, plant_step(arms), unused_step),
-        )
-    ]  # fmt: skip
-    return EdgeChart(
-        name="edges-propagation",
-        title="Where fixed steps end: near the equilibria",
-        reading=(
-            "The longest step that keeps all decaying motions about an equilibrium decaying: the fastest decides.",
-            "Diamonds: from the method's coefficients and the eigenvalues alone.",
-            "Loops of 25 Hz are five times from the border of their model, those of 1 kHz two hundred times.",
-        ),
-        chosen="Runge-Kutta 4 between ticks, stable down to 5 Hz; at most 2 ms at a time in the plant.",
-        parts=measured_maps(progress, *maps),
-    )
-
-
-def model_step(arms: ArmChainParameters) -> Step:
-    """Return the model step of controllers and filters.
-
-    Its length is free; the cart acceleration is zero.
-    """
-    return lambda x, h: sampled_model(arms, 1 / h).step(x, 0.0)
-
-
-def plant_step(arms: ArmChainParameters) -> Step:
-    """Return the step of simulated plants, of any length.
-
-    The cart acceleration is zero.
-    """
-    stepper = Stepper(fixed_step(equations_of(arms, Level.CART)), arms.base())
-    return lambda x, h: stepper.fly(x, h, step=h)
-
-
-def stability(tableau: tuple[Array, Array], z: complex) -> complex:
-    """Return R(z) of an explicit method's A (S, S) and b (S,)."""
-    a, b = tableau
-    return complex(1 + z * b @ np.linalg.solve(np.eye(len(b)) - z * a, np.ones(len(b))))
-
-
-def predicted_step(tableau: tuple[Array, Array], values: Complex) -> float:
-    """Return the first step in s at the border of stability.
-
-    There |R| is 1 for one of the damped eigenvalues `values` in 1/s.
-    """
-
-    def growth(step: float) -> float:
-        return max(abs(stability(tableau, s * step)) for s in values) - 1
-
-    steps = np.linspace(1e-3, 5.0, 5000) / np.abs(values).max() * 2
-    high = next(step for step in steps.tolist() if growth(step) > 0)
-    return float(brentq(growth, high - (steps[1] - steps[0]), high))  # type: ignore[arg-type]
-
-
-def decaying(arms: ArmChainParameters, saddle: str) -> tuple[Array, Complex, Complex, Complex]:
-    """Return the equilibrium and its damped eigenvalues and vectors.
-
-    The equilibrium is (N,), eigenvalues (m,) are in 1/s, right and left vectors (m, N).
-    """
-    e = equations_of(arms, Level.CART)
-    state = np.concatenate([load_model("lab").system.equilibrium(saddle), np.zeros(2)])
-    linear = ca.Function("linear", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate, e.state)])
-    n = 2 * arms.count
-    pairs = np.linalg.eig(np.array(linear(state, 0.0, arms.base()))[:n, :n].astype(np.complex128))
-    values, right = (np.asarray(found, dtype=np.complex128) for found in pairs)
-    damped = np.flatnonzero(values.real < -1e-9)
-    # The cart does not move.
-    right, left = (
-        np.hstack([rows[damped], np.zeros((len(damped), len(state) - n), dtype=np.complex128)])
-        for rows in (right.T, np.asarray(np.linalg.inv(right), dtype=np.complex128))
-    )
-    return state, values[damped], right, left
-
-
-def step_border(
-    arms: ArmChainParameters, saddle: str, *, tableau: tuple[Array, Array], step: Step,
-    says: Callable[[float, str], str], ratio: float = 1.05,
-) -> Border:  # fmt: skip
-    """Return the border of the step's length at an equilibrium."""
-    state, values, right, left = decaying(arms, saddle)
-    predicted = predicted_step(tableau, values)
-
-    def probe(h: float) -> Attempt:
-        for vector, dual in zip(right, left, strict=True):
-            y = state + AMPLITUDE * np.real(vector) / np.abs(vector).max()
-            before = abs(dual @ (y - state))
-            for _ in range(STEPS):
-                y = step(y, h)
-            if abs(dual @ (y - state)) > before:
-                return Attempt(False)
-        return Attempt(True)
-
-    found = find_border(
-        probe, x=0.0, line=saddle, near=predicted / 1.5, far=1.5 * predicted, predicted=predicted, ratio=ratio
-    )
-    # Evaluated once, because it takes a run.
-    return replace(found, says=says(found.far, saddle)) if found.far else found
-
-
-def _run_at(h: float, saddle: str) -> str:
-    """Return the message of a run with this step as period.
-
-    The arms are held at the equilibrium.
-    """
-    try:
-        loop_case = held_at_rest(1 / h, saddle=saddle, seconds=60.0)
-    except (InputError, GoalMissed) as error:
-        return str(error)
-    return loop_case.run(acceleration=STRONG, error=HELD_ERROR).says
-
-
-RIGHT = 1e-9
-"""Largest scaled distance of a connection from that of the default settings."""
-ANEW = 1e-6
-"""Relative change of the distance that only redraws all rounding."""
-
-
-def seeds_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of seeds of tubes; quick: one energy, fewer searches."""
-    system = load_model("lab").system
-    draws, ratio = (3, 2.0) if quick else (7, 1.25)
-
-    @cache
-    def known(energy: float) -> tuple[LyapunovOrbit, Array]:
-        orbit = lyapunov_orbit(system, SADDLE, energy=energy)
-        return orbit, default_states(orbit)
-
-    energies = (0.05,) if quick else (-0.07, 0.05, 0.2)
-    y = "distance of the seeds from the orbit, scaled"
-    near, far = (
-        EdgeMap(title, "energy, J", y, far="connections are missing", near="all are found", log_x=False)
-        for title in ("Too near", "Too far")
-    )
-    return EdgeChart(
-        name="edges-seeds",
-        title="Where seeds of tubes end: connections of Down-Up with itself",
-        reading=(
-            "Left: the nearest seeds, right: the farthest, for a search that finds every connection of that energy; "
-            "beyond either it reports \"at least\" a number, and the reason.",
-            f"Too near, rounding is decisive: of {draws} searches with different rounding, at least half find all.",
-            "Rounding relative to the distance hides intersections; too far, seeds leave the manifold by the square of "
-            "their distance.",
-        ),
-        chosen="Seeds 1e-4 from the orbit: some six hundred times the nearer border in the worst case.",
-        parts=measured_maps(
-            progress,
-            (near, lambda energy: near_border(*known(energy), draws=draws, ratio=ratio), energies),
-            (far, lambda energy: far_border(*known(energy), ratio=ratio), energies),
-        ),
-    )  # fmt: skip
-
-
-def default_states(orbit: LyapunovOrbit) -> Array:
-    """Return all connections of the orbit to itself, as states.
-
-    The states (K, N) on their section come from default searches.
-    """
-    return np.array([c.state for c in find_connections(orbit, orbit).connections])
-
-
-def found_all(orbit: LyapunovOrbit, states: Array, distance: float) -> Attempt:
-    """Return success if a search finds exactly these connections.
-
-    They are `states` (K, N). Otherwise return its message.
-    """
-    found = find_connections(orbit, orbit, settings=ConnectionSettings(distance=distance))
-    away = [float(np.min(orbit.system.scaled_distance(states, c.state))) for c in found.connections]
-    if len(away) == len(states) and max(away) < RIGHT:
-        return Attempt(True)
-    # A search that counts itself complete has no message.
-    return Attempt(False, "" if found.status.startswith(f"{len(away)} connections") else found.status)
-
-
-def near_border(orbit: LyapunovOrbit, states: Array, *, draws: int, ratio: float) -> Border:
-    """Return the seed distance at which half of the searches succeed.
-
-    They must find all connections of `states` (K, N).
-    """
-
-    def probe(distance: float) -> Attempt:
-        answers = [found_all(orbit, states, distance * (1 + ANEW * draw)) for draw in range(draws)]
-        return half_of(answers, "searches miss connections")
-
-    return find_border(probe, x=orbit.energy, line=f"{orbit.energy:g} J", near=5e-6, far=1e-9, ratio=ratio)
-
-
-def far_border(orbit: LyapunovOrbit, states: Array, *, ratio: float) -> Border:
-    """Return the largest seed distance that finds all connections.
-
-    They are those of `states` (K, N).
-    """
-    probe = partial(found_all, orbit, states)
-    return find_border(probe, x=orbit.energy, line=f"{orbit.energy:g} J", near=0.15, far=1.6, ratio=ratio)
-
-
-ENERGY = 0.2
-APART = 1e-9
-"""Relative difference of two energies: more than rounding, and negligible for the orbits."""
-
-
-def walks_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of shadowing; quick: fewer wraps and spacings."""
-    walks = tuple(round_trip(ENERGY * (1 + k * APART)) for k in range(3 if quick else 7))
-    spacing, wrap = (
-        EdgeMap(title, x, "tolerance of gaps, rad and rad/s", far="not converged", log_x=log_x)
-        for title, x, log_x in (("Two wraps", "nodes in a period", True), ("One node in a period", "wraps", False))
-    )
-    return EdgeChart(
-        name="edges-walks",
-        title=f"Where shadowing ends: Down-Up to Up-Down and back at {ENERGY:g} J",
-        reading=(
-            "The smallest gap between pieces of orbit within reach of Newton's method, left by rounding.",
-            "Left: it falls as nodes come nearer together. Right: many wraps are as good as none; one is worse.",
-            "Rounding that grows by λ^(1/s) from node to node sets the scale; its constant is random: no prediction.",
-        ),
-        chosen="Eight nodes in a period and a tolerance of 1e-11, three orders above the rounding limit.",
-        parts=measured_maps(
-            progress,
-            (spacing, lambda nodes: tolerance_border(walks, segments=nodes, wraps=2, x=nodes),
-             (1, 4) if quick else (1, 2, 3, 4, 8)),
-            (wrap, lambda wraps: tolerance_border(walks, segments=1, wraps=wraps, x=wraps),
-             (1, 4) if quick else (0, 1, 2, 4, 8)),
-        ),
-    )  # fmt: skip
-
-
-def round_trip(energy: float = ENERGY) -> tuple[Connection, ...]:
-    """Return the lab's first crossing to Up-Down and back.
-
-    It starts at Down-Up.
-    """
-    system = load_model("lab").system
-    edges = find_edges(system, energy, pairs=[("down-up", "up-down"), ("up-down", "down-up")])
-    return edges.between("down-up", "up-down")[0], edges.between("up-down", "down-up")[0]
-
-
-def rounding_floor(walk: Sequence[Connection], *, segments: int) -> float:
-    """Return the gap left by rounding between nodes, rad/s.
-
-    A period has `segments` nodes.
-    """
-    fastest = max(
-        float(np.abs(c.orbit.sample(np.linspace(c.orbit.times[0], c.orbit.times[-1], 400)))[:, 2:].max()) for c in walk
-    )
-    growth = max(c.source.unstable_multiplier for c in walk)
-    return 0.5 * math.ulp(fastest) * growth ** (1 / segments)
-
-
-def tolerance_border(walks: Sequence[Sequence[Connection]], *, segments: int, wraps: int, x: float) -> Border:
-    """Return the smallest tolerance with orbits for half the walks.
-
-    A period has `segments` nodes.
-    """
-
-    def probe(tolerance: float) -> Attempt:
-        settings = ShadowingSettings(segments, newton=NewtonSettings(tolerance=tolerance))
-        orbits = [shadow(walk, wraps=[wraps], settings=settings) for walk in walks]
-        return half_of([Attempt(orbit.converged, orbit.status) for orbit in orbits], "not converged")
-
-    floor = rounding_floor(walks[0], segments=segments)
-    line = f"{wraps} wraps, {segments} nodes"
-    return find_border(probe, x=x, line=line, near=100 * floor, far=floor / 20, ratio=1.3)
-
-
-METHOD, TOLERANCE = ReferenceSettings().method, ReferenceSettings().tolerance
-FINE = 0.012
-"""Interval of the mesh that predicts the border, s, about one and a half times as long."""
-
-
-def references_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of references; quick: one friction, one track."""
-    frictions, tracks = ((1.0,), (0.01,)) if quick else ((0.0, 1.0, 2.0, 4.0), (0.4, 0.01, 0.002))
-    mesh = EdgeMap(
-        f"Mesh, {METHOD}", "friction, × the arms' own", f"interval for {TOLERANCE:g} between nodes, s", log_x=False,
-        far="not as good", theory="the error falls as the interval to the power of the points",
-    )  # fmt: skip
-    return EdgeChart(
-        name="edges-references",
-        title="Where references end: one turn of the outer arm",
-        reading=(
-            f"Left: the longest equal intervals that keep the error between nodes below {TOLERANCE:g}.",
-            "Right: the least acceleration for the motion on a track; the status names the limit.",
-            f"Diamonds: from the error on one finer mesh, {1e3 * FINE:g} ms. Planning splits intervals with large "
-            "errors and therefore needs fewer.",
-        ),
-        chosen="Seven points on 50 ms, split according to the error; limits of the bench leave room of a hundred.",
-        parts=measured_maps(
-            progress,
-            (mesh, lambda friction: mesh_border(friction, x=float(frictions.index(friction))), frictions),
-            (EdgeMap("Limits", "track, ± m", "acceleration, m/s²", far="no reference"), acceleration_border, tracks),
-        ),
-    )
-
-
-@cache
-def _walk() -> tuple[Itinerary, Callable[[Array], Array], float]:
-    itinerary = load_itinerary(WALK)
-    orbit = shadowing_orbit(itinerary)
-    return itinerary, orbit.states, orbit.duration
-
-
-def problem_of(friction: float = 1.0, limits: Limits | None = None) -> ReferenceProblem:
-    """Return the turn within `limits` with scaled viscous friction.
-
-    The factor `friction` applies to the arms' friction.
-    """
-    itinerary, guess, duration = _walk()
-    arms = replace(itinerary.model.arms, viscous=tuple(friction * k for k in itinerary.model.arms.viscous))
-    return ReferenceProblem(equations_of(arms, Level.CART), arms.base(), guess, duration, limits=limits or Limits())
-
-
-def on_equal_intervals(problem: ReferenceProblem, interval: float) -> Reference:
-    """Return the result of one round on equal intervals.
-
-    They have at most `interval` s, regardless of the guess's error.
-    """
-    settings = ReferenceSettings(method=METHOD, interval=interval, tolerance=TOLERANCE, rounds=1)
-    first = first_trajectory(problem, method_named(METHOD), even_mesh(problem.duration, interval))
-    return find_reference(problem, settings, near=first)
-
-
-def mesh_border(friction: float, *, x: float) -> Border:
-    """Return the longest interval, s, that meets the tolerance.
-
-    It applies between the turn's nodes in one round.
-    """
-    problem = problem_of(friction)
-    fine = on_equal_intervals(problem, FINE).max_error_between_nodes
-    # The package accepts slightly less than the tolerance.
-    predicted = FINE * (0.8 * TOLERANCE / fine) ** (1 / len(method_named(METHOD).points))
-    return find_border(
-        lambda interval: _converged(on_equal_intervals(problem, interval)), x=x, line=f"× {friction:g}",
-        near=predicted / 1.6, far=1.6 * predicted, predicted=predicted, ratio=1.12,
-    )  # fmt: skip
-
-
-def acceleration_border(track: float) -> Border:
-    """Return the least acceleration, m/s², for the turn on a track.
-
-    The track has ± `track` m.
-    """
-
-    def found(**limits: float) -> Reference:
-        return find_reference(problem_of(limits=Limits(position=track, **limits)), ReferenceSettings(tolerance=1e-4))
-
-    free = found()
-    taken = free.max_cart_acceleration if free.converged else 10.0
-    return find_border(
-        lambda acceleration: _converged(found(acceleration=acceleration)), x=track, line=f"± {track:g} m",
-        near=1.2 * taken, far=taken / 8, ratio=1.2,
-    )  # fmt: skip
-
-
-def _converged(found: Reference) -> Attempt:
-    return Attempt(found.converged, "" if found.converged else found.status)
-
 
 ROOM = 20.0
 """Length of the track, m, so that authority alone decides."""
@@ -539,15 +123,15 @@ def farthest_at_last(run: BatchRun) -> float:
     return float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
 
 
-def held_at_rest(rate: float, *, saddle: str = SADDLE, seconds: float = 8.0) -> LoopCase:
-    """Return the lab's arms held at an equilibrium for `seconds`.
+def held_at_rest(rate: float, *, seconds: float = 8.0) -> LoopCase:
+    """Return the lab's arms held at Down-Up for `seconds`.
 
     Raises:
         InputError, GoalMissed: the equilibrium cannot be held at this rate.
     """
     lab = load_model("lab")
     model = sampled_model(lab.arms, rate)
-    controller = hold_controller(lab.system.equilibrium(saddle), model, HoldSettings(), seconds=seconds)
+    controller = hold_controller(lab.system.equilibrium(SADDLE), model, HoldSettings(), seconds=seconds)
     settings = LoopSettings(seed=0, rate=rate, controller=HoldSettings())
     reference = still(controller.state, seconds, method=method_named("radau-7"), limits=Limits(), interval=1.0)
     return LoopCase(reference, lab.arms, model, controller, settings, near=0.1)

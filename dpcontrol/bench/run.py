@@ -124,6 +124,8 @@ def draw_chart(
     pictures = {Path(folder) / f"{chart.name}{end}.png": parts for end, parts in chart.pages.items()}
     for picture, parts in pictures.items():
         save_chart(chart, picture, parts)
+    if chart.lead is not None:
+        save_chart(chart, Path(folder) / f"{chart.name}-dark.png", (chart.lead,), dark=True)
     data = Path(folder) / f"{chart.name}.json"
     document = {**chart.document(), "seconds": seconds, **made_with}
     write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")

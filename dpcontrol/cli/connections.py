@@ -167,7 +167,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     if energy is None:
         assert energies is not None
         energy = (energies[0] + energies[1]) / 2
-    system, asked = model.system, {"arm": arm, "energy": energy}
+    system, requested = model.system, {"arm": arm, "energy": energy}
     orbits = rotating_orbits(system, ARMS[arm], energy)
     if not orbits:
         raise GoalMissed(
@@ -179,7 +179,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
         document = {
             "rotating_orbits": [orbit.document() for orbit in orbits],
             "count": len(orbits),
-            **asked,
+            **requested,
             "status": f"{len(orbits)} symmetric orbits that turn the {arm} arm forward; each has a reflection",
         }
         note = "each has a reflection that turns backward, (θ, ω) → (−θ, −ω), with the same multipliers"
@@ -194,7 +194,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     document = {
         "families": [family.document() for family in families],
         "count": len(families),
-        **asked,
+        **requested,
         "energies": energies,
         "picture": picture,
         "status": "; ".join(family.status for family in families),

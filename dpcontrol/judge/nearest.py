@@ -1,12 +1,14 @@
-"""How near a run came to its limits: the largest errors and uses, and the closest of them."""
+"""What matters first about a run: its largest values against their limits, the closest of them, and its filter."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from dpcontrol.control.estimator_settings import mean_band, means_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.decoding import FOLLOWS
 from dpcontrol.judge.run_view import RunView
+from dpcontrol.logs import Mode
 
 
 @dataclass(frozen=True)
@@ -34,19 +36,23 @@ class NearestLimit:
 
     @property
     def sentence(self) -> str:
-        """Value, limit and share in words."""
-        return f"{self.name} {self.value:.3g} of {self.limit:.4g} {self.unit} ({self.share:.0%})"
+        """Value, limit and time in words."""
+        return f"{self.value:.3g} of {self.limit:.4g} {self.unit} at {self.time:.2f} s"
 
 
 def limit_uses(view: RunView) -> tuple[NearestLimit, ...]:
     """Return the use of each limit that a view has, the nearest to its limit first.
 
-    Limits are those of the cart, and the distance from the reference beyond which an itinerary counts as lost.
+    Limits are those of the cart, and the distance from the reference beyond which an itinerary counts as lost. After an
+    abort nothing follows the reference any more, so these ticks do not count.
     """
     found: list[NearestLimit] = []
+    counts = np.ones(len(view.time), dtype=bool)
+    if view.control is not None and "mode" in view.control:
+        counts = ~np.isin(view.control["mode"], (Mode.STOPPED, Mode.ABORTED))
 
     def add(name: str, values: Array, limit: float, unit: str, scale: float = 1.0) -> None:
-        sizes = np.abs(values)
+        sizes = np.where(counts, np.abs(values), np.nan)
         if np.isfinite(sizes).any() and limit > 0 and np.isfinite(limit):
             row = int(np.nanargmax(sizes))
             found.append(NearestLimit(name, scale * float(sizes[row]), scale * limit, unit, float(view.time[row])))
@@ -60,18 +66,41 @@ def limit_uses(view: RunView) -> tuple[NearestLimit, ...]:
             add("acceleration", view.control["applied"], acceleration, "m/s²")
     if view.reference is not None and view.against == "reference":
         away = np.abs(view.state[:, :n] - view.reference[:, :n])
-        add("distance of an arm from the reference", away.max(axis=1), FOLLOWS, "rad")
+        add("arm from the reference", away.max(axis=1), FOLLOWS, "rad")
     return tuple(sorted(found, key=lambda use: -use.share))
 
 
-def nearest(view: RunView) -> tuple[str, ...]:
-    """Return the largest uses of a view's limits, and the closest approach to failing, each as a line."""
+def closest_approach(view: RunView) -> str:
+    """Return the closest approach to a limit in a sentence, or "" without limits."""
     uses = limit_uses(view)
     if not uses:
-        return ()
-    closest = uses[0]
-    word = "Beyond a limit" if closest.share > 1 else "Closest to a limit"
-    return (
-        f"Largest values: {'; '.join(use.sentence for use in uses)}.",
-        f"{word}: {closest.name} at {closest.time:.2f} s, {closest.share:.0%} of the limit.",
-    )
+        return ""
+    first = uses[0]
+    word = "Beyond a limit" if first.share > 1 else "Closest to a limit"
+    return f"{word}: {first.name}, {first.sentence} ({first.share:.0%})."
+
+
+def nis_reading(view: RunView) -> str:
+    """Return the meaning of a run's NIS relative to the 95 % band of a consistent filter, or "" without one.
+
+    The filters assume more noise and larger model errors than they meet, so that a wrong model does not lose the
+    arms. Means below the band are therefore expected. Only means above it show overconfidence.
+    """
+    means = means_of(view.nis[np.isfinite(view.nis)]) if view.nis is not None else np.zeros(0)
+    if not len(means):
+        return ""
+    low, high = mean_band(view.sensors)
+    above, below = float((means > high).mean()), float((means < low).mean())
+    band = f"the 95 % band of {low:.1f} to {high:.1f}"
+    if above > _BOLD:
+        return f"Filter: overconfident. {above:.0%} of the NIS means are above {band}; chance explains 2.5 %."
+    if below > _CAUTIOUS:
+        return (
+            f"Filter: cautious by design. It assumes more noise than it meets, so only the top of {band} applies. "
+            f"{above:.0%} of the NIS means are above."
+        )
+    return f"Filter: consistent. {1 - above - below:.0%} of the NIS means are inside {band}."
+
+
+_BOLD, _CAUTIOUS = 0.08, 0.2
+"""Shares of the means above and below their 95 % band that are more than chance; 0.025 are expected on each side."""

@@ -117,10 +117,11 @@ class Page:
         Args:
             dark: True for the dark variant, False by default.
         """
-        head = Page(self.title, width=self.width)
-        head.text(self.title, colour=style.INK, size=style.TITLE)
-        head.text(self.verdict, colour=style.verdict_colour(self.good), size=style.VERDICT)
-        rows = [*head._rows, *self._rows]
+        # Bold letters are wider than those that are measured.
+        head = Page("", width=self.width / 1.12).text(self.title, colour=style.INK, size=style.TITLE)
+        result = Page("", width=self.width)
+        result.text(self.verdict, colour=style.verdict_colour(self.good), size=style.VERDICT)
+        rows = [*head._rows, *result._rows, *self._rows]
         heights = [height for height, _ in rows]
         figure = new_figure(self.width, sum(heights) + _EDGE)
         # The last part is the page's lower edge.

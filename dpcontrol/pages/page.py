@@ -1,7 +1,7 @@
 """A run, a recording, a reference or an orbit on one page, drawn by matplotlib from its story (`series`).
 
-From the top: verdict, largest errors against their limits and the closest approach to failing; the planned and the
-flown itinerary; a film of the arms; phase planes and charts over time; symbols and events.
+From the top: verdict, the closest approach to failing, the filter, and the largest values against their limits; the
+planned and the flown itinerary; a film of the arms; phase planes and charts over time; symbols and events.
 """
 
 from collections.abc import Sequence
@@ -9,8 +9,9 @@ from functools import partial
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
 
-from dpcontrol.judge.nearest import nearest
+from dpcontrol.judge.nearest import NearestLimit, closest_approach, limit_uses, nis_reading
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.logs import RunLog
@@ -18,6 +19,7 @@ from dpcontrol.pages import series, style
 from dpcontrol.pages.charts import draw_chart, draw_plane
 from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack, cropped, list_panel
+from dpcontrol.pages.panels import quiet
 from dpcontrol.pages.series import Chart
 from dpcontrol.pages.story import story, story_height
 from dpcontrol.runs.run import Run
@@ -25,6 +27,10 @@ from dpcontrol.runs.run import Run
 _FRAMES = 8
 _TALL = 1.5
 """Height of a chart, inches."""
+_AROUND, _USE = 0.5, 0.2
+"""Heights of the frame of the bars of limits and of a bar, inches."""
+_NEAR, _FULL = 0.9, 1.05
+"""Share of a limit from which on its bar is red, and the longest bar."""
 _LISTED = 7
 """Most symbols and most events in a list."""
 
@@ -43,8 +49,10 @@ def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
     planes = [partial(_plane, view=view, arm=arm) for arm in range(min(view.arms, 2))]
     about = "   ".join(text for text in (view.path.name, view.metadata.get("program", "")) if text)
     page = Page(view.title, view.verdict, view.good, about=about)
-    for line in nearest(view):
+    for line in (closest_approach(view), nis_reading(view)):
         page.text(line, colour=style.INK, size=style.TEXT)
+    if uses := limit_uses(view):
+        page.row(partial(_uses, uses=uses), height=_AROUND + _USE * len(uses))
     if story_height(view):
         page.strip(partial(story, view=view), height=story_height(view))
     if view.arm_lengths:
@@ -57,6 +65,20 @@ def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
     share = (height - sum(panel.share for panel in lists)) / max(len(planes), 1)
     columns.append(Stack([*(Panel(plane, share) for plane in planes), *lists]))
     return page.row(*columns, height=height).figure()
+
+
+def _uses(axes: Axes, uses: Sequence[NearestLimit]) -> None:
+    """Draw the largest values as shares of their limits, the largest share at the top."""
+    quiet(axes, "Largest values, as shares of their limits")
+    for k, use in enumerate(uses):
+        axes.barh(k, min(use.share, _FULL), color=style.LIMIT if use.share > _NEAR else style.CART, height=0.6)
+        axes.text(_FULL + 0.02, k, use.sentence, va="center", fontsize=style.SMALL, color=style.INK)
+    axes.axvline(1.0, color=style.LIMIT, linewidth=1.1, linestyle=style.DASHED, zorder=0.5)
+    axes.set_yticks(range(len(uses)), [use.name for use in uses])
+    axes.set_ylim(len(uses) - 0.5, -0.5)
+    axes.set_xlim(0, 1.35)
+    axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0])
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
 
 
 def _chart(axes: Axes, chart: Chart, view: RunView, *, last: bool) -> None:

@@ -465,30 +465,9 @@ def _nis(view: RunView) -> Chart | None:
         levels=tuple(levels),
         shown=(0.0, NIS_LOST * view.sensors if lost else max(1.15 * highest, 1.6 * view.sensors)),
         log=lost,
-        note=f"; {nis_reading(view, means)}",
+        note=f"; band for 95 %: {band}",
         hint=f"; 95 % belong in {band}",
     )
-
-
-def nis_reading(view: RunView, means: Array) -> str:
-    """Return the meaning of the NIS means (K,) relative to the band of a consistent estimator.
-
-    The filters assume more noise and larger model errors than they meet, so that a wrong model does not lose the
-    arms. Means below the band are therefore expected. Only means above it show overconfidence.
-    """
-    low, high = mean_band(view.sensors)
-    if not len(means):
-        return "no means"
-    above, below = float((means > high).mean()), float((means < low).mean())
-    if above > _BOLD:
-        return f"{above:.0%} above the 95 % band, which ends at {high:.1f}: the filter is overconfident"
-    if below > _CAUTIOUS:
-        return f"only the band's upper end {high:.1f} counts: the filter is cautious by design, {above:.0%} lie above"
-    return f"95 % belong in {low:.1f} to {high:.1f}, and {1 - above - below:.0%} lie there"
-
-
-_BOLD, _CAUTIOUS = 0.08, 0.2
-"""Shares of the means above and below their 95 % band that are more than chance; 0.025 are expected on each side."""
 
 
 def _mesh(view: RunView) -> Chart | None:

@@ -122,26 +122,22 @@ def identity() -> Any:
 def _power(base: Any, exponent: Any) -> Any:
     twice = 2 * exponent
     if not (isinstance(twice, flint.arb) and twice.is_integer()):
-        return (_log(base) * exponent).exp()
+        return (_branch(base, "log") * exponent).exp()
     whole = int(float(twice))
-    return base ** (whole // 2) if whole % 2 == 0 else _sqrt(base) ** whole
+    return base ** (whole // 2) if whole % 2 == 0 else _branch(base, "sqrt") ** whole
 
 
-def _sqrt(x: Any) -> Any:
-    # A complex root is not analytic across its branch cut. In this case flint returns NaN.
-    return x.sqrt(analytic=True) if isinstance(x, flint.acb) else x.sqrt()
-
-
-def _log(x: Any) -> Any:
-    return x.log(analytic=True) if isinstance(x, flint.acb) else x.log()
+def _branch(x: Any, name: str) -> Any:
+    # Root and logarithm are not analytic across their branch cuts. In this case flint returns NaN.
+    return getattr(x, name)(analytic=True) if isinstance(x, flint.acb) else getattr(x, name)()
 
 
 _UNARY: dict[int, Callable[[Any], Any]] = {
     ca.OP_ASSIGN: lambda a: a,
     ca.OP_NEG: neg,
     ca.OP_EXP: lambda a: a.exp(),
-    ca.OP_LOG: _log,
-    ca.OP_SQRT: _sqrt,
+    ca.OP_LOG: lambda a: _branch(a, "log"),
+    ca.OP_SQRT: lambda a: _branch(a, "sqrt"),
     ca.OP_SQ: lambda a: a * a,
     ca.OP_TWICE: lambda a: a + a,
     ca.OP_INV: lambda a: 1 / a,

@@ -62,7 +62,7 @@ class SectionChart:
         guess = interval = flint.arb(0)
         for _ in range(8):
             slope = dot(field.gradient(self.place(y, interval)), self.columns[3])
-            found = guess - (field.height(self.place(y, guess)) - energy) / slope
+            found = guess - (field.energy(self.place(y, guess))[0][0] - energy) / slope
             if found in interval and found.is_finite():
                 return self.place(y, found), interval
             guess = found.mid()

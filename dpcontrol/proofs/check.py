@@ -38,7 +38,7 @@ from dpcontrol.proofs.symbols import Enclosed, check_symbols
 
 FORMAT = "dpcontrol proof 2"
 _BITS, _ORDER, _BOX_ORDER, _REMAINDER = 140, 18, 7, "1e-18"
-_LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2**20), 100_000, 2000
+_LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2**20), 30_000, 500
 """Steps in s, and limits on the work that a file can cause."""
 
 
@@ -249,7 +249,7 @@ def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> C
         with working(_BITS):
             own = _SYSTEMS[certificate["system"]["equations"]](certificate["system"])
             return CertificateCheck(True, _checked(own, certificate, progress), str(certificate["statement"]))
-    except (NotClosed, LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+    except (NotClosed, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         invalid = "" if isinstance(error, NotClosed) else f"a value is missing or invalid, {type(error).__name__}: "
         return CertificateCheck(
             False, f"rejected: the certificate does not prove its statement: {invalid}{error}", None
@@ -278,7 +278,15 @@ def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     turns, unique, exists = [int(v) for v in data["turns"]], number(data["unique"]), number(data["exists"])
     count, last, flights = len(nodes), 5 * len(nodes), []
     sizes = {len(nodes), len(normals), len(durations)}, {len(v) for v in [*nodes, *normals, scale, turns]}
-    positive = 1 < count < _MOST_NODES and 0 < exists <= unique and min(durations) > 0 and all(s > 0 for s in scale)
+    if count > _MOST_NODES or sum(durations) > _MOST_STEPS * _LONGEST:
+        most = f"{_MOST_NODES} nodes and {float(_MOST_STEPS * _LONGEST):.0f} s"
+        raise NotClosed(f"its orbit is longer than {most}, the limits of the check")
+    claims = data["symbols"]
+    names, wraps = ", ".join(one["symbol"] for one in claims), [one["wraps"] for one in claims]
+    said = f" at the energy {data['energy']}" + f" that follows {names} with wraps {wraps}" * bool(claims)
+    if not data["statement"].endswith(said):
+        raise NotClosed("its statement is not that of its energy and symbols")
+    positive = count > 1 and 0 < exists <= unique and min(durations) > 0 and all(s > 0 for s in scale)
     if sizes != ({count}, {4}) or not positive or any(turns[own.angles :]):
         raise NotClosed("its nodes, normals, durations, turns or radii are inconsistent")
     spread, product = flint.arb_mat([[symmetric(s * unique)] for s in scale]), identity()
@@ -321,15 +329,13 @@ def _checked(own: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     # λ + 1/λ grows with |λ| > 1.
     if not (low <= period and period <= high and least >= 1 and pair > least + 1 / least):
         raise NotClosed("its period or its multiplier is not proved to be within its bounds")
-    if data["symbols"]:
+    if claims:
         near = [[c + symmetric(s * exists) for c, s in zip(node, scale, strict=True)] for node in nodes]
         times = [number(v) + symmetric(exists) for v in durations]
         angles = [k < own.angles for k in range(4)]
-        check_symbols(
-            data["symbols"], Enclosed(flights, near, times, turns, angles, scale, lambda box: own.slopes(box)[0])
-        )
+        check_symbols(claims, Enclosed(flights, near, times, turns, angles, scale, lambda box: own.slopes(box)[0]))
     return (
         f"exactly one periodic orbit crosses the {count} planes within {data['unique']} of the nodes (scaled); it is "
         f"within {data['exists']}, its period lies in its bounds, its multiplier exceeds "
-        f"{data['multiplier_exceeds']}" + f", and it follows its {len(data['symbols'])} symbols" * bool(data["symbols"])
+        f"{data['multiplier_exceeds']}" + f", and it follows its {len(claims)} symbols" * bool(claims)
     )

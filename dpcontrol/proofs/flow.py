@@ -93,10 +93,6 @@ class Field:
         """Return f(x)."""
         return self.rate(state)[0]
 
-    def height(self, state: Vector) -> Any:
-        """Return H(x)."""
-        return self.energy(state)[0][0]
-
     def gradient(self, state: Vector) -> Vector:
         """Return ∇H(x)."""
         return self.energy(state)[1]
@@ -176,8 +172,7 @@ def fly(
     Raises:
         NotClosed: a step's enclosure does not close.
     """
-    flown, spans, thin, carried = Fraction(0), [], start, identity()
-    tried, guess = 10.0, None
+    flown, spans, thin, carried, tried, guess = Fraction(0), [], start, identity(), 10.0, None
     while flown < duration:
         unclear = NotClosed(f"the enclosure at {float(flown):.4g} s of a segment's flight does not close")
         box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]

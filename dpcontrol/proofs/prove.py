@@ -42,7 +42,13 @@ from dpcontrol.tubes.connections import Connection
 from dpcontrol.tubes.frames import orbit_nodes
 from dpcontrol.walks.shadowing import ShadowingOrbit, phase_gap
 
-_HELP = "more precision, a smaller ball or shorter steps may help (--bits, --radius)"
+_HELP = {
+    "orbit": "more precision or a smaller ball may help (--bits, --radius)",
+    "walk": "more precision, a smaller ball or other wraps may help (--bits, --radius, --wraps)",
+    "connection": "more precision or smaller boxes may help (--bits, --box)",
+    "horseshoe": "more precision or smaller boxes may help (--bits, --box)",
+}
+"""Remedies of each kind of statement."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +122,7 @@ def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -
         with working(bits):
             proof = work()
     except (NotClosed, ZeroDivisionError, np.linalg.LinAlgError) as error:
-        proof = Proof(kind, False, f"not proved: {error}; {_HELP}", statement, {}, 0.0)
+        proof = Proof(kind, False, f"not proved: {error}; {_HELP[kind]}", statement, {}, 0.0)
     return replace(proof, seconds=time.perf_counter() - begun)
 
 
@@ -151,28 +157,29 @@ def certificate(
     durations = [leg.duration for leg in legs]
     reach = Fraction(exists) * 2 * len(durations)
     scale = system.scale.tolist()
-    content = {
-        "format": FORMAT,
-        "statement": statement,
-        "versions": {name: number for name, number in versions().items() if name in ("dpcontrol", "python-flint")},
-        "system": {
-            "equations": "double pendulum" if pendulum else "three bodies",
-            **{key: system.model.decimals[key] for key in keys},
-        },
-        "energy": surface.energy,
-        "nodes": [leg.first.node for leg in legs],
-        "normals": [[row[2] / s**2 for row, s in zip(leg.first.basis, scale, strict=True)] for leg in legs],
-        "durations": durations,
-        "turns": legs[-1].shift,
-        "scale": scale,
-        "exists": f"{exists:.3e}",
-        "unique": f"{max(_UNIQUE, 10 * exists):.3e}",
-        "period": [sum(durations) - reach, sum(durations) + reach],
-        "multiplier_exceeds": f"{0.9 * float(abs(pair[0])):.3e}",
-        "symbols": list(claims),
-    }
-    shown = plain(content)
-    return {**shown, "digest": digest(shown)}
+    content = plain(
+        {
+            "format": FORMAT,
+            "statement": statement,
+            "versions": {name: number for name, number in versions().items() if name in ("dpcontrol", "python-flint")},
+            "system": {
+                "equations": "double pendulum" if pendulum else "three bodies",
+                **{key: system.model.decimals[key] for key in keys},
+            },
+            "energy": surface.energy,
+            "nodes": [leg.first.node for leg in legs],
+            "normals": [[row[2] / s**2 for row, s in zip(leg.first.basis, scale, strict=True)] for leg in legs],
+            "durations": durations,
+            "turns": legs[-1].shift,
+            "scale": scale,
+            "exists": f"{exists:.3e}",
+            "unique": f"{max(_UNIQUE, 10 * exists):.3e}",
+            "period": [sum(durations) - reach, sum(durations) + reach],
+            "multiplier_exceeds": f"{0.9 * float(abs(pair[0])):.3e}",
+            "symbols": list(claims),
+        }
+    )
+    return {**content, "digest": digest(content)}
 
 
 _LEAST_RADIUS, _UNIQUE = 1e-12, 1e-10
@@ -262,8 +269,10 @@ def prove_orbit(
             )  # fmt: skip
         unique, exists = bound(found.unique, lower=True), bound(found.exists)
         status = f"proved: exactly one orbit within {unique} of the nodes; it is within {exists}"
-        shown = certificate(statement, system, (surface, chain), (sharp, found))
-        return Proof("orbit", True, status, statement, figures, 0.0, shown)
+        return Proof(
+            "orbit", True, status, statement, figures, 0.0,
+            certificate(statement, system, (surface, chain), (sharp, found)),
+        )  # fmt: skip
 
     return attempted("orbit", statement, settings.bits, work)
 
@@ -337,6 +346,7 @@ def prove_walk(
         chain, _ = closed_chain(system, orbit.states[:-1], np.diff(orbit.times), turns)
         segments, found = proved_chain(surface, chain, settings, progress)
         pair = multipliers(segments)
+        claims = claims_of(walk, rivals)
         figures = {
             "period": total_time(segments, found.exists).str(20),
             "multipliers": None if pair is None else [v.str(8) for v in pair],
@@ -345,21 +355,24 @@ def prove_walk(
             "contraction": bound(found.contraction),
             "nodes": len(chain),
             "steps": sum(len(one.spans) for one in segments),
+            "symbols": [{key: one[key] for key in ("symbol", "crossings", "wraps")} for one in claims],
         }
-        claims = claims_of(walk, rivals)
         flights, nodes, times = zip(*((one.spans, one.start, one.time) for one in segments), strict=True)
         with located("a closed orbit exists and is unique, but it is not proved to follow its symbols:"):
-            enclosed = Enclosed(
-                flights, nodes, times, turns, surface.turns, [ball(v) for v in system.scale], surface.field.rates
+            check_symbols(
+                claims,
+                Enclosed(
+                    flights, nodes, times, turns, surface.turns, [ball(v) for v in system.scale], surface.field.rates
+                ),
             )
-            check_symbols(claims, enclosed)
-        figures["symbols"] = [{key: one[key] for key in ("symbol", "crossings", "wraps")} for one in claims]
         status = (
             f"proved: exactly one orbit within {bound(found.unique, lower=True)} of the {len(chain)} nodes, and it "
             f"follows its {len(claims)} symbols"
         )
-        shown = certificate(statement, system, (surface, chain), (segments, found), claims)
-        return Proof("walk", True, status, statement, figures, 0.0, shown)
+        return Proof(
+            "walk", True, status, statement, figures, 0.0,
+            certificate(statement, system, (surface, chain), (segments, found), claims),
+        )  # fmt: skip
 
     return attempted("walk", statement, settings.bits, work)
 
@@ -414,7 +427,7 @@ def prove_connections(
             "failed": failed,
         }
         if failed:
-            status = f"not proved: {len(failed)} of {len(connections)} ({failed[0]}); {_HELP}"
+            status = f"not proved: {len(failed)} of {len(connections)} ({failed[0]}); {_HELP[kind]}"
             return Proof(kind, False, status, statement, figures, 0.0)
         status = f"proved: all {len(links)} exist and are transversal"
         if whole:

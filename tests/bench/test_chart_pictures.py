@@ -45,8 +45,7 @@ def test_a_page_of_many_methods_names_each_beside_a_mark_and_has_no_legend_of_th
     (axes,) = drawn(Diagram("many", "time of a tick, s", "error", points))
     names = [t.get_text() for t in axes.texts if isinstance(t, Annotation) and t.get_text()]
     assert sorted(names) == [f"method {k}" for k in range(6)]
-    (legend,) = axes.figure.legends
-    assert [t.get_text() for t in legend.get_texts()] == ["best at its cost", "default of dpcontrol"]
+    assert [t.get_text() for t in axes.get_legend().get_texts()] == ["best at its cost", "default of dpcontrol"]
 
 
 def test_axes_have_units_with_prefixes_and_the_title_states_the_result() -> None:

@@ -156,7 +156,7 @@ def test_an_unknown_chart_is_refused_with_the_known_ones(tmp_path):
 
 @pytest.mark.benchmark
 def test_maps_are_drawn_at_once_and_come_back_in_the_order_they_were_asked_for(tmp_path):
-    asked = ["edges-walks", "edges-propagation"]
+    asked = ["edges-ogy", "edges-moving"]
     drawn = draw_charts(asked, tmp_path, quick=True)
     assert [d.chart.name for d in drawn] == asked
     assert all(d.pictures[0].read_bytes().startswith(b"\x89PNG") for d in drawn)

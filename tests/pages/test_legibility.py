@@ -18,13 +18,15 @@ from test_night import night
 from test_walk_figure import found as walk
 
 import dpcontrol.pages
+from dpcontrol.bench.chart import Border, Diagram, EdgeChart, EdgeMap, Point, PrecisionChart, Search, Searches, Trial
+from dpcontrol.bench.drawing import figure as figure_of_chart
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.identification.fit import DesignSettings, design_experiments
 from dpcontrol.identification.identify import IdentificationSettings, identify, profiles
 from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.judge.comparison import compare
 from dpcontrol.judge.of_log import reference_view
-from dpcontrol.judge.preflight import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt
+from dpcontrol.judge.preflight import EndingShare, Fact, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
@@ -103,7 +105,7 @@ def preflight(_: Path) -> Figure:
         for name, unit in units.items()
     )
     change = Improvement("identify the arms: half the mismatch", {}, 12, 20, 0, 20, 0.8)
-    known = tuple(Known(name, "a value with its unit", "[run] or the model's file") for name in units)
+    known = tuple(Fact(name, "a value with its unit", "[run] or the model's file") for name in units)
     ending = EndingShare("tracking lost", "lost", 31, 12, "tracking lost at t = 2.31 s: the arms were 1.52 rad off")
     share = wilson(158, 200, confidence=0.99)
     title = "Turn the outer arm once"
@@ -151,7 +153,55 @@ def transitions(folder: Path) -> Figure:
     return draw_transitions(summarised(plan.reference))
 
 
-QUICK = (run, run_of_many_symbols, comparison, campaign, campaign_of_mismatches, long_run, preflight, walk_page, tube)
+def chart_of_methods(_: Path) -> Figure:
+    draw = np.random.default_rng(4)
+    points = [
+        Point(f"method {k % 6}", f"1e-{k:02d}", *spot, default=k == 5)
+        for k, spot in enumerate((10.0 ** draw.uniform([-5, -9], [-2, 0], (18, 2))).tolist())
+    ]
+    panels = [
+        Diagram(title, "time of a tick, s", "error of the angles, rad", tuple(points[k:]))
+        for k, title in enumerate(("One turn", "An orbit", "Both arms up"))
+    ]
+    return figure_of_chart(PrecisionChart("x", "A chart of methods", READING, "the sixth", tuple(panels)), panels)
+
+
+def chart_of_maps(_: Path) -> Figure:
+    cases = [f"an-itinerary-{k}, adaptive" for k in range(9)]
+    maps = []
+    for title, y in (("Too little", "gain"), ("Further delay", "delay, s"), ("Further lag", "delay, s")):
+        borders = [
+            Border(float(k), name, 0.02 + 1e-3 * k, 0.024, 0.021, "", tuple(Trial(v, v < 0.022, "") for v in TRIED))
+            for k, name in enumerate(cases)
+        ]
+        maps.append(EdgeMap(title, "itinerary and law", y, tuple(borders), theory="a margin", log_x=False))
+    return figure_of_chart(EdgeChart("x", "A chart of maps", READING, "margins", tuple(maps)), maps)
+
+
+def chart_of_searches(_: Path) -> Figure:
+    ours = Search("along tubes", 5, 5, 5, 4.0, default=True)
+    others = [Search(f"search {k} from a curve", 80, 60 - 9 * k, 4 - k, 50.0) for k in range(5)]
+    lead = Searches("flights", (ours, *others), "within a tenth of the tubes' effort")
+    panel = Diagram("0", "s", "error", (Point("m", "", 1.0, 1.0, default=True),))
+    return figure_of_chart(PrecisionChart("x", "A chart of searches", READING, "", (panel,), lead), [lead])
+
+
+READING = ("What is shown.", "How to read it.", "What it leaves out.")
+TRIED = (0.01, 0.02, 0.024, 0.1)
+QUICK = (
+    run,
+    run_of_many_symbols,
+    comparison,
+    campaign,
+    campaign_of_mismatches,
+    long_run,
+    preflight,
+    walk_page,
+    tube,
+    chart_of_methods,
+    chart_of_maps,
+    chart_of_searches,
+)
 SLOW = (reference, atlas, family, design, identification, transitions)
 
 
