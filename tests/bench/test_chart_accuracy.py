@@ -179,7 +179,7 @@ def test_more_points_on_the_same_intervals_are_nearer_and_cost_the_same():
     assert error["radau-7"] < 0.1 * error["radau-5"]
 
 
-def test_a_build_without_extended_reals_is_told(system, monkeypatch):
+def test_a_build_without_extended_reals_is_reported(system, monkeypatch):
     def refused(*_):
         raise GoalMissed("no 113-bit reals")
 

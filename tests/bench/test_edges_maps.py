@@ -67,7 +67,7 @@ def test_a_far_side_that_nobody_reports_is_a_complaint():
     assert "is not reported" in one_map(found).complaints()[0]
 
 
-def test_half_of_the_answers_decide_and_one_that_says_something_speaks_for_the_rest():
+def test_half_of_the_answers_decide_and_one_answer_with_a_text_explains_the_rest():
     silent, works, says = Attempt(False), Attempt(True), Attempt(False, "tracking lost")
     assert half_of([works, silent], "runs lost").works
     assert half_of([works, silent, says], "runs lost") == Attempt(False, "2 of 3 runs lost; tracking lost")
@@ -88,7 +88,7 @@ def test_a_chart_of_maps_is_json_and_a_picture(tmp_path):
     assert len(chart.parts[0].table().rows) == 2
 
 
-def test_edges_stand_for_all_maps_of_failure():
+def test_edges_represent_all_maps_of_failure():
     assert check_names(("edges",)) == GROUPS["edges"]
     assert len(GROUPS["edges"]) > 3
     assert check_names(("edges-control", "edges"))[0] == "edges-control"

@@ -36,7 +36,7 @@ class Machine:
         return call
 
 
-def test_start_up_is_told_apart_from_repeated_time():
+def test_start_up_is_separated_from_repeated_time():
     # The first call compiles for 5 s; each takes 1 s, one in between 9 s.
     machine = Machine(lambda call: {1: 6.0, 3: 9.0}.get(call, 1.0))
     found = timed(machine.work("a", 1.0), 5, most=100.0, clock=machine.clock, beside=lambda: 1e-3)
@@ -83,7 +83,7 @@ def test_short_work_measured_while_the_machine_is_slow_counts_as_what_it_takes_o
     )
 
 
-def test_long_work_stands_as_the_clock_has_it():
+def test_long_work_has_the_time_of_the_clock():
     # A yardstick tells only of how quick the machine was at its ends.
     machine = Machine()
     found = timed(machine.work("a", 1.0), 5, most=100.0, clock=machine.clock, beside=iter(range(1, 1000)).__next__)

@@ -75,7 +75,7 @@ def test_the_loop_tolerates_known_mechanics_in_a_few_runs(options: dict[str, obj
 
 @pytest.mark.slow
 @pytest.mark.parametrize("told", [0.5, 1.4])
-def test_a_play_that_is_known_badly_is_borne_as_well(told: float) -> None:
+def test_an_inaccurately_known_play_is_tolerated_as_well(told: float) -> None:
     assert completed("turn-from-rest", 24, play=0.02, known_play=0.02 * told) >= 23
 
 

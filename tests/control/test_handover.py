@@ -19,7 +19,7 @@ from dpcontrol.references.reference import Reference
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 
 ON_ORBIT = 0.1  # rad: what a completed period asks for.
-JOIN = 0.06  # Scaled: where a flight with a plant 3 % off may be from the orbit that it comes to.
+JOIN = 0.06  # Largest scaled distance of a flight from its final orbit, with a plant 3 % off.
 NONE = np.zeros(0)
 
 
@@ -76,7 +76,7 @@ def test_ogy_keeps_the_wobbles_and_tvlqr_flies_the_turns_there_and_back(there_an
         assert wobble().distance(done.states[k]) < JOIN
 
 
-def test_a_stay_lasts_as_many_periods_as_asked_to_half_a_one(done: Flight) -> None:
+def test_a_stay_lasts_the_requested_periods_to_within_half_a_period(done: Flight) -> None:
     begins = spans(done.actions)
     periods = np.array([begins[0], begins[2] - begins[1]]) * PERIOD / orbit().period
     assert np.abs(periods - [6, 8]).max() <= 0.52

@@ -103,7 +103,7 @@ def test_a_kick_is_caught_within_the_track_up_to_where_the_cart_meets_its_stop(k
 
 
 @pytest.mark.parametrize(("name", "margin"), [("down-up", 35), ("up-up", 25)])
-def test_a_delay_that_nobody_knows_of_is_tolerated_up_to_the_margin_of_the_eigenvalues(name: str, margin: int) -> None:
+def test_an_unmodelled_delay_is_tolerated_up_to_the_margin_of_the_eigenvalues(name: str, margin: int) -> None:
     # Ticks: the most for which all eigenvalues of state and commands on their way lie within the unit circle.
     controller, model = hold(name), model_of()
 
@@ -133,7 +133,7 @@ def test_a_turned_arm_is_held_where_it_is() -> None:
     assert session.resynchronise(100, turned) == ""
 
 
-def test_the_loops_rows_say_what_a_session_does() -> None:
+def test_the_loops_rows_equal_the_actions_of_a_session() -> None:
     controller, where = hold("up-down"), TickEquations(FilterEquations(model_of().equations, 1e-3, ()), 1, 1).row.slices
     schedule = controller.schedule(1)
     assert schedule.queued.tolist() == [0.0]

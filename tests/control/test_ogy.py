@@ -185,7 +185,7 @@ def test_pulses_cost_no_more_than_feedback_at_every_tick() -> None:
 
 def test_one_section_a_period_fails_even_on_an_exact_plant() -> None:
     for controller in (ogy(1), classic(1)):
-        # Nothing is wrong but rounding: by the encoders, and by an input that is held for a tick.
+        # The only errors are rounding by the encoders and an input that is constant for a tick.
         flight = fly(controller.begin(), model_of(), controller.first_state, 20.0)
         assert len(flight.states) < 20_000 or away(flight.states) > ON_ORBIT
     # One count becomes this much in a period, in rad.

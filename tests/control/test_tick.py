@@ -28,7 +28,7 @@ NOISE = SensorSettings().covariance(2)
 
 
 class Ticked:
-    """A program of one run that is told what to send, and whose readings are made up."""
+    """A program of one run with prescribed commands and readings."""
 
     def __init__(self, delay: float = 1.0, limits: Limits = WIDE, *, state: np.ndarray = HANGING, **bounds: float):
         known = {

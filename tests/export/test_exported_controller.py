@@ -304,7 +304,7 @@ def test_a_law_that_cannot_be_exported_is_rejected_without_files(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_reference_followed_by_phase_cannot_leave(tmp_path: Path) -> None:
+def test_a_law_by_phase_cannot_be_exported(tmp_path: Path) -> None:
     text = Path("itineraries/outer-turn.toml").read_text() if Path("itineraries").is_dir() else ""
     scene = tmp_path / "phase.toml"
     scene.write_text(re.sub(r'kind = "adaptive"[^\n]*', 'kind = "tvlqr"\nschedule = "phase"', text, count=1))
@@ -352,7 +352,7 @@ def test_a_title_of_any_signs_stays_within_its_comment(
         assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_columns_that_never_change_stand_in_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_constant_columns_are_in_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))
     ended = dpcontrol("export", "hold-up-up", "--float", "--clock", "168", "--out", tmp_path / "hold", "--json")
     assert ended.code == 0, ended.message

@@ -1,4 +1,4 @@
-"""What a push takes from OGY is held by TVLQR: the supervisor falls back to the nearest orbit, and the log says so."""
+"""After a push that OGY cannot hold, the supervisor falls back to TVLQR on the nearest orbit, and logs it."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from dpcontrol.plans.plan import make_plan
 
 TRAVEL = 0.4
 NEAR_ORBIT = 0.2
-"""rad over the last period: a plant 2 % off has an orbit of its own some 0.1 rad away."""
+"""rad over the last period: the orbit of a plant 2 % off is about 0.1 rad away."""
 PUSHED = """
 energy = 0.2
 walk = ["down-up +"]

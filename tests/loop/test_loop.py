@@ -87,7 +87,7 @@ def test_real_runs_follow_to_the_end_and_show_the_orbit(tracked: tuple[StandIn, 
         assert 0.9 < result.nis_inside_95 <= 1.0
 
 
-def test_feedforward_alone_is_lost_and_says_so(tracked: tuple[StandIn, Reference]) -> None:
+def test_feedforward_alone_is_lost_with_a_reason(tracked: tuple[StandIn, Reference]) -> None:
     settings = replace(REAL, controller=FeedforwardSettings())
     result = Assembly(tracked[1], LAB, settings).simulate()
     assert result.ending is Ending.TRACKING_LOST

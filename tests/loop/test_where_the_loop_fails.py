@@ -1,4 +1,4 @@
-"""Where the loop fails: every run ends with a name and a reason that helps, the cart inside its limits, the log whole.
+"""Failures of the loop: every run ends with a name and a useful reason, the cart inside its limits, the log complete.
 
 The cart is watched for a second after the run as well, on a track without hard stops that would keep it.
 """
@@ -200,7 +200,7 @@ class Still:
         return ""
 
 
-def test_with_something_to_hold_the_run_goes_on_and_says_so(
+def test_with_a_fallback_the_run_continues_and_reports_it(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
     weak = replace(controller, gains=0.0 * controller.gains)

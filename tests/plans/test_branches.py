@@ -1,4 +1,4 @@
-"""Diagrams of connections against energy: kept by content, read back as they were made, and made anew if damaged."""
+"""Diagrams of connections against energy are cached by content, read back unchanged, and computed again if damaged."""
 
 import numpy as np
 import pytest

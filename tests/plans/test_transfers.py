@@ -47,7 +47,7 @@ def there_and_back(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 
 
 def flown_again(plan: Plan, number: int) -> Reference:
-    """Return one of a plan's transfers by itself, at the turns that its start is named at."""
+    """Return one of a plan's transfers, at the turns of its start's name."""
     reference, (begin, end) = plan.reference, plan.notes["transfers"][number]
     first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
     states = reference.states[first:last]

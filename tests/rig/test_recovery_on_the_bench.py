@@ -89,7 +89,7 @@ def fly(address: tuple[str, int], key: bytes) -> None:
         loop.run(rig)
 
 
-def test_a_controller_that_dies_in_mid_fall_leaves_a_cart_that_stands() -> None:
+def test_after_a_controller_dies_during_a_fall_the_cart_stops() -> None:
     with BenchProcess(bench_recipe(falling()), BenchServerSettings()) as bench:
         loop = multiprocessing.get_context("spawn").Process(target=fly, args=(bench.address, bench.key))
         loop.start()

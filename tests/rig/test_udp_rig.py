@@ -1,6 +1,6 @@
 """A bench at the other end of a UDP socket: what is lost, late, silent or damaged is counted and survived.
 
-No time is asserted: a busy computer may be late, and must then say so.
+No time is asserted: a busy computer can be late, and must then report it.
 """
 
 import hmac
@@ -154,7 +154,7 @@ def test_lost_packets_are_counted_and_the_ticks_stay_the_benchs() -> None:
             else:
                 absent += 1
                 assert not reading.present.any()
-                # What is not new holds its last value.
+                # Missing entries repeat their last value.
                 assert (reading.positions < k).all() or k == 0
             rig.command(float(k))
     assert dropped[Kind.READING] > 20
@@ -189,7 +189,7 @@ def test_readings_that_come_after_their_tick_are_counted_and_dropped() -> None:
     assert (rig.deadlines.lost, rig.deadlines.stale) == (1, 1)
 
 
-def test_a_loop_that_falls_silent_has_its_cart_stopped_and_is_told() -> None:
+def test_a_silent_loop_has_its_cart_stopped_and_is_notified() -> None:
     toy = Toy()
     with served(toy, settings=BenchServerSettings(watchdog=0.05)) as bench, UdpRig(bench.address) as rig:
         for _ in range(5):
@@ -268,7 +268,7 @@ def test_a_bench_that_is_gone_ends_the_run_by_name() -> None:
         read_on(rig)
 
 
-def test_where_no_bench_is_or_it_is_busy_a_sentence_says_so() -> None:
+def test_a_missing_or_busy_bench_is_reported_in_one_sentence() -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as nobody:
         nobody.bind(("127.0.0.1", 0))
         with pytest.raises(InputError, match=r"no bench responded for 0\.3 s; start one with `dpcontrol rig`"):

@@ -239,7 +239,7 @@ def test_the_parents_memory_grows_by_less_than_half_a_kilobyte_a_run(
 
     def simulated(jobs: Sequence[campaign_jobs.Job], workers: int) -> Iterator[tuple[campaign_jobs.Job, list[Any]]]:
         for job in jobs:
-            # As they come from a process: nothing is shared with other jobs.
+            # As from another process, without objects shared with other jobs.
             yield job, pickle.loads(pickle.dumps([simulated_row(job, seed) for seed in job.seeds]))
 
     monkeypatch.setattr(workers, "run_locally", simulated)
@@ -257,7 +257,7 @@ def test_the_parents_memory_grows_by_less_than_half_a_kilobyte_a_run(
 
 
 def simulated_row(job: campaign_jobs.Job, seed: int) -> dict[str, Any]:
-    """Return a run's row as a worker might; every third run fails, with a reason of its own."""
+    """Return a run's row as a worker would. Every third run fails, with a separate reason."""
     done = seed % 3 > 0
     return {
         **dict.fromkeys(campaign_jobs.COLUMNS, seed / 7),
@@ -305,7 +305,7 @@ def test_jobs_left_by_a_lost_scheduler_go_to_the_one_that_answers_next(
 
 
 class Cluster:
-    """A Dask scheduler and two workers, programs of their own as a lab starts them; a context manager."""
+    """A Dask scheduler and two workers in separate processes, as in a lab; a context manager."""
 
     def __init__(self, folder: Path) -> None:
         pytest.importorskip("distributed", reason="the package distributed is not installed")

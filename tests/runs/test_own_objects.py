@@ -26,13 +26,13 @@ def test_the_gains_of_tvlqr_as_an_own_law_fly_as_tvlqr_does() -> None:
     built_in = dp.closed_loop("outer-turn", controller="tvlqr").run(seed=3)
     assert own.converged
     assert np.abs(own.log.states["truth"] - built_in.log.states["truth"])[:BEGINNING].max() < SAME
-    # Delay: the first command is the reference's own. Nothing is asked of the law before.
+    # Delay: the first command is the reference's own. The law is not called before.
     assert (law.resets, law.asked) == (1, len(own.log.time))
     assert own.log.events[0].text.startswith("Gains, ekf")
     assert json.loads(own.log.metadata["run_settings"])["controller"]["kind"] == "Gains"
 
 
-def test_an_own_estimator_flies_and_the_log_says_what_is_off() -> None:
+def test_an_own_estimator_flies_and_the_log_lists_disabled_checks() -> None:
     run = dp.closed_loop("outer-turn", controller="tvlqr", estimator=Filter()).run(seed=3)
     assert run.converged
     assert np.isnan(run.log.controls["nis"]).all()
@@ -56,7 +56,7 @@ def test_an_own_plant_of_the_same_equations_moves_as_the_benchs_own() -> None:
     assert own.plant is None
 
 
-def test_an_own_rig_is_flown_logged_and_scored_by_the_truth_it_knows(tmp_path: Path) -> None:
+def test_an_own_rig_is_run_logged_and_scored_by_its_true_states(tmp_path: Path) -> None:
     rig = Rig()
     run = dp.closed_loop("outer-turn", controller="tvlqr").run(rig=rig, log=tmp_path / "rig.mcap")
     assert run.converged
