@@ -42,7 +42,7 @@ def test_whole_units_are_tried_down_to_neighbours():
     assert all(y / 1e-3 == pytest.approx(round(y / 1e-3), abs=1e-9) for y in tried)
 
 
-def test_a_side_that_is_not_found_is_none_and_no_number_is_made_up():
+def test_a_missing_side_is_none_without_an_invented_number():
     nothing, everything = (
         find_border(below(b), x=1.0, line="", near=0.1, far=1.0, predicted=0.3) for b in (0.0, math.inf)
     )
@@ -62,7 +62,7 @@ def test_a_prediction_is_judged_by_how_far_it_is_from_the_border(share):
         assert bool(one_map(found).complaints()) == (complains and abs(share) == AGREES)
 
 
-def test_a_far_side_that_nobody_reports_is_a_complaint():
+def test_an_unreported_far_side_is_a_complaint():
     found = find_border(below(says=""), x=1.0, line="l", near=0.01, far=5.0)
     assert "is not reported" in one_map(found).complaints()[0]
 

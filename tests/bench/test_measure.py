@@ -43,7 +43,7 @@ def test_start_up_is_separated_from_repeated_time():
     assert (found.seconds, found.start_up, found.result) == (1.0, 5.0, "a")
 
 
-def test_slow_work_is_not_repeated_beyond_the_time_it_may_take():
+def test_slow_work_is_not_repeated_beyond_its_time_limit():
     machine = Machine()
     assert timed(machine.work("a", 3.0), 50, most=5.0, **machine.own).seconds == 3.0
     assert len(machine.calls) == 3
@@ -64,7 +64,7 @@ def slow_in_the_second_half(call):
     return 1.0 if call <= 12 else 2.0
 
 
-def test_what_is_compared_takes_turns():
+def test_compared_methods_alternate():
     machine = Machine(slow_in_the_second_half)
     works = {"a": machine.work("a", 1.0), "b": machine.work("b", 0.8)}
     found = timed_in_turns(works, 11, starts_up=False, clock=machine.clock, beside=lambda: 1e-3)
@@ -100,7 +100,7 @@ def test_slow_work_leaves_the_turns_early_but_not_before_its_least():
     assert machine.calls.count("quick") == 6
 
 
-def test_what_is_of_no_interest_is_called_once():
+def test_uninteresting_work_is_called_once():
     machine = Machine()
     found = timed_in_turns(
         {"fails": machine.work("fails", 2.0), "works": machine.work("works", 1.0)}, 4,

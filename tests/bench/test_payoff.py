@@ -90,7 +90,7 @@ def test_a_motion_is_recognised_with_its_effort() -> None:
     assert found.peak == pytest.approx(1.0, abs=1e-6)
 
 
-def test_what_is_no_motion_or_misses_its_end_or_passes_a_limit_does_not_fly() -> None:
+def test_invalid_motions_missed_ends_and_exceeded_limits_are_rejected() -> None:
     motion = free_fall()
     ends = motion.states[0, 0], motion.states[-1, -1]
     bent = replace(motion, states=motion.states.copy())

@@ -45,7 +45,7 @@ def test_a_tie_is_a_fifth(slower, told):
     assert len(changes([before], [after])) == told
 
 
-def test_what_was_measured_in_one_drawing_only_has_no_order():
+def test_points_of_one_drawing_only_have_no_order():
     assert changes([panel((1.0, 1e-3))], [panel((1.0, 1e-3), (0.1, 1e-9))]) == ()
     assert changes([], [FIRST]) == ("panel: not in the earlier drawing",)
 
@@ -76,7 +76,7 @@ def test_a_machine_on_which_all_work_takes_longer_makes_nothing_slower_but_what_
     )
 
 
-def test_an_earlier_drawing_that_is_none_is_refused_before_any_work(tmp_path):
+def test_an_invalid_earlier_drawing_is_rejected_before_any_work(tmp_path):
     for text in (None, "{}", '{"panels": [{"points": [{}]}]}', "no JSON"):
         if text is not None:
             (tmp_path / "propagation.json").write_text(text)

@@ -104,7 +104,7 @@ def test_feedback_at_every_tick_hands_over_as_well(turn: tuple[StandIn, Referenc
     assert keeper.distance(result.states[-1]) < JOIN
 
 
-def test_what_does_not_meet_is_refused_by_name(turn: tuple[StandIn, Reference]) -> None:
+def test_stays_and_flights_that_do_not_meet_are_rejected_by_name(turn: tuple[StandIn, Reference]) -> None:
     away = flight(turn[1])
     other = ogy_controller(orbit(0.2), model_of(), OgySettings(), seconds=60.0)
     with pytest.raises(GoalMissed, match=r"turn begins .* away from high: they do not meet"):

@@ -50,7 +50,7 @@ def test_assumed_damping_is_viscous_friction_that_grows_with_gravity_and_inertia
     assert assumed == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_is_estimated_is_compensated_at_the_cost_that_a_long_recursion_finds() -> None:
+def test_estimated_disturbances_are_compensated_at_the_cost_of_a_long_recursion() -> None:
     model, settings = model_of(), HoldSettings()
     rough = sampled_model(replace(LAB, viscous=(0.004, 0.002)), 1 / PERIOD)
     effects = np.zeros((6, 2))
@@ -147,7 +147,7 @@ def test_the_loops_rows_equal_the_actions_of_a_session() -> None:
         assert row[where["wanted"]] == pytest.approx(controller.state[:2])
 
 
-def test_what_is_no_equilibrium_is_refused() -> None:
+def test_states_other_than_equilibria_are_rejected() -> None:
     with pytest.raises(InputError, match="is not an equilibrium"):
         hold_controller([0.3, np.pi, 0.0, 0.0], model_of(), HoldSettings(), seconds=1.0)
     with pytest.raises(InputError, match="effort = -1"):

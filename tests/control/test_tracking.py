@@ -116,7 +116,7 @@ def test_after_the_last_tick_the_last_command_holds(turn: tuple[StandIn, Referen
     assert asked(controller, last + 50, np.zeros(6)) == asked(controller, last + 1, np.zeros(6))
 
 
-def test_what_cannot_be_tracked_is_refused(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
+def test_untrackable_references_are_rejected(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
     with pytest.raises(InputError, match="cannot be tracked: it failed"):
         tracking_controller(replace(turn[1], converged=False, status="it failed"), model, TvlqrSettings())
     single = replace(
@@ -164,7 +164,7 @@ def test_by_phase_the_clock_continues_while_the_reference_rests(
     assert session.place == pytest.approx(249, abs=1)
 
 
-def test_by_phase_the_clock_is_found_anew_and_many_runs_agree_with_one(
+def test_by_phase_the_clock_is_estimated_and_many_runs_agree_with_one(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
     controller = tracking_controller(turn[1], model, TvlqrSettings(schedule="phase"))

@@ -190,7 +190,7 @@ def test_decisions_of_the_supervisor_bring_the_cart_to_rest(
     assert stopped < len(told) - still
 
 
-def test_after_the_last_tick_the_last_row_goes_on_holding(plan: Plan, double: Exported) -> None:
+def test_after_the_last_tick_the_last_row_keeps_holding(plan: Plan, double: Exported) -> None:
     both = SideBySide(plan, library(double[0]), told=False)
     rows = Assembly(plan.reference, plan.itinerary.model.arms, plan.itinerary.loop).controller.schedule(1).rows
     # Its clock is set to just before the end, so only the rows decide.
@@ -314,7 +314,7 @@ def test_a_law_by_phase_cannot_be_exported(tmp_path: Path) -> None:
     assert not (tmp_path / "controller").exists()
 
 
-def test_a_folder_that_holds_something_else_is_kept(tmp_path: Path) -> None:
+def test_a_folder_with_other_files_is_kept(tmp_path: Path) -> None:
     folder, files = tmp_path / "controller", {"a.c": "int a;\n", "b.c": "int b;\n"}
     write_folder(folder, files)
     before = (folder / "a.c").stat().st_mtime_ns

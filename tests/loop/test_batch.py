@@ -180,7 +180,7 @@ def test_a_seed_runs_the_same_in_any_company(turn: tuple[StandIn, Reference]) ->
         replace(BASE, supervisor=SupervisorSettings(resynchronise=0.5)),
     ],
 )
-def test_what_only_the_loop_can_do_is_left_to_it(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
+def test_settings_without_lockstep_are_rejected(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
     assembly = Assembly(turn[1], LAB, BASE)
     assert assembly.lockstep
     other = assembly.under(settings)

@@ -79,7 +79,7 @@ def test_without_it_the_same_push_ends_the_run_with_the_cart_at_rest(tmp_path: P
     assert abs(log.truth[-1, 5]) < 1e-3
 
 
-def test_what_cannot_be_held_is_refused() -> None:
+def test_orbits_that_cannot_be_held_are_rejected() -> None:
     with pytest.raises(InputError, match="did you mean 'nearest'"):
         SupervisorSettings(hold="nearst")
 

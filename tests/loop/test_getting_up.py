@@ -64,7 +64,7 @@ def ready():
     return run
 
 
-def test_a_run_that_falls_goes_on_from_rest_to_its_end(ready) -> None:
+def test_a_fallen_run_continues_from_rest_to_its_end(ready) -> None:
     result, told = ready(*FALLS)
     assert result.ending is Ending.FINISHED
     # A return can restart before the arms hang still.
@@ -94,7 +94,7 @@ def test_a_run_that_does_not_fall_is_the_one_that_could_not_recover(ready) -> No
     np.testing.assert_array_equal(result.ticks.truth, alone.ticks.truth)
 
 
-def test_a_run_that_restarts_begins_its_itinerary_anew(ready) -> None:
+def test_a_restarting_run_repeats_its_itinerary_from_the_start(ready) -> None:
     result, told = ready(Push(4.2, 0, 0.03), Push(4.3, 1, 0.03), restarts=True)
     assert result.ending is Ending.FINISHED
     assert "restarts from rest" in next(text for _, name, text in told.events if name == "return")

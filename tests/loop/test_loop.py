@@ -128,9 +128,7 @@ def test_a_command_acts_after_the_delay_and_not_before(turn: tuple[StandIn, Refe
 
 
 @pytest.mark.slow
-def test_a_late_command_that_nobody_expects_is_worse(
-    turn: tuple[StandIn, Reference], controller: TrackingController
-) -> None:
+def test_an_unmodelled_delay_is_worse(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
     # Beyond the margin: the unstable direction grows by half in that time.
     slow = replace(REAL, drive=DriveSettings(delay=50.0))
     expected = Assembly(turn[1], LAB, slow).simulate()

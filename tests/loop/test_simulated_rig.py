@@ -341,7 +341,7 @@ def test_command_noise_and_missed_counts_have_the_requested_size() -> None:
     assert draw.missed.mean() == pytest.approx(0.25, rel=0.05)
 
 
-def test_what_is_not_finite_or_beyond_the_draw_is_named() -> None:
+def test_states_that_are_not_finite_or_beyond_the_draw_are_named() -> None:
     rig = rig_of(BenchSettings(), ticks=3)
     rig.read()
     with pytest.raises(ArithmeticError, match="command = nan"):

@@ -249,7 +249,7 @@ def inside_its_limits(turn: tuple[StandIn, Reference], controller: TrackingContr
 
 
 @pytest.mark.slow
-def test_whatever_goes_wrong_the_cart_stays_inside_its_limits(
+def test_the_cart_stays_inside_its_limits_in_all_failures(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
     inside_its_limits(turn, controller, range(24))

@@ -176,7 +176,7 @@ def test_reversed_orbits_satisfy_their_own_boundary_conditions(model):
 
 
 @pytest.mark.slow
-def test_where_first_hits_are_empty_the_next_are_searched_and_both_are_reported():
+def test_if_first_hits_are_empty_the_next_are_searched_and_both_reported():
     """L1 → L2 on x = 1 - μ: both tubes pass it once before they can meet."""
     found = compute_atlas(load_model("three-body"), -1.5175)
     hits = [(k.hits, k.count) for k in found.kinds if (k.source, k.target) == ("L1", "L2")]
@@ -225,7 +225,7 @@ def test_an_atlas_comes_back_from_its_file_bit_for_bit(high, tmp_path):
         assert same(getattr(back, field.name), getattr(high, field.name)), field.name
 
 
-def test_what_is_not_finite_comes_back(low, tmp_path):
+def test_infinite_numbers_are_restored(low, tmp_path):
     lost = replace(low, connections=(replace(low.connections[0], time_out=float("nan")),))
     save_atlas(tmp_path / "a.npz", lost)
     assert np.isnan(load_atlas(tmp_path / "a.npz").connections[0].time_out)

@@ -31,7 +31,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache"
 
 
-def test_a_plan_under_anothers_name_is_made_anew(cache: Path) -> None:
+def test_a_plan_under_another_plans_name_is_computed_again(cache: Path) -> None:
     turn, cross = load_itinerary("outer-turn"), load_itinerary("cross")
     made = make_plan(cross)
     assert not made.cached

@@ -130,7 +130,7 @@ ROUGH = {"sensors": {"counts": 2000, "noise": 0.001}, "drive": {"command_noise":
 
 @pytest.mark.parametrize("fault", WIRED_WRONGLY)
 @pytest.mark.parametrize("trouble", [{}, pytest.param(ROUGH, marks=pytest.mark.slow)])
-def test_what_is_wired_wrongly_is_found_and_nothing_measured_is_kept(fault: str, trouble: dict[str, Any]) -> None:
+def test_wrong_wiring_is_detected_and_no_measurement_is_kept(fault: str, trouble: dict[str, Any]) -> None:
     rig = bench(fault, seed=3, **trouble)
     # This test ignores the finding on counts.
     said = LoopSettings(seed=0, rate=RATE)
@@ -201,9 +201,7 @@ def test_counts_are_seen_in_the_readings() -> None:
         ({"bent": 0.5}, "still", "the arms still swing by ±0.", "hold them until they hang still"),
     ],
 )
-def test_what_does_not_work_is_one_true_sentence(
-    trouble: dict[str, Any], step: str, sentence: str, remedy: str
-) -> None:
+def test_each_failure_is_one_true_sentence(trouble: dict[str, Any], step: str, sentence: str, remedy: str) -> None:
     rig = bench(**trouble)
     found = commissioned(rig)
     told = only_wrong(found, step)

@@ -161,7 +161,7 @@ def test_repeated_packets_do_not_keep_a_dead_loops_cart_moving() -> None:
     assert toy.stopped_at is not None
 
 
-def test_a_loop_that_never_starts_locks_nobody_out() -> None:
+def test_a_loop_that_never_starts_does_not_block_others() -> None:
     with served(Toy()) as bench, ExitStack() as stack:
         for _ in range(50):
             client = Raw(bench.address)
@@ -288,7 +288,7 @@ def test_a_welcome_with_an_impossible_period_is_one_sentence(period: float) -> N
         thread.join()
 
 
-def test_readings_that_do_not_fit_the_welcome_are_refused_and_numbers_that_are_none_are_absent() -> None:
+def test_readings_that_do_not_fit_the_welcome_are_rejected_and_invalid_numbers_are_absent() -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as bench:
         bench.bind(("127.0.0.1", 0))
         bench.settimeout(30)

@@ -41,7 +41,7 @@ def test_a_run_on_the_example_bench_falls_and_resumes_by_itself(tmp_path) -> Non
     assert names[-1] == "finished"
 
 
-def test_a_night_on_the_example_bench_rolls_its_logs_and_goes_on_after_a_fall(tmp_path) -> None:
+def test_a_night_on_the_example_bench_rolls_its_logs_and_continues_after_a_fall(tmp_path) -> None:
     plan = falling()
     night = NightSettings(hours=22 / 3600, file_minutes=0.1)
     done = run_night(plan, tmp_path / "rig.mcap", night, link=RigLink("udp", real_time=True))

@@ -66,7 +66,7 @@ def test_packets_are_laid_out_as_described() -> None:
     assert packets.unpacked(sealed, Role.LOOP, key=KEY).content == packets.CommandPacket(7, -1.5)
 
 
-def test_what_is_no_packet_is_refused_by_name() -> None:
+def test_invalid_packets_are_rejected_by_name() -> None:
     content = packets.reading(packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so"))
     whole = packets.packed(content, Role.BENCH, session=1, sequence=1)
     for data, said in (
@@ -287,7 +287,7 @@ def test_a_missing_or_busy_bench_is_reported_in_one_sentence() -> None:
 @pytest.mark.parametrize(
     "text", ["", "udp", "127.0.0.1:5", "udp://", "udp://x", "udp://x:0", "udp://x:99999", "tcp://x:5"]
 )
-def test_what_is_no_address_is_refused(text: str) -> None:
+def test_invalid_addresses_are_rejected(text: str) -> None:
     with pytest.raises(InputError, match=r"must be udp://HOST:PORT"):
         parse_address(text)
 
@@ -304,7 +304,7 @@ def test_impossible_waits_are_refused(wrong: dict[str, float]) -> None:
 
 # Slow: it lasts as long as the run.
 @pytest.mark.slow
-def test_the_loop_follows_its_reference_on_a_bench_in_a_process_of_its_own(turn: tuple[StandIn, Reference]) -> None:
+def test_the_loop_follows_its_reference_on_a_bench_in_another_process(turn: tuple[StandIn, Reference]) -> None:
     settings = LoopSettings(seed=0, mismatch=0.02, initial_error=0.02)
     whole = tracking_controller(turn[1], sampled_model(LAB, settings.rate), settings.controller)
     ticks = 2000

@@ -135,7 +135,7 @@ def test_lockstep_and_loop_come_to_the_same_outcome(turn: Itinerary, tmp_path: P
     assert {row["path"] for row in read_rows(ticks)[0]} == {"ticks"}
 
 
-def test_an_interrupted_campaign_goes_on_where_it_was(
+def test_an_interrupted_campaign_continues(
     turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "stopped.parquet"
@@ -397,9 +397,7 @@ def test_threads_of_one_worker_do_not_disturb_each_other(turn: Itinerary, undist
     assert rows == undisturbed[:12]
 
 
-def test_nobody_answers_at_the_schedulers_address(
-    turn: Itinerary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_scheduler_is_reported(turn: Itinerary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="the package distributed is not installed")
     monkeypatch.setattr(processes, "RESPONSE_TIME", "1s")
     with pytest.raises(InputError, match="no Dask scheduler responds"):

@@ -80,7 +80,7 @@ def test_a_command_that_is_no_sensible_number_ends_the_run_by_name(value: object
 
 
 @pytest.mark.parametrize("where", ["control", "reset"])
-def test_what_an_object_raises_is_named_and_no_traceback(where: str) -> None:
+def test_errors_of_an_object_are_named_without_a_traceback(where: str) -> None:
     class Law:
         def reset(self):
             assert where != "reset", "not\n ready"
@@ -143,7 +143,7 @@ def test_a_missing_method_is_an_input_error_before_anything_runs(role: str) -> N
         dp.closed_loop("outer-turn").run(rig=Mute())
 
 
-def test_a_campaign_compares_laws_counts_failures_and_goes_on() -> None:
+def test_a_campaign_compares_laws_counts_failures_and_continues() -> None:
     found = dp.closed_loop("outer-turn").campaign(runs=2, over={"controller": ["tvlqr", Gains(), Wrong()]})
     assert [one.completed.successes for one in found.results] == [2, 2, 0]
     assert [one.case.label for one in found.results][1:] == ["controller=Gains", "controller=Wrong"]

@@ -114,9 +114,7 @@ def test_a_change_is_worth_what_it_rescues_less_what_it_loses(turn: Plan, monkey
     assert sum(e.runs for e in found.endings) == found.share.runs - found.share.successes
 
 
-def test_where_all_complete_nothing_is_tried_and_where_none_does_no_border_is_sought(
-    turn: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_changes_need_failures_and_borders_need_completed_runs(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     made_up(monkeypatch, lambda loop, random: True)
     fine = preflight(turn, settings=SMALL)
     assert (fine.changes, fine.endings, fine.likely) == ((), (), None)
