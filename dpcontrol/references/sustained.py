@@ -173,7 +173,10 @@ class SustainedOrbit(ByReference):
 
     @cached_property
     def multipliers(self) -> NDArray[np.complex128]:
-        """Multipliers (N,) of the period map with replayed input, largest first; NaN if not converged."""
+        """Multipliers (N,) of the period map with replayed input, largest first.
+
+        NaN if not converged.
+        """
         n = self.lyapunov.system.dimension
         if not self.converged:
             return np.full(n + 2, np.nan, dtype=complex)
@@ -190,7 +193,10 @@ class SustainedOrbit(ByReference):
         return self.reference.residual
 
     def state(self, times: ArrayLike) -> Array:
-        """Return states (…, N) at any `times` (…) s: angles, rates, cart position and velocity."""
+        """Return states (…, N) at any `times` (…) s.
+
+        Angles, rates, cart position and velocity.
+        """
         return self.reference.state(np.mod(times, self.period))
 
     def input(self, times: ArrayLike) -> Array:
