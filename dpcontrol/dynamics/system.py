@@ -39,6 +39,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
 from dpcontrol.foundation.settings import Settings, setting, suggest
 from dpcontrol.foundation.shown import Brief
+from dpcontrol.foundation.units import SUBSCRIPTS, InUnits
 
 EnergyFunction = Callable[[tuple[ca.SX, ...], tuple[ca.SX, ...], dict[str, ca.SX]], ca.SX]
 """(coordinates, their velocities or momenta, parameters by name) -> energy, casadi scalars throughout."""
@@ -77,7 +78,7 @@ class SystemOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class System(Brief):
+class System(Brief, InUnits):
     """A Hamiltonian system with N = 2n states.
 
     Attributes:
@@ -180,13 +181,11 @@ class System(Brief):
         rates = (f"rate_{one[6:]}" if one.startswith("angle_") else f"{letter}_{one}" for one in names)
         return (*names, *rates)
 
-    def unit(self, name: str, form: str = " {}") -> str:
-        """Return an SI unit as a suffix of numbers, or "" for a dimensionless system."""
-        return form.format(name) if self.si else ""
-
-    def worded(self, text: str) -> str:
-        """Return a text with energies in J, without their unit for a dimensionless system."""
-        return text if self.si else re.sub(r"(?<=\d) J\b", "", text)
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Axis labels of the N entries of a state; those of arms have symbols and units."""
+        symbols = [f"{one[6:].translate(SUBSCRIPTS)} (rad" for one in self.coordinates if one.startswith("angle_")]
+        return (*(f"θ{one})" for one in symbols), *(f"ω{one}/s)" for one in symbols)) or self.columns
 
     @cached_property
     def turn_lengths(self) -> Array:

@@ -238,6 +238,8 @@ def compute_atlas(
         connections=connections,
         seconds=seconds,
         status=_status(orbits, absent, kinds, system),
+        labels=system.labels,
+        si=system.si,
     )
 
 

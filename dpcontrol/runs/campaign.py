@@ -117,7 +117,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True)
-class Case:
+class Case(Brief):
     """One combination of varied values.
 
     Its label, the values by name, and the loop's settings.

@@ -31,6 +31,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
 from dpcontrol.judge.decoding import FOLLOWS, orbit_distance, orbit_index, shortfall
 from dpcontrol.orbits.lyapunov import resting_place
@@ -103,7 +104,7 @@ class Side:
 
 
 @dataclass(frozen=True, repr=False)
-class Polished:
+class Polished(Shown):
     """A robust plan and the polished one with their figures.
 
     One side if the polished plan did not converge.
