@@ -6,11 +6,12 @@
     run = dp.run(dp.reference(walk, limits=dp.Limits(position=0.4)), mismatch=0.02, seed=3)
     print(run.score().sentence)
 
-Bad input is an `InputError`; a result that a step needs and that was not found is a `GoalMissed`. A search
-that fails says so in its result, by `converged` and `status`. Long calls take `progress`: a function of a
-text and a share from 0 to 1, or True for a bar on stderr. Without it a line is written to stderr every twenty seconds.
+Bad input is an `InputError`; a result that a step needs and that was not found is a `GoalMissed`. The
+result of a failed search has `converged` False and the cause in `status`. Long calls take `progress`: a function of a
+text and a share from 0 to 1, or True for a bar on stderr. By default, a line is written to stderr every twenty seconds.
 """
 
+import warnings
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
@@ -94,7 +95,7 @@ def orbit(model: Model | System | str, saddle: str, *, energy: float, family: In
         model: model, its name, or a system.
         saddle: saddle that the orbit surrounds, inner arm first, such as "down-up".
         energy: energy, J, zero at the pivot's height.
-        family: which of the saddle's families, slowest first; by default 0.
+        family: which of the saddle's families, slowest first (default: 0).
 
     Returns:
         The orbit with state (N,), period (s) and Floquet multipliers; use it only if it `converged`.
@@ -149,14 +150,14 @@ def connections(
 
     Args:
         source: orbit that the connections leave.
-        target: orbit of the same energy that they join; by default `source`.
+        target: orbit of the same energy that they join (default: `source`).
         energies: for three arms, lowest and highest energy, J, of symmetric connections.
-        hits: crossings of the section that count, of the unstable and the stable tube; by default (1, 1).
-        section: short name of the section; by default that of the saddles.
-        longest: time to reach the section, in periods of the orbit; by default the model's.
+        hits: crossings of the section that count, of the unstable and the stable tube (default: (1, 1)).
+        section: short name of the section (default: that of the saddles).
+        longest: time to reach the section, in periods of the orbit (default: the model's).
         thorough: resolve parts that are reported as "at least", for up to a minute.
-        seconds: processor time of the search, s; by default 60. A partial result is marked.
-        progress: where progress goes; see `dpcontrol.api`.
+        seconds: processor time of the search, s (default: 60). A partial result is marked.
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The connections, and whether the list is complete.
@@ -209,8 +210,8 @@ def graph(
     Args:
         model: model, its name, or a system.
         energy: energy, J.
-        symbols: symbols of a walk, for other sections, later hits or rotating orbits; by default none.
-        progress: where progress goes; see `dpcontrol.api`.
+        symbols: symbols of a walk, for other sections, later hits or rotating orbits (default: none).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Orbits of all saddles, and the connections between them.
@@ -227,9 +228,9 @@ def graph(
     from dpcontrol.walks.walks import vertex_names
 
     system = _system(model)
-    asked = parse_walk(symbols, vertex_names(system)) if symbols else ()
+    requested = parse_walk(symbols, vertex_names(system)) if symbols else ()
     with reporting(progress, "connections") as report:
-        return find_edges(system, energy, symbols=asked, progress=report)
+        return find_edges(system, energy, symbols=requested, progress=report)
 
 
 @checked
@@ -251,10 +252,10 @@ def find_bifurcations(
         source: saddle that the connections leave.
         target: saddle that they join.
         energies: lowest and highest energy, J.
-        hits: crossings of the section; by default 1.
-        samples: energies of the first search; by default 24.
-        yes: accept work of more than an hour or 4 GB; by default refused.
-        progress: where progress goes; see `dpcontrol.api`.
+        hits: crossings of the section (default: 1).
+        samples: energies of the first search (default: 24).
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Events in order of energy, and unexplained changes of the count.
@@ -295,12 +296,12 @@ def atlas(
     Args:
         model: model, its name, or a system.
         energy: energy, J.
-        hits: crossings of the section; by default the first with connections, up to the second.
+        hits: crossings of the section (default: the first with connections, up to the second).
         thorough: resolve parts that are reported as "at least", for up to a minute each.
-        seconds: processor time of each search, s; by default 60. A partial atlas is not cached.
+        seconds: processor time of each search, s (default: 60). A partial atlas is not cached.
         fresh: compute it again even if it is cached.
-        yes: accept work of more than an hour or 4 GB; by default refused.
-        progress: where progress goes; see `dpcontrol.api`.
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The atlas, from the cache if possible.
@@ -343,11 +344,11 @@ def shadow(
     Args:
         found: graph, or searches for connections, from which symbols select.
         walk: symbols such as "down-up +" and "down-up > up-down", names of connections, or a walk of `random_walks`.
-        wraps: oscillations at each interior stop; by default the fewest that suffice.
-        lead_in: oscillations on the first orbit; by default 2.
-        lead_out: oscillations on the last orbit; by default 2.
-        periodic: the walk closes, with one more stop; by default open.
-        yes: accept work of more than an hour or 4 GB; by default refused.
+        wraps: oscillations at each interior stop (default: the fewest that suffice).
+        lead_in: oscillations on the first orbit (default: 2).
+        lead_out: oscillations on the last orbit (default: 2).
+        periodic: the walk closes, with one more stop (default: open).
+        yes: accept work of more than an hour or 4 GB (default: refused).
 
     Returns:
         The orbit with symbol times (s) and an estimate of its error; use it only if it `converged`.
@@ -400,10 +401,10 @@ def prove(
 
     Args:
         found: orbit, closed walk, or search for connections.
-        energy: exact energy, J; by default the shortest decimal that reads as the orbit's.
-        rivals: graph whose other connections the walk must not follow; by default not checked.
-        settings: precision and radii; by default those of `dpcontrol prove`.
-        progress: where progress goes; see `dpcontrol.api`.
+        energy: exact energy, J (default: the shortest decimal that reads as the orbit's).
+        rivals: graph whose other connections the walk must not follow (default: not checked).
+        settings: precision and radii (default: those of `dpcontrol prove`).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         "proved" with enclosures and certificate, or the step that does not close.
@@ -452,13 +453,13 @@ def reference(
 
     Args:
         walks: orbit of `shadow`, or several in order.
-        limits: limits of the cart, m, m/s and m/s²; by default those of itineraries.
-        settings: method, mesh and tolerance of the collocation; by default those of itineraries.
+        limits: limits of the cart, m, m/s and m/s² (default: those of itineraries).
+        settings: method, mesh and tolerance of the collocation (default: those of itineraries).
         start: begin on the "orbit", by default, or at "rest".
         finish: end on the "orbit", by default, or at "rest".
-        name: name of the plan; by default "walk".
-        yes: accept work of more than an hour or 4 GB; by default refused.
-        progress: where progress goes; see `dpcontrol.api`.
+        name: name of the plan (default: "walk").
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The plan, from the cache if possible; use it only if it `converged`.
@@ -514,10 +515,10 @@ def plan(
     Args:
         itinerary: name or path of an itinerary's file.
         fresh: plan it again even if it is cached.
-        workers: processes that search for transfers, 0 for a useful number; by default 1.
-        scheduler: address of a Dask cluster that searches instead; by default none.
-        yes: accept work of more than an hour or 4 GB; by default refused.
-        progress: where progress goes; see `dpcontrol.api`.
+        workers: processes that search for transfers, 0 for a useful number (default: 1).
+        scheduler: address of a Dask cluster that searches instead (default: none).
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The plan, from the cache if possible; use it only if it `converged`.
@@ -553,10 +554,10 @@ def closed_loop(
 
     Args:
         planned: plan, or name or path of an itinerary.
-        settings: run settings by path, such as {"drive.lag": 0.005}; by default none.
-        options: deprecated; use `settings`.
-        yes: accept work of more than an hour or 4 GB; by default refused.
-        progress: where progress goes; see `dpcontrol.api`.
+        settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
+        options: deprecated, use `settings`.
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: receiver of progress reports (see `dpcontrol.api`).
         named: further settings by the last part of their paths, such as `mismatch=0.02`; laws, estimators and plants
             may be objects.
 
@@ -585,7 +586,7 @@ def mjcf(
         model: model, its name, or arms.
         cart_mass: mass of the cart, kg.
         lag: time constant of the servo, s; its control is the cart's velocity, m/s.
-        out: file to write; by default none.
+        out: file to write (default: none).
 
     Returns:
         The model in MuJoCo's XML.
@@ -623,10 +624,10 @@ def polish(
     Args:
         planned: plan from rest to rest, or name or path of an itinerary.
         fresh: compute it again even if it is cached.
-        runs: runs of each plan at a mismatch of 5 and of 20 %; by default 48.
+        runs: runs of each plan at a mismatch of 5 and of 20 % (default: 48).
         workers: processes of these runs, 0 for one per processor.
-        yes: accept work of more than an hour or 4 GB; by default refused.
-        progress: where progress goes; see `dpcontrol.api`.
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Both plans, with effort, peak, travel and completed runs as `sides`.
@@ -666,16 +667,16 @@ def run(
 
     Args:
         planned: plan, or name or path of an itinerary.
-        mismatch: largest relative error of the plant's parameters; by default the itinerary's.
-        plant: name or path of a model for a plant with other arms; by default the same arms.
-        seed: seed of the random numbers; by default 0.
-        settings: run settings by path, such as {"drive.lag": 0.005}; by default none.
-        options: deprecated; use `settings`.
-        log: log to write; by default the run stays in memory.
+        mismatch: largest relative error of the plant's parameters (default: the itinerary's).
+        plant: name or path of a model for a plant with other arms (default: the same arms).
+        seed: seed of the random numbers (default: 0).
+        settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
+        options: deprecated, use `settings`.
+        log: log to write (default: the run stays in memory).
         force: replace the log of another run there.
         live: show the run in the viewer.
-        yes: accept work of more than an hour or 4 GB; by default refused.
-        progress: where progress goes; see `dpcontrol.api`.
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The run, which scores, draws and explains itself.
@@ -710,13 +711,13 @@ def export(
 
     Args:
         planned: plan, or name or path of an itinerary.
-        folder: folder to write, or NAME.fmu for a co-simulation unit; by default none.
-        single: use single precision; by default double.
-        settings: run settings by path, such as {"drive.lag": 0.005}; by default none.
-        options: deprecated; use `settings`.
+        folder: folder to write, or NAME.fmu for a co-simulation unit (default: none).
+        single: use single precision (default: double).
+        settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
+        options: deprecated, use `settings`.
         force: replace files of the same names there.
-        yes: accept work of more than an hour or 4 GB; by default refused.
-        progress: where progress goes; see `dpcontrol.api`.
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The files, with code size, memory and operations per tick.
@@ -756,19 +757,19 @@ def campaign(
 
     Args:
         planned: plan, or name or path of an itinerary.
-        runs: seeds of each case; by default 100.
-        mismatch: largest relative error of the plant's parameters; by default the itinerary's.
-        plant: name or path of a model for a plant with other arms; by default the same arms.
-        settings: run settings by path, such as {"drive.lag": 0.005}; by default none.
-        options: deprecated; use `settings`.
-        over: values of run settings by name; each combination is a case.
-        first_seed: first seed; by default 0.
+        runs: seeds of each case (default: 100).
+        mismatch: largest relative error of the plant's parameters (default: the itinerary's).
+        plant: name or path of a model for a plant with other arms (default: the same arms).
+        settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
+        options: deprecated, use `settings`.
+        over: values of run settings by name, each combination a case.
+        first_seed: first seed (default: 0).
         transitions: run each transfer from hold to hold separately.
         workers: processes, 0 for one per processor.
-        out: Parquet table to write; by default none.
+        out: Parquet table to write (default: none).
         force: replace the table of another campaign there.
-        yes: accept work of more than an hour or 4 GB; by default refused.
-        progress: where progress goes; see `dpcontrol.api`.
+        yes: accept work of more than an hour or 4 GB (default: refused).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Shares of completed runs with 95 % intervals, and failures with seeds and reasons.
@@ -801,10 +802,10 @@ def swings(
 
     Args:
         model: model of arms, or its name.
-        count: number of swings; by default 9.
+        count: number of swings (default: 9).
         seconds: duration of each swing, s.
-        seed: seed of the starts and encoder zeros; by default 0.
-        yes: accept work of more than an hour or 4 GB; by default refused.
+        seed: seed of the starts and encoder zeros (default: 0).
+        yes: accept work of more than an hour or 4 GB (default: refused).
 
     Returns:
         The recording, for `identify` and `replay`.
@@ -837,9 +838,9 @@ def identify(
     Args:
         recordings: recording, or several.
         model: initial model, or its name.
-        zeros: fit the encoder zeros or not; by default decided by the segments left out.
-        out: model file to write; by default none.
-        progress: where progress goes; see `dpcontrol.api`.
+        zeros: fit the encoder zeros or not (default: decided by the segments left out).
+        out: model file to write (default: none).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Inertia ratios, friction laws and encoder zeros with standard errors.
@@ -940,9 +941,9 @@ def open_planner(model: str = "lab", *, browser: bool = True, port: Annotated[in
     """Start the planner, a page in the browser.
 
     Args:
-        model: name or path of a model of two arms; by default "lab".
-        browser: open the browser; by default yes. Otherwise open `address` yourself.
-        port: port on 127.0.0.1; by default 0, any free one.
+        model: name or path of a model of two arms (default: "lab").
+        browser: open the browser (default: yes). Otherwise open `address` yourself.
+        port: port on 127.0.0.1 (default: 0, any free one).
 
     Returns:
         The planner, a context manager, which serves until it is closed.
@@ -972,9 +973,9 @@ def open_recording(
 
     Args:
         file: log, MATLAB, CSV, Parquet or MCAP file, or ROS bag.
-        mapping: name or TOML file that describes the columns; by default chosen by the kind of file.
-        repairs: allowed repairs among nan, time, gaps, wrap, spikes and sampling; by default none.
-        progress: where progress goes; see `dpcontrol.api`.
+        mapping: name or TOML file that describes the columns (default: chosen by the kind of file).
+        repairs: allowed repairs among nan, time, gaps, wrap, spikes and sampling (default: none).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Angles (rad) by time (s), in segments.
@@ -1009,8 +1010,8 @@ def picture(
     Args:
         result: run, plan, walk's orbit or atlas.
         transitions: draw each transfer of a plan separately.
-        file: PNG or PDF to write; by default none.
-        film: GIF, WebP or MP4 to write, in real time; by default none.
+        file: PNG or PDF to write (default: none).
+        film: GIF, WebP or MP4 to write, in real time (default: none).
 
     Returns:
         A figure of matplotlib.
@@ -1163,8 +1164,8 @@ def family(
         model: model or system.
         saddle: saddle that the orbits surround, such as "down-up".
         energies: lowest and highest energy, J.
-        family: which of the saddle's families, slowest first; by default 0.
-        progress: where progress goes; see `dpcontrol.api`.
+        family: which of the saddle's families, slowest first (default: 0).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The members in order of energy, and the reason for each end.
@@ -1223,7 +1224,7 @@ def rotating_families(
         model: model or system of two arms.
         arm: arm that turns, counter-clockwise.
         energies: lowest and highest energy, J; families start from the orbits at their mean.
-        progress: where progress goes; see `dpcontrol.api`.
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Families with folds and changes of stability; empty if there is no orbit at the mean energy.
@@ -1251,8 +1252,8 @@ def sustained_orbit(
 
     Args:
         orbit: Lyapunov orbit of a model of arms; the result has its energy at phase 0.
-        limits: limits of the cart; by default those of itineraries.
-        progress: where progress goes; see `dpcontrol.api`.
+        limits: limits of the cart (default: those of itineraries).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The orbit with the least effort; use it only if it `converged`.
@@ -1280,7 +1281,7 @@ def refine(
 
     Args:
         found: connection, or orbit of a walk.
-        energy: exact energy, J; by default the shortest decimal that reads as the orbit's.
+        energy: exact energy, J (default: the shortest decimal that reads as the orbit's).
 
     Returns:
         The orbit with decimal digits beyond double precision; use it only if it `converged`.
@@ -1311,8 +1312,8 @@ def count_walks(graph: "Edges", length: Count, *, source: str | None = None, tar
     Args:
         graph: connection graph.
         length: symbols of a walk, at least 1.
-        source: saddle at which walks begin; by default any.
-        target: saddle at which walks end; by default any.
+        source: saddle at which walks begin (default: any).
+        target: saddle at which walks end (default: any).
 
     Returns:
         The exact count, a whole number of any size.
@@ -1338,9 +1339,9 @@ def list_walks(
     Args:
         graph: connection graph.
         length: symbols of a walk, at least 1.
-        source: saddle at which walks begin; by default any.
-        target: saddle at which walks end; by default any.
-        periodic: only walks that close; by default all.
+        source: saddle at which walks begin (default: any).
+        target: saddle at which walks end (default: any).
+        periodic: only walks that close (default: all).
 
     Returns:
         Walks as names of connections, each of which `shadow` accepts.
@@ -1376,10 +1377,10 @@ def random_walks(
     Args:
         graph: connection graph.
         count: number of walks.
-        lengths: fewest and most symbols of a walk; by default 1 and 8.
-        extra_wraps: range of wraps beyond the fewest that suffice at each stop; by default none.
-        periodic: only walks that close; by default any.
-        seed: seed of the random numbers; by default 0.
+        lengths: fewest and most symbols of a walk (default: 1 and 8).
+        extra_wraps: range of wraps beyond the fewest that suffice at each stop (default: none).
+        periodic: only walks that close (default: any).
+        seed: seed of the random numbers (default: 0).
 
     Returns:
         Walks that `shadow` accepts.
@@ -1434,7 +1435,7 @@ def symbol_changes(
         model: model or system.
         symbols: symbols of a walk, such as "down-up +".
         energies: first and last energy, J.
-        progress: where progress goes; see `dpcontrol.api`.
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Changes in order of energy, each with the names before and after.
@@ -1463,7 +1464,7 @@ def check_proof(file: Place, *, progress: Reporting = None) -> "CertificateCheck
 
     Args:
         file: certificate, as `dpcontrol prove --out` writes it.
-        progress: where progress goes; see `dpcontrol.api`.
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The verdict: the proved statement, or the step that fails.
@@ -1492,8 +1493,8 @@ def explore_energies(
 
     Args:
         planned: plan, or name or path of an itinerary, with a single walk.
-        picture: PNG to draw; by default none.
-        progress: where progress goes; see `dpcontrol.api`.
+        picture: PNG to draw (default: none).
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The chart; `chosen` compares the itinerary's energy with the best one.
@@ -1527,9 +1528,9 @@ def rig_link(
 
     Args:
         address: udp://HOST:PORT, or by default "udp" for an example bench in another process.
-        key_file: file with the key that bench and loop share; by default the environment's DPCONTROL_RIG_KEY.
-        insecure: accept a bench on another computer without a key; by default not.
-        real_time: request priority over all ordinary work; by default not.
+        key_file: file with the key that bench and loop share (default: the environment's DPCONTROL_RIG_KEY).
+        insecure: accept a bench on another computer without a key (default: not).
+        real_time: request priority over all ordinary work (default: not).
 
     Raises:
         InputError: the address is malformed, or the key is unreadable.
@@ -1564,14 +1565,14 @@ def start_bench(
 
     Args:
         itinerary: name or path of the itinerary whose arms and cart are simulated.
-        seed: seed of the random numbers on the bench; by default 0.
-        settings: settings of the bench by path, which replace the itinerary's; see `closed_loop`.
-        options: deprecated; give `settings`.
-        hanging: begin with hanging arms, for `commission`; by default where the itinerary begins.
-        faults: wiring mistakes for practice, such as "encoder-2-reversed"; by default none.
-        at: host, port, key and watchdog; by default any free port of this computer.
+        seed: seed of the random numbers on the bench (default: 0).
+        settings: settings of the bench by path, which override the itinerary's (see `closed_loop`).
+        options: deprecated, use `settings`.
+        hanging: begin with hanging arms, for `commission` (default: those of the itinerary's start).
+        faults: wiring mistakes for practice, such as "encoder-2-reversed" (default: none).
+        at: host, port, key and watchdog (default: any free port of this computer).
         yes: accept any duration of planning.
-        progress: where progress goes; see `dpcontrol.api`.
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         The bench, a context manager; `url` is its address, and `serve(runs=1)` serves a run.
@@ -1590,7 +1591,7 @@ def start_bench(
     scene = load_itinerary(itinerary).with_run(_settings(settings, options), seed=seed)
     with reporting(progress, "rig") as report:
         where = BenchAddress() if at is None else at
-        return example_bench(scene, where, hanging=hanging, faults=faults, say=remark, yes=yes, progress=report)
+        return example_bench(scene, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=report)
 
 
 @checked
@@ -1610,13 +1611,13 @@ def commission(
 
     Args:
         itinerary: name or path of the itinerary.
-        rig: address or link of the rig; by default the example bench in simulated time.
-        seed: seed of the random numbers on the example bench; by default 0.
-        settings: settings of the example bench by path, which replace the itinerary's; see `closed_loop`.
-        options: deprecated; give `settings`.
-        faults: wiring mistakes of the example bench; by default none.
-        switches: distance in m to creep to either side until limit switches answer; by default 0, none.
-        write: write measured values into the itinerary's [run] if nothing blocks; by default not.
+        rig: address or link of the rig (default: the example bench in simulated time).
+        seed: seed of the random numbers on the example bench (default: 0).
+        settings: settings of the example bench by path, which override the itinerary's (see `closed_loop`).
+        options: deprecated, use `settings`.
+        faults: wiring mistakes of the example bench (default: none).
+        switches: distance in m to creep to either side until limit switches answer (default: 0, none).
+        write: write measured values into the itinerary's [run] if nothing blocks (default: not).
         progress: called with each step.
 
     Returns:
@@ -1647,7 +1648,7 @@ def commission(
             practice=scene.with_run(chosen, seed=seed),
             faults=faults,
             switches=switches,
-            tell=lambda text: report(text, 0.0),
+            notify=lambda text: report(text, 0.0),
         )
     if write and found.changes:
         write_whole(*measured_text(scene, found.changes))
@@ -1662,7 +1663,7 @@ def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting =
         log: log of a simulated run.
         out: log to write.
         force: replace the log of another run there.
-        progress: where progress goes; see `dpcontrol.api`.
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Score of the repetition, and the comparison of its messages.
@@ -1731,7 +1732,7 @@ def compare_logs(logs: Sequence[Place], *, align: Count = 1) -> "RunComparison":
 
     Args:
         logs: logs of pendulums with the same number of arms.
-        align: number of the symbol at whose crossing the runs are aligned; by default 1.
+        align: number of the symbol at whose crossing the runs are aligned (default: 1).
 
     Returns:
         The runs on one clock, with a picture of them all.
@@ -1756,8 +1757,8 @@ def review(files: Place | Sequence[Place], *, align: Count = 1, save: Place | No
 
     Args:
         files: a log, an atlas, a reference, or several logs.
-        align: number of the symbol at which several logs are aligned; by default 1.
-        save: Rerun recording (.rrd) to write instead; by default the viewer opens.
+        align: number of the symbol at which several logs are aligned (default: 1).
+        save: Rerun recording (.rrd) to write instead (default: the viewer opens).
 
     Returns:
         The recording.
@@ -1811,9 +1812,9 @@ def recover_log(
 
     Args:
         file: damaged log, which is kept.
-        out: new log; by default a free name beside it.
+        out: new log (default: a free name beside it).
         force: replace any log at `out`.
-        progress: where progress goes; see `dpcontrol.api`.
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Recovered ticks, and a sentence on the losses.
@@ -1838,7 +1839,7 @@ def write_recording(recording: "Recording", file: Place, *, force: bool = False)
     Args:
         recording: recording of a bench, or simulated swings.
         file: log to write (.mcap).
-        force: replace any log there; by default only one with the same origin.
+        force: replace any log there (default: only one with the same origin).
 
     Returns:
         The log.
@@ -1861,7 +1862,7 @@ def design_experiments(model: Model | str, *, progress: Reporting = None) -> "De
 
     Args:
         model: model of arms.
-        progress: where progress goes; see `dpcontrol.api`.
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Experiments by information, and the best pair.
@@ -1895,13 +1896,13 @@ def replay(
 
     Args:
         recording: recording of a bench.
-        model: model that predicts; its encoder zeros are subtracted.
+        model: predicting model, whose encoder zeros are subtracted.
         estimator: "ekf", by default, or "ukf".
-        model_error: relative error of the model's accelerations; by default 0.003.
+        model_error: relative error of the model's accelerations (default: 0.003).
         settings: encoder counts, means, samples ahead and span.
-        out: log of measurement and prediction to write; by default none.
+        out: log of measurement and prediction to write (default: none).
         force: replace any log there.
-        progress: where progress goes; see `dpcontrol.api`.
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         Prediction, estimate and their errors.
@@ -1933,9 +1934,9 @@ def draw_figures(
     """Draw computational figures of the paper with captions.
 
     Args:
-        names: figures, such as "tubes"; by default all.
-        folder: folder for the PNGs and captions.json; by default "figures".
-        progress: where progress goes; see `dpcontrol.api`.
+        names: figures, such as "tubes" (default: all).
+        folder: folder for the PNGs and captions.json (default: "figures").
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         For each figure its file, its caption, and its difference from the paper's.
@@ -1966,11 +1967,11 @@ def draw_charts(
     """Chart speed against accuracy, and limits of methods.
 
     Args:
-        names: charts, such as "propagation"; by default all.
-        folder: folder for each chart's PNG and JSON; by default "charts".
-        quick: less of the same work; by default all of it.
+        names: charts, such as "propagation" (default: all).
+        folder: folder for each chart's PNG and JSON (default: "charts").
+        quick: less of the same work (default: all of it).
         yes: accept any duration.
-        progress: where progress goes; see `dpcontrol.api`.
+        progress: receiver of progress reports (see `dpcontrol.api`).
 
     Returns:
         For each chart its points, complaints and files.
@@ -1992,7 +1993,7 @@ def read_guide(topic: str = "README") -> str:
     """Return a page of the guide as Markdown.
 
     Args:
-        topic: page, such as "tubes"; by default the list of pages.
+        topic: page, such as "tubes" (default: the list of pages).
 
     Raises:
         InputError: the guide has no such page.
@@ -2055,6 +2056,8 @@ def _settings(
     settings: Mapping[str, object] | None, options: Mapping[str, object] | None = None, **named: object
 ) -> dict[str, Any]:
     """Return settings by path: those of the deprecated options, of the mapping, and of arguments by name."""
+    if options is not None and not isinstance(options, RunOptions):
+        warnings.warn("options= will go: use settings= instead", DeprecationWarning, stacklevel=4)
     if isinstance(named.get("plant"), Path):
         named["plant"] = str(named["plant"])
     return {**canonical(options or {}), **canonical(settings or {}), **canonical(named)}

@@ -75,7 +75,7 @@ class Raw:
         self.socket.send(data)
         return data
 
-    def heard(self) -> packets.Heard:
+    def heard(self) -> packets.ReceivedPacket:
         return packets.unpacked(self.socket.recv(4096), Role.BENCH, key=self.key)
 
     def greet(self) -> packets.Welcome:

@@ -72,7 +72,7 @@ def orbit_command(
         group=KIND,
         help="For --sustained: resets of the input clock per period.",
     ),
-    energy: float | None = option(help="Energy, J, zero at the height of the pivot."),
+    energy: float | None = option(help="Energy, J, zero at the height of the pivot; three bodies: own units."),
     energies: Range | None = option(metavar="LO HI", help="Energies between which the family is followed, J."),
     picture: Path | None = file_option(suffix=".png", help="Picture of the family or the sustained orbit (.png)."),
 ) -> Answer:
@@ -167,7 +167,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     if energy is None:
         assert energies is not None
         energy = (energies[0] + energies[1]) / 2
-    system, asked = model.system, {"arm": arm, "energy": energy}
+    system, requested = model.system, {"arm": arm, "energy": energy}
     orbits = rotating_orbits(system, ARMS[arm], energy)
     if not orbits:
         raise GoalMissed(
@@ -179,7 +179,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
         document = {
             "rotating_orbits": [orbit.document() for orbit in orbits],
             "count": len(orbits),
-            **asked,
+            **requested,
             "status": f"{len(orbits)} symmetric orbits that turn the {arm} arm forward; each has a reflection",
         }
         note = "each has a reflection that turns backward, (θ, ω) → (−θ, −ω), with the same multipliers"
@@ -194,7 +194,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     document = {
         "families": [family.document() for family in families],
         "count": len(families),
-        **asked,
+        **requested,
         "energies": energies,
         "picture": picture,
         "status": "; ".join(family.status for family in families),
@@ -275,7 +275,7 @@ def connect_command(
     model: str = argument(),
     source: str = LEAVING,
     target: str = JOINING,
-    energy: Decimal | None = option(help="Energy, J, zero at the height of the pivot."),
+    energy: Decimal | None = option(help="Energy, J, zero at the height of the pivot; three bodies: own units."),
     energies: Range | None = option(
         metavar="LO HI", help="For three arms: range of energies for symmetric connections, J."
     ),

@@ -19,7 +19,7 @@ import click
 from click.shell_completion import CompletionItem
 
 import dpcontrol
-from dpcontrol.cli.verbs import Call, print_json, say
+from dpcontrol.cli.verbs import Call, print_json, print_message
 from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark
 from dpcontrol.foundation.interrupts import interrupts, terminated
 
@@ -84,7 +84,7 @@ class _Verbs(click.Group):
                     show_others(message, category, *place)
                 elif str(message) not in shown:
                     shown.add(str(message))
-                    say(f"dpcontrol: {message}")
+                    print_message(f"dpcontrol: {message}")
 
             warnings.showwarning = show
             try:
@@ -203,7 +203,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _interrupted(error: BaseException) -> int:
     how, code = ("ended by SIGTERM", 143) if terminated() else ("interrupted", 130)
-    say(f"dpcontrol: {how}; finished results are kept")
+    print_message(f"dpcontrol: {how}; finished results are kept")
     _echo_notes(error)
     return code
 
@@ -229,10 +229,10 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
     if call.as_json and not call.shown:
         print_json({"status": sentence, "error": code != 1})
     if call.debug:
-        say("".join(traceback.format_exception(error)).rstrip())
+        print_message("".join(traceback.format_exception(error)).rstrip())
     # Names may hold line breaks; each mistake is one line.
     for mistake in error.mistakes if isinstance(error, InputErrors) else (sentence,):
-        say(f"dpcontrol: {mistake.replace(chr(10), chr(92) + 'n')}")
+        print_message(f"dpcontrol: {mistake.replace(chr(10), chr(92) + 'n')}")
     _echo_notes(error)
     return code
 
@@ -271,5 +271,5 @@ def _echo_notes(error: BaseException) -> None:
     found: BaseException | None = error
     while found is not None:
         for note in getattr(found, "__notes__", ()):
-            say(f"dpcontrol: {note}")
+            print_message(f"dpcontrol: {note}")
         found = found.__cause__ or found.__context__

@@ -6,7 +6,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import WORK, YES, Answer, TextTable, argument, drawn_to, file_option, option, say, table, verb
+from dpcontrol.cli.verbs import (
+    WORK,
+    YES,
+    Answer,
+    TextTable,
+    argument,
+    drawn_to,
+    file_option,
+    option,
+    print_message,
+    table,
+    verb,
+)
 from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
@@ -69,7 +81,7 @@ def plan_command(
         write_whole(out, wanted.archive)
         (document if polished is None else document["polish"]["plan"])["file"] = out
     for line in off_tubes_remarks(plan.itinerary):
-        say(line)
+        print_message(line)
     found = api.closed_loop(plan).margins() if margins and plan.converged else None
     if found is not None:
         document["margins"] = found.document()

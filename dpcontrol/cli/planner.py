@@ -4,7 +4,7 @@ import sys
 
 import click
 
-from dpcontrol.cli.verbs import Answer, argument, option, say, show, verb
+from dpcontrol.cli.verbs import Answer, argument, option, print_message, show, verb
 from dpcontrol.foundation.interrupts import forget_interrupts
 
 
@@ -30,7 +30,7 @@ def planner_command(
             # A reader behind a pipe waits for the address.
             sys.stdout.flush()
             if not no_browser and not planner.open():
-                say("dpcontrol: no browser was found; open the address in one")
+                print_message("dpcontrol: no browser was found; open the address in one")
             planner.wait()
         except KeyboardInterrupt:
             forget_interrupts()

@@ -96,8 +96,8 @@ def prove_command(
         if what == "orbit":
             proof = _orbit(model, saddle, family, energy, settings, progress)
         elif what != "walk":
-            asked = _Asked(source or saddle, target, name, hits or (1, 1), what == "horseshoe")
-            proof = _connections(model, asked, energy, replace(settings, box=box), yes, progress)
+            query = _Query(source or saddle, target, name, hits or (1, 1), what == "horseshoe")
+            proof = _connections(model, query, energy, replace(settings, box=box), yes, progress)
         else:
             proof = _walk(model, symbols, wraps, periodic, energy, settings, yes, progress)
     return _answer(proof, out)
@@ -116,8 +116,8 @@ def _orbit(
     return prove_orbit(orbit, energy=exact_energy(energy), settings=settings, progress=progress)
 
 
-class _Asked(NamedTuple):
-    """A request for connections between two orbits."""
+class _Query(NamedTuple):
+    """A query for connections between two orbits."""
 
     source: str | None
     target: str | None
@@ -127,7 +127,7 @@ class _Asked(NamedTuple):
 
 
 def _connections(
-    model: str, asked: _Asked, energy: Decimal, settings: "ProofSettings", yes: bool, progress: "Progress"
+    model: str, query: _Query, energy: Decimal, settings: "ProofSettings", yes: bool, progress: "Progress"
 ) -> "Proof":
     from dpcontrol.foundation.progress import announce, part_of
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
@@ -135,25 +135,29 @@ def _connections(
     from dpcontrol.proofs.prove import exact_energy, prove_connections
     from dpcontrol.tubes.connections import find_connections
 
-    if asked.source is None:
+    if query.source is None:
         raise InputError("--from is missing: give the first saddle of the connections, such as down-up")
     system = load_model(model).system
-    orbit = lyapunov_orbit(system, asked.source, energy=float(energy))
+    orbit = lyapunov_orbit(system, query.source, energy=float(energy))
     joined = orbit
-    if asked.target not in (None, asked.source):
-        if asked.whole:
+    if query.target not in (None, query.source):
+        if query.whole:
             raise InputError("a horseshoe needs homoclinics of one orbit: omit --to")
-        joined = lyapunov_orbit(system, str(asked.target), energy=float(energy))
+        joined = lyapunov_orbit(system, str(query.target), energy=float(energy))
     found = find_connections(
-        orbit, joined, hits=asked.hits, section=system.section_between(orbit.saddle, joined.saddle),
+        orbit, joined, hits=query.hits, section=system.section_between(orbit.saddle, joined.saddle),
         progress=part_of(progress, 0.0, 0.1),
     )  # fmt: skip
-    chosen = [c for c in found.connections if not asked.names or c.name in asked.names]
-    for one in set(asked.names) - {c.name for c in chosen}:
+    chosen = [c for c in found.connections if not query.names or c.name in query.names]
+    for one in set(query.names) - {c.name for c in chosen}:
         raise InputError(f"no connection is named {one!r}; see `dpcontrol connect {model}`")
     announce(_cost(sum(4 + (c.time_out + c.time_in) / orbit.period for c in chosen)), yes=yes)
     return prove_connections(
-        chosen, energy=exact_energy(energy), settings=settings, whole=asked.whole, progress=part_of(progress, 0.1, 1.0)
+        chosen,
+        energy=exact_energy(energy),
+        settings=settings,
+        whole=query.whole,
+        progress=part_of(progress, 0.1, 1.0),
     )
 
 
@@ -180,8 +184,8 @@ def _walk(
     if not periodic:
         raise InputError("only closed walks can be proved: add --periodic")
     system = load_model(model).system
-    asked = parse_walk(symbols, vertex_names(system))
-    edges = find_edges(system, float(energy), symbols=asked, yes=yes, progress=part_of(progress, 0.0, 0.2))
+    query = parse_walk(symbols, vertex_names(system))
+    edges = find_edges(system, float(energy), symbols=query, yes=yes, progress=part_of(progress, 0.0, 0.2))
     solver, chain = WalkSolver(edges.known), resolve(symbols, edges)
     counts = solver.least(chain, periodic=True) if wraps is None else wraps
     walk = solver.solve(chain, counts, periodic=True)

@@ -16,7 +16,7 @@ from dpcontrol.cli.verbs import (
     file_option,
     force_option,
     option,
-    say,
+    print_message,
     table,
     verb,
 )
@@ -294,7 +294,7 @@ def _info_text(summary: "LogSummary") -> Iterator[str | TextTable]:
     for key, value in summary.metadata.items():
         yield f"  {key}: {value if len(value) <= _LONG else f'{value[:_LONG]}…'}"
     for file in summary.partials:
-        say(f"  beside it: {file}, of an interrupted or current run")
+        print_message(f"  beside it: {file}, of an interrupted or current run")
 
 
 @verb("recover", example="dpcontrol recover logs/outer-turn-0.mcap.partial")

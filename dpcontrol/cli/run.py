@@ -30,7 +30,7 @@ from dpcontrol.cli.verbs import (
     file_option,
     force_option,
     option,
-    say,
+    print_message,
     show,
     table,
     verb,
@@ -248,7 +248,7 @@ def run_command(
         )
 
         night = NightSettings(hours, file_minutes, keep_every)
-        scene = night_itinerary(scene, asked=settings)
+        scene = night_itinerary(scene, given=settings)
         record = run_record(scene, rig=None if link is None else link.address) if resume else {}
 
         def checked_folder(log: Path) -> Path:
@@ -315,8 +315,8 @@ def _repeat(source: Path, out: Path | None, force: bool) -> Answer:
         InputError: the log cannot be repeated, or other options contradict it.
     """
     context = click.get_current_context()
-    asked = {p.name: p for p in context.command.params if p.name not in _WITH_FROM}
-    given = [p for name, p in asked.items() if context.get_parameter_source(str(name)) is ParameterSource.COMMANDLINE]
+    options = {p.name: p for p in context.command.params if p.name not in _WITH_FROM}
+    given = [p for name, p in options.items() if context.get_parameter_source(str(name)) is ParameterSource.COMMANDLINE]
     if given:
         names = ", ".join(p.human_readable_name if isinstance(p, click.Argument) else p.opts[0] for p in given)
         raise InputError(f"--from repeats a run without changes: omit {names}")
@@ -372,7 +372,7 @@ def export_command(
         else:
             source, lacks = export_plan(plan, out, single=single, clock=clock, force=force), ""
     if lacks:
-        say(lacks)
+        print_message(lacks)
     figures, rate = source.figures, scene.loop.rate
     document = {
         "unit" if unit else "folder": out, "files": [] if unit else list(source.files), "identity": source.identity,
@@ -451,10 +451,10 @@ def rig_command(
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
 
     def report(text: str) -> None:
-        say(f"dpcontrol: {text}")
+        print_message(f"dpcontrol: {text}")
 
     with progress_bar("rig") as progress:
-        served = example_bench(scene, at, hanging=hanging, faults=fault, say=report, yes=yes, progress=progress)
+        served = example_bench(scene, at, hanging=hanging, faults=fault, notify=report, yes=yes, progress=progress)
     with served as bench:
         try:
             show(Answer(bench.document(), [f"bench for {scene.name} at {bench.url}"]))
@@ -515,7 +515,7 @@ def commission_command(
         measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
     found = commission_rig(
         scene, link, practice=practice, faults=fault, switches=switches or 0.0,
-        tell=lambda text: say(f"dpcontrol: {text}"),
+        notify=lambda text: print_message(f"dpcontrol: {text}"),
     )  # fmt: skip
     lines = [f"commissioning for {scene.name} on {address or 'the example bench, simulated'}"]
     for finding in found.findings:

@@ -179,10 +179,10 @@ def walk_command(
             announced(1, len(symbols or through), "--wraps" if wraps else chosen[0])
         loaded = load_model(model)
         numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
-        asked = parse_walk(symbols, vertex_names(loaded.system)) if symbols else ways(through)
+        requested = parse_walk(symbols, vertex_names(loaded.system)) if symbols else ways(through)
         if compare is not None:
-            return _changes(loaded, asked, float(energy), compare, progress)
-        edges = find_edges(loaded.system, float(energy), hits=numbers, symbols=asked, yes=yes, progress=progress)
+            return _changes(loaded, requested, float(energy), compare, progress)
+        edges = find_edges(loaded.system, float(energy), hits=numbers, symbols=requested, yes=yes, progress=progress)
     leads = (lead_in, lead_out)
     if not chosen:
         return _graph(edges)
@@ -224,7 +224,7 @@ def _changes(model: "Model", symbols: "Sequence[Symbol]", begin: float, end: flo
     span = model.system.worded(f"between {begin:g} and {end:g} J")
     status = f"{len(found)} changes of the selected connections {span}"
     document = {"symbol_changes": [one.document() for one in found], "energies": (begin, end), "status": status}
-    return Answer(document, [*(model.system.worded(one.sentence) for one in found), status])
+    return Answer(document, [*(one.sentence for one in found), status])
 
 
 def _graph(edges: "Edges") -> Answer:
@@ -245,10 +245,10 @@ def _graph(edges: "Edges") -> Answer:
 
 def _walks(edges: "Edges", requests: "Sequence[WalkRequest]") -> Answer:
     """Show walks without their orbits."""
-    walks = [asked.document() for asked in requests]
+    walks = [one.document() for one in requests]
     document = {"energy": edges.energy, "count": len(walks), "walks": walks, "notes": edges.notes}
     end = "1 walk; --solve finds its orbit" if len(walks) == 1 else f"{len(walks)} walks; --solve finds their orbits"
-    return Answer(document, [*("  ".join(c.name for c in asked.chain) for asked in requests), end])
+    return Answer(document, [*("  ".join(c.name for c in one.chain) for one in requests), end])
 
 
 def _solve(
@@ -310,7 +310,7 @@ def _answer_text(number: int, answer: "WalkAnswer", file: Path | None) -> Iterat
     least = "" if answer.least is None else f" (least {_listing(answer.least)})"
     yield (
         f"  {'periodic, ' if orbit.periodic else ''}wraps {_listing(orbit.wraps_realised)}{least}, "
-        f"{orbit.duration:.3f} s; {orbit.status}"
+        f"{orbit.duration:.3f}{orbit.system.unit('s')}; {orbit.status}"
     )
     estimate = orbit.estimate
     assert estimate is not None

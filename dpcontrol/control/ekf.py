@@ -160,14 +160,14 @@ class FilterEquations:
 
     @cached_property
     def inputs(self) -> dict[str, int]:
-        """Lengths of a prediction's inputs: z, command, parameters, `FilterSettings.process`, and `doubt`."""
+        """Lengths of a prediction's inputs: z, command, parameters, `FilterSettings.process`, and `noise_inputs`."""
         parameters = int(self.equations.parameters.shape[0])
         return {
             "z": self.dimension, "command": 1, "parameters": parameters, "process": 11 + 2 * len(self.extra_names),
-            "doubt": 3,
+            "noise_inputs": 3,
         }  # fmt: skip
 
-    def doubt(self, covariance: ca.SX, change: ca.SX | float = 0.0, nis: ca.SX | float = 1.0) -> ca.SX:
+    def noise_inputs(self, covariance: ca.SX, change: ca.SX | float = 0.0, nis: ca.SX | float = 1.0) -> ca.SX:
         """Return the inputs (3,) of Q other than the state.
 
         These are the mean variance of the parameters' logarithms (0 if not estimated), the change of acceleration
@@ -221,12 +221,18 @@ class FilterEquations:
         return ca.Function("f", inputs, [slope, *jacobians], {"cse": True})
 
     def predicted(
-        self, z: ca.SX, command: ca.SX, parameters: ca.SX, process: ca.SX, doubt: ca.SX, origin: ca.SX | None = None
+        self,
+        z: ca.SX,
+        command: ca.SX,
+        parameters: ca.SX,
+        process: ca.SX,
+        noise_inputs: ca.SX,
+        origin: ca.SX | None = None,
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the next z, its Jacobian and Q, both for T z.
 
         Args:
-            doubt: inputs of Q, as returned by `doubt`.
+            noise_inputs: inputs of Q, see `noise_inputs`.
             origin: offset (N+E,) subtracted from z; None for zero.
         """
         size, n, step = self.equations.dimension, self.arms, self.period
@@ -252,7 +258,7 @@ class FilterEquations:
         noise, braked = ca.SX(self.dimension, self.dimension), self._braked(e, parameters)
         for i in range(n):
             # The Jacobian omits the squared parameter errors, which P does not cover.
-            wrong = process[1] + process[7] * doubt[0] ** 2
+            wrong = process[1] + process[7] * noise_inputs[0] ** 2
             density = process[0] + wrong * (following[n + i] - x[n + i]) ** 2 + process[10] * braked[i] ** 2
             noise[i, i], noise[n + i, n + i] = density * block[0, 0], density * block[1, 1]
             noise[i, n + i] = noise[n + i, i] = density * block[0, 1]
@@ -267,9 +273,9 @@ class FilterEquations:
         pp, pv, vv, pd, vd = (process[k] for k in range(2, 7))
         besides = ca.vertcat(ca.horzcat(pp, pv, pd), ca.horzcat(pv, vv, vd), ca.horzcat(pd, vd, 0))
         # With unmodelled lag, the drive's error starts at the size of each command step.
-        late = process[9] * doubt[1] * ca.DM([step**2 / 2, step, 1])
+        late = process[9] * noise_inputs[1] * ca.DM([step**2 / 2, step, 1])
         # After a blow, or with a wrong model, process noise grows with the unexplained innovations.
-        surprise = ca.fmax(1, doubt[2]) ** process[8]
+        surprise = ca.fmax(1, noise_inputs[2]) ** process[8]
         noise = surprise * (noise + reach @ besides @ reach.T) + reach @ late @ late.T @ reach.T
         if self.as_measured:
             t, back = _sparse(self.carried), _sparse(self.restored)
@@ -323,7 +329,7 @@ class FilterEquations:
         covariance = unpack(triangle, size)
         before = z
         if predicts:
-            before, jacobian, q = self.predicted(z, command, parameters, process, self.doubt(covariance))
+            before, jacobian, q = self.predicted(z, command, parameters, process, self.noise_inputs(covariance))
             # Mirror one triangle so that casadi does not compute the other.
             covariance = unpack(propagated(jacobian, covariance, q), size)
         after, covariance, y, nis, _ = self.updated(before, covariance, measured, present, noise)
@@ -340,7 +346,7 @@ class FilterEquations:
         return ca.Function("filter", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
 
     def prediction(self, *, with_jacobian: bool) -> ca.Function:
-        """Return (z, command, parameters, process, doubt) -> next z, or next z, its Jacobian and Q, by columns."""
+        """Return (z, command, parameters, process, noise_inputs) -> next z, or next z, Jacobian and Q by columns."""
         inputs = {name: ca.SX.sym(name, size) for name, size in self.inputs.items()}
         following, jacobian, q = self.predicted(*inputs.values())
         parts = [following, ca.vec(ca.densify(jacobian)), ca.vec(ca.densify(q))] if with_jacobian else [following]

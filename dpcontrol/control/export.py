@@ -450,7 +450,7 @@ def _types(program: TickProgram, real: str) -> tuple[np.dtype, np.dtype]:
     extras = len(program.equations.filter.extra_names)
     reading = [("positions", "f8", (n + 1,)), ("present", "u1", (n + 1,)), ("limit_switch", "i4"), ("age", "f8")]
     whole = {"outcome": "i4", "stopped_by": "i4", "stop": "i4", "done": "i4", "mode": "i4", "saturated": "i4",
-             "newly_cut": "i4", "used": "i4", "sensor": "i4", "repeats": "l", "doubted": "i4"}  # fmt: skip
+             "newly_cut": "i4", "used": "i4", "sensor": "i4", "repeats": "l", "untrusted": "i4"}  # fmt: skip
     lengths = {"state": size, "sigmas": size + extras, "extra": extras, "reference": size, "ahead": size}
     numbers = [(name, real, (length,)) for name, length in lengths.items() if length]
     scalars = ("wish", "feedforward", "feedback", "acting", "nis", "mean_nis", "error", "silent")
@@ -576,7 +576,7 @@ class LibraryProgram(TickProgram):
             report[where, 0] = told[name]
         at = self.at
         report[at["notable"], 0] = report[at["outcome"], 0] + report[at["stop"], 0]
-        report[at["news"], 0] = report[at["newly_cut"], 0] + report[at["doubted"], 0]
+        report[at["news"], 0] = report[at["newly_cut"], 0] + report[at["untrusted"], 0]
 
 
 _TEMPLATE = Path(__file__).with_name("target") / "fmu.c"
@@ -641,7 +641,7 @@ def variables(first: Sequence[float], extras: Sequence[str]) -> list[Variable]:
         Variable("used", "Integer", "positions in this step's estimate"),
         Variable("sensor", "Integer", "number of a stuck sensor, from 1"),
         Variable("repeats", "Integer", "steps with the same reading"),
-        Variable("doubted", "Integer", "number of an extra beyond its trusted range, from 1"),
+        Variable("untrusted", "Integer", "number of an extra beyond its trusted range, from 1"),
         Variable("status", "Integer", "enum dpc_run"),
         *(Variable(f"present_{joint}", "Boolean", "true if measured", start="true") for joint in joints),
         Variable("stop", "Boolean", "true while the cart brakes"),

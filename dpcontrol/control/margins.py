@@ -53,7 +53,7 @@ _STEP = 0.5
 """Distance between the starts of windows, in wobbles."""
 _WATCHED = frozenset(
     ("covariance", "velocity", "error", "nis", "silent", "restarts", "held", "moved", "restart", "stopped", "still",
-     "cut", "doubts", "last", "step", "same", "begin", "away", "origin", "timing", "timed",
+     "cut", "was_untrusted", "last", "step", "same", "begin", "away", "origin", "timing", "timed",
      "lateness", "strain", "acted",
      "expected", "commanded", "commanded_speed", "scale_speed", "scale_drift", "scale_error")
 )  # fmt: skip

@@ -1,58 +1,63 @@
-"""The tick: what the controller does with one reading, as one function of memory, reading and a row of a table.
+"""The tick: response of the controller to one reading, as one function of memory, reading and a row of a table.
 
-    estimate   the extended Kalman filter's update with the positions measured (`dpcontrol.control.ekf`)
-    ahead      the state when the command will act, predicted through the commands on their way
+    estimate   the extended Kalman filter's update with the measured positions (`dpcontrol.control.ekf`)
+    ahead      the state when the command will act, predicted through the pending commands
     law        u = u* + K (x* - x̂) - F w: the row's input, gains, reference state, and gains on the extras w
-    judge      whether to go on, restart the filter, give the reference up, or bring the cart to rest, and why
-    path       the command within the drive's limits joins those on their way
-    predict    the filter's prediction over the period that begins, for the next tick
+    judge      continue, restart the filter, abandon the reference, or stop the cart, with the cause
+    path       append the command, within the drive's limits, to the pending ones
+    predict    the filter's prediction over the coming period, for the next tick
 
-One casadi expression, from which the loop's machine code and the C of a target's own controller are made. Where a law
-keeps a clock of its own the same expression is cut in two, before and after the law; where an estimator is not this
-filter, the second part goes without the prediction.
+One casadi expression gives the machine code of the loop and the exported C. For a law with internal timing, the
+expression is split before and after the law. For another estimator, the second part omits the prediction.
 
-A command acts d periods after its tick, d the delay. With d = i + f, 0 ≤ f < 1, the mean over the period from tick k is
+A command acts d periods after its tick, with the delay d. With d = i + f, 0 ≤ f < 1, the mean over the period from tick
+k is
 
     f c_{k-i-1} + (1 - f) c_{k-i}
 
-and the command is computed for the state at tick k + round(d): up to half a period of wrong timing is left. At 1 kHz it
-moves the motion in time and harms nothing; at 50 Hz it takes part of the margin for delays. The limits of acceleration
-and velocity are the drive's own, and are applied before the command enters the prediction.
+and the command is computed for the state at tick k + round(d), so timing errors are up to half a period. At 1 kHz this
+shifts the motion in time without harm. At 50 Hz it reduces the delay margin. The limits of acceleration and velocity
+are those of the drive, and apply before the command enters the prediction.
 
-What is judged, tick by tick:
+Checks in each tick:
 
-    consistency   mean of NIS / degrees of freedom over a fifth of a second; whether the estimate slipped a turn
-    tracking      mean over about a second of the largest angle's distance from the reference, by the encoders
-    cart          |x| + v²/(2a) + |v| t_d: where it comes to rest if it brakes from now, after the delay t_d; where the
-                  arms are lost by then it is they that end the run
-    sensors       which one is stuck: it repeats one reading while the arm or the cart must have moved
+    consistency   Mean of NIS / degrees of freedom over a fifth of a second, and slips of the estimate by a turn.
 
-For joint i, whose reading has been the same since tick s:
+    tracking      Mean over about a second of the largest angle's distance from the reference, by the encoders.
+
+    cart          |x| + v²/(2a) + |v| t_d: resting place if it brakes now, after the delay t_d. If the arms are lost by
+                  then, they are the cause of the ending.
+
+    sensors       A stuck sensor repeats one reading while the arm or the cart must have moved.
+
+For joint i with a constant reading since tick s:
 
     max |ref_i(k) - ref_i(s)| ≥ max(0.02 rad, 4 counts)
 
-A count is the smallest step that was seen. An arm that turns back, or is held at rest, stays within a count as well,
-but so does its reference; one that is off it may pause alone. So the filter must have held the model back as well, by
-what its corrections since would come to: 0.05 rad and 8 counts; or the pause be longer by far than those of arms that
-turn back. Without this a filter follows a stuck encoder for a tenth of a second, and a stuck scale of the cart for
-ever, the cart being unobservable from the arms.
+A count is the smallest observed step. An arm that reverses, or rests, stays within a count, but so does its reference.
+An arm off its reference can pause alone. So there is a second condition: the filter must have corrected the model by
+0.05 rad and 8 counts since then. Alternatively, the pause must be much longer than that of a reversal. Without these
+checks, a filter follows a stuck encoder for a tenth of a second. It follows a stuck scale of the cart without end,
+because the cart is unobservable from the arms.
 
-A healthy cart may also leave its scale's reading alone while it turns back within a count q, and noise on commands
-lets it drift away from all that was sent. So the cart is predicted from its last step only, for the T seconds since:
+The reading of a healthy cart can also stay constant while the cart reverses within a count q, and noise on commands can
+move the cart against them. So the cart is predicted from its last step only, for the T seconds since:
 
     D = V T + A,    |D| ≥ max(0.8 mm, 10 q, q + 0.7 |A| + 2.5 E T, q + min(noise, 25 q)),    T ≥ 45 ms
 
-V: its velocity then, integrated from commands and corrected by each step of the scale. A: what the commands since have
-added, of which the drive may give less. E: the largest recent correction of V, which a lag, another response or noise
-make large. noise: of commands, 1.5 m/s² each, as it moves the cart in T. q: the resolution of the settings, or the
-smallest step that was seen if it is larger. After a quarter of a second of one reading, D and V fade.
+V is its velocity at that step, integrated from commands and corrected by each step of the scale. A is the effect of the
+commands since, of which the drive can give less. E is the largest recent correction of V, which a lag, another response
+or noise enlarge. The noise term is the cart's motion in T due to noise of 1.5 m/s² on each command. q is the resolution
+of the settings, or the smallest observed step if that is larger. After a quarter of a second of one reading, D and V
+decay.
 
-The clock of the readings. A reading of age τ shows positions that lack ω τ, ω their rates. A reported age is put right
-in the update: y = m - H(z - ω τ). What varies unknown is noise along ω for all positions at once:
+Age of the readings: a reading of age τ has positions that lack ω τ, with the rates ω. A reported age is corrected in
+the
+update: y = m - H(z - ω τ). Unknown variations are noise along ω for all positions at once:
 
     R + σ² ω ωᵀ,    σ² by recursive maximum likelihood over half a second, 0 at first
 
-A rig without jitter keeps σ² ≈ 0. The mean of the ages is not found; it acts as a further delay of that length.
+A rig without jitter keeps σ² ≈ 0. The mean age is not estimated. It acts as an additional delay.
 """
 
 import math
@@ -89,7 +94,7 @@ if TYPE_CHECKING:
 
 
 class Outcome(IntEnum):
-    """What a tick decides; from `ESTIMATE_LOST` on, to bring the cart to rest."""
+    """Decision of a tick; from `ESTIMATE_LOST` on, the cart is stopped."""
 
     GO_ON = 0
     RESTART = 1
@@ -97,118 +102,124 @@ class Outcome(IntEnum):
     RESYNCHRONISE = 2
     """Move the reference's clock."""
     HOLD = 3
-    """Give the reference up and hold what is nearest."""
+    """Abandon the reference and hold the nearest orbit or equilibrium."""
     ESTIMATE_LOST = 4
     SILENT = 5
-    """Nothing was measured for too long."""
+    """Measurements were missing for too long."""
     CART = 6
     """The cart must brake now to stay on its track."""
     TRACKING_LOST = 7
     STUCK = 8
-    """A sensor repeats itself."""
+    """A sensor repeats its reading."""
     SWITCH = 9
-    """A limit switch answered."""
+    """A limit switch was touched."""
     FALLEN = 10
-    """The arms have left the reference, and the cart that runs after them must brake now."""
+    """The arms have left the reference, and the cart that follows them must brake now."""
 
 
 BRAKING = 0.9
-"""Share of the greatest acceleration with which the cart is braked: more than the supervisor counts on."""
+"""Share of the largest acceleration for braking, more than the supervisor assumes."""
 SETTLING = 0.05
-"""Seconds for which the loop goes on after the cart was commanded to rest: delays and lags have passed by then."""
+"""Time that the loop continues after the cart is commanded to rest, s, longer than delays and lags."""
 TRACKING_MEMORY = 1.0
 ESTIMATE_MEMORY = 0.2
 """Time constants of the means, s."""
 RESTART_MEMORY = 1.0
-"""Time constant of the count of restarts, s: a filter that was right again for so long may be restarted again."""
+"""Time constant of the count of restarts, s: a filter that was consistent for this time can restart again."""
 _MOST_AT_ONCE = 16.0
-"""What a tick's NIS counts for at most, in bounds of their mean."""
+"""Largest contribution of a tick's NIS, relative to the bound of its mean."""
 _LAGS = 0.05
-"""s: what was commanded shows in the cart's motion by then, or has not come to act."""
+"""Time until commands appear in the cart's motion, or have no effect, s."""
 LOST_AFTER_FALLBACK = 1.5
-"""rad: from which what was fallen back to is lost as well, where less than that loses the reference."""
+"""Distance from which a fallback is lost as well, rad, if the bound of the reference is smaller."""
 AT_REST = 1e-12
-"""m/s: slower than any cart."""
+"""Velocity below that of any cart, m/s."""
 TIMING_MEMORY = 0.5
-"""Time constant, s, of what is found of the readings' age."""
+"""Time constant of the estimated age of readings, s."""
 _OLDEST = 1.5
 """Periods."""
 _LATE, _LATE_MEMORY = 0.5, 5.0
-"""Periods, and time constant in readings, of the mean age that innovations look like."""
+"""Bound in periods, and time constant in readings, of the mean apparent age of innovations."""
 TIMING_PRIOR = 2500.0
-"""1/period²: information in the assumption that ages do not vary. A fiftieth of a period is not worth a correction."""
+"""Information in the assumption of constant ages, 1/period². A fiftieth of a period needs no correction."""
 SAME = 1e-9
-"""rad and m: readings this near to each other are the same count."""
+"""Difference of readings below which they are the same count, rad and m."""
 _STILL = 0.015
-"""Seconds of one reading of a joint at least."""
+"""Shortest constant reading of a joint, s."""
 _TURNING = 4.0
-"""rad/s² and m/s²: what turns back as slowly stays within a count q for 2 √(2 q / this), 18 ms with 40,000 counts."""
+"""Slow reversal, rad/s² and m/s²: it stays within a count q for 2 √(2 q / this), 18 ms with 40,000 counts."""
 _CART_STILL = 0.045
-"""Seconds of one reading of the cart."""
+"""Shortest constant reading of the cart, s."""
 _JOINT_MOVED, _CART_MOVED = 0.02, 8e-4
 """rad and m."""
 _SCALE_COUNTS = 10.0
-"""Counts of the cart's scale. A cart that turns back within a count may be expected this far off it by a drive that
-gives half of what it should, or lags by 20 ms."""
+"""Counts of the cart's scale: largest prediction error of a cart that reverses within a count, with a drive that gives
+half of its command, or lags by 20 ms."""
 _SCALE_LAG = 0.02
-"""s, within which the steps of the scale correct the cart's expected velocity."""
+"""Time constant of the corrections of the cart's expected velocity by the scale, s."""
 _SCALE_MEMORY = 0.15
-"""s, for which the size of these corrections counts."""
+"""Time constant of the size of these corrections, s."""
 _SCALE_WINDOW = 0.25
-"""s of one reading, from which the expected velocity fades: commands alone cannot predict it for longer."""
+"""Duration of one reading after which the expected velocity decays, s: commands cannot predict it for longer."""
 _COMMAND_NOISE, _NOISE_COUNTS = 1.5, 25.0
-"""m/s²: five times the noise on each command of a usual drive. Counts: noise that moves the cart farther does not
-leave it within one."""
+"""Five times the command noise of a usual drive, m/s², and a bound in counts: larger motions by noise would leave the
+count."""
 _COMMANDED, _ERRORS = 0.7, 2.5
-"""Share of what commands do by which the drive may fall short, and multiple of the recent velocity errors."""
+"""Tolerated deficit of the drive as a share of the commands' effect, and multiple of recent velocity errors."""
 _COUNTS = 4.0
 _JOINT_HELD, _COUNTS_HELD = 0.05, 8.0
-"""rad, counts: by how much the model would have moved on a joint whose reading stands. One that turns back where its
-reference goes on stands still, too, and its model with it."""
+"""Motion of a joint's model during a constant reading, rad and counts. A joint that reverses while its reference
+continues also stops, but so does its model."""
 _LONG = 8.0
-"""Times the longest that a joint stands where it turns back: no other evidence is needed then."""
+"""Multiple of the longest pause at a reversal, beyond which no other evidence is needed."""
 _DOUBT = 30.0
-"""Mean NIS per position: stuck encoders gave 50 and more with the default filter, sensors that work 1 or so. Of a plant
-off its model it is no less, so it is never the only evidence. The cart's scale is detected without it: only its own
-commands contradict it."""
+"""Mean NIS per position of a stuck encoder: at least 50 with the default filter, but about 1 for working sensors.
+
+Model errors raise it as well, so it is never the only evidence. For the cart's scale it is not used: only commands
+contradict a stuck scale.
+"""
 _MOVES = 3.4
-"""Standard deviations of a reading by which an encoder with play has moved: of one that only counts, 0.98 counts."""
+"""Standard deviations of a reading that indicate motion of an encoder with play, 0.98 counts without noise."""
 _AT_SIDE, _IN_PLAY = 0.3, 10.0
-"""Standard deviations of a joint's place in its play, in halves of it: of a joint that moves its encoder, which allows
-for a play that is known badly, and of any other, whose readings are alike for some time."""
+"""Standard deviations of a joint's place in its play, in units of half the play.
+
+The first is for a joint that moves its encoder and allows for errors of the play. The second is for other joints, whose
+readings are constant for some time.
+"""
 _SHAPED_DAMPING = 1.0
-"""Damping ratio that a belt has with shaped commands."""
+"""Damping ratio of a belt with shaped commands."""
 _UNSEEN = 0.2
-"""rad: taken for a count while a sensor has not moved at all."""
+"""Assumed count of a sensor before its first motion, rad."""
 _BIG = 1e30
-"""Beyond every number of a run that is still sound; a bound that single precision holds as well."""
+"""Bound on all numbers of a sound run, also representable in single precision."""
 LONGEST_DELAY = 1000.0
 """Periods."""
 UNROLLED = 8
-"""Periods that one function looks ahead; the loop calls the prediction for further ones."""
+"""Periods of prediction in one function; the loop repeats the prediction for further ones."""
 
 BOUNDS = (
     "share", "acceleration", "velocity", "travel", "reaction", "onset", "brake", "margin", "lost_tracking",
     "lost_estimate", "resynchronise", "restarts", "missing", "can_hold", "trust", "mode",
     "scale",
 )  # fmt: skip
-"""Numbers a run is judged by.
+"""Numbers that judge a run.
 
-share: of the period for which the command before still acts. acceleration m/s², velocity m/s, travel m: the cart's.
-reaction s: until a command acts; onset s: from the state ahead until braking does that is decided a tick later.
-brake m/s²: twice the acceleration counted on to stop the cart; margin m.
-lost_tracking rad, lost_estimate, resynchronise rad, restarts, missing s: see `SupervisorSettings`. can_hold: 1 where
-there is something to fall back to. trust: of an adaptive law. mode: of a tick that tracks or holds, see `Mode`.
+share: part of the period in which the previous command still acts.
+acceleration m/s², velocity m/s, travel m: limits of the cart. reaction s: until a command acts.
+onset s: from the state ahead until the effect of braking that starts a tick later.
+brake m/s²: twice the acceleration assumed for stopping.
+lost_tracking rad, lost_estimate, resynchronise rad, restarts, missing s, margin m: see `SupervisorSettings`.
+can_hold: 1 if there is a fallback. trust: of an adaptive law. mode: of a tick that tracks or holds, see `Mode`.
 """
 
 
 class Layout:
-    """Named parts of a vector, one after the other: name=length."""
+    """Contiguous named parts of a vector: name=length."""
 
     def __init__(self, **sizes: int) -> None:
         ends = np.cumsum([*sizes.values()])
         self.slices = {name: slice(int(end - n), int(end)) for (name, n), end in zip(sizes.items(), ends, strict=True)}
-        """Where each part stands, by its name."""
+        """Range of each part by name."""
         self.size = int(ends[-1])
 
     def symbols(self, name: str) -> tuple[ca.SX, dict[str, ca.SX]]:
@@ -255,9 +266,10 @@ def _largest(values: Sequence[ca.SX]) -> ca.SX:
 
 
 class KnownMechanics(NamedTuple):
-    """What the loop knows of a rig's mechanics: play (n,) rad of the joints' encoders, belt Hz and its damping ratio.
+    """The loop's model of a rig's mechanics.
 
-    Commands are shaped for an elastic belt: a notch takes its resonance out of them, and both together are a lag.
+    play (n,): play of the joints' encoders, rad. belt: belt frequency, Hz, and damping ratio. For an elastic belt, a
+    notch filter removes its resonance from the commands. Belt and notch together act as a lag.
     """
 
     play: tuple[float, ...]
@@ -288,9 +300,9 @@ class _Known(NamedTuple):
 
 
 class _Acts(NamedTuple):
-    """When the command acts: the state (N,) then, and the cart's acceleration drive m/s².
+    """State (N,) at which the command acts, and the cart's acceleration `drive` then, m/s².
 
-    back m/s²: feedback besides the row's. coming m/s²: what will act in the coming period, if it is known already.
+    back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, if already known.
     """
 
     ahead: ca.SX
@@ -300,19 +312,24 @@ class _Acts(NamedTuple):
 
 
 class _Law(NamedTuple):
-    """Feedforward and feedback, m/s²; finite: 1 if both are; doubted: see `TickEquations.law`; of a user's law, its
-    feedback by_own and its memory own."""
+    """Feedforward and feedback, m/s².
+
+    finite: 1 if both are finite. untrusted: see `TickEquations.law`. by_own, own: feedback and memory of a user's law.
+    """
 
     forward: ca.SX
     feedback: ca.SX
     finite: ca.SX
-    doubted: ca.SX
+    untrusted: ca.SX
     by_own: ca.SX
     own: dict[str, ca.SX]
 
 
 class _Means(NamedTuple):
-    """What is judged; see `TickEquations.memory`. distance rad: of this tick; blind: 1 while a restart waits."""
+    """Checked means, see `TickEquations.memory`.
+
+    distance: of this tick, rad. blind: 1 during a restart.
+    """
 
     nis: ca.SX
     strain: ca.SX
@@ -332,7 +349,7 @@ class _Verdict(NamedTuple):
 
 
 class _Path(NamedTuple):
-    """What was made of the law: parts, wish and command, m/s²; what acts; 1 if it was cut; and the memory of it."""
+    """Commands after the law: parts, wish and command, m/s², the acceleration, 1 if it was cut, and the memory."""
 
     forward: ca.SX
     feedback: ca.SX
@@ -347,15 +364,17 @@ class _Path(NamedTuple):
 class TickEquations:
     """The tick of one filter, delay and law.
 
-    whole, lead: the delay's whole periods, and for how many the command is computed ahead. shares (E,): which extras
-    are relative errors that the law trusts only so far; None for a law without gains on them. unrolled: whether the
-    memory holds the commands on their way; else whoever keeps it keeps them, too, for delays of any length. lags:
-    whether the drive's velocity loop takes its time, as far as is known. plays: whether encoders have a known play;
-    shapes: whether commands are shaped for a known belt. own: a user's law of expressions.
-
-    For coarser arithmetic: same rad and m, how near to each other readings of a joint and of the cart are the same
-    count; split, whether the filter's positions are kept as a sum of two numbers: single precision rounds an angle of
-    some turns to more than the filter would know of it.
+    Attributes:
+        whole, lead: whole periods of the delay, and periods of prediction for the command.
+        shares: extras (E,) that are relative errors with limited trust; None for a law without gains on them.
+        unrolled: True if the memory includes the pending commands, which the caller stores otherwise.
+        lags: True for a drive with a known lag.
+        plays: True for encoders with a known play.
+        shapes: True for commands shaped for a known belt.
+        own: a user's law of expressions.
+        same: differences of readings of a joint and of the cart that are the same count, rad and m.
+        split: True to store the filter's positions as sums of two numbers. Single precision rounds an angle of several
+            turns to more than the filter's error.
     """
 
     filter: FilterEquations
@@ -372,35 +391,52 @@ class TickEquations:
 
     @cached_property
     def memory(self) -> Layout:
-        """What is kept from tick to tick.
+        """Values stored from tick to tick.
 
-        z, covariance: the filter's prediction for the coming reading, the covariance's lower triangle row by row.
-        sent: commands, oldest first, m/s²; velocity m/s of the cart once all of them have acted; with a lag, drive
-        m/s²: the cart's acceleration when the coming period begins. error rad and nis: the means; silent s;
-        restarts so far; held: 1 after the reference was given up; moved s since the clock was;
-        restart: 1 where the filter begins anew, until it has a reading to begin with; stopped: the outcome that ended
-        the run, or 0; still s: for how long the cart was sent nowhere since; acted m/s²: the acceleration
-        in the period before; cut: 1 where the last command was; doubts:
-        1 once an extra was trusted no further; heading m/s: what the cart will come to; turns (n,) rad: whole ones
-        between readings and estimate.
-        Then sensor by sensor: last reading, smallest step, ticks with this reading. Of each joint: what it should have
-        been when they began, by how much that has moved since; pulled rad/s and held_back rad: what the filter has
-        changed of its rate since, and what it would have moved by without; strained rad/s: those changes without
-        their signs. Of the cart: expected m, its predicted travel since its reading changed; scale_speed m/s, its
-        velocity by scale and commands; scale_drift and scale_error m/s, the recent corrections of that and their
-        largest size; commanded m and commanded_speed m/s, the part of expected and scale_speed due to commands since.
-        timing s²: the variance of the readings' age; timed: the information in it, for time in periods; lateness: the
-        recent mean of the age that innovations look like, in periods; strain: the mean NIS as if ages did not vary.
-        With play: mark (n,) rad, angle of each encoder when its joint last moved it. With a belt: shaped (2,) m/s²,
-        memory of what shapes commands. own: memory of a user's law. Split: origin, which the positions in z are
-        relative to; whoever keeps the memory may move from one to the other.
+            z, covariance: prediction for the coming reading, and the covariance's lower triangle row by row.
+
+            sent: commands, oldest first, m/s². velocity: of the cart after all of them, m/s. drive: with a lag, the
+            cart's acceleration at the start of the coming period, m/s².
+
+            error rad, nis: means. silent: time without measurement, s. restarts: so far. held: 1 after the reference
+            was abandoned. moved: time since the clock was moved, s. restart: 1 until a restarting filter has a reading.
+
+            stopped: the outcome that ended the run, or 0. still: time since the cart's command became zero, s. acted:
+            last acceleration, m/s². cut: 1 if the last command was cut. was_untrusted: 1 once an extra exceeded its
+            trust. heading: final velocity of the cart, m/s. turns (n,): whole turns between readings and estimate, rad.
+
+        For each sensor: last reading, smallest step, ticks with this reading. For each joint:
+
+            its expected value at the first of these ticks, and the motion of this value since.
+
+            pulled rad/s, held_back rad: the filter's changes of its rate since, and the motion that they prevented.
+
+            strained rad/s: the sum of their absolute values.
+
+        For the cart:
+
+            expected m: predicted travel since its reading changed. scale_speed: velocity by scale and commands, m/s.
+
+            scale_drift, scale_error: recent corrections of that and their largest size, m/s.
+
+            commanded m, commanded_speed m/s: parts of expected and scale_speed due to commands since.
+
+        For the readings' age:
+
+            timing: variance, s². timed: information in it, for time in periods.
+
+            lateness: recent mean of the apparent age, periods. strain: mean NIS for constant ages.
+
+        With play, mark (n,) is the angle of each encoder when its joint last moved it, rad. With a belt, shaped (2,) is
+        the memory of the notch, m/s². own is the memory of a user's law. If positions are split, z is relative to
+        origin, which the owner of the memory can change.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
         sent = {"sent": self.whole + 2} if self.unrolled else {}
         lag = {"drive": 1} if self.lags else {}
         return Layout(
             z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=1,
-            restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, doubts=1, last=m, step=m,
+            restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, was_untrusted=1, last=m, step=m,
             same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, expected=1, commanded=1,
             commanded_speed=1, scale_speed=1, scale_drift=1, scale_error=1, heading=1, turns=m - 1, timing=1, timed=1,
             lateness=1, strain=1,
@@ -410,24 +446,33 @@ class TickEquations:
 
     @cached_property
     def reading(self) -> Layout:
-        """What came from the rig.
+        """Input from the rig.
 
-        measured (n+1,): angles in rad, the cart in m; present (n+1,): 1 where measured; switch: 1 while a limit switch
-        is touched; age s: time from the reading to its tick, 0 if it is not known; rate_error (n,) rad/s: added to the
-        rates that the law sees, in simulations of measured rates.
-        Split: offset (n+1,), measured less the memory's origin.
+        measured (n+1,): angles, rad, and the cart's position, m. present (n+1,): 1 where measured.
+
+        switch: 1 while a limit switch is touched. age: of the reading at its tick, s, 0 if unknown.
+
+        rate_error (n,): added to the law's rates in simulations of measured rates, rad/s.
+
+        offset (n+1,): measured minus the memory's origin, if positions are split.
         """
         m = self.filter.arms + 1
         return Layout(measured=m, present=m, switch=1, age=1, rate_error=m - 1, **({"offset": m} if self.split else {}))
 
     @cached_property
     def row(self) -> Layout:
-        """What the table gives.
+        """Input from the table.
 
-        Of the tick at which the command acts: feedforward m/s², gains (N,), state (N,), with a lag the cart's
-        acceleration m/s² and the gain on it, and for a law that has them extra_gains (E,), and pair_gains on the
-        products of shares, in the order of `combinations_with_replacement`; own: 1 where a user's law acts. Of this
-        tick: wanted (n,), the reference's angles.
+        At the tick at which the command acts:
+
+            feedforward m/s², gains (N,), state (N,). With a lag, the cart's acceleration, m/s², and its gain.
+
+            extra_gains (E,) and pair_gains on products of shares, in the order of `combinations_with_replacement`, if
+            any.
+
+            own: 1 for a user's law.
+
+        At this tick: wanted (n,), the reference's angles.
         """
         size = self.filter.equations.dimension
         m = sum(self.shares or ())
@@ -438,12 +483,16 @@ class TickEquations:
 
     @cached_property
     def numbers(self) -> Layout:
-        """What does not change in a run.
+        """Constants of a run.
 
-        bounds; lag s: of the drive, and lag_keeps: what it leaves of an acceleration after a period; noise: R packed;
-        parameters, process: see `FilterEquations`; fresh (N+E,): variances after a restart. With play: play (n,) rad,
-        and moves rad: the change of an encoder's angle that shows that its joint moves it. With a belt: notch (5,), see
-        `Mechanics.notch`.
+        bounds. noise: R packed. parameters, process: see `FilterEquations`. fresh (N+E,): variances after a
+        restart.
+
+        lag: of the drive, s. lag_keeps: share of an acceleration that it leaves after a period.
+
+        With play: play (n,), rad, and moves, the change of an encoder's angle that proves motion by its joint, rad.
+
+        With a belt: notch (5,), see `KnownMechanics.notch`.
         """
         known, m = self.filter.inputs, self.filter.arms + 1
         return Layout(
@@ -454,9 +503,10 @@ class TickEquations:
 
     @cached_property
     def sensed(self) -> Layout:
-        """What the first part gives.
+        """Output of the first part.
 
-        z, covariance, sigmas (N+E,), nis, used positions, sound: 1 if all is finite and no angle has slipped, turns.
+        z, covariance, sigmas (N+E,), nis, used positions, turns, and sound: 1 if all is finite and no angle has
+        slipped.
         """
         size = self.filter.dimension
         return Layout(
@@ -466,22 +516,30 @@ class TickEquations:
 
     @cached_property
     def report(self) -> Layout:
-        """What a tick tells.
+        """Output of a tick.
 
-        state (N,) estimated; wish m/s²: feedforward and feedback, before limits; feedforward, feedback; acting m/s² in
-        the coming period; saturated; nis; mode: what `dpcontrol.logs.layout.control_fields` has, in its order. sigmas,
-        extra: of state and extras, and these. command m/s²: to the drive. outcome: see `Outcome`; stop: 1 while the
-        cart is brought to rest; done: 1 once it has stood long enough. newly_cut: 1 where saturation begins; doubted:
-        number of the extra that is found beyond trust for the first time, from 1, else 0; sensor: number of the stuck
-        one, from 1; repeats: for how many ticks. error rad, mean_nis, silent s: what was judged. used positions; ahead
-        (N,): the state for which the command was computed; notable, news: not 0 where there is an outcome or the cart
-        is being stopped, or else something to tell. own m/s²: what a user's law returned.
+        state (N,): estimate. sigmas, extra: standard deviations of state and extras, and the extras.
+
+        feedforward, feedback, and their sum wish before limits, m/s². acting: in the coming period, m/s².
+        saturated, nis, mode: see `dpcontrol.logs.layout.control_fields`, in its order. command: to the drive, m/s².
+
+        outcome: see `Outcome`. stop: 1 while the cart is being stopped. done: 1 after it has rested long enough.
+
+        newly_cut: 1 at the start of a saturation. untrusted: number of the extra that newly exceeds its trust, from
+            1, or 0.
+        sensor: number of the stuck one, from 1. repeats: ticks with its reading.
+
+        error rad, mean_nis, silent s: checked means. used: positions.
+
+        ahead (N,): state for which the command was computed. own: output of a user's law, m/s².
+
+        notable: not 0 with an outcome or during a stop. news: not 0 with other events.
         """
         n, size = self.filter.equations.dimension, self.filter.dimension
         return Layout(
             state=n, wish=1, feedforward=1, feedback=1, acting=1, saturated=1, nis=1, mode=1, sigmas=size,
             extra=size - n, command=1,
-            outcome=1, stop=1, done=1, newly_cut=1, doubted=1, sensor=1, repeats=1, error=1, mean_nis=1,
+            outcome=1, stop=1, done=1, newly_cut=1, untrusted=1, sensor=1, repeats=1, error=1, mean_nis=1,
             silent=1, used=1, ahead=n, notable=1, news=1, **({} if self.own is None else {"own": 1}),
         )  # fmt: skip
 
@@ -491,9 +549,9 @@ class TickEquations:
         """The filter's update."""
         n, size = self.filter.arms, self.filter.dimension
         z, triangle, again = m["z"], m["covariance"], m["restart"]
-        # All here is relative to the origin, where there is one.
+        # All values here are relative to the origin, if there is one.
         positions_read = r["offset"] if self.split else r["measured"]
-        # A filter that begins anew trusts the positions; rates stay where they are finite, extras are forgotten.
+        # A restarting filter uses the positions, keeps finite rates and resets extras.
         positions = {**{i: i for i in range(n)}, 2 * n: n}
         most = [np.inf] * n + [3 * RESTART_RATE] * n + [np.inf, 3 * RESTART_VELOCITY]
         anew: list[ca.SX] = []
@@ -534,16 +592,16 @@ class TickEquations:
             back = ca.sparsify(ca.SX(ca.DM(self.filter.restored)))
             variances = ca.diag(back @ covariance @ back.T)
         sigmas = ca.vertcat(*(ca.sqrt(variances[i]) for i in range(size)))
-        # The last is not finite as soon as anything in the estimate is not.
+        # The last value is not finite if any part of the estimate is not.
         sound = _all(nis >= 0, nis <= _BIG, _finite(ca.sum1(after) + ca.sum1(sigmas)), ca.logic_not(slipped))
-        # Of an arm that makes half a turn in a period readings say nothing: such rates have run away.
+        # Readings cannot resolve half a turn per period: such rates have diverged.
         sound = _all(sound, *(ca.fabs(after[n + i]) <= np.pi / self.filter.period for i in range(n)))
-        # Where it fails the prediction is kept, which the restart begins with.
+        # If the update fails, the restart begins with the prediction.
         after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
         used = ca.sum1(r["present"])
         aligned, weight = ca.horzsplit(moving.T @ weighed)
         clock = self._timing(m, aligned, weight, sound)
-        # Sherman and Morrison: without the part of S that varying ages make.
+        # Sherman and Morrison: S without the part due to varying ages.
         clock["strain"] = nis + m["timing"] * aligned**2 / (1 - m["timing"] * weight)
         out = {
             "z": after, "covariance": pack(covariance), "sigmas": sigmas, "nis": nis, "used": used, "sound": sound,
@@ -558,8 +616,8 @@ class TickEquations:
     ) -> tuple[ca.SX, ca.SX, dict[str, ca.SX]]:
         """Corrections (n+1,) from the encoders' angles to the joints', their covariance, and the new marks.
 
-        apart (n+1,): readings less what was predicted. A joint that moves its encoder is at the side of the play to
-        which it turns. Any other joint is somewhere in the play: where the filter predicts it, or at the nearest side.
+        apart (n+1,): readings minus predictions. A joint that moves its encoder is at the side of the play to which it
+        turns. Any other joint is at the filter's prediction inside the play, or at the nearest side.
         """
         n = self.filter.arms
         sums = ca.DM(np.tril(np.ones((n, n))))
@@ -582,19 +640,20 @@ class TickEquations:
     def _timing(self, m: Mapping[str, ca.SX], aligned: ca.SX, weight: ca.SX, sound: ca.SX) -> dict[str, ca.SX]:
         """The variance of the readings' age, the information in it, and their recent mean, after an update.
 
-        aligned, weight: ωᵀS⁻¹y and ωᵀS⁻¹ω, whose ratio is the age that this innovation looks like. With a and b the
-        same for time in periods, the log likelihood has the slope (a² - b) / 2 by the variance, and b² / 2 is the
-        information.
+        aligned, weight: ωᵀS⁻¹y and ωᵀS⁻¹ω, whose ratio is the apparent age of this innovation. Let a and b be the same
+            for time in periods. Then the log likelihood has the slope (a² - b) / 2 by the variance, and b² / 2 is the
+            information.
         Source: the score of a Gaussian whose covariance is linear in one parameter.
         """
         period = self.filter.period
         a, b = aligned * period, weight * period**2
         timed = m["timed"] + min(period / TIMING_MEMORY, 1) * (TIMING_PRIOR**2 - m["timed"]) + b * b
-        # A reading is never older than a period. What looks older by far is a blow, a wrong model or a stuck encoder.
+        # A reading is never older than a period. A much older appearance is due to a blow, a wrong model or a stuck
+        # encoder.
         slope = ca.if_else(ca.fabs(a) <= _OLDEST * b, a * a - b, 0)
         variance = _clip(m["timing"] + period**2 * slope / timed, ca.SX(0), ca.SX(period**2 / 3))
         late = m["lateness"] + (a - b * m["lateness"]) / (1 + b) / _LATE_MEMORY
-        # Ages vary about what the filter follows. What looks late all the time is a stuck encoder or a wrong model.
+        # Ages vary about the filter's. A constant lateness is due to a stuck encoder or a wrong model.
         variance = ca.if_else(ca.fabs(late) <= _LATE, variance, 0)
         after = {"timing": variance, "timed": timed, "lateness": _within(late, ca.SX(_OLDEST))}
         return {name: ca.if_else(sound, value, m[name]) for name, value in after.items()}
@@ -602,15 +661,15 @@ class TickEquations:
     def _slipped(
         self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], apart: ca.SX, innovation: ca.SX
     ) -> tuple[ca.SX, ca.SX]:
-        """Whole turns between each reading and what was predicted (n,), and whether one of them is a new one.
+        """Whole turns between each reading and its prediction (n,), and 1 if one of them is new.
 
-        apart (n+1,): the innovation before it is wrapped. The filter does not see a whole turn, so that one whose rates
-        have run away goes on as if it were right; the encoders count turns.
+        apart (n+1,): the innovation before it is wrapped. The filter cannot detect a whole turn, so it would continue
+        with diverged rates. The encoders count turns.
         """
         n, again = self.filter.arms, m["restart"]
         seen = [ca.if_else(r["present"][i], apart[i] - innovation[i], m["turns"][i]) for i in range(n)]
         turns = [ca.if_else(again, 0, turn) for turn in seen]
-        # Where a reading itself jumps, as that of an encoder with one turn, and at the first of all, nothing slips.
+        # Jumps of a reading, as of an encoder with one turn, and the first reading are not slips.
         jumped = [
             ca.logic_not(ca.fabs(r["measured"][i] - (r["measured"][i - 1] if i else 0) - m["last"][i]) < np.pi)
             for i in range(n)
@@ -619,7 +678,7 @@ class TickEquations:
         return ca.vertcat(*turns), _all(_any(*slipped), ca.logic_not(again), ca.logic_not(_any(*jumped)))
 
     def _origin(self, m: Mapping[str, ca.SX]) -> ca.SX:
-        """What z is relative to, (N+E,)."""
+        """Origin of z, (N+E,)."""
         n = self.filter.arms
         out = ca.SX.zeros(self.filter.dimension)
         for k, i in enumerate([*range(n), 2 * n]):
@@ -629,8 +688,8 @@ class TickEquations:
     def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """Return the mean acceleration of the cart over the period and the one at its end, in m/s².
 
-        The drive keeps its own velocity reference within its limit. If that is beyond the limit already, the drive
-        brings it back no faster than its greatest acceleration allows, see `DriveLimits.acting`.
+        The drive keeps its velocity reference within its limit. If that already exceeds the limit, the drive returns it
+        with at most its largest acceleration, see `DriveLimits.acting`.
         """
         period, fastest = self.filter.period, c["velocity"]
         aims = velocity + c["lag"] * drive if self.lags else velocity
@@ -641,8 +700,8 @@ class TickEquations:
         return given + c["lag"] / period * (1 - keeps) * (drive - given), given + keeps * (drive - given)
 
     def law(self, row: Mapping[str, Any], ahead: Any, drive: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
-        """Return the feedback in m/s², and the number of the last extra that is trusted no further, from 1, else 0."""
-        feedback, doubted = 0.0, 0.0
+        """Return the feedback, m/s², and the number of the last extra beyond its trust, from 1, or 0."""
+        feedback, untrusted = 0.0, 0.0
         for i in range(ahead.shape[0]):
             feedback += row["gains"][i] * (row["state"][i] - ahead[i])
         if self.lags:
@@ -651,13 +710,13 @@ class TickEquations:
         for i, share in enumerate(self.shares or ()):
             value = extra[i]
             if share:
-                doubted = ca.if_else(ca.fabs(value) > trust, i + 1, doubted)
+                untrusted = ca.if_else(ca.fabs(value) > trust, i + 1, untrusted)
                 value = _within(value, trust)
                 found_wrong.append(value)
             feedback -= row["extra_gains"][i] * value
         for k, (one, other) in enumerate(combinations_with_replacement(found_wrong, 2)):
             feedback -= row["pair_gains"][k] * one * other
-        return feedback, doubted
+        return feedback, untrusted
 
     def _by_own(
         self, m: Mapping[str, ca.SX], row: Mapping[str, ca.SX], ahead: ca.SX, parameters: ca.SX
@@ -673,7 +732,7 @@ class TickEquations:
     def _stuck(self, known: "_Known", nis: ca.SX, taken: ca.SX | None) -> tuple[ca.SX, dict[str, ca.SX]]:
         """The number of the first stuck sensor, from 1, and the watch's memory.
 
-        taken (2n,): by how much the filter's update has changed the angles and rates that were predicted, if known.
+        taken (2n,): changes of predicted angles and rates by the filter's update, if known.
         """
         n, period, wanted = self.filter.arms, self.filter.period, known.row["wanted"]
         m, r, c = known.memory, known.reading, known.numbers
@@ -710,7 +769,7 @@ class TickEquations:
                     on = ca.logic_and(same, ca.logic_not(m["restart"]))
                     pulled, strained = ca.if_else(on, pulled + braked, 0), ca.if_else(on, strained + ca.fabs(braked), 0)
                     held = ca.if_else(on, held + pulled * period + turned, 0)
-                    # A filter that swings to and fro has no say.
+                    # An oscillating filter gives no evidence.
                     steady = ca.fabs(pulled) >= strained / 2
                     far = ca.fabs(held) >= ca.fmax(_JOINT_HELD, _COUNTS_HELD * q)
                     evident = _any(evident, ca.logic_and(steady, far))
@@ -731,14 +790,14 @@ class TickEquations:
     def _frozen_scale(
         self, m: Mapping[str, ca.SX], c: Mapping[str, ca.SX], moved: ca.SX, same: ca.SX
     ) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """True if the cart's scale has frozen, and what the watch expects of the cart after a reading.
+        """True if the cart's scale has frozen, and the expected cart after a reading.
 
-        moved m: the step of the reading; same: 1 if it is none.
+        moved m: the step of the reading. same: 1 if it is zero.
         """
         period = self.filter.period
         since = (m["same"][self.filter.arms] + 1) * period
         # Commands alone predict the cart between two steps of the reading; each step corrects its velocity.
-        # The first reading of all is no step.
+        # The first reading is not a step.
         stepped = ca.logic_and(ca.logic_not(same), _finite(moved))
         wrong = ca.if_else(stepped, (moved - m["expected"]) / (since + _SCALE_LAG), 0)
         drift = m["scale_drift"] * (1 - min(period / _SCALE_LAG, 1)) + wrong
@@ -755,9 +814,9 @@ class TickEquations:
         return frozen, {**kept, "scale_speed": m["scale_speed"] + wrong, "scale_drift": drift, "scale_error": error}
 
     def _expected_cart(self, watch: Mapping[str, ca.SX], acting: ca.SX) -> dict[str, ca.SX]:
-        """What the watch over the scale expects of the cart a period on, `acting` m/s² having acted."""
+        """The expected cart a period later, after `acting` m/s²."""
         period, arms = self.filter.period, self.filter.arms
-        # A scale that has stood for long: the cart may have stood as well.
+        # After a long constant reading, the cart may have rested as well.
         fades = ca.if_else(watch["same"][arms] * period > _SCALE_WINDOW, 1 - min(period / _SCALE_WINDOW, 1), 1)
         return {
             "expected": watch["expected"] * fades + (watch["scale_speed"] + acting * period / 2) * period,
@@ -769,7 +828,7 @@ class TickEquations:
     def _finish(
         self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", *, predicts: bool
     ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """All after the estimate e: memory and report."""
+        """Memory and report after the estimate e."""
         law = self._by_law(known, e, acts)
         means = self._means(known, e, predicts=predicts)
         verdict = self._verdict(known, e, acts, law, means, predicts=predicts)
@@ -779,19 +838,19 @@ class TickEquations:
         )
 
     def _by_law(self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts") -> "_Law":
-        """Feedforward and feedback before limits, and what they leave to the memory."""
+        """Feedforward and feedback before limits, and their memory."""
         row, c, size = known.row, known.numbers, self.filter.equations.dimension
-        by_row, doubted = self.law(row, acts.ahead, acts.drive, e["z"][size:], c["trust"])
+        by_row, untrusted = self.law(row, acts.ahead, acts.drive, e["z"][size:], c["trust"])
         by_own, own = self._by_own(known.memory, row, acts.ahead, c["parameters"])
         feedback = acts.back + by_row + by_own
         finite = ca.logic_and(e["sound"], _finite(row["feedforward"] + feedback))
-        return _Law(row["feedforward"], feedback, finite, doubted, by_own, own)
+        return _Law(row["feedforward"], feedback, finite, untrusted, by_own, own)
 
     def _means(self, known: "_Known", e: Mapping[str, ca.SX], *, predicts: bool) -> "_Means":
-        """What is judged: of the innovations, of silence, and of the distance from the reference."""
+        """Means of innovations and of the distance from the reference, and the time without measurement."""
         m, r, c, n, period = known.memory, known.reading, known.numbers, self.filter.arms, self.filter.period
         judged = ca.logic_and(e["used"] > 0, e["sound"])
-        # A blow is over in a tick: it alone is no reason to give the estimate up.
+        # A blow ends within a tick, and is not evidence of a lost estimate.
         by_position = ca.fmin(e["nis"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
         nis = m["nis"] + ca.if_else(judged, (by_position - m["nis"]) * min(period / ESTIMATE_MEMORY, 1), 0)
         strained = ca.fmin(e["strain"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
@@ -799,7 +858,7 @@ class TickEquations:
         silent = ca.if_else(e["used"] > 0, 0, m["silent"] + period)
         angles = [e["z"][i] for i in range(n)]
         if predicts:
-            # By what was read, which is true where an estimate is wrong. Another estimator's turns are not known here.
+            # By the readings, which are right if the estimate is wrong. Another estimator's turns are unknown here.
             angles = [ca.if_else(r["present"][i], r["measured"][i] - e["turns"][i], angles[i]) for i in range(n)]
         distance = _largest([ca.fabs(angles[i] - known.row["wanted"][i]) for i in range(n)])
         blind = ca.logic_and(m["restart"], ca.logic_not(e["used"] > 0))
@@ -816,7 +875,7 @@ class TickEquations:
         lost = ca.logic_not(finite)
         restarts = ca.logic_and(lost, m["restarts"] < c["restarts"] - 0.5)
         leaves = self._farthest(known, acts) >= c["travel"]
-        # A cart that runs after arms that have fallen is not what ended the run.
+        # A cart that follows fallen arms is not the cause of the ending.
         fallen = ca.logic_and(leaves, means.distance > c["lost_tracking"])
         most = ca.if_else(m["held"], ca.fmax(c["lost_tracking"], LOST_AFTER_FALLBACK), c["lost_tracking"])
         astray = means.error > most
@@ -825,12 +884,12 @@ class TickEquations:
         taken = e.get("relative", e["z"])[: 2 * n] - m["z"][: 2 * n] if predicts else None
         sensor, watch = self._stuck(known, ca.if_else(restarts, 0, means.strain), taken)
         outcome = ca.SX(int(Outcome.GO_ON))
-        # From the weakest: each overrules those before it.
+        # From the weakest: each overrides those before it.
         for condition, code in (
             (known.reading["switch"], Outcome.SWITCH),
             (moves, Outcome.RESYNCHRONISE),
             (holds, Outcome.HOLD),
-            # A restart does not help against a stuck sensor, nor does holding on.
+            # Neither a restart nor a hold helps against a stuck sensor.
             (restarts, Outcome.RESTART),
             (sensor, Outcome.STUCK),
             *(
@@ -850,17 +909,17 @@ class TickEquations:
         return _Verdict(outcome, stopped, sensor, watch)
 
     def _farthest(self, known: "_Known", acts: "_Acts") -> ca.SX:
-        """Where the cart comes to rest if it brakes now, m from the centre."""
+        """Resting place of the cart if it brakes now, m from the centre."""
         m, c, n = known.memory, known.numbers, self.filter.arms
         x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m["velocity"]
         farthest = self._stopping_point(x, v, c)
-        # What was sent and does not show yet, for a drive that lags.
+        # Sent commands without an effect yet, for a lagging drive.
         return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m["heading"], c), -_BIG))
 
     def _path(
         self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", verdict: "_Verdict"
     ) -> "_Path":
-        """The command within the drive's limits, and what acts in the coming period."""
+        """The command within the drive's limits, and the acceleration in the coming period."""
         m, c, period, n = known.memory, known.numbers, self.filter.period, self.filter.arms
         most, fastest, sent, stop = c["acceleration"], c["velocity"], m["velocity"], verdict.stopped > 0
         forward = ca.if_else(ca.logic_or(stop, ca.logic_not(law.finite)), 0, law.forward)
@@ -869,7 +928,7 @@ class TickEquations:
         wish = forward + feedback
         command = _within(wish, most)
         velocity = _within(sent + command * period, fastest)
-        # Braking to rest leaves what rounding leaves.
+        # Braking to rest leaves a rounding error.
         velocity = ca.if_else(ca.fabs(velocity) > AT_REST, velocity, 0)
         still = ca.if_else(_all(m["stopped"] > 0, ca.logic_not(ca.fabs(sent) > 0)), m["still"] + period, 0)
         queue, coming = {}, acts.coming
@@ -889,7 +948,7 @@ class TickEquations:
         """The command to the drive, and the memory of its shaping."""
         if not self.shapes:
             return command, {}
-        # What the drive, the shaping and the belt make of a command is a lag, which the filter knows.
+        # Drive, shaping and belt act as a lag, which the filter models.
         (b0, b1, b2, a1, a2), (first, second) = (
             ca.vertsplit(known.numbers["notch"]),
             ca.vertsplit(known.memory["shaped"]),
@@ -901,7 +960,7 @@ class TickEquations:
         self, known: "_Known", e: Mapping[str, ca.SX], law: "_Law", means: "_Means", verdict: "_Verdict",
         path: "_Path", *, predicts: bool,
     ) -> dict[str, ca.SX]:  # fmt: skip
-        """What is kept for the next tick."""
+        """Memory for the next tick."""
         m, period = known.memory, self.filter.period
         falls, again = ca.eq(verdict.outcome, int(Outcome.HOLD)), ca.eq(verdict.outcome, int(Outcome.RESTART))
         moved = ca.eq(verdict.outcome, int(Outcome.RESYNCHRONISE))
@@ -912,7 +971,7 @@ class TickEquations:
             "restarts": m["restarts"] * (1 - min(period / RESTART_MEMORY, 1)) + again,
             "held": ca.if_else(falls, 1, m["held"]), "moved": ca.if_else(moved, 0, m["moved"] + period),
             "restart": ca.logic_or(again, means.blind), "stopped": verdict.stopped, "acted": path.acting,
-            "cut": path.saturated, "doubts": ca.logic_or(m["doubts"], law.doubted > 0), **verdict.watch,
+            "cut": path.saturated, "was_untrusted": ca.logic_or(m["was_untrusted"], law.untrusted > 0), **verdict.watch,
             **self._expected_cart(verdict.watch, path.acting), **law.own, **path.after,
             **self._predicted(known, e, means, path.acting, predicts=predicts),
         }  # fmt: skip
@@ -925,24 +984,25 @@ class TickEquations:
     def _predicted(
         self, known: "_Known", e: Mapping[str, ca.SX], means: "_Means", acting: ca.SX, *, predicts: bool
     ) -> dict[str, ca.SX]:
-        """The filter's prediction over the coming period; without `predicts`, its memory as it is."""
+        """The filter's prediction over the coming period, or without `predicts` its unchanged memory."""
         m, c = known.memory, known.numbers
         if not predicts:
             return {"z": m["z"], "covariance": m["covariance"]}
         start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
         covariance = unpack(e["covariance"], self.filter.dimension)
-        doubt = self.filter.doubt(covariance, acting - m["acted"], means.nis)
-        following, jacobian, noise = self.filter.predicted(start, acting, c["parameters"], c["process"], doubt, origin)
+        noise_inputs = self.filter.noise_inputs(covariance, acting - m["acted"], means.nis)
+        predicted = self.filter.predicted
+        following, jacobian, noise = predicted(start, acting, c["parameters"], c["process"], noise_inputs, origin)
         return {"z": following, "covariance": propagated(jacobian, covariance, noise)}
 
     def _report(
         self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", means: "_Means",
         verdict: "_Verdict", path: "_Path",
     ) -> dict[str, ca.SX]:  # fmt: skip
-        """What the loop and the log are given."""
+        """Report for loop and log."""
         m, size, stop = known.memory, self.filter.equations.dimension, verdict.stopped > 0
         newly_cut = ca.logic_and(path.saturated, ca.logic_not(m["cut"]))
-        newly_doubted = ca.if_else(m["doubts"], 0, law.doubted)
+        newly_untrusted = ca.if_else(m["was_untrusted"], 0, law.untrusted)
         repeats = ca.SX(0)
         for i in range(self.filter.arms + 1):
             repeats = ca.if_else(ca.eq(verdict.sensor, i + 1), verdict.watch["same"][i], repeats)
@@ -957,16 +1017,16 @@ class TickEquations:
             "acting": path.acting, "saturated": path.saturated, "nis": e["nis"],
             "mode": ca.if_else(stop, int(Mode.ABORTED), tracks), "sigmas": sigmas, "extra": extras[size:],
             "command": path.command, "outcome": verdict.outcome, "stop": stop,
-            "done": path.after["still"] > SETTLING, "newly_cut": newly_cut, "doubted": newly_doubted,
+            "done": path.after["still"] > SETTLING, "newly_cut": newly_cut, "untrusted": newly_untrusted,
             "sensor": verdict.sensor, "repeats": repeats, "error": means.error, "mean_nis": means.nis,
             "silent": means.silent, "used": e["used"], "ahead": acts.ahead, "notable": verdict.outcome + stop,
-            "news": newly_cut + newly_doubted, "own": law.by_own + known.row["feedforward"],
+            "news": newly_cut + newly_untrusted, "own": law.by_own + known.row["feedforward"],
         }  # fmt: skip
 
     def _stopping_point(self, position: ca.SX, velocity: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
-        """Where the cart comes to rest if it brakes now: m from the centre, in the direction of its motion.
+        """Resting place of the cart if it brakes now, from the centre in the direction of its motion, m.
 
-        Negative on the side that it comes from; the margin is added.
+        It is negative on the side of its start, and includes the margin.
         """
         reached = position + velocity * c["onset"]
         return ca.if_else(velocity < 0, -reached, reached) + velocity * velocity / c["brake"] + c["margin"]
@@ -992,7 +1052,7 @@ class TickEquations:
         return _function("sense", {"memory": memory, "reading": reading, "numbers": numbers}, out)
 
     def moved(self) -> ca.Function:
-        """Return a period of the look ahead: (z, drive, command, numbers) -> the next z, then the next drive."""
+        """Return one period of the prediction: (z, drive, command, numbers) -> the next z, then the next drive."""
         z, drive, command = ca.SX.sym("z", self.filter.dimension), ca.SX.sym("drive"), ca.SX.sym("command")
         numbers, c = self.numbers.symbols("numbers")
         out = ca.vertcat(*self._moved(z, drive, command, c))
@@ -1001,9 +1061,9 @@ class TickEquations:
     def finish(self, *, predicts: bool) -> ca.Function:
         """Return the second part: (memory, reading, row, numbers, sensed, ahead, drive, back) -> memory and report.
 
-        ahead (N,), drive m/s²: the state for which the command is computed, and the cart's acceleration then. back
-        m/s²: feedback besides the row's; without `predicts` the filter's memory stays as it is. A last input,
-        coming m/s², is what will act in the coming period, where the memory does not hold the commands on their way.
+        ahead (N,), drive m/s²: state for which the command is computed, and the cart's acceleration then. back m/s²:
+        feedback in addition to the row's. coming m/s²: last input, the acceleration in the coming period, if the memory
+        lacks the pending commands. Without `predicts`, the filter's memory is unchanged.
         """
         (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
         sensed, e = self.sensed.symbols("sensed")
@@ -1022,19 +1082,19 @@ class TickEquations:
         return [layout.symbols(name) for name, layout in layouts.items()]
 
     def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """State and extras, and the cart's acceleration, a period on."""
+        """State and extras, and the cart's acceleration, a period later."""
         acting, following = self._acting(command, z[self.filter.equations.dimension - 1], drive, c)
         return self.filter.predicted(z, acting, c["parameters"], c["process"], ca.SX(3, 1))[0], following
 
     def _seen(self, z: ca.SX, r: Mapping[str, ca.SX]) -> ca.SX:
-        """The state that the law sees."""
+        """The state that the law receives."""
         n, size = self.filter.arms, self.filter.equations.dimension
         return ca.vertcat(*(z[i] + (r["rate_error"][i - n] if n <= i < 2 * n else 0) for i in range(size)))
 
 
 def on_their_way(sent: Any, share: Any, *, whole: int, lead: int) -> list[Any]:
-    """Return what will act in each of the `lead` periods from now on, m/s², of the commands `sent`, oldest first."""
-    # The next to act is one place newer than what acted last.
+    """Return the accelerations in the next `lead` periods due to the commands `sent`, oldest first, m/s²."""
+    # The next command to act is one place newer than the last.
     return [share * sent[k] + (1 - share) * sent[min(k + 1, whole + 1)] for k in range(1, lead + 1)]
 
 
@@ -1047,14 +1107,14 @@ def _tick_equations(
     equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int] | None,
     shares: tuple[bool, ...] | None, lags: bool, mechanics: tuple[bool, bool], own: "SymbolicLaw | None",
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
-    """Return a tick's equations and the machine code made of them so far: once for all runs of a process."""
+    """Return a tick's equations and their machine code so far, shared by all runs of a process."""
     filters = FilterEquations(equations, period, augments, as_measured=True)
     whole, lead = path or (0, 0)
     return TickEquations(filters, whole, lead, shares, path is not None, lags, *mechanics, own), {}
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
-    """Return a delay's whole periods, and for how many the command is computed ahead.
+    """Return a delay's whole periods, and the periods of prediction for the command.
 
     Raises:
         InputError: the delay is negative or absurd.
@@ -1065,13 +1125,13 @@ def whole_periods(delay: float) -> tuple[int, int]:
 
 
 class TickProgram:
-    """The tick of one model, filter, delay and law as machine code, for `runs` runs side by side.
+    """The tick of one model, filter, delay and law as machine code, for `runs` runs in lockstep.
 
-    Arrays have a column for each run, and full vectors of the processor: what is left over would be rounded
-    differently, so that one run alone is computed like one of many. bounds: see `BOUNDS`.
+    Arrays have a column for each run and fill whole vectors of the processor, because partial vectors round
+    differently. So a single run equals one of many. bounds: see `BOUNDS`.
 
     Raises:
-        InputError: the delay is impossible, or the noise (n+1, n+1) no covariance.
+        InputError: the delay is impossible, or the noise (n+1, n+1) is not a covariance.
     """
 
     def __init__(
@@ -1088,7 +1148,7 @@ class TickProgram:
     ) -> None:
         self._delay = whole, self.lead = whole_periods(delay)
         unrolls = self.lead <= UNROLLED
-        # Code for all delays that are too long to unroll: the commands on their way are kept here.
+        # Common code for delays too long to unroll: the pending commands are stored here.
         path = self._delay if unrolls else None
         self.equations, self._made = _tick_equations(
             model.equations,
@@ -1136,7 +1196,7 @@ class TickProgram:
         queue = np.zeros((whole + 2, self.lanes))
         self._sent: Array = self.memory[equations.memory.slices["sent"]] if unrolls else queue
         self._kept, self.report = self._out[: equations.memory.size], self._out[equations.memory.size :]
-        """report: of the last tick, (size, lanes); overwritten at the next."""
+        """Report (size, lanes) of the last tick, overwritten at the next."""
         self.at = {name: where.start for name, where in equations.report.slices.items()}
         """The first row of each part of a report, by its name."""
 
@@ -1152,9 +1212,9 @@ class TickProgram:
         return self._made[name]
 
     def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
-        """Fill the memory for a first state (N,), and commands (lead, runs) in m/s² that are on their way then.
+        """Fill the memory for a first state (N,), and pending commands (lead, runs), m/s².
 
-        velocity m/s: the cart's.
+        velocity m/s: of the cart.
         """
         most, fastest = (self._numbers[self.equations.numbers.slices[name], 0] for name in ("acceleration", "velocity"))
         sent = np.zeros(self._sent.shape)
@@ -1174,13 +1234,13 @@ class TickProgram:
         if self.equations.own is not None:
             start["own"] = self.equations.own.first
         if self.equations.lags:
-            # What acted last.
+            # The last acceleration.
             start["drive"] = sent[1][None]
         self.memory[:] = self.equations.memory.filled(start, self.lanes)
         self._sent[:] = sent
 
     def spread(self, values: Array) -> Array:
-        """Return values (…, runs) or (…, 1) for all lanes, (…, lanes): the last run's fill up."""
+        """Return values (…, runs) or (…, 1) for all lanes, (…, lanes), padded with the last run's."""
         count = values.shape[-1]
         return values if count == self.lanes else np.concatenate(
             [values, np.repeat(values[..., -1:], self.lanes - count, axis=-1)], axis=-1
@@ -1189,11 +1249,11 @@ class TickProgram:
     def take(self, positions: Array, present: Present, switch: Any, rate_error: Array | None, age: Any = None) -> None:
         """Take a reading: positions (n+1, 1) or (n+1, lanes), present (n+1,) or (n+1, lanes), the limit switch.
 
-        age s: of the reading, if it is known.
+        age s: of the reading, if known.
         """
         self._measured[:] = positions
         if present is not None:
-            # A position that is missing may be anything.
+            # A missing position can have any value.
             self._present[:] = present if present.ndim > 1 else present[:, None]
             self._all = False
         elif not self._all:
@@ -1207,7 +1267,7 @@ class TickProgram:
             self._rate_error[:] = rate_error
 
     def tick(self) -> None:
-        """Do a whole tick with the row that was put into `row`."""
+        """Compute a whole tick with the row in `row`."""
         self._tick(self._inputs, self._out)
         self.memory[:] = self._kept
 
@@ -1222,14 +1282,14 @@ class TickProgram:
 
     @property
     def numbers(self) -> Array:
-        """What does not change in a run, (size,); see `TickEquations.numbers`."""
+        """Constants of a run, (size,); see `TickEquations.numbers`."""
         return self._numbers[:, 0].copy()
 
     def set_number(self, name: str, value: float) -> None:
         """Change one of the `BOUNDS`."""
         self._numbers[self.equations.numbers.slices[name]] = value
 
-    # Cut in two, for laws with a clock of their own and for delays that are too long to unroll.
+    # Split, for laws with internal timing and for delays too long to unroll.
 
     def sense(self) -> Array:
         """Update the filter; return `sensed` (size, lanes)."""
@@ -1238,13 +1298,13 @@ class TickProgram:
         return made.machine(inputs, np.empty((made.size_out, self.lanes)))
 
     def on_their_way(self) -> list[Array]:
-        """Return the commands (lanes,) of each of the `lead` periods from now on, m/s²."""
+        """Return the commands (lanes,) of each of the next `lead` periods, m/s²."""
         share = self._numbers[self.equations.numbers.slices["share"]][0]
         return on_their_way(self._sent, share, whole=self._delay[0], lead=self.lead)
 
     @property
     def drive(self) -> Array:
-        """The carts' accelerations (lanes,) when the coming period begins, as far as drives lag, m/s²."""
+        """The carts' accelerations (lanes,) at the start of the coming period, for lagging drives, m/s²."""
         at = self.equations.memory.slices.get("drive")
         return np.zeros(self.lanes) if at is None else self.memory[at][0]
 
@@ -1256,7 +1316,7 @@ class TickProgram:
         return self.with_rate_error(z[: self.model.dimension]), drive
 
     def acting_on_their_way(self) -> tuple[list[Array], Array]:
-        """Return the means (lanes,) of what the commands on their way will do, period by period, and `drive` then."""
+        """Return the mean accelerations (lanes,) due to pending commands, period by period, and `drive` then."""
         means, drive, model = [], self.drive, self.model
         for command in self.on_their_way():
             means.append(command + model.lag / self.period * (1 - model.lag_keeps) * (drive - command))
@@ -1264,20 +1324,20 @@ class TickProgram:
         return means, drive
 
     def with_rate_error(self, states: Array) -> Array:
-        """Return states (N, lanes) as the law sees them."""
+        """Return states (N, lanes) as the law receives them."""
         out = states.copy()
         out[self.model.arms : 2 * self.model.arms] += self._rate_error
         return out
 
     def moved(self, z: Array, drive: Array, command: Array) -> tuple[Array, Array]:
-        """Return states and extras (N+E, lanes), and `drive`, a period on under commands (lanes,)."""
+        """Return states and extras (N+E, lanes), and `drive`, a period later under commands (lanes,)."""
         made = self.machine("moved")
         inputs = np.concatenate([z, drive[None], command[None], self._numbers])
         out = made.machine(inputs, np.empty((made.size_out, self.lanes)))
         return out[:-1], out[-1]
 
     def finish(self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True) -> None:
-        """Do the rest of a tick with the row that was put into `row`; back (lanes,) m/s²: feedback besides it."""
+        """Compute the rest of a tick with the row in `row`; back (lanes,) m/s²: additional feedback."""
         made = self.machine("finish" if predicts else "judge")
         parts = [self._inputs, sensed, ahead, drive[None], np.broadcast_to(back, (1, self.lanes))]
         if not self.equations.unrolled:

@@ -55,8 +55,8 @@ class FilterpyEstimator(KalmanFilter):
 
     def linearised(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array, Array]:
         """Return the next z (N+E,), its Jacobian and Q (N+E, N+E)."""
-        doubt = covariance.diagonal()[self._shares].mean() if self._shares else 0.0
-        inputs = np.concatenate([z, [command], self.model.parameters, self.program.process, [doubt, 0.0, 1.0]])
+        variance = covariance.diagonal()[self._shares].mean() if self._shares else 0.0
+        inputs = np.concatenate([z, [command], self.model.parameters, self.program.process, [variance, 0.0, 1.0]])
         out, n = self._linear(inputs, np.empty(self._linear.size_out)), self.size
         return out[:n], out[n : n + n * n].reshape(n, n).T, out[n + n * n :].reshape(n, n).T
 

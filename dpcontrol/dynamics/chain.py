@@ -7,32 +7,34 @@
     M_ij = (m_j a_j + (m_{j+1} + … + m_n) l_j) l_i        for j > i
     S_i  = m_i a_i + (m_{i+1} + … + m_n) l_i,             G_i = g S_i
 
-Masses, centres, lengths and inertias enter through the base parameters M, G, S alone; this form has a third of the
-instructions of the form from positions. The cart's own inertia does not matter where its acceleration is the input;
-½ ẋ² stands in for it. Besides viscous friction k a joint may have Coulomb friction c, and each arm the air's drag b v²,
-where v_i is the speed of the arm's centre of oscillation, λ_i = M_ii/S_i from its joint, in air at rest: on a free
-swing the drag at this true speed explains the data and a torque b ρ|ρ| in the joint does not. The smoothing rate w
-keeps both analytic, which Taylor's method and collocation need; unlike tanh(ρ/w) through log cosh, √ cannot overflow.
+Masses, centres, lengths and inertias only enter through the base parameters M, G, S. This form has a third of the
+instructions of the form from positions. If the cart's acceleration is the input, the cart's inertia is irrelevant, and
+½ ẋ² replaces it.
 
-On a cart that is clamped, or driven in acceleration, the equations stay the same when masses, inertias and friction all
-grow in proportion. Swings identify, with g known, the ratios over C = M_12 (M_11 of a single arm)
+A joint has viscous friction k and optional Coulomb friction c. Each arm has optional drag b v² in air at rest. Here v_i
+is the speed of the arm's centre of oscillation, which is λ_i = M_ii/S_i from its joint. On a free swing, drag at this
+true speed explains the data, but a torque b ρ|ρ| in the joint does not. The smoothing rate w keeps both laws analytic,
+as Taylor's method and collocation require. Unlike tanh(ρ/w) through log cosh, √ cannot overflow.
+
+If the cart is clamped or driven in acceleration, the equations are invariant under a common factor of masses, inertias
+and friction. With known g, swings therefore identify the ratios over C = M_12 (M_11 of a single arm)
 
     M_ii/C, G_i/C,  l_2 … l_{n-1} (three arms and more),  viscous_i/C, coulomb_i/C, quadratic_i/C
 
-since M_ij = l_i G_j/g for i < j and l_1 = g C/G_2. Of the many arms with the same ratios `nearest_arms` gives those
-whose masses, centres, lengths and inertias differ least from given ones, in the sum of squared logarithms. Arms as
-likely as a covariance Σ of the ratios r says have r + s Σ^½ z, z standard normal and s a factor on the standard errors.
+since M_ij = l_i G_j/g for i < j and l_1 = g C/G_2. Many arms have the same ratios. `nearest_arms` selects those whose
+masses, centres, lengths and inertias differ least from given ones, in the sum of squared logarithms. Arms drawn from a
+covariance Σ of the ratios r have r + s Σ^½ z, with z standard normal and a factor s on the standard errors.
 
-Whether arms can be of a bench: an arm of mass m and length l with its centre a from the joint, between joint and end,
-has an inertia about its centre of at most m a (l - a), all its mass at both ends, and of zero only as a point mass,
-which belongs at a rod's end. It swings if its friction leaves gravity's torque room: with I about the joint and the
-largest torque G of its weight and of what hangs on it, a viscous coefficient beyond 2 √(G I) lets it creep down without
-a swing, Coulomb friction beyond G holds it anywhere, and the drag b λ v², λ = I/S, beyond G brakes it before it reaches
-the speed of a fall, v² = 4 g λ.
+Bounds of possible arms: consider an arm of mass m and length l, with its centre a from the joint, between joint and
+end. Its inertia about the centre is at most m a (l - a), with all mass at both ends. It is zero only for a point mass,
+which belongs at a rod's end. The arm swings only if friction is small compared with gravity. Let I be its inertia about
+the joint and G the largest torque of its weight and of the arms that it carries. With viscous friction above 2 √(G I)
+it creeps down without a swing. Coulomb friction above G holds it anywhere. Drag b λ v², λ = I/S, above G brakes it
+before the speed of a fall, v² = 4 g λ.
 
-Sources: Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models ... of machines with friction (1994), section
-2; Batchelor, An introduction to fluid dynamics (1967), section 5.11, for the drag; Gautier, Khalil, Direct calculation
-of minimum set of inertial parameters of serial robots (1990); Hastie, Tibshirani, Friedman, The elements of statistical
+Sources: Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models ... of machines with friction (1994), section 2.
+Batchelor, An introduction to fluid dynamics (1967), section 5.11, for the drag. Gautier, Khalil, Direct calculation of
+minimum set of inertial parameters of serial robots (1990). Hastie, Tibshirani, Friedman, The elements of statistical
 learning (2009), section 8.2 (parametric bootstrap).
 """
 
@@ -58,7 +60,7 @@ from dpcontrol.foundation.shown import Brief
 from dpcontrol.foundation.units import Usual
 
 LARGEST = 1e6
-"""No mass, length, inertia or friction of a bench is larger in SI units; beyond it products overflow."""
+"""Largest mass, length, inertia or friction in SI units; products of larger ones overflow."""
 _INERTIAL = {"mass": "m", "centre_of_mass": "a", "length": "l", "inertia": "J"}
 _FRICTION = {"viscous": "k", "coulomb": "c", "quadratic": "b"}
 """The fields of numbers for each arm, with their short names."""
@@ -69,7 +71,7 @@ _PLANNED_SMOOTHING = 0.05
 
 
 class Friction(StrEnum):
-    """The laws of friction besides the viscous one, in the order in which their coefficients stand."""
+    """Laws of friction in addition to the viscous one, in the order of their coefficients."""
 
     COULOMB = "coulomb"
     QUADRATIC = "quadratic"
@@ -77,13 +79,18 @@ class Friction(StrEnum):
 
 @dataclass(frozen=True)
 class ArmChainParameters(Settings):
-    """Physical parameters of n arms, inner arm first; SI units.
+    """Physical parameters of n arms, inner arm first, in SI units.
 
-    mass (n,) kg; centre_of_mass (n,) m from the arm's joint; length (n,) m, the last for pictures only;
-    inertia (n,) kg m² about the centre of mass; gravity m/s²; viscous (n,) N m s/rad in each joint, on the
-    relative rate. coulomb (n,) N m likewise, and quadratic (n,) N s²/m², the air's drag on each arm over the squared
-    speed of its centre of oscillation; empty: not in the equations at all. smoothing rad/s: the rate below which
-    those two fade.
+    Attributes:
+        mass: masses (n,), kg.
+        centre_of_mass: distances from the upper joints (n,), m.
+        length: lengths (n,), m, the last for pictures only.
+        inertia: moments of inertia about the centres of mass (n,), kg m².
+        gravity: m/s².
+        viscous: friction in each joint, by the relative rate (n,), N m s/rad.
+        coulomb: dry friction in each joint (n,), N m; empty to leave it out of the equations.
+        quadratic: drag on each arm over the squared speed of its centre of oscillation (n,), N s²/m², or empty.
+        smoothing: rate below which these two fade, rad/s.
     """
 
     mass: tuple[float, ...] = setting(above=0, most=LARGEST, unit="kg")
@@ -111,11 +118,11 @@ class ArmChainParameters(Settings):
 
     @property
     def friction(self) -> tuple[Friction, ...]:
-        """The friction laws besides the viscous one."""
+        """Laws of friction in addition to the viscous one."""
         return tuple(law for law in Friction if getattr(self, law))
 
     def named(self) -> dict[str, tuple[float, str]]:
-        """Return {name: (value, unit)} with the field's short names: m1, a1, l1, J1, g, k1 …"""
+        """Return {name: (value, unit)} with the usual short names: m1, a1, l1, J1, g, k1 …"""
         units = {name: bounds.unit.replace("²", "^2") for name, bounds in bounds_of(type(self)).items()}
         shown = {**_INERTIAL, "gravity": "g", **_FRICTION, **({"smoothing": "w"} if self.friction else {})}
         out: dict[str, tuple[float, str]] = {}
@@ -128,8 +135,8 @@ class ArmChainParameters(Settings):
     def base(self) -> Array:
         """Return the base parameters (n(n+1)/2 + 3n + …,): M row by row for j >= i, then G, S, friction.
 
-        The friction is viscous (n,), then coulomb (n,) and quadratic (n,) where these arms have them, then their
-        smoothing rate.
+        The friction is viscous (n,), then coulomb (n,) and quadratic (n,) if these arms have them, then their smoothing
+        rate.
         """
         return self._base(lambda name: np.atleast_1d(getattr(self, name)))
 
@@ -137,7 +144,7 @@ class ArmChainParameters(Settings):
         """Return the base parameters without rounding.
 
         Args:
-            decimals: exact values of the fields; by default the shortest decimals that read as their doubles.
+            decimals: exact values of the fields (default: the shortest decimals that read as their doubles).
         """
         given = decimals or {}
 
@@ -180,11 +187,11 @@ class ArmChainParameters(Settings):
         return replace(self, viscous=(0.0,) * self.count, coulomb=(), quadratic=())
 
     def viscous_only(self) -> "ArmChainParameters":
-        """Return the same arms with no law of friction besides the viscous one."""
+        """Return the same arms with viscous friction only."""
         return replace(self, coulomb=(), quadratic=())
 
     def planned(self) -> "ArmChainParameters":
-        """Return the arms that references are planned for: dry friction reverses no faster than collocation resolves.
+        """Return the arms for planning, with dry friction smooth enough for collocation.
 
         An arm that reverses at 50 rad/s² takes 2 ms for 0.1 rad/s. With less smoothing the error between nodes stays
         above the tolerance until intervals are a tenth of a millisecond long.
@@ -196,7 +203,7 @@ class ArmChainParameters(Settings):
         return replace(self, **{name: tuple(factor * v for v in getattr(self, name)) for name in _FRICTION})
 
     def mismatched(self, fraction: float, random: np.random.Generator) -> "ArmChainParameters":
-        """Return a chain whose parameters differ from these: what the plant may be when this is the model.
+        """Return arms with random errors relative to these: a possible plant for this model.
 
         Each mass, centre, length and inertia is multiplied by an independent uniform 1 ± fraction; each
         friction coefficient by 1 ± 5 fraction, but never below zero.
@@ -206,14 +213,14 @@ class ArmChainParameters(Settings):
             factors = np.maximum(1 + random.uniform(-by, by, len(values)), 0.0)
             return tuple(float(v) for v in np.asarray(values) * factors)
 
-        fraction += 0.0  # Minus zero makes an empty range of plus and minus it.
-        # Friction beyond the viscous is drawn last, so that a seed gives the same arms with and without it.
+        fraction += 0.0  # Minus zero would give an empty range.
+        # Other friction than viscous is drawn last, so that a seed gives the same arms with and without it.
         spread = dict.fromkeys(_INERTIAL, fraction) | dict.fromkeys(_FRICTION, 5 * fraction)
         return replace(self, **{name: vary(getattr(self, name), by) for name, by in spread.items()})
 
 
 class Level(StrEnum):
-    """How much of the bench a scene models; each level contains the one above it in this list."""
+    """Modelled part of the bench; each level contains the one above it in this list."""
 
     CONSERVATIVE = "conservative"
     DISSIPATIVE = "dissipative"
@@ -224,7 +231,7 @@ class Level(StrEnum):
 class ChainEnergies(Brief):
     """The chain's energies as functions of (position (n+1,), velocity (n+1,), parameters), the cart last.
 
-    parameters: the base parameters' symbols, which the functions hold already; coupling (n,): S among them.
+    parameters: symbols of the base parameters in the functions. coupling (n,): their part S.
     """
 
     lagrangian: Energy
@@ -235,7 +242,7 @@ class ChainEnergies(Brief):
 
 @cache
 def chain_energies(count: int, *, friction: tuple[Friction, ...] = ()) -> ChainEnergies:
-    """Return Lagrangian and dissipation function of `count` arms on a cart of mass 1 kg that feels no force."""
+    """Return Lagrangian and dissipation function of `count` arms on a free cart of 1 kg."""
     n = count
     m = ca.SX.sym("M", n * (n + 1) // 2)
     g = ca.SX.sym("G", n)
@@ -276,9 +283,9 @@ def chain_energies(count: int, *, friction: tuple[Friction, ...] = ()) -> ChainE
 def arm_chain_equations(count: int, level: Level, *, friction: tuple[Friction, ...] = ()) -> Equations:
     """Return the equations of `count` arms at `level`, with the base parameters as symbols.
 
-    friction: the laws besides the viscous one, as `ArmChainParameters.friction` gives them; those that are not named
-    are not in the equations at all. State: angles, rates, then (level cart) cart position and velocity; the input is
-    the cart's acceleration.
+    friction: laws in addition to the viscous one, see `ArmChainParameters.friction`; others are left out of the
+    equations. The state has angles, rates and, at level cart, cart position and velocity. The input is the cart's
+    acceleration.
     """
     chain = chain_energies(count, friction=friction)
     conservative = level is Level.CONSERVATIVE
@@ -293,9 +300,11 @@ def arm_chain_equations(count: int, level: Level, *, friction: tuple[Friction, .
 
 
 MOST_DAMPING = 0.2
-"""Largest viscous damping that stands for dry friction in linearised equations, over √(G M) of each joint.
-Coulomb friction c acts on a rate of amplitude A as viscous friction 4 c/(π A). Its slope at zero, c over the smoothing,
-is that of smaller amplitudes than feedback can keep; at twice this limit Up-Up is no longer controllable."""
+"""Largest viscous damping that replaces dry friction in linearised equations, over √(G M) of each joint.
+
+Coulomb friction c acts on a rate of amplitude A as viscous friction 4 c/(π A). Its slope at zero, c over the
+smoothing, corresponds to amplitudes below those of feedback. At twice this limit Up-Up is no longer controllable.
+"""
 
 
 def damping_scales(base: Any, count: int) -> list[Any]:
@@ -305,16 +314,16 @@ def damping_scales(base: Any, count: int) -> list[Any]:
 
 
 def equations_of(arms: ArmChainParameters, level: Level) -> Equations:
-    """Return the equations at `level` that go with `arms.base()`, with the friction laws that these arms have."""
+    """Return the equations at `level` for `arms.base()`, with the friction laws of these arms."""
     return arm_chain_equations(arms.count, level, friction=arms.friction)
 
 
 def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
     """Return the frictionless pendulum on a fixed pivot as a system: level conservative.
 
-    Saddles are named by the arms' directions, inner arm first. For two arms the sections are those of the paper:
-    the turning arm passes straight down ("outer-down", θ₂ = 2πk, about Down-Up; "inner-down", θ₁ = 2πk, about
-    Up-Down), and between different saddles both arms align ("aligned", θ₁ - θ₂ = 2πk).
+    Saddles are named by the arms' directions, inner arm first. For two arms the sections are those of the paper. The
+    turning arm passes straight down: "outer-down", θ₂ = 2πk, about Down-Up and "inner-down", θ₁ = 2πk, about Up-Down.
+    Between different saddles both arms align: "aligned", θ₁ - θ₂ = 2πk.
     """
     n = parameters.count
     base = parameters.viscous_only().base()
@@ -322,7 +331,7 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
     sections: dict[str, Section] = {}
     between: dict[tuple[str, str], str] = {}
     if n == 2:
-        # Rows: n, the coordinate (of any arm that moves along the section), and the direction along the section.
+        # Rows: n, the coordinate of an arm that moves along the section, and the direction along the section.
         rows = {
             "outer-down": ("angle_2 = 2 pi k", (0.0, 1.0), (1.0, 0.0), (1.0, 0.0)),
             "inner-down": ("angle_1 = 2 pi k", (1.0, 0.0), (0.0, 1.0), (0.0, 1.0)),
@@ -352,12 +361,12 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
 
 
 def unit_name(count: int) -> str:
-    """Return the base parameter over which the others are taken."""
+    """Return the base parameter that divides the others."""
     return "M12" if count > 1 else "M11"
 
 
 def ratio_names(arms: ArmChainParameters) -> tuple[str, ...]:
-    """Return the names of `base_ratios`, in order; those of friction begin with their law."""
+    """Return the names of `base_ratios`, in order; names of friction begin with the law."""
     n, unit = arms.count, unit_name(arms.count)
     inertial = [f"M{i}{i}/{unit}" for i in range(1, n + 1) if n > 1] + [f"G{i}/{unit}" for i in range(1, n + 1)]
     lengths = [f"l{i}" for i in range(2, n)]
@@ -365,7 +374,7 @@ def ratio_names(arms: ArmChainParameters) -> tuple[str, ...]:
 
 
 def inertial_count(count: int) -> int:
-    """Return how many of the ratios are not friction: all but the smallest chain's 3n-2."""
+    """Return the number of ratios other than friction, 3n-2 for two arms or more."""
     return 3 * count - 2
 
 
@@ -381,7 +390,7 @@ def base_ratios(arms: ArmChainParameters) -> Array:
 
 
 def _unit(base: Array, count: int) -> float:
-    """Return the base parameter over which the others are taken."""
+    """Return the base parameter that divides the others."""
     return float(base[1] if count > 1 else base[0])
 
 
@@ -403,12 +412,12 @@ def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
 
 
 def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters:
-    """Return the arms with these ratios (m,), of `start`'s laws of friction, that are nearest to `start`.
+    """Return the arms nearest to `start` with these ratios (m,) and `start`'s laws of friction.
 
-    Friction below zero becomes zero. An inertia of zero stays zero; gravity and the last length stay as they are.
+    Negative friction becomes zero. An inertia of zero stays zero, and gravity and the last length are unchanged.
 
     Raises:
-        GoalMissed: there are no such arms near, as when a ratio is not positive.
+        GoalMissed: no such arms are near, for example because a ratio is not positive.
     """
     n, count = start.count, inertial_count(start.count)
     wanted = np.asarray(ratios, dtype=float)[:count]
@@ -427,8 +436,8 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
         return np.log(base_ratios(arms_at(logs))[:count] / wanted)
 
     none = GoalMissed(
-        f"no arms near the starting model's have the ratios {np.array2string(wanted, precision=4)}; start from a model "
-        "that is nearer to the rig"
+        f"no arms near the starting model's have the ratios {np.array2string(wanted, precision=4)}; start from a "
+        f"model nearer to the rig"
     )
     if not np.all(wanted > 0) or not np.isfinite(ratios).all():
         raise none
@@ -436,7 +445,7 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
     for _ in range(100):
         error = away(logs)
         slope: Array = np.array([(away(logs + e) - away(logs - e)) / (2 * step) for e in step * np.eye(len(logs))]).T
-        # The point of least norm among those that solve the linearised equations.
+        # The least-norm solution of the linearised equations.
         following: Array = np.linalg.lstsq(slope, slope @ logs - error, rcond=None)[0].astype(np.float64)
         if not np.isfinite(following).all() or np.abs(following).max() > 5:
             raise none
@@ -453,7 +462,7 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
 
 
 def with_laws(arms: ArmChainParameters, laws: tuple[Friction, ...]) -> ArmChainParameters:
-    """Return the same arms with these laws of friction besides the viscous one, new ones at zero."""
+    """Return the same arms with these laws of friction in addition to the viscous one, new ones at zero."""
     zero = (0.0,) * arms.count
     return replace(arms, **{law.value: (getattr(arms, law) or zero) if law in laws else () for law in Friction})
 
@@ -463,7 +472,7 @@ _TRIES = 20
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How well arms are known: covariance (f, f) of the f ratios of `dpcontrol.dynamics.chain`, row by row."""
+    """Uncertainty of arms: covariance (f, f) of the f ratios of `dpcontrol.dynamics.chain`, row by row."""
 
     names: tuple[str, ...]
     covariance: tuple[float, ...]
@@ -477,7 +486,7 @@ class Uncertainty:
         """Check that this is a covariance of these arms' ratios.
 
         Raises:
-            InputError: names the key and what is allowed.
+            InputError: an invalid key, with the allowed values.
         """
         wanted = ratio_names(arms)
         if self.names != wanted:
@@ -494,12 +503,12 @@ class Uncertainty:
             )
 
     def drawn(self, arms: ArmChainParameters, random: np.random.Generator, *, scale: float = 1.0) -> ArmChainParameters:
-        """Return arms as likely as the covariance says of these; friction drawn below zero becomes zero.
+        """Draw arms from the covariance about these; negative friction becomes zero.
 
-        Ratios that no arms have, as of an inertia below zero, are drawn again. scale: factor on the standard errors.
+        Impossible ratios, such as a negative inertia, are drawn again. scale: factor on the standard errors.
 
         Raises:
-            GoalMissed: no ratios drawn are those of arms, as where an uncertainty is as large as its value.
+            GoalMissed: all draws are impossible, for example because the uncertainty is as large as its value.
         """
         ratios = base_ratios(arms)
         sizes, axes = np.linalg.eigh(self.matrix)
@@ -510,34 +519,34 @@ class Uncertainty:
             except GoalMissed:
                 continue
         raise GoalMissed(
-            f"of {_TRIES} draws from the model's uncertainty, its standard errors times {scale:g}, none are arms that "
-            "can be; take a smaller factor"
+            f"of {_TRIES} draws from the model's uncertainty, its standard errors times {scale:g}, none gives "
+            f"possible arms; use a smaller factor"
         )
 
 
 _BEYOND = 10.0
-"""Lengths of the arm at which its centre can only be a slip, as of mm for m."""
+"""Ratio of centre to length that indicates another unit, such as mm for m."""
 _HEAVIEST = 100.0
-"""The same of an inertia over m l²: g cm² for kg m², say."""
+"""Ratio of inertia to m l² that indicates another unit, such as g cm² for kg m²."""
 _STUCK = 1000.0
-"""The same of friction over what leaves no swing."""
+"""Ratio of friction to the limit of a swing that indicates another unit."""
 _HOLLOW = 0.02
-"""Share of the largest inertia m a (l - a) that all bodies have but point masses; shipped models have 0.04 and more."""
+"""Share of the largest inertia m a (l - a) that only point masses fall below; shipped models have at least 0.04."""
 _AT_THE_END = 0.95
-"""Share of the length from which on a centre is that of a mass at the rod's end."""
+"""Share of the length beyond which a centre indicates a mass at the rod's end."""
 
 
 def oddities(arms: ArmChainParameters) -> tuple[str, ...]:
-    """Return a sentence on each parameter that is odd for an arm, beginning with its name; none for a usual bench.
+    """Return a sentence on each unusual parameter of an arm, beginning with its name.
 
     Raises:
-        InputError: a parameter is beyond any bench.
+        InputError: a parameter is beyond the bounds of any bench.
     """
     found = list(_GRAVITY.oddities("acceleration", [arms.gravity]))
     for arm in range(arms.count):
         slips = list(_slips(arms, arm))
         body = list(_body(arms, arm))
-        # A number in another unit makes the others look odd too.
+        # A number in another unit makes the others unusual too.
         found += [*(slips or body), *_friction(arms, arm)]
     return tuple(found)
 
@@ -554,7 +563,7 @@ _HEAVY = 40.0
 
 
 def _slips(arms: ArmChainParameters, arm: int) -> Iterator[str]:
-    """Yield sentences on parameters that look as if they were given in another unit."""
+    """Yield sentences on parameters that seem to be in another unit."""
     of = f" of arm {arm + 1}"
     for name, usual in _BODY.items():
         for sentence in usual.oddities(name, [getattr(arms, name)[arm]]):
@@ -574,7 +583,7 @@ def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
         text = f"centre_of_mass = {centre:g} m {of} is {times} from its joint"
         if centre > _BEYOND * length:
             raise InputError(f"{text}; give both in metres, the centre from the arm's joint")
-        yield f"{text}, beyond its end; is that meant?"
+        yield f"{text}, beyond its end; is that intended?"
     farthest = max(centre, length)
     if inertia > mass * farthest**2:
         away = np.sqrt(inertia / mass)
@@ -584,13 +593,13 @@ def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
         )
         if inertia > _HEAVIEST * mass * farthest**2:
             raise InputError(f"{text}; give it in kg m², about the centre of mass")
-        yield f"{text}; is that meant, about the centre of mass?"
+        yield f"{text}; is that intended, about the centre of mass?"
     largest = mass * centre * (length - centre)
     if centre < _AT_THE_END * length and inertia < _HOLLOW * largest:
         yield (
             f"inertia = {inertia:g} kg m² {of} is that of a point mass {centre:g} m along a weightless rod of "
-            f"{length:g} m; a uniform rod of {mass:g} kg has {mass * length**2 / 12:.3g} kg m², and with this centre "
-            f"at most {largest:.3g} fits between joint and end; is a point mass meant?"
+            f"{length:g} m, but a uniform rod of {mass:g} kg has {mass * length**2 / 12:.3g} kg m², and with this "
+            f"centre at most {largest:.3g} fits between joint and end; is a point mass intended?"
         )
 
 
@@ -602,8 +611,8 @@ def _friction(arms: ArmChainParameters, arm: int) -> Iterator[str]:
     torque = f"gravity's torque on it of at most {weight:.3g} N m"
     laws = {
         "viscous": (2 * np.sqrt(weight * about_joint), "N m s/rad", lambda k: (
-            f"lets it creep, not swing: {torque} turns it at {weight / k:.2g} rad/s at the fastest")),
-        "coulomb": (weight, "N m", lambda _: f"holds it wherever it is, against {torque}"),
+            f"makes it creep instead of swing: {torque} turns it at {weight / k:.2g} rad/s at the fastest")),
+        "coulomb": (weight, "N m", lambda _: f"holds it at any angle, against {torque}"),
         "quadratic": (weight / (4 * arms.gravity * reach**2), "N s²/m²", lambda b: (
             f"brakes it: {torque} moves it at {np.sqrt(weight / (b * reach)):.2g} m/s at the fastest")),
     }  # fmt: skip
@@ -613,5 +622,5 @@ def _friction(arms: ArmChainParameters, arm: int) -> Iterator[str]:
             value = values[arm]
             text = f"{law} = {value:g} {unit} of arm {arm + 1} {effect(value)}"
             if value > _STUCK * most:
-                raise InputError(f"{text}; no bench is like that: give it in {unit}")
-            yield f"{text}; is that meant?"
+                raise InputError(f"{text}; no bench has this value: give it in {unit}")
+            yield f"{text}; is that intended?"

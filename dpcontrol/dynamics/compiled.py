@@ -1,17 +1,17 @@
 """casadi functions as machine code, for one point or for many at once, and a plant's step of fixed length.
 
-A casadi function is a list of elementary instructions on a work vector; walking it rebuilds the same graph in heyoka,
-common subexpressions included, so that a model is written once. LLVM compiles it twice: for one point, and for as many
-as the processor's vectors hold. One call for one point takes a third of the time of casadi's own machine; among
-hundreds a point takes a fiftieth.
+A casadi function is a list of elementary instructions on a work vector. This module rebuilds the same graph in heyoka,
+common subexpressions included, so that a model is written once. LLVM compiles it twice: for one point, and for a full
+vector of the processor. A call for one point takes a third of the time of casadi's interpreter. Among hundreds, a point
+takes a fiftieth.
 
     k_i = f(x + h Σ_{j<i} a_ij k_j, u; p),      x⁺ = x + h Σ_i b_i k_i        (DOP853: 12 stages, order 8)
 
-The step's length is an input, so that one function serves whole periods, parts of them and many plants at once. At 1 ms
-the double pendulum's error is round-off.
+The step's length is an input, so one function covers whole periods, parts of them and many plants at once. At 1 ms the
+double pendulum's error is round-off.
 
 Sources: Biscani & Izzo, Revisiting high-order Taylor methods for astrodynamics and celestial mechanics (2021), section
-3; Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (1993), section II.5.
+3. Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (1993), section II.5.
 """
 
 import pickle
@@ -39,8 +39,8 @@ else:
 
 
 def _settle(heyoka: Any) -> None:
-    """Keep heyoka's machine code in this program's cache, and its log messages off stdout."""
-    # heyoka logs to stdout, where an answer in JSON would be spoilt.
+    """Store heyoka's machine code in this program's cache, and keep its log messages off stdout."""
+    # heyoka logs to stdout, which would corrupt JSON output.
     heyoka.set_logger_level_critical()
     state, folder = heyoka.llvm_state, compiler_folder()
     if folder is not None:
@@ -50,17 +50,15 @@ def _settle(heyoka: Any) -> None:
                 state.get_diskcache_size()
         except RuntimeError as error:
             folder = None
-            remark(
-                f"heyoka's cache is not used, since it cannot be read: {error}; empty it by `dpcontrol cache --clear`"
-            )
+            remark(f"heyoka's cache is not readable: {error}; clear it with `dpcontrol cache --clear`")
     state.set_diskcache_enabled(folder is not None)
 
 
 @cache
 def _operations() -> tuple[dict[int, Any], dict[int, Any], dict[int, Any]]:
-    """Return what heyoka has for casadi's operations of one argument, of two, and for its switches.
+    """Return heyoka's counterparts of casadi's operations of one and two arguments, and of its switches.
 
-    Switches have kinks and jumps: they are of decisions, not of a motion, whose Taylor series they would end.
+    Switches have kinks and jumps. They belong to decisions, not to motions, whose Taylor series they would end.
     """
     zero = hy.expression(0.0)
     unary = {
@@ -112,10 +110,10 @@ def to_heyoka(
 ) -> "list[hy.expression]":
     """Return the entries of the function's only output, with `arguments[i][k]` for entry k of input i.
 
-    switches: whether it may hold comparisons, and what they choose.
+    switches: True to allow comparisons and conditional values.
 
     Raises:
-        NotImplementedError: the graph holds an operation that has no counterpart here; names it.
+        NotImplementedError: names an operation of the graph without a counterpart.
     """
     unary, binary, switching = _operations()
     work: dict[int, hy.expression] = {}
@@ -147,7 +145,7 @@ def to_heyoka(
 
 
 def check_operations(function: ca.Function) -> None:
-    """Reject a function that machine code cannot do.
+    """Reject a function that cannot be compiled.
 
     Raises:
         NotImplementedError: names the operation.
@@ -159,19 +157,19 @@ def check_operations(function: ca.Function) -> None:
 
 _HEYOKA = installed("heyoka")
 VECTOR = 8 if _HEYOKA else 1
-"""Doubles that one instruction works on: the widest vector of today's processors, which halve it if they must.
+"""Doubles per instruction: the widest vector of current processors, which others split.
 
-casadi's own machine works on one."""
+casadi's interpreter handles one."""
 
 
 class Compiled:
     """A casadi function of dense column vectors with one dense output, as machine code.
 
-    All inputs stand one after the other in one array: `first(name)` tells where. Compiled when it is first called; not
-    to be shared between threads. Where heyoka is not installed casadi's own machine takes its place.
+    All inputs are contiguous in one array; `first(name)` is the index of an input. The function is compiled at its
+    first call and cannot be shared between threads. Without heyoka, casadi's interpreter replaces it.
 
     Raises:
-        ValueError: an input is no column, or there is more than one output.
+        ValueError: an input is not a column, or there is more than one output.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -183,19 +181,19 @@ class Compiled:
         self.slices = {
             function.name_in(i): slice(int(ends[i] - sizes[i]), int(ends[i])) for i in range(function.n_in())
         }
-        """Where each input stands, by its name."""
+        """Index of each input by name."""
         self.size_in = int(ends[-1])
         self.size_out = int(function.numel_out(0))
 
     @cached_property
     def machine(self) -> Any:
-        """What `self` calls, with the same arguments: for loops that call nothing else."""
+        """The compiled call with the same arguments, for loops without other calls."""
         if not _HEYOKA:
             return _ByCasadi(self._function)
         file = _kept_at(self._function)
         content = None if file is None else kept(file)
         if content is not None:
-            # Kept by a program that this one cannot read: compiled anew.
+            # Cached in another format: compiled again.
             with suppress(Exception):
                 return pickle.loads(content)
         variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
@@ -208,14 +206,14 @@ class Compiled:
 
     def __call__(self, inputs: Array, out: Array) -> Array:
         """Evaluate at `inputs` (size_in,) or (size_in, S) into `out` (size_out,) or (size_out, S), and return it."""
-        # By position: a name costs as much as a third of the call.
+        # By position: a name costs a third of the call.
         return self.machine(inputs, out)
 
 
 class _ByCasadi:
-    """A casadi function on casadi's own machine, called as `Compiled.machine` is: where there is no heyoka.
+    """A casadi function on casadi's interpreter, with the call of `Compiled.machine`, for systems without heyoka.
 
-    Three times slower for one point, fifty times among hundreds; it rounds a little differently.
+    It is three times slower for one point and fifty times among hundreds. It rounds a little differently.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -225,7 +223,7 @@ class _ByCasadi:
         self._alive: list[Any] = []
 
     def _buffers(self, count: int) -> tuple[Any, list[Array], Array]:
-        """Return what evaluates `count` points at once, between arrays (count, size) of its inputs and its output."""
+        """Return the evaluation of `count` points between arrays (count, size) of inputs and output."""
         if count not in self._made:
             function = self._function.map(count)
             made: Any = function.buffer()
@@ -236,7 +234,7 @@ class _ByCasadi:
                 buffer.set_arg(i, array.data)
             buffer.set_res(0, out.data)
             self._made[count] = evaluate, inputs, out
-            # What evaluates keeps neither alive.
+            # The evaluator does not keep them alive.
             self._alive += [function, buffer]
         return self._made[count]
 
@@ -253,9 +251,9 @@ class _ByCasadi:
 
 
 def _kept_at(function: ca.Function) -> Path | None:
-    """Return where the machine code of a function is kept for the next process; None where the processor is unknown.
+    """Return the cache file of a function's machine code, or None if the processor is unknown.
 
-    Compiling takes four times as long as reading; the code is of this processor and this version of all that makes it.
+    Compiling takes four times as long as reading. The code is specific to this processor and to all compiler versions.
     """
     processor = _processor()
     if not processor:
@@ -266,7 +264,7 @@ def _kept_at(function: ca.Function) -> Path | None:
 
 @cache
 def _processor() -> str:
-    """Return what the processor can do, as Linux tells it; empty on other systems."""
+    """Return the processor's features on Linux, empty on other systems."""
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
         return platform.machine() + "".join(
@@ -278,7 +276,7 @@ def _processor() -> str:
 def fixed_step(equations: Equations) -> ca.Function:
     """Return (state (N,), inputs (m,), duration, parameters (p,)) -> following (N,), the inputs held."""
     f, (x, u, p) = equations.function(), (equations.state, equations.inputs, equations.parameters)
-    # Kept beside its machine code: the tableau comes with all of scipy.integrate, which takes long to import.
+    # Cached with its machine code because the tableau is in scipy.integrate, which takes long to import.
     key = content_hash(f.serialize(), code_hash(__name__), ca.CasadiMeta.version())
     file = cache_file("machine-code", "expression", key)
     if (content := kept(file)) is not None:

@@ -1,13 +1,17 @@
-"""What a plant can have in addition to arms, cart and drive, as casadi expressions: four components of ordinary rigs.
+"""Components of a plant in addition to arms, cart and drive, as casadi expressions, with four of ordinary rigs.
 
 A component adds terms to the Lagrangian and the Rayleigh function of the plant, and can have its own states. If smooth
 equations are not enough, it has modes: numbers that are chosen at the beginning of a step and constant within it.
 
     belt      ẍ = ω² (x_m - x) + 2 ζ ω (ẋ_m - ẋ) + b,  ẍ_m: acceleration of the drive, b: gravity along the track
+
     play      e⁺ = min(max(e, φ - w/2), φ + w/2),  φ: angle of the joint, e: angle of its encoder, w: the play
+
     cable     torque T - k θ_1 on the inner arm
-    stiction  a joint at rest stays at rest while the torque that holds it is at most its break-away torque;
-              a joint that slides is braked by its kinetic torque
+
+    stiction  A joint stays at rest while the holding torque is at most its break-away torque. A sliding joint is braked
+              by its kinetic torque.
+
 
 Sources: Karnopp, Computer simulation of stick-slip friction in mechanical dynamic systems (1985); Visintin,
 Differential models of hysteresis (1994), section III.2, for the play operator.
@@ -82,7 +86,7 @@ class SymbolicPlant:
     """
 
     motor: ClassVar[bool] = False
-    """Whether the first two states are position and velocity of a motor, which the drive moves in place of the cart."""
+    """True if the first two states are position and velocity of a motor, which the drive moves instead of the cart."""
 
     @classmethod
     def sizes(cls, arms: int) -> Sizes:
@@ -140,7 +144,7 @@ _SHARE_OF_BELT = 0.2
 class Belt(SymbolicPlant):
     """An elastic belt between motor and cart: frequency Hz of the cart on it with the motor held, damping ratio.
 
-    motor_scale: whether the cart's scale sits on the motor. The drive holds its motor against the belt's force.
+    motor_scale: True if the cart's scale is on the motor. The drive holds its motor against the belt's force.
     """
 
     frequency: float
@@ -208,7 +212,7 @@ class EncoderPlay(SymbolicPlant):
 
 @dataclass(frozen=True)
 class Cable(SymbolicPlant):
-    """A cable that the inner arm twists: torque N m where the arm hangs, stiffness N m/rad against its turning."""
+    """A cable twisted by the inner arm: torque of the hanging arm, N m, and stiffness against turning, N m/rad."""
 
     torque: float
     stiffness: float
@@ -228,7 +232,7 @@ def _sign(values: ca.SX) -> ca.SX:
 
 
 _STICTION_STEP = 5e-4
-"""s: a joint breaks away at the beginning of a step."""
+"""Longest step, s, because a joint breaks away only at the beginning of a step."""
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@
 Coordinates are the free ones q (n) followed by prescribed ones, whose accelerations are inputs. The Lagrangian may
 contain terms linear in velocity (rotating frames); nothing assumes that coordinates are angles.
 
-As ẋ = f(x, u; p), symbolically and as numpy functions, the state holds the free positions, their velocities, then
-position and velocity of what is prescribed (the cart). The free part is the prefix at every level, so zeroing what a
-level adds gives back the level below.
+In ẋ = f(x, u; p), symbolically and as numpy functions, the state has the free positions, their velocities, and then
+position and velocity of the prescribed cart. The free part is the prefix at every level, so a level with its additions
+set to zero equals the level below.
 """
 
 from collections.abc import Callable
@@ -24,11 +24,15 @@ from dpcontrol.foundation.shown import Brief
 
 @dataclass(frozen=True)
 class Mechanics(Brief):
-    """A mechanical system, symbolically; every entry is a casadi SX expression in the first four.
+    """A mechanical system; all fields but the last two are casadi SX expressions.
 
-    position (n + m,), velocity (n + m,): free coordinates first, then m prescribed ones; acceleration (m,) of the
-    prescribed ones; parameters (p,). free_acceleration (n,) is the law of motion; momentum (n,) and hamiltonian
-    belong to the free coordinates alone.
+    Attributes:
+        position, velocity: free coordinates, then m prescribed ones (n + m,).
+        acceleration: of the prescribed coordinates (m,).
+        parameters: (p,).
+        free_acceleration: law of motion (n,).
+        momentum: of the free coordinates (n,).
+        hamiltonian: of the free coordinates.
     """
 
     position: ca.SX
@@ -85,7 +89,7 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
         - ca.gradient(dissipation(q, v, parameters), v)[:free]
         - mass[:, free:] @ u
     )
-    # The Hamiltonian of the free coordinates, in a frame where the prescribed ones are at rest.
+    # The Hamiltonian of the free coordinates, in the rest frame of the prescribed ones.
     rest = ca.vertcat(v[:free], ca.SX.zeros(prescribed))
     momentum, still = ca.substitute([all_momenta[:free], energy], [v], [rest])
     return Mechanics(
@@ -104,8 +108,8 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
 class Equations(Brief):
     """One level's equations as casadi SX: state (N,), inputs (m,), parameters (p,), rate = f (N,).
 
-    linear_parameters (p,), expressions of parameters: those at which a sampled step is linearised, for a law such as
-    dry friction whose slope at a point says nothing of a motion of finite size; by default the parameters.
+    linear_parameters (p,): expressions of the parameters at which a sampled step is linearised, by default the
+    parameters. They differ for dry friction, whose slope at a point does not represent motions of finite size.
     """
 
     state: ca.SX
@@ -133,7 +137,7 @@ class Equations(Brief):
 
     @cached_property
     def numeric_functions(self) -> dict[str, ca.Function]:
-        """What `NumericEquations` evaluates: functions of (state, parameters) with the inputs at zero, by name."""
+        """Functions of (state, parameters) with zero inputs for `NumericEquations`, by name."""
         rate = ca.substitute(self.rate, self.inputs, ca.SX.zeros(self.input_count))
         expressions = {
             "rate": rate,
@@ -178,7 +182,7 @@ class Equations(Brief):
 
 
 def runge_kutta_4(slope: Callable[[ca.SX, Any], ca.SX], x: ca.SX, h: Any) -> ca.SX:
-    """Return the state that follows x after h by the classical step of order 4; slope: of a state, a time after x."""
+    """Return the state at time h after x by the classical step of order 4; slope: of a state, a time after x."""
     k1 = slope(x, 0)
     k2 = slope(x + h / 2 * k1, h / 2)
     k3 = slope(x + h / 2 * k2, h / 2)
@@ -189,8 +193,8 @@ def runge_kutta_4(slope: Callable[[ca.SX, Any], ca.SX], x: ca.SX, h: Any) -> ca.
 def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:
     """Write a mechanical system as first-order equations.
 
-    With `with_cart` the prescribed coordinates and their velocities follow the free ones in the state and their
-    accelerations are the inputs; without, the prescribed coordinates rest at zero and there is no input.
+    With `with_cart`, the prescribed coordinates and their velocities follow the free ones in the state, and their
+    accelerations are the inputs. Otherwise they rest at zero and there is no input.
     """
     n = parts.free_acceleration.shape[0]
     q, v, u = parts.position, parts.velocity, parts.acceleration
@@ -215,9 +219,9 @@ def hamiltonian_equations(energy: Energy, *, count: int, parameters: ca.SX) -> E
 
 
 class _Buffered:
-    """A function of (state, parameters) with one dense output, called on memory of its own.
+    """A function of (state, parameters) with one dense output, called on preallocated memory.
 
-    casadi's conversions of arguments take forty times as long as the function itself.
+    casadi's argument conversions take forty times as long as the function itself.
     """
 
     def __init__(self, function: ca.Function, parameters: Array) -> None:
@@ -247,8 +251,8 @@ class _Buffered:
 class NumericEquations(Brief):
     """Equations with numbers for parameters (p,): numpy in, numpy out, many states at once.
 
-    States are (N,) or (K, N); results follow with the same leading shape. Inputs are taken as zero. Not to be shared
-    between threads: the functions' memory is reused from call to call.
+    States are (N,) or (K, N), and results have the same leading shape. Inputs are zero. Instances cannot be shared
+    between threads because calls reuse memory.
     """
 
     equations: Equations

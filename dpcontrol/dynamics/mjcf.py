@@ -1,8 +1,8 @@
 """Arms on their cart as a model for MuJoCo, in its format MJCF.
 
-The cart slides along x, up is z, and arms that hang have angles of zero. Joints turn about -y, so that a positive angle
-moves an arm's end to positive x. MuJoCo's joint angles are relative: θ_i - θ_{i-1}. The cart is driven by a velocity
-servo, whose control is the velocity reference w of the drive:
+The cart slides along x, up is z, and hanging arms have zero angles. Joints turn about -y, so a positive angle moves an
+arm's end to positive x. MuJoCo's joint angles are relative: θ_i - θ_{i-1}. The cart is driven by a velocity servo,
+whose control is the velocity reference w of the drive:
 
     F = M/τ (w - ẋ)        M: mass of the cart, τ: time constant of the drive
 
@@ -13,7 +13,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
 
 STEP = 5e-4
-"""s, of the simulation."""
+"""Time step of the simulation, s."""
 CART_MASS, LAG = 20.0, 0.002
 """kg and s."""
 
@@ -28,7 +28,7 @@ def mjcf_text(arms: ArmChainParameters, *, name: str, cart_mass: float = CART_MA
         if not 0 < value < 1e9:
             raise InputError(f"mjcf: {key} = {value!r}: must be above 0")
     if arms.quadratic:
-        raise InputError("mjcf: quadratic friction has no counterpart in MuJoCo; take it out of the model's file")
+        raise InputError("mjcf: quadratic friction has no counterpart in MuJoCo; remove it from the model's file")
     bodies, dry = "", arms.coulomb or (0.0,) * arms.count
     for k in reversed(range(arms.count)):
         above, inertia = -arms.length[k - 1] if k else 0.0, f"{max(arms.inertia[k], 1e-12)!r}"

@@ -1,12 +1,12 @@
-"""What really moves on the bench: arms on a cart whose drive follows at once, lags, or pushes with a finite force.
+"""Plant: arms on a cart with an ideal drive, a lagging one, or one with a finite force.
 
     cart:   ẍ = u
     drive:  ẍ = a,  ȧ = (u - a)/τ                    a velocity loop: a = (w - ẋ)/τ on its reference ẇ = u
     force:  d/dt ∂L/∂ẋ + k_c ẋ = F + M b,  F = M a,  ȧ = (u - ẍ)/τ             the arms push the cart about
 
-M: mass of cart and arms together. A heavy cart makes `force` into `drive`, a fast loop makes `drive` into `cart`. At
-every level gravity may pull along the track too, as on a track that is tilted: b m/s², with the Lagrangian's further
-term b (Σ S_i sin θ_i + M x). Angles are then still measured from the track's normal.
+M: mass of cart and arms together. With a heavy cart, `force` becomes `drive`. With a fast loop, `drive` becomes `cart`.
+A tilted track adds gravity b along the track, m/s², with the Lagrangian's further term b (Σ S_i sin θ_i + M x). Angles
+are then still measured from the track's normal.
 
 Components add to this at every level (`dpcontrol.dynamics.components`). A component with a motor stands between drive
 and cart. The drive then moves the motor, ẍ_m = u or a. The component accelerates the cart, at level force by its force.
@@ -33,7 +33,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 
 _SMOOTH_STEP = 2e-3
-"""s: the longest step at which the arms' own motion is exact to 1e-12."""
+"""Longest step with an error of the arms' motion below 1e-12, s."""
 _SHARE_OF_LAG = 0.25
 _COULOMB_STEP = 2.5e-4
 
@@ -42,7 +42,7 @@ Kinds = tuple[type[SymbolicPlant], ...]
 
 
 class PlantLevel(StrEnum):
-    """How the cart follows a commanded acceleration."""
+    """Response of the cart to a commanded acceleration."""
 
     CART = "cart"
     DRIVE = "drive"
@@ -51,12 +51,16 @@ class PlantLevel(StrEnum):
 
 @dataclass(frozen=True)
 class PlantParameters(Settings):
-    """The arms and what carries them.
+    """The arms with their cart and drive.
 
-    lag s: time constant of the drive's velocity loop, zero for one that follows at once. cart_mass kg without the
-    arms, zero for a cart that the arms cannot move; cart_viscous N s/m. tilt rad of the track, positive where its
-    right end is the lower one: gravity then pulls by g sin(tilt) along it, by g cos(tilt) across.
-    components: in the order of their states.
+    Attributes:
+        lag: time constant of the drive's velocity loop, s, 0 for an ideal drive.
+        cart_mass: without the arms, kg, 0 for a cart that the arms cannot move.
+        cart_viscous: friction of the cart, N s/m.
+        tilt: tilt of the track, rad, positive with the right end down.
+        components: in the order of their states.
+
+    Gravity acts along a tilted track by g sin(tilt), and across it by g cos(tilt).
     """
 
     arms: ArmChainParameters
@@ -67,11 +71,11 @@ class PlantParameters(Settings):
     components: tuple[SymbolicPlant, ...] = ()
 
     def _check_together(self) -> None:
-        """Check what a cart with mass or friction needs."""
+        """Check the requirements of a cart with mass or friction."""
         if self.cart_mass > 0 and self.lag == 0:
             raise InputError(
-                f"cart_mass = {self.cart_mass!r} with lag = 0: a cart with a mass needs the time constant of the "
-                "velocity loop that moves it; give a lag, such as 0.002 s, or no mass"
+                f"cart_mass = {self.cart_mass!r} with lag = 0: a cart with mass needs a velocity loop with a time "
+                f"constant; give a lag, such as 0.002 s, or no mass"
             )
         if self.cart_viscous > 0 and self.cart_mass == 0:
             raise InputError(
@@ -80,12 +84,12 @@ class PlantParameters(Settings):
 
     @property
     def level(self) -> PlantLevel:
-        """The least level that serves these parameters."""
+        """Lowest level that supports these parameters."""
         return PlantLevel.FORCE if self.cart_mass else PlantLevel.DRIVE if self.lag else PlantLevel.CART
 
     @property
     def equations(self) -> Equations:
-        """The equations that go with `numbers`."""
+        """Equations with the parameters `numbers`."""
         return plant_equations(self.arms.count, self.level, friction=self.arms.friction, components=self.kinds)
 
     @property
@@ -100,18 +104,18 @@ class PlantParameters(Settings):
 
     @property
     def places(self) -> list[tuple[SymbolicPlant, int]]:
-        """The components, each with the place in the state where its own states begin."""
+        """The components, each with the index of its first state."""
         sizes = [one.sizes(self.arms.count).states for one in self.components]
         return [(one, self.plain_size + sum(sizes[:k])) for k, one in enumerate(self.components)]
 
     @property
     def motor(self) -> int:
-        """Where in the state the position of what the drive moves stands: the cart, or a component's motor."""
+        """Index in the state of the driven position: the cart, or a component's motor."""
         return next((place for one, place in self.places if one.motor), 2 * self.arms.count)
 
     @property
     def reads(self) -> dict[int, int]:
-        """The places in the state that sensors read in place of joints and cart: {sensor: place}."""
+        """Indices of states that replace joints and cart as measured quantities: {sensor: index}."""
         count = self.arms.count
         return {k: place + own for one, place in self.places for k, own in one.reads(count).items()}
 
@@ -122,7 +126,7 @@ class PlantParameters(Settings):
     def numbers(self) -> Array:
         """Return the parameters (p,) of `equations`: base parameters, b, then τ, then M and k_c where they occur.
 
-        The components' own follow.
+        The components' numbers follow.
         """
         upright = replace(self.arms, gravity=self.arms.gravity * float(np.cos(self.tilt)))
         further = [self.arms.gravity * np.sin(self.tilt)]
@@ -136,13 +140,13 @@ class PlantParameters(Settings):
 
 @cache
 def _symbols() -> SimpleNamespace:
-    """Return those that all levels share: u, b, τ, M, k_c and F."""
+    """Return the symbols of all levels: u, b, τ, M, k_c and F."""
     return SimpleNamespace(**{name: ca.SX.sym(name) for name in ("command", "pull", "lag", "mass", "drag", "force")})
 
 
 @cache
 def _own(count: int, components: Kinds) -> tuple[ComponentFrame, ...]:
-    """Return each component's own symbols, in frames without arms and cart."""
+    """Return each component's symbols, in frames without arms and cart."""
     none, frames = ca.SX(0, 1), []
     for k, one in enumerate(components):
         own = (ca.SX.sym(f"{one.__name__}_{k}_{c}", size) for c, size in enumerate(one.sizes(count)))
@@ -157,13 +161,13 @@ def _terms(q: ca.SX, v: ca.SX, components: Kinds) -> list[Terms]:
 
 @cache
 def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool, components: Kinds = ()) -> Mechanics:
-    """Return arms on a track that may be tilted, with a cart that moves as prescribed or is free."""
+    """Return arms on a track with tilt, and a cart that is prescribed or free."""
     n, chain, s = count, chain_energies(count, friction=friction), _symbols()
 
     def lagrangian(q: ca.SX, v: ca.SX, p: ca.SX) -> ca.SX:
         total = chain.lagrangian(q, v, p) + s.pull * ca.dot(chain.coupling, ca.sin(q[:n]))
         total += sum((term.lagrangian for term in _terms(q, v, components)), ca.SX(0))
-        # The chain's own Lagrangian stands on a cart of 1 kg.
+        # The chain's Lagrangian includes a cart of 1 kg.
         return total + (s.mass - 1) * v[n] ** 2 / 2 + (s.force + s.mass * s.pull) * q[n] if free_cart else total
 
     def dissipation(q: ca.SX, v: ca.SX, p: ca.SX) -> ca.SX:
@@ -192,8 +196,13 @@ def _state(q: ca.SX, v: ca.SX, demand: ca.SX, level: PlantLevel) -> ca.SX:
 class _EquationsOfMotion:
     """The motion of a plant, symbolically.
 
-    demand is a. frames are those of the components. moving (n+1,): accelerations of arms and cart. drive: acceleration
-    of cart or motor. modes: those in which a step begins. rates: derivatives of the components' states.
+    Attributes:
+        demand: acceleration a of the drive.
+        frames: frames of the components.
+        moving: accelerations of arms and cart (n+1,).
+        drive: acceleration of cart or motor.
+        modes: modes at the beginning of a step.
+        rates: derivatives of the components' states.
     """
 
     parts: Mechanics
@@ -230,7 +239,7 @@ def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], compo
         moving = one.constrained(frame, parts.mass_matrix, moving)
     if not free_cart:
         moving = ca.vertcat(moving, pushed)
-    # The velocity loop is that of the motor where there is one.
+    # The velocity loop belongs to the motor if there is one.
     driven = demand if belts else moving[count]
     return _EquationsOfMotion(parts, a, frames, moving, driven, modes, ca.vertcat(*(term.rates for term in terms)))
 
@@ -263,7 +272,7 @@ def check_component(component: SymbolicPlant, arms: int) -> None:
     """Reject a user's component whose expressions do not fit so many arms.
 
     Raises:
-        InputError: says what is wrong.
+        InputError: the error in its expressions.
     """
     name, sizes = type(component).__name__, component.sizes(arms)
     try:
@@ -283,10 +292,10 @@ def check_component(component: SymbolicPlant, arms: int) -> None:
 
 @cache
 def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) -> ca.Function:
-    """Return (state, impulses (n,), jumps (n,), knock, parameters) -> state after a blow that takes no time.
+    """Return (state, impulses (n,), jumps (n,), knock, parameters) -> state after an instantaneous blow.
 
-    impulses N m s: a couple on each arm; jumps rad/s of the arms' rates; knock m/s: jump of the cart's velocity, in
-    which the arms keep their momenta. The drive's loop answers what moves its cart.
+    Units: impulses N m s, of a couple on each arm. jumps rad/s, of the arms' rates. knock m/s, a jump of the cart's
+    velocity at constant momenta of the arms. The drive's loop reacts to the change.
     """
     n, s = count, _symbols()
     parts = _parts(count, friction, free_cart=False)
@@ -313,9 +322,9 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
 def plant_step(
     count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = (), components: Kinds = ()
 ) -> Compiled:
-    """Return `fixed_step` of `plant_equations` as machine code, made once in a process.
+    """Return `fixed_step` of `plant_equations` as machine code, built once per process.
 
-    With components, the state that follows is settled by them, and their guards come after it.
+    With components, the next state is settled by them and followed by their guards.
     """
     equations = plant_equations(count, level, friction=friction, components=components)
     if not components:
@@ -352,10 +361,10 @@ def plant_modes(
 
 
 def longest_step(plant: PlantParameters) -> float:
-    """Return the longest single step of `plant_step`, in s, whose error is near round-off: 1e-11 at usual states.
+    """Return the longest single step of `plant_step` with an error near round-off (1e-11 at usual states), s.
 
-    Coulomb friction turns within a fraction of a millisecond, where a joint's rate changes its sign; 1e-10 is left
-    there where arms turn slowly, 1e-7 where they are struck by 2000 rad/s².
+    Coulomb friction reverses within a fraction of a millisecond when a joint's rate changes its sign. The error is then
+    1e-10 for slow arms, and 1e-7 for arms struck by 2000 rad/s².
     """
     longest = min(_SMOOTH_STEP, _SHARE_OF_LAG * plant.lag if plant.lag else math.inf)
     longest = min((longest, *(one.longest_step for one in plant.components)))
@@ -374,6 +383,6 @@ def after_blow(
                    plain)  # fmt: skip
     after = np.concatenate([np.asarray(out, dtype=float).ravel(), state[size:]])
     if plant.motor >= size:
-        # The motor's loop does not feel what strikes the cart.
+        # The motor's loop does not react to blows on the cart.
         after[2 * n + 2 : size] = state[2 * n + 2 : size]
     return after

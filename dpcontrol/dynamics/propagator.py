@@ -1,13 +1,13 @@
 """Propagation to machine precision by Taylor's method (heyoka): flows, variational equations, Poincaré sections.
 
-An integrator is compiled when it is first needed; parameters and inputs are run-time values, so a changed mass
-costs nothing. heyoka keeps compiled code on disk between processes, and a process makes each integrator of its
-equations once: propagators fly copies. Where many trajectories are flown, eight share each vector instruction.
+An integrator is compiled when it is first needed. Parameters and inputs are run-time values, so a changed mass costs
+nothing. heyoka caches compiled code on disk, and a process builds each integrator of its equations once. Propagators
+use copies. Of many trajectories, eight share each vector instruction.
 
 In 113-bit arithmetic (34 decimal digits) numbers are numpy arrays whose dtype is heyoka's 113-bit real; +, -, *, /, @
-and comparisons keep the precision. Doubles enter as the exact binary numbers that they are, fractions and decimals
-correctly rounded; π is given to 36 digits, since 2 * np.pi is off by 2e-16. An array of doubles must be turned by
-`extended` first: numpy refuses to mix the two.
+and comparisons keep the precision. Doubles enter exactly, fractions and decimals correctly rounded. π has 36 digits,
+since 2 * np.pi is off by 2e-16. Arrays of doubles must be converted by `extended` first, because numpy does not mix the
+two types.
 
 Source: Biscani & Izzo, Revisiting high-order Taylor methods for astrodynamics and celestial mechanics (2021).
 """
@@ -37,11 +37,14 @@ Row = Sequence[float] | Array
 
 @dataclass(frozen=True)
 class Section:
-    """A Poincaré section n·x = offset (+ period · k where the coordinate is an angle), and coordinates on it.
+    """A Poincaré section n·x = offset, or offset + period · k for an angle, with coordinates on it.
 
-    normal, position (N,): n and the row that gives the section's coordinate q = position · x. momentum (n,): the
-    combination of canonical momenta conjugate to q. period: of n·x, or None on a line. side (N,): a crossing counts
-    only where side · x > middle or, with a reach, |side · x - middle| > reach; None: everywhere.
+    Attributes:
+        normal: n (N,).
+        position: row (N,) of the section's coordinate q = position · x.
+        momentum: conjugate combination of canonical momenta (n,).
+        period: of n·x, or None on a line.
+        side: row (N,) of the condition side · x > middle, or |side · x - middle| > reach; None for no condition.
     """
 
     name: str
@@ -64,7 +67,7 @@ class Section:
 
     @classmethod
     def turning(cls, name: str, direction: Row) -> "Section":
-        """Return the section direction · v = 0, v the states' second half: where two coordinates turn back."""
+        """Return the section direction · v = 0 of turning points of two coordinates; v is the states' second half."""
         row, along = _plane_rows(direction)
         return cls(name, (0.0, 0.0, *row), (*along, 0.0, 0.0), along)
 
@@ -78,13 +81,13 @@ class Section:
         return np.asarray(states) @ np.asarray(self.normal) - self.offset
 
     def level(self, state: Array) -> float:
-        """Return n·x on the section: where it is an angle, on the sheet nearest to `state` (N,)."""
+        """Return n·x on the section, of an angle on the sheet nearest to `state` (N,)."""
         if self.period is None:
             return self.offset
         return self.offset + float(np.rint(self.height(state) / self.period)) * self.period
 
     def sheets(self, states: Array) -> Array:
-        """Return numbers (…) that change where states (…, N) pass the section: which of its sheets they lie above."""
+        """Return the number of the sheet below each state (…, N), which changes at crossings (…)."""
         heights = self.height(states)
         return (heights > 0).astype(float) if self.period is None else np.floor(heights / self.period)
 
@@ -94,20 +97,20 @@ class Section:
         return int(np.sign(np.dot(self.normal, rate))) * (1 if any(positions) else -1)
 
     def mark(self, state: Array) -> str:
-        """Return "+" or "-" for the side on which a state (N,) lies where a section has two, and nothing elsewhere."""
+        """Return "+" or "-" for the side of a state (N,) if the section has two sides, else ""."""
         if self.reach is not None and self.side is not None:
             return "+" if float(np.dot(self.side, state)) > self.middle else "-"
         return ""
 
     def admits(self, state: Array) -> bool:
-        """Tell whether a crossing at `state` (N,) counts."""
+        """True if a crossing at `state` (N,) counts."""
         if self.side is None:
             return True
         beyond = float(np.dot(self.side, state)) - self.middle
         return beyond > 0 if self.reach is None else abs(beyond) > self.reach
 
     def kept_by(self, reverser: Array, centre: Array) -> bool:
-        """Tell whether a reverser (N, N) about a state (N,) maps the section, with its side, onto itself."""
+        """True if a reverser (N, N) about a state (N,) maps the section and its side onto itself."""
         shift = centre - reverser @ centre
 
         def kept(row: tuple[float, ...], level: float, period: float | None, signs: tuple[float, ...]) -> bool:
@@ -125,7 +128,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Crossing(Brief):
-    """Where a trajectory met a section: state (N,), time in s. None in its place means it never did."""
+    """Crossing of a section by a trajectory: state (N,), time in s. None means that there is no crossing."""
 
     state: Array
     time: float
@@ -146,8 +149,8 @@ _MADE: WeakKeyDictionary[Equations, dict[Hashable, Any]] = WeakKeyDictionary()
 def _copied(equations: Equations, kind: Hashable, make: Callable[[], Any]) -> Any:
     """Return a copy of the integrator that `make` compiles from the equations, once for each `kind` of them.
 
-    Even where the machine code is at hand, making one takes 8 to 60 ms, and copying one 2 ms. What is copied never
-    flies itself.
+    Even with cached machine code, building an integrator takes 8 to 60 ms, and copying it 2 ms. The original is never
+    used itself.
     """
     made = _MADE.setdefault(equations, {})
     if kind not in made:
@@ -161,16 +164,18 @@ def _copied(equations: Equations, kind: Hashable, make: Callable[[], Any]) -> An
 LANES = 8
 
 _MOST_STEPS = 50_000
-"""Taylor steps between two crossings, after which a flight has failed: a hundred times what tubes take. One that runs
-into a singularity would take ever smaller ones without end."""
+"""Limit of Taylor steps between two crossings, a hundred times that of tubes.
+
+Near a singularity, steps would shrink without end.
+"""
 
 
 class CrossingFinder:
-    """Flies trajectories of one set of equations to sections; compiled when made, not shared between threads.
+    """Propagates trajectories of one set of equations to sections; compiled when made, not shared between threads.
 
-    A trajectory that has crossed gives its place to the next one, so none is flown on into the motion after the
-    section. The section's normal and the two of its sheets between which a trajectory moves are run-time values: one
-    compilation serves every section of the equations.
+    A finished trajectory leaves its lane to the next one, so no trajectory is continued beyond the section. The
+    section's normal and the two adjacent sheets are run-time values: one compilation covers every section of the
+    equations.
 
     parameters (p,): those of the equations.
     """
@@ -185,9 +190,9 @@ class CrossingFinder:
     def _made(self) -> Any:
         system, gain, sheet = _at_rest(self.equations), self._gains.start, self._sheets.start
         height = sum((hy.par[self._normal.start + i] * x for i, (x, _) in enumerate(system)), hy.expression(0.0))
-        # heyoka isolates the roots of a step's own Taylor polynomial: a double crossing within one step is not missed.
-        # A gain of zero switches a sheet off; a sheet put far away would do so too, but heyoka takes the events' size
-        # for the state's when it chooses its step.
+        # heyoka isolates the roots of each step's Taylor polynomial, so a double crossing within one step is detected.
+        # A gain of zero switches a sheet off. A distant sheet would do so too, but heyoka uses the size of events to
+        # choose its step.
         events = [hy.t_event_batch(hy.par[gain + k] * height - hy.par[sheet + k]) for k in range(2)]
         return hy.taylor_adaptive_batch(system, np.zeros((len(system), LANES)), compact_mode=False, t_events=events)
 
@@ -234,7 +239,7 @@ class CrossingFinder:
                 k = flying[lane]
                 if k is None or outcome == success:
                     continue
-                # A stopping terminal event reports -1 - its index; everything else ends the flight.
+                # A stopping terminal event reports -1 - its index. Any other outcome ends the flight.
                 sheet = -1 - int(outcome)
                 if sheet in (0, 1):
                     state = integrator.state[:, lane].copy()
@@ -249,13 +254,13 @@ class CrossingFinder:
     def _fit_to_fly(self, states: Array) -> list[int]:
         """Return the numbers, last first, of the states (K, N) that are finite and have finite rates.
 
-        Any other would spoil its lane's clock, which heyoka then refuses to start again.
+        Other states would corrupt their lane's clock, which heyoka cannot restart.
         """
         rates = self._rates(states).T
         return np.flatnonzero((np.isfinite(states) & np.isfinite(rates)).all(axis=1))[::-1].tolist()
 
     def _park(self, section: Section, state: Array) -> None:
-        """Rest every lane at a finite state, and set what does not change from flight to flight."""
+        """Park every lane at a finite state, and set constant values."""
         integrator = self._integrator
         integrator.set_time(0.0)
         integrator.reset_cooldowns()
@@ -285,9 +290,9 @@ class CrossingFinder:
         self._integrator.pars[place, lane] = 1.0 if level is None else level
 
     def _pass(self, lane: int, sheet: int, section: Section, sense: float) -> None:
-        """Let a lane fly on through a sheet, forward or backward in time: the other is now the next one beyond it.
+        """Continue a lane through a sheet, forward or backward in time, and move its other sheet beyond it.
 
-        The sheet just crossed stays where it was, since heyoka ignores it until the trajectory has left it.
+        The crossed sheet stays, since heyoka ignores it until the trajectory has left it.
         """
         if section.period is None:
             return
@@ -319,7 +324,7 @@ def _with_tangents(equations: Equations) -> list[tuple[Any, Any]]:
 
 
 def check_arrival(integrator: Any, outcome: Any) -> None:
-    """Raise ArithmeticError where a propagation ended before its time."""
+    """Raise ArithmeticError if a propagation ended early."""
     if outcome != hy.taylor_outcome.time_limit:
         raise ArithmeticError(f"propagation stopped at t = {float(integrator.time):g} s: {outcome}")
 
@@ -327,8 +332,8 @@ def check_arrival(integrator: Any, outcome: Any) -> None:
 class Propagator:
     """Propagates one set of equations at machine precision, their inputs at zero.
 
-    tolerance: of a Taylor step, relative; zero for rounding itself, which `crossings` always take. Not to be shared
-    between threads: the compiled integrators are reused from call to call.
+    tolerance: relative tolerance of a Taylor step, 0 for rounding, which `crossings` always use. Instances cannot be
+    shared between threads because calls reuse the compiled integrators.
     """
 
     def __init__(self, equations: Equations, parameters: ArrayLike, *, tolerance: float = 0.0) -> None:
@@ -422,21 +427,20 @@ class Propagator:
     def crossings(self, states: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> list[Crossing | None]:
         """Return each state's (K, N) `hit`-th crossing of the section within `longest` s (negative: backward), or None.
 
-        Flown many at once, which is four times cheaper than one by one; a result does not depend on its companions.
+        Many trajectories are computed together, which is four times faster; results are independent of each other.
         """
         many = np.asarray(states, dtype=float).reshape(-1, self.equations.dimension)
         return self._finder.find(many, section, longest=float(longest), hit=hit)
 
     def crossing(self, state: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> Crossing | None:
         """Return the `hit`-th crossing of the section within `longest` seconds (negative: backward), or None."""
-        # An integrator for one state alone takes 0.6 times as long per flight, but has to be compiled as well.
+        # An integrator for a single state takes 0.6 times as long per flight, but needs its own compilation.
         return self.crossings(state, section, longest=longest, hit=hit)[0]
 
     def flows(self, states: Array, durations: Array) -> Array:
         """Return the states (K, N) to which `states` (K, N) flow in `durations` (K,) s, short as in multiple shooting.
 
-        A batch makes a segment four times cheaper than flown alone; a solve with 128 symbols flies five thousand a
-        step.
+        In a batch, a segment is four times cheaper. A solve with 128 symbols propagates five thousand per step.
 
         Raises:
             ArithmeticError: a state became infinite or undefined.
@@ -444,7 +448,7 @@ class Propagator:
         return self._flown(states, durations, stm=False)
 
     def flows_with_stm(self, states: Array, durations: Array) -> tuple[Array, Array]:
-        """Return the states (K, N) as `flows` does, and the state-transition matrices (K, N, N) to them.
+        """Return the states (K, N) of `flows` and the state-transition matrices (K, N, N) to them.
 
         Raises:
             ArithmeticError: a state became infinite or undefined.
@@ -454,28 +458,28 @@ class Propagator:
         return out[:, :n].copy(), out[:, n:].reshape(-1, n, n).copy()
 
     def flows_with_tangents(self, states: Array, durations: Array, tangents: Array) -> tuple[Array, Array]:
-        """Return the states (K, N) as `flows` does, and what `tangents` (K, N) at their starts have been carried to.
+        """Return the states (K, N) of `flows` and the images of `tangents` (K, N) at their starts.
 
-        Raises:
-            ArithmeticError: a state became infinite or undefined.
+        Rows are NaN if a state or tangent became infinite or undefined, as it does close to a collision.
         """
         n = self.equations.dimension
-        out = self._flown(np.hstack([states, tangents]), durations, stm=False)
+        out = self._flown(np.hstack([states, tangents]), durations, stm=False, keep_lost=True)
         return out[:, :n], out[:, n:]
 
-    def _flown(self, states: Array, durations: Array, *, stm: bool) -> Array:
+    def _flown(self, states: Array, durations: Array, *, stm: bool, keep_lost: bool = False) -> Array:
         if not (np.isfinite(states).all() and np.isfinite(durations).all()):
-            raise ArithmeticError("a segment starts from a state, or lasts a time, that is not finite")
+            raise ArithmeticError("the start or the duration of a segment is not finite")
         n = states.shape[1]
         out = np.empty((len(states), n + n * n if stm else n))
         for first in range(0, len(states), LANES):
-            # A last batch that is not full flies its last segment again.
+            # A partial last batch repeats its last segment.
             which = np.minimum(np.arange(first, first + LANES), len(states) - 1)
             integrator = self._at_zero(states[which].T, stm=stm)
             integrator.propagate_until(durations[which])
-            if any(result[0] != hy.taylor_outcome.time_limit for result in integrator.propagate_res):
-                raise ArithmeticError(f"a segment of {np.max(np.abs(durations[which])):g} s could not be flown")
-            out[which] = integrator.state.T
+            ended = np.array([result[0] == hy.taylor_outcome.time_limit for result in integrator.propagate_res])
+            if not (keep_lost or ended.all()):
+                raise ArithmeticError(f"a segment of {np.max(np.abs(durations[which])):g} s could not be propagated")
+            out[which] = np.where(ended[:, None], integrator.state.T, np.nan)
         return out
 
 
@@ -484,8 +488,8 @@ class PolynomialInputPropagator:
 
         ẋ = f(x, u(t); p),      u(t) = Σ_k c_k t^k        (t from the start of the propagation)
 
-    `degree` 0 holds the input. The coefficients are run-time values, so that one compilation serves every interval of a
-    reference. Not to be shared between threads: the compiled integrator is reused.
+    `degree` 0 is a constant input. The coefficients are run-time values, so one compilation covers every interval of a
+    reference. Instances cannot be shared between threads because calls reuse the integrator.
     """
 
     def __init__(self, equations: Equations, parameters: ArrayLike, *, degree: int) -> None:
@@ -528,9 +532,9 @@ class PolynomialInputPropagator:
         return x.copy()
 
     def sample(self, state: ArrayLike, coefficients: ArrayLike, times: ArrayLike) -> Array:
-        """Return the states (K, N) at rising `times` (K,) s, the first of them 0, where `state` holds.
+        """Return the states (K, N) at rising `times` (K,) s from `state` at the first of them, 0.
 
-        coefficients as in `flow`.
+        coefficients: see `flow`.
 
         Raises:
             ArithmeticError: the state became infinite or undefined.
@@ -554,7 +558,7 @@ def _real() -> Any:
     """Return heyoka's type of 113-bit reals.
 
     Raises:
-        GoalMissed: this build of heyoka has none.
+        GoalMissed: this build of heyoka does not support them.
     """
     if not hasattr(hy, "real128"):
         raise GoalMissed("this build of heyoka has no 113-bit reals (it needs libquadmath); use double precision")
@@ -565,12 +569,12 @@ def extended(values: ArrayLike | Sequence[Exact]) -> Extended:
     """Return doubles, whole numbers, fractions or decimals, of any shape, as an array of 113-bit reals.
 
     Raises:
-        GoalMissed: this build of heyoka has no such reals.
+        GoalMissed: this build of heyoka does not support them.
     """
     given = np.asarray(values)
     if given.dtype == np.float64 or np.issubdtype(given.dtype, np.integer):
         return given.astype(_real())
-    # Sixty digits are enough for the nearest 113-bit number.
+    # Sixty digits suffice for the nearest 113-bit number.
     with localcontext(prec=60):
         exact = [Fraction(value) for value in given.ravel()]
         flat = [_real()(str(Decimal(one.numerator) / Decimal(one.denominator))) for one in exact]
@@ -583,14 +587,14 @@ def pi_times(multiples: ArrayLike) -> Extended:
 
 
 def digits(values: Extended) -> list[str]:
-    """Return the decimal digits of 113-bit reals (K,), 36 significant: enough to get each number back."""
+    """Return the decimal digits of 113-bit reals (K,), 36 significant, which reproduce each number."""
     return [str(value) for value in values]
 
 
 class ExtendedPropagator:
     """Propagates one set of equations in 113-bit arithmetic, with Taylor tolerance 2e-34.
 
-    parameters: exact values of the equations' parameters. Not to be shared between threads.
+    parameters: exact values of the equations' parameters. Instances cannot be shared between threads.
     """
 
     def __init__(self, equations: Equations, parameters: Sequence[Exact] | Array) -> None:

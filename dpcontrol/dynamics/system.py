@@ -1,7 +1,7 @@
-"""A conservative system as the search for orbits sees it: equations, symmetries, saddles, sections.
+"""A conservative system for the search of orbits: equations, symmetries, saddles, sections.
 
-Nothing here assumes angles: coordinates have periods where they are angles, reversers are matrices, and sections
-are rows of numbers. A system of one's own is given by its energy as a casadi expression:
+Coordinates can be angles, which have periods, or lengths. Reversers are matrices, and sections are rows of numbers.
+Users define a system by its energy as a casadi expression:
 
     def hamiltonian(q, p, c):
         (x, y), (px, py) = q, p
@@ -39,6 +39,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
 from dpcontrol.foundation.settings import Settings, setting, suggest
 from dpcontrol.foundation.shown import Brief
+from dpcontrol.foundation.units import SUBSCRIPTS, InUnits
 
 EnergyFunction = Callable[[tuple[ca.SX, ...], tuple[ca.SX, ...], dict[str, ca.SX]], ca.SX]
 """(coordinates, their velocities or momenta, parameters by name) -> energy, casadi scalars throughout."""
@@ -46,19 +47,22 @@ EnergyFunction = Callable[[tuple[ca.SX, ...], tuple[ca.SX, ...], dict[str, ca.SX
 _NAME = re.compile(r"\w([\w-]*\w)?")
 _NEWTON_STEPS = 50
 _SAME = 1e-9
-"""Relative difference within which a symmetry holds: rounding, and no near miss."""
+"""Relative tolerance of a symmetry, which admits rounding only."""
 
 
 class SystemOptions(TypedDict, total=False):
-    """What a system may say besides its energy; each entry has a default.
+    """Optional properties of a system; each has a default.
 
-    periods: of each coordinate, None where it is no angle (all). reversers: signs of the coordinates, such as (1, -1),
-    or matrices (N, N); without them sign changes that reverse the motion are looked for. orientation (N,): see System.
-    scale: typical size of the coordinates, a number or one for each, or one for each state (π for angles, else 1).
-    energy_scale: (the energy's rise over that size). sections: by short names; between: (from, to) -> short name, for
-    all pairs to be connected (a plane half-way between two saddles; for the orbits of one, the points beyond half the
-    scale where they turn around).
-    section_scale, flight_periods, si: see System.
+    orientation, section_scale, flight_periods, si: see `System`.
+
+    Attributes:
+        periods: period of each coordinate, None for other coordinates than angles.
+        reversers: signs of the coordinates, such as (1, -1), or matrices (N, N) (default: reversing sign changes).
+        scale: typical size of all coordinates, of each, or of each state (default π for angles, else 1).
+        energy_scale: default: the energy's rise over that size.
+        sections: sections by short names.
+        between: (from, to) -> short name for pairs to connect. The default for two saddles is a plane half-way.
+            For orbits of one saddle it is their turning points beyond half the scale.
     """
 
     periods: Sequence[float | None]
@@ -74,17 +78,23 @@ class SystemOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class System(Brief):
+class System(Brief, InUnits):
     """A Hamiltonian system with N = 2n states.
 
-    equilibria: name -> state (N,). periods (N,): 2π for angles, infinity otherwise. reversers: matrices (N, N)
-    that turn the flow around in time, x(t) -> A x(-t), about every saddle of index one; of two the product leads each
-    Lyapunov orbit half a period on. orientation (N,): a periodic orbit starts where it crosses its saddle's fixed set
-    with orientation · (x - saddle) > 0. scale (N,): divides a state error. energy_scale: in the energy's unit.
-    sections: (from, to) -> section on which connections are sought unless another is named; named_sections: all there
-    are, by short names; section_scale: the size of what happens there in (q, p/p₀). flight_periods: how many periods
-    of its orbit a tube's trajectory is given to reach a section. coordinates (n,): their names. si: whether units are
-    those of SI.
+    Attributes:
+        equilibria: name -> state (N,).
+        periods: 2π for angles, infinity otherwise (N,).
+        reversers: matrices (N, N) that reverse the flow in time, x(t) -> A x(-t), about every saddle of index one. The
+            product of two advances each Lyapunov orbit by half a period.
+        orientation: row (N,). A periodic orbit starts on its saddle's fixed set with orientation · (x - saddle) > 0.
+        scale: scale of state errors (N,).
+        energy_scale: in the energy's unit.
+        sections: (from, to) -> default section of connections.
+        named_sections: all sections by short names.
+        section_scale: size of structures there in (q, p/p₀).
+        flight_periods: time limit of a tube's trajectory to a section, in periods of its orbit.
+        coordinates: names (n,).
+        si: True for SI units.
     """
 
     name: str
@@ -119,7 +129,7 @@ class System(Brief):
         equilibria: name -> guess of the coordinates (2,), refined by Newton's method; at least one is a saddle.
 
         Raises:
-            InputError: what is wrong with the energy, a guess, a symmetry or an option, in one sentence.
+            InputError: an invalid energy, guess, symmetry or option.
         """
         energy, symbols, numbers = _energy(name, "Lagrangian", lagrangian, coordinates, parameters)
         parts = mechanics(energy, lambda *_: ca.SX(0), free=2, prescribed=0, parameters=symbols)
@@ -139,10 +149,10 @@ class System(Brief):
     ) -> "System":
         """Return a system of two coordinates from H(q, p, parameters); its states are coordinates and momenta.
 
-        equilibria: as in `from_lagrangian`; the momenta there are found.
+        equilibria: see `from_lagrangian`. Their momenta are computed.
 
         Raises:
-            InputError: what is wrong with the energy, a guess, a symmetry or an option, in one sentence.
+            InputError: an invalid energy, guess, symmetry or option.
         """
         energy, symbols, numbers = _energy(name, "Hamiltonian", hamiltonian, coordinates, parameters)
         equations = hamiltonian_equations(energy, count=2, parameters=symbols)
@@ -164,17 +174,15 @@ class System(Brief):
         rates = (f"rate_{one[6:]}" if one.startswith("angle_") else f"{letter}_{one}" for one in names)
         return (*names, *rates)
 
-    def unit(self, name: str, form: str = " {}") -> str:
-        """Return a unit of SI as texts have it after a number, or "" if the system's units are its own."""
-        return form.format(name) if self.si else ""
-
-    def worded(self, text: str) -> str:
-        """Return a text that has energies in J without their unit where the system's units are its own."""
-        return text if self.si else re.sub(r"(?<=\d) J\b", "", text)
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Axis labels of the N entries of a state; those of arms have symbols and units."""
+        symbols = [f"{one[6:].translate(SUBSCRIPTS)} (rad" for one in self.coordinates if one.startswith("angle_")]
+        return (*(f"θ{one})" for one in symbols), *(f"ω{one}/s)" for one in symbols)) or self.columns
 
     @cached_property
     def turn_lengths(self) -> Array:
-        """Lengths (N,) of a whole turn of each coordinate: its period, zero where it is no angle."""
+        """Period (N,) of each coordinate, zero for other coordinates than angles."""
         return np.where(np.isfinite(self.periods), self.periods, 0.0)
 
     @cached_property
@@ -194,7 +202,7 @@ class System(Brief):
 
     @property
     def description(self) -> str:
-        """All that tells the system from others, but for the values of its parameters, as text."""
+        """Text that identifies the system, apart from the values of its parameters."""
         functions = [self.equations.numeric_functions[key].serialize() for key in ("rate", "hamiltonian")]
         rest = (self.equilibria, self.periods, self.reversers, self.orientation, self.scale, self.energy_scale,
                 self.sections, self.section_scale, self.flight_periods)  # fmt: skip
@@ -211,7 +219,7 @@ class System(Brief):
         return self.equilibria[name]
 
     def section_between(self, source: str, target: str, name: str | None = None) -> Section:
-        """Return the section on which connections between two saddles are sought, or the one of a short name.
+        """Return the default section of connections between two saddles, or the one of a short name.
 
         Raises:
             InputError: there is no section of that name, or none between the saddles.
@@ -259,7 +267,7 @@ def momentum_scale(system: System, section: Section) -> float:
     """Return p₀, the momentum that makes a section's (q, p/p₀) dimensionless.
 
     Among angles it is √(M_qq G_q), M_qq and G_q the kinetic and potential stiffness along the section at the lowest
-    equilibrium; elsewhere what the states' scale makes of it.
+    equilibrium. Otherwise it follows from the states' scale.
     """
     n, numeric, along = system.dimension // 2, system.numeric, np.asarray(section.momentum)
     if np.isfinite(system.periods).any():
@@ -277,12 +285,12 @@ def momentum_scale(system: System, section: Section) -> float:
 def _energy(
     name: str, kind: str, function: EnergyFunction, coordinates: Sequence[str], parameters: Mapping[str, float] | None
 ) -> tuple[Energy, ca.SX, Array]:
-    """Return a user's energy as a function of casadi vectors, checked, and its parameters' symbols and values."""
+    """Check a user's energy, and return it as a function of casadi vectors with its parameters' symbols and values."""
     where, given = f"the {kind} of {name}", dict(parameters or {})
     if len(coordinates) != 2 or isinstance(coordinates, str) or len(set(coordinates)) != 2:
         raise InputError(
-            f"coordinates = {coordinates!r}: a system of one's own has two, with different names; tubes separate the "
-            "motions of two degrees of freedom only"
+            f"coordinates = {coordinates!r}: a user's system has two, with different names; tubes separate motions "
+            f"in two degrees of freedom only"
         )
     for key, value in given.items():
         if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not np.isfinite(value):
@@ -306,7 +314,7 @@ def _energy(
         if others:
             raise InputError(
                 f"{where} depends on {others[0]!r}, which is no coordinate, {'momentum' if kind[0] == 'H' else 'rate'} "
-                "or parameter; energy is conserved only where it does not depend on time or anything else"
+                "or parameter; energy is conserved only if it does not depend on time or other variables"
             )
         return value
 
@@ -324,7 +332,7 @@ def described_system(
     """Return a system of equations (N = 2n states), with the defaults of all options that are not given.
 
     Raises:
-        InputError: what is wrong with a guess, a symmetry or an option.
+        InputError: an invalid guess, symmetry or option.
     """
     n, numeric = len(coordinates), NumericEquations(equations, parameters)
     if installed("heyoka"):
@@ -345,7 +353,7 @@ def described_system(
     sections: dict[tuple[str, str], Section] = {}
     if "between" not in options and n == 2 and reversers:
         sections = _default_sections(saddles, reversers[0], numeric, scale, periods, coordinates)
-        # Those that an angle puts aside can still be named.
+        # Sections that an angle replaces can still be named.
         for key in saddles:
             aside = _default_sections({key: saddles[key]}, reversers[0], numeric, scale, _ENDLESS, coordinates)
             if (key, key) in aside and aside[key, key] != sections.get((key, key)):
@@ -363,7 +371,7 @@ def described_system(
         equilibria=states,
         periods=periods,
         reversers=reversers,
-        # The first coordinate, or its rate, that an orbit changes at all tells where it starts.
+        # The start is defined by the first coordinate, or rate, that changes along an orbit.
         orientation=np.asarray(options.get("orientation", np.tile(1e-3 ** np.arange(n), 2) / scale), dtype=float),
         scale=scale,
         energy_scale=options.get("energy_scale", 100 * float(np.nanmax(np.abs(rises)))),
@@ -396,8 +404,8 @@ def _equilibria(
             if not (np.isfinite(rate).all() and np.isfinite(slope).all()):
                 raise InputError(
                     f"the equations of {name} are not finite at {np.array2string(state, precision=6)}, on the way from "
-                    f"the guess of {key}: the energy must be smooth there and its second derivatives by rates or "
-                    "momenta must not vanish"
+                    f"the guess of {key}: the energy must be smooth there, with second derivatives by rates or "
+                    f"momenta that do not vanish"
                 )
             step = np.linalg.lstsq(slope, -rate, rcond=1e-12)[0]
             if np.abs(step).max() <= 4e-16 * max(1.0, float(np.abs(state).max())):
@@ -438,7 +446,7 @@ def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | Non
 def _scale(
     name: str, given: float | Sequence[float] | None, numeric: NumericEquations, periods: Array, saddle: Array
 ) -> Array:
-    """Return the typical size (N,) of each state, of those of the second half by the fastest eigenvalue at a saddle."""
+    """Return the typical size (N,) of each state, for the second half by the fastest eigenvalue at a saddle."""
     n = len(periods) // 2
     turning = np.isfinite(periods[:n])
     try:
@@ -451,18 +459,18 @@ def _scale(
         return sizes
     positions = np.broadcast_to(sizes, n)
     fastest = float(np.abs(np.linalg.eigvals(numeric.jacobian(saddle))).max())
-    # The rates' share of the momenta: ones where the states are rates, or momenta of unit masses.
+    # Ratio of rates to momenta: one if the states are rates, or momenta of unit masses.
     shares = np.linalg.norm(np.linalg.inv(numeric.jacobian(saddle)[:n, n:]), axis=1)
     return np.concatenate([positions, positions * fastest * shares])
 
 
 def _around(state: Array, scale: Array) -> Array:
-    """Return states (K, N) scattered about one (N,), always the same, on no symmetry's fixed set."""
+    """Return fixed states (K, N) scattered about one (N,), off the fixed sets of symmetries."""
     return state + 0.3 * scale * np.random.default_rng(1).uniform(-1.0, 1.0, (12, len(state)))
 
 
 def _reverses(numeric: NumericEquations, reverser: Array, saddle: Array, scale: Array) -> bool:
-    """Tell whether f(R x) = -R f(x) for a reverser R about a saddle, at scattered states."""
+    """True if f(R x) = -R f(x) for a reverser R about a saddle, at scattered states."""
     states = _around(saddle, scale)
     rates = numeric.rate(states) @ reverser.T
     images = numeric.rate((states - saddle) @ reverser.T + saddle)
@@ -479,7 +487,7 @@ def _reversers(
 ) -> tuple[Array, ...]:
     """Return at most two reversers (N, N) about every saddle: those declared, or sign changes that are found.
 
-    The second is one whose product with the first leads each Lyapunov orbit half a period on.
+    The product of both advances each Lyapunov orbit by half a period.
     """
     n = len(scale) // 2
     if declared is None:
@@ -508,7 +516,7 @@ def _reversers(
 
 
 def _is_half_turn(numeric: NumericEquations, saddle: Array, symmetry: Array) -> bool:
-    """Tell whether a symmetry (N, N) is -1 on all oscillations about a saddle."""
+    """True if a symmetry (N, N) is -1 on all oscillations about a saddle."""
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(saddle)))
     swings = vectors[:, np.abs(np.imag(values)) > 1e-6 * np.abs(values)]
     return bool(np.allclose(symmetry @ swings, -swings, atol=1e-9))
@@ -525,11 +533,12 @@ def _default_sections(
     periods: Array,
     names: Sequence[str],
 ) -> dict[tuple[str, str], Section]:
-    """Return sections between all saddles of two coordinates that a reverser keeps, as far as there are any.
+    """Return the existing sections between all saddles of two coordinates that a reverser keeps.
 
-    Between two saddles: the plane half-way, round an angle both ways. For the orbits of one: half a turn away where the
-    unstable direction is mostly an angle's; else the plane in which the reverser's fixed set lies, which symmetric
-    connections cross half-way; under time reversal where the motion along the unstable direction turns.
+    Two saddles have the plane half-way, in both directions of an angle. Orbits of one saddle have a plane half a turn
+    away if the unstable direction is mostly an angle. Otherwise they have the plane of the reverser's fixed set, which
+    symmetric connections cross half-way. Under time reversal, the section is at the turning points along the unstable
+    direction.
     """
     sections: dict[tuple[str, str], Section] = {}
     for first, second in product(saddles, repeat=2):
@@ -569,12 +578,13 @@ def _default_sections(
 
 
 def _turn(row: Array, apart: Array, periods: Array) -> float | None:
-    """Return the distance between the sheets of a plane with unit normal `row` (2,), half-way between two saddles
-    `apart` (2,), that are images of each other by whole turns of angles, or None where the normal leaves them."""
+    """Return the distance between sheets that are images of each other by whole turns, or None.
+
+    The plane with unit normal `row` (2,) is half-way between two saddles `apart` (2,)."""
     steps = np.abs(row[row != 0] * periods[:2][row != 0])
     if not np.isfinite(steps).all() or not np.allclose(steps, steps[0]):
         return None
-    # Along a single angle both ways round have their middles half a turn from each other.
+    # Along a single angle, the middles of both directions are half a turn apart.
     return float(steps[0]) / (2 if len(steps) == 1 else 1)
 
 
@@ -587,13 +597,13 @@ def _unit_row(direction: NDArray[Any]) -> Array:
 
 @dataclass(frozen=True)
 class ThreeBodyParameters(Settings):
-    """Of the planar circular restricted three-body problem in the rotating frame.
+    """Parameters of the planar circular restricted three-body problem in the rotating frame.
 
         L = ½(ẋ² + ẏ²) + x ẏ - y ẋ + ½(μ₁ r₁² + μ₂ r₂²) + μ₁/r₁ + μ₂/r₂
 
-    The larger primary (μ₁ = 1 - μ) is at x = -μ, the smaller (μ₂ = μ) at x = 1 - μ; units: distance of the primaries,
-    their total mass, their angular velocity. The kinetic energy has terms linear in velocity and nothing is an angle.
-    mass_ratio μ: the smaller primary's share of the total mass, dimensionless.
+    The larger primary (μ₁ = 1 - μ) is at x = -μ, the smaller (μ₂ = μ) at x = 1 - μ. Units are the distance of the
+    primaries, their total mass and their angular velocity. The kinetic energy has terms linear in velocity, and there
+    are no angles. mass_ratio μ: the smaller primary's share of the total mass, dimensionless.
 
     Source: Koon, Lo, Marsden, Ross (2000), section 2; the constant in the potential is that of Kaheman et al. (2023),
     appendix A.
@@ -640,6 +650,7 @@ def three_body_system(name: str, parameters: ThreeBodyParameters) -> System:
             ("L1", "L2"): "between",
             ("L2", "L1"): "between",
         },
-        # Half a lap of the larger primary takes three; beyond four, passages of the smaller one scatter the tubes.
+        # Half a lap of the larger primary takes three periods. Beyond four, passages of the smaller one scatter the
+        # tubes.
         flight_periods=4.0,
     )

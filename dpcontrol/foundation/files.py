@@ -1,12 +1,12 @@
 """Files that are either whole or absent: written under a temporary name, then renamed.
 
-Files to read are regular ones: a pipe or a device never ends. What packs others says first to how much it unpacks.
+Only regular files are read, because pipes and devices never end. Containers are checked for their unpacked size before
+they are opened.
 
-Files of arrays with a JSON header (NumPy's .npz): written whole, and read so that damage is reported in a sentence.
+Files of arrays with a JSON header (NumPy's .npz) are written atomically. Damage is reported in one sentence when they
+are read. Format: NumPy Enhancement Proposal 1, a zip archive of .npy files; `header` among them is a string of JSON.
 
-Format: NumPy Enhancement Proposal 1, a zip archive of .npy files; `header` is a string of JSON among them.
-
-Documents: what results are in JSON's terms.
+Documents are results as JSON values.
 """
 
 import errno
@@ -44,7 +44,7 @@ def checked_target(path: Path) -> Path:
     """Return the place to write: `path`, or the file that it links to. A rename would otherwise replace the link.
 
     Raises:
-        InputError: `path` is a folder, a device or the like, leads to itself, or its folder may not be searched.
+        InputError: `path` is not a regular file, is a link to itself, or its folder is not accessible.
     """
     try:
         place = Path(os.path.realpath(path)) if path.is_symlink() else path
@@ -61,10 +61,10 @@ def checked_target(path: Path) -> Path:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Keep other commands of this user from writing `path` while the block runs.
+    """Prevent other commands of this user from writing `path` while the block runs.
 
-    A claim is a lock on a file in the temporary folder. If the folder is not writable, or the system has no locks,
-    nothing is claimed.
+    A claim is a lock on a file in the temporary folder. It has no effect if the folder is not writable, or the system
+    has no locks.
 
     Raises:
         InTheWay: another command is writing it.
@@ -108,7 +108,7 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
         make: makes or checks the file of a name; raises `InTheWay` if another command made it.
 
     Raises:
-        InputError: as `make`, except `InTheWay`.
+        InputError: see `make`, except `InTheWay`.
     """
     for number in itertools.count(1):
         place = path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
@@ -123,7 +123,7 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
 
 
 def checked_source(path: Path | str) -> Path:
-    """Return the path of a file to read, where it is one or there is nothing; only what is regular is ever opened.
+    """Return the path of a regular file to read, or of a missing one.
 
     Raises:
         InputError: `path` is a folder, a device, a pipe or a link that leads to itself.
@@ -134,7 +134,7 @@ def checked_source(path: Path | str) -> Path:
     except (OSError, ValueError) as error:
         if getattr(error, "errno", None) == errno.ELOOP:
             raise InputError(f"cannot read {path}: it is a link that leads to itself; give a regular file") from error
-        # Whoever opens it says what there is instead, or what else is wrong.
+        # Other errors are reported when the file is opened.
         return path
     if not stat.S_ISREG(mode):
         kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
@@ -144,14 +144,14 @@ def checked_source(path: Path | str) -> Path:
 
 
 MOST_UNPACKED = 1 << 29
-"""Bytes to which a packed file may unpack: tens of times as many as the longest plans and recordings need."""
+"""Largest unpacked size of a file, bytes, tens of times that of the longest plans and recordings."""
 
 
 def checked_size(size: float, what: str = "it", *, most: int = MOST_UNPACKED) -> None:
-    """Reject what would unpack to more than `most` bytes, by its headers and before it is unpacked.
+    """Reject a file with an unpacked size above `most` bytes, by its headers.
 
     Raises:
-        ValueError: says how much that is, and what is allowed.
+        ValueError: the size is too large, with its value and the limit.
     """
     if size > most:
         raise ValueError(f"{what} would unpack to {size / 1e9:.3g} GB, and {most / 1e9:.2g} GB are allowed")
@@ -161,7 +161,7 @@ def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
     """Reject a target that is the file being read.
 
     Raises:
-        InputError: `out` is the file `source`, by whatever name; what: what that file is, as in "the log to repeat".
+        InputError: `out` is the file `source`, perhaps by another name; what: its role, such as "the log to repeat".
     """
     checked_source(source)
     same = os.path.realpath(out) == os.path.realpath(source)
@@ -172,9 +172,9 @@ def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
 
 
 def in_the_way(path: Path | str, what: str) -> InTheWay:
-    """Return the error of a file that is not replaced; what: how it came about, as in "holds another run"."""
+    """Return the error of a file that is not replaced; what: its content, such as "holds another run"."""
     return InTheWay(
-        f"{path} is there already and {what}, which this would lose: choose another name, or replace it with --force"
+        f"{path} is there already and {what}, which would be lost: choose another name, or replace it with --force"
     )
 
 
@@ -187,14 +187,14 @@ def unwritable(path: Path, error: OSError) -> InputError:
 def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` when the block ends without an error.
 
-    The temporary name keeps `suffix` at its end, for writers that choose a format by it. Nothing is left
-    behind when the block raises; what a killed process left is removed by the next that writes the same file.
+    The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file is removed if the
+    block raises. Files of killed processes are removed by the next process that writes the same file.
 
     Raises:
         InputError: the folder cannot be made or written to, or `path` is a folder or a device.
     """
     path = checked_target(Path(path))
-    # A name of any length leaves room for what is added to it.
+    # A name of any length leaves room for additions.
     prefix, suffix = f".{path.name[:40]}.", suffix or ".partial"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -228,11 +228,11 @@ def _temporary(folder: Path, prefix: str, suffix: str) -> tuple[int, Path]:
 
 
 _RANDOM = r"[a-z0-9_]{8}"
-"""What `tempfile` puts between the beginning and the end of a name."""
+"""Characters that `tempfile` inserts into a name."""
 
 
 def _sweep(folder: Path, prefix: str, suffix: str) -> None:
-    """Remove temporary files whose writers are gone: a living one holds its file's lock."""
+    """Remove temporary files of ended processes: running ones hold a lock."""
     ours = re.compile(re.escape(prefix) + _RANDOM + re.escape(suffix))
     with suppress(OSError):
         for name in filter(ours.fullmatch, os.listdir(folder)):
@@ -245,7 +245,7 @@ def _sweep(folder: Path, prefix: str, suffix: str) -> None:
 
 
 def _locked(handle: int) -> bool:
-    """Lock a file until it is closed; return False where another has locked it, or the system has no such locks."""
+    """Lock a file until it is closed; return False if it is locked, or the system has no locks."""
     try:
         import fcntl
 
@@ -265,8 +265,8 @@ def write_whole(path: Path, content: bytes | str) -> None:
 def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -> None:
     """Write text files by their names to the folder `path`: all of them, or nothing.
 
-    A folder that holds them already, to the letter, stays as it is. force: replace files of these names in a folder
-    that holds anything else, whose other files stay.
+    A folder with identical files is not changed. force: replace files of these names in any folder, and keep its other
+    files.
 
     Raises:
         InputError: the folder is there and holds something else, or cannot be written.
@@ -308,11 +308,11 @@ def content_hash(*parts: str | bytes) -> str:
 
 
 SEAL = {b"dpcontrol.sealed": b"yes", b"dpcontrol.sha256": b"0" * 64}
-"""Metadata of a table to be sealed: the second value is replaced by the digest of the file with zeros in its place.
+"""Metadata of a sealed table: the second value becomes the digest of the file with zeros there.
 
-The first reveals damage to the second: a table of an earlier version has neither."""
+The first value reveals damage to the second. Tables of earlier versions have neither."""
 _SEAL = re.compile(rb"dpcontrol\.sha256..([0-9a-f]{64})", re.DOTALL)
-"""As Parquet's metadata have it: two bytes between key and value."""
+"""Layout of Parquet's metadata: two bytes between key and value."""
 
 
 def _digest(data: bytes, place: int) -> bytes:
@@ -326,7 +326,7 @@ def sealed_table(data: bytes) -> bytes:
 
 
 def check_seal(data: bytes) -> None:
-    """Reject a sealed table of which a single bit has changed; one without a seal passes.
+    """Reject a sealed table with any changed bit, and accept one without a seal.
 
     Raises:
         ValueError: the digest is another, or missing.
@@ -342,15 +342,15 @@ UNREADABLE = (
     OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, MemoryError, RuntimeError,
     AssertionError, SyntaxError, SystemError, TokenError, zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
-"""What reading a damaged file may raise: nothing in it can be trusted, neither sizes nor how deep it is nested."""
+"""Errors of reading a damaged file, including wrong sizes and deep nesting."""
 
 
 def write_archive(
     path: Path | str | BytesIO, header: Mapping[str, Any], arrays: Mapping[str, Any], *, compressed: bool = False
 ) -> None:
-    """Write a header, plain JSON with its `format` and `version`, and arrays to `path`, whole or not at all.
+    """Write a header, plain JSON with its `format` and `version`, and arrays atomically to `path`.
 
-    path: or a file in memory.
+    path: path, or a file in memory.
 
     Raises:
         InputError: the file cannot be written, or the header is not plain JSON.
@@ -364,10 +364,10 @@ def write_archive(
 
 
 def archive_format(path: Path | str) -> str:
-    """Return the format that a file's header names, "" where it has none or cannot be read.
+    """Return the format in a file's header, or "" if it has none or is not readable.
 
     Raises:
-        InputError: it is no regular file.
+        InputError: it is not a regular file.
     """
     try:
         with zipfile.ZipFile(checked_source(path)) as packed:
@@ -383,14 +383,14 @@ def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     """Return an array of an archive.
 
     Raises:
-        ValueError: it would unpack to more than is allowed, or its header contradicts its size.
+        ValueError: its unpacked size is too large, or its header contradicts its size.
     """
     checked_size(info.file_size, info.filename)
     stream = BytesIO(packed.read(info))
-    # Only header version 1 can be of what is written here; later ones are for thousands of named fields.
+    # This module only writes header version 1; later ones are for thousands of named fields.
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError(f"{info.filename} is of another version")
-    # NumPy's own refusal of such a header advises to trust the file.
+    # NumPy's message about such a header advises to trust the file.
     if (length := int.from_bytes(stream.getbuffer()[8:10], "little")) > _LONGEST_HEADER:
         raise ValueError(f"{info.filename} describes its array in {length:,} characters")
     shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
@@ -404,10 +404,10 @@ def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 
 
 def is_archive(path: Path | str) -> bool:
-    """Tell by its first bytes whether a file is such an archive, whole or damaged.
+    """True if the first bytes are those of an archive, whole or damaged.
 
     Raises:
-        InputError: it is no regular file.
+        InputError: it is not a regular file.
     """
     try:
         with checked_source(path).open("rb") as file:
@@ -423,18 +423,23 @@ _ZIP = b"PK\x03\x04"
 def archive(
     path: Path | IO[bytes], *, what: str, make: str, again: str, format: str, versions: tuple[int, ...]
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield the header and the arrays of `path`, a path or an open binary file; errors in the block mean damage.
+    """Yield the header and the arrays of `path`; errors in the block mean damage.
 
-    what: the archive's kind with its article; make: how one is made; again: the same of a damaged one. format,
-    versions: those that the caller reads.
+    Args:
+        path: path, or an open binary file.
+        what: kind of archive with its article.
+        make: how to make one.
+        again: how to replace a damaged one.
+        format: required format.
+        versions: supported versions.
 
     Raises:
-        InputError: there is no such file, or it is damaged or of another kind; says which.
+        InputError: the file is missing, damaged or of another kind.
     """
     packed_rightly = not isinstance(path, Path | str) or is_archive(path) or not Path(path).exists()
     try:
         if not packed_rightly:
-            raise ValueError("it is no .npz file")
+            raise ValueError("it is not an .npz file")
         with zipfile.ZipFile(path) as packed:
             checked_size(sum(info.file_size for info in packed.infolist()))
             arrays = {info.filename.removesuffix(".npy"): _member(packed, info) for info in packed.infolist()}
@@ -458,13 +463,14 @@ def picked(result: Any, *names: str) -> dict[str, Any]:
 
 
 def fields_of(kind: type, record: Any) -> dict[str, Any]:
-    """Return what the dataclass `kind` declares of a record of that kind, by name."""
+    """Return the fields of a record that the dataclass `kind` declares, by name."""
     return picked(record, *(field.name for field in fields(kind)))
 
 
 def plain(value: Any) -> Any:
-    """Return `value` in JSON's terms: arrays as lists, complex numbers as [re, im], paths as text; null where it is not
-    finite.
+    """Return `value` as JSON values.
+
+    Arrays become lists, complex numbers [re, im], paths text, and numbers that are not finite null.
     """
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}

@@ -1,14 +1,14 @@
 """Settings with declared bounds, and their checked reading from TOML files.
 
-Settings: frozen dataclasses whose fields carry their bounds and units, checked in one place.
+Settings are frozen dataclasses whose fields have bounds and units.
 
     @dataclass(frozen=True)
     class DriveSettings(Settings, table="drive"):
         delay: float = setting(1.0, least=0, most=1000, unit="periods")
 
-A value out of bounds is an InputError that names the table, the key, the value and what is allowed.
+A value out of bounds raises an InputError with table, key, value and allowed range.
 
-Checked reading of TOML files: every mistake is one sentence naming file, table, key, value and what is allowed.
+TOML files are checked when they are read: each mistake is one sentence with file, table, key, value and allowed range.
 """
 
 import difflib
@@ -36,7 +36,7 @@ _READERS = {
     tuple[str, ...]: "texts",
     float | tuple[float, ...]: "number_or_numbers",
 }
-"""Types of settings that a table can fill, and by which of its methods."""
+"""Types of settings that a table can fill, with the method that reads each."""
 
 
 class Table:
@@ -67,7 +67,7 @@ class Table:
         return default
 
     def misspelt(self, key: str) -> str:
-        """Return "; is … a misspelling of it?" where `key` is missing and one much like it was not taken, else ""."""
+        """Return "; is … a misspelling of it?" if an unused key resembles the missing `key`, else ""."""
         others = [] if key in self._values else [k for k in self._values if k not in self._taken]
         close = difflib.get_close_matches(key, others, n=1)
         return f"; is {close[0]!r} a misspelling of it?" if close else ""
@@ -110,30 +110,30 @@ class Table:
         return tuple(values)
 
     def table(self, key: str, *, required: bool = False) -> "Table":
-        """Return a table within this one, empty where it is not given."""
+        """Return a table within this one, empty if it is missing."""
         value = self._take(key, MISSING if required else {})
         if not isinstance(value, dict):
             raise InputError(f"{self.where(key)} = {value!r}: must be a table, [{key}]")
         return Table(value, file=self.file, name=f"{self.name}.{key}" if self.name else key)
 
     def tables(self, key: str) -> "list[Table]":
-        """Return the tables of an array of tables, [[key]], none where it is not given."""
+        """Return the tables of an array of tables, [[key]], none if it is missing."""
         value = self._take(key, [])
         if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
             raise InputError(f"{self.where(key)} = {value!r}: must be tables, each under [[{key}]]")
         return [Table(one, file=self.file, name=f"{key} {k}") for k, one in enumerate(value, start=1)]
 
     def remaining(self) -> dict[str, Any]:
-        """Return the keys that were not taken yet, and take them."""
+        """Return the unused keys, and mark them as used."""
         rest = {key: value for key, value in self._values.items() if key not in self._taken}
         self._taken |= set(rest)
         return rest
 
     def settings(self, kind: type[T], /, *, also: Iterable[str] = (), **given: Any) -> T:
-        """Return a settings dataclass filled from this table, its fields' defaults elsewhere.
+        """Return a settings dataclass filled from this table and the fields' defaults.
 
-        Fields named in `given` are set by the caller and may not be in the file. The dataclass's own checks are
-        reported with this table's place; `also` names further keys for the suggestion after an unknown one.
+        Fields in `given` are set by the caller and are not allowed in the file. Errors of the dataclass's checks are
+        reported with this table's place. `also` lists further keys for suggestions.
         """
         hints = get_type_hints(kind)
         values = dict(given)
@@ -147,16 +147,16 @@ class Table:
         return self.checked(kind, **values)
 
     def checked(self, kind: type[T], /, **values: Any) -> T:
-        """Construct a dataclass and report what its checks reject with this table's place."""
+        """Construct a dataclass and report errors of its checks with this table's place."""
         try:
             return kind(**values)
         except InputError as error:
-            # Settings name their table in front, as this table's place already does.
+            # Messages of settings begin with their table, as this table's place already does.
             message = str(error).removeprefix(f"{getattr(kind, 'TABLE', '')}: ")
             raise InputError(f"{self.where()} {message}") from error
 
     def finish(self, *, also: Iterable[str] = ()) -> None:
-        """Reject keys that were not taken; `also` names further keys for the suggestion."""
+        """Reject unused keys; `also` lists further keys for suggestions."""
         for key in self._values:
             if key not in self._taken:
                 known = sorted(self._taken | set(also))
@@ -187,7 +187,7 @@ class Table:
 
 
 def suggest(value: str, choices: Iterable[str]) -> str:
-    """Return what is allowed instead of `value`, the nearest spelling first."""
+    """Return the allowed values as a text, the nearest spelling first."""
     choices = [str(choice) for choice in choices]
     close = nearest(str(value), choices)
     if close:
@@ -196,7 +196,7 @@ def suggest(value: str, choices: Iterable[str]) -> str:
 
 
 def nearest(value: str, choices: Iterable[str]) -> str:
-    """Return the choice that is spelt most like `value`, in capitals or not; "" if none is much like it."""
+    """Return the choice with the nearest spelling, ignoring case, or "" if all differ much."""
     spelt = {choice.casefold(): choice for choice in choices}
     close = difflib.get_close_matches(value.casefold(), spelt, n=1)
     return spelt[close[0]] if close else ""
@@ -206,10 +206,10 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     """Return the contents of a TOML file, and its text.
 
     Raises:
-        InputError: the file cannot be read, is not text, or is not TOML; names the line.
+        InputError: the file cannot be read, is not text, or is not TOML, with the line.
     """
     try:
-        # Editors on Windows begin a file with a mark that is no part of its text.
+        # Editors on Windows begin a file with a mark that is not part of its text.
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}; check the name") from error
@@ -222,7 +222,7 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
     """Return the contents of TOML text; `file` names it in messages.
 
     Raises:
-        InputError: the text is not TOML; names the line.
+        InputError: the text is not TOML, with the line.
     """
     try:
         return tomllib.loads(text)
@@ -233,13 +233,13 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
 
 
 def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) -> str:
-    """Return TOML text with keys of one table set to texts, numbers or lists of these; all else stays as written.
+    """Return TOML text with keys of one table set to texts, numbers or lists of these.
 
-    table: "" for the top level. Comments, order, spacing and line ends are kept; new keys follow the table's last one,
-    a new table the text.
+    table: "" for the top level. Comments, order, spacing and line ends are kept. New keys follow the table's last key,
+    and a new table follows the text.
 
     Raises:
-        InputError: the text is written in a way that this cannot change; says what to write by hand.
+        InputError: the layout of the text is not supported; the message has the lines to write by hand.
     """
     before = tomllib.loads(text)
     wanted = {**before, table: {**before.get(table, {}), **values}} if table else {**before, **values}
@@ -263,7 +263,7 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
     if not same:
         shown = ", ".join(f"{key} = {value!r}" for key, value in values.items())
         where = f"its [{table}]" if table else "it"
-        raise InputError(f"{file}: {where} is not written line by line and stays as it is; write there {shown}")
+        raise InputError(f"{file}: {where} is not written line by line and was not changed; write there {shown}")
     return out
 
 
@@ -272,7 +272,7 @@ def _as_text(values: Mapping[str, Any]) -> str:
 
 
 def _toml(value: Any) -> str:
-    """Return a value as TOML has it; a list of several texts has a line for each."""
+    """Return a value as TOML; a list of several texts has a line for each."""
     if isinstance(value, list | tuple) and len(value) > 1 and all(isinstance(one, str) for one in value):
         return "[\n" + "".join(f"  {_toml(one)},\n" for one in value) + "]"
     return json.dumps(value, ensure_ascii=False)
@@ -290,7 +290,7 @@ def _set(lines: list[str], header: int, key: str, value: str, end: str) -> None:
         if found:
             comment = "" if "\n" in value else _comment(found[1], found[2])
             if comment:
-                # It stays in its column where the value leaves room.
+                # The comment stays in its column if the value leaves room.
                 room = len(found[2].rstrip("\r\n")) - len(comment.lstrip())
                 comment = f"{'':{max(room - len(value), 1)}}{comment.lstrip()}"
             lines[k:stop] = [f"{found[1]}{value}{comment}{end}"]
@@ -300,7 +300,7 @@ def _set(lines: list[str], header: int, key: str, value: str, end: str) -> None:
 
 
 def _end_of_value(lines: Sequence[str], k: int) -> int | None:
-    """Return the line after the value of the key that line k begins, None where it begins none."""
+    """Return the line after the value of the key in line k, or None if the line has no key."""
     if not lines[k].strip() or lines[k].lstrip().startswith("#"):
         return None
     for stop in range(k + 1, len(lines) + 1):
@@ -322,10 +322,15 @@ def _comment(begin: str, rest: str) -> str:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a setting may be, in `unit`.
+    """Allowed values of a setting, in `unit`.
 
-    Numbers are from `least`, or more than `above`, to `most`; texts are one of `choices`. zero, infinite: what 0 or
-    infinity stand for where they are allowed besides. key: the setting's name in files, where it is not the field's.
+    Attributes:
+        least: smallest number.
+        above: number that values must exceed.
+        most: largest number.
+        choices: allowed texts.
+        zero, infinite: meaning of 0 or infinity, which are then also allowed.
+        key: name in files, if it differs from the field's.
     """
 
     least: float = -math.inf
@@ -339,7 +344,7 @@ class Bounds:
 
     @property
     def range(self) -> str:
-        """What is allowed, as in "0 to 1000 periods" or "positive"; empty for any number."""
+        """Allowed range, such as "0 to 1000 periods" or "positive", or "" for any number."""
         unit = f" {self.unit}" if self.unit else ""
         low = max(self.least, self.above)
         if math.isfinite(self.most):
@@ -355,7 +360,7 @@ class Bounds:
         return text + "".join(f", or {value} for {meaning}" for value, meaning in extremes if meaning)
 
     def complaint(self, value: Any) -> str:
-        """Return what is wrong with a value, empty where nothing is."""
+        """Return the error of a value, or "" if it is valid."""
         if self.choices:
             return "" if value in self.choices else suggest(str(value), self.choices)
         if isinstance(value, str) and replace(self, unit="", key="") == Bounds():
@@ -402,7 +407,7 @@ class Settings:
         """Check every bounded field, then their combination.
 
         Raises:
-            InputError: names table, key, value and the allowed range of every mistake.
+            InputError: every mistake with table, key, value and allowed range.
         """
         mistakes = Mistakes()
         for name in bounds_of(type(self)):
@@ -419,7 +424,7 @@ class Settings:
                 raise cls._refused(bounds.key or name, one, complaint)
 
     def _check_together(self) -> None:
-        """Reject values that are allowed each but not together; most settings have none."""
+        """Reject combinations of valid values; the default accepts all."""
 
     @classmethod
     def _refused(cls, key: str, value: Any, complaint: str) -> InputError:
@@ -432,7 +437,7 @@ class Settings:
 
 @cache
 def bounds_of(kind: type) -> dict[str, Bounds]:
-    """Return {field: bounds}; a field that a subclass gives another default keeps its bounds."""
+    """Return {field: bounds}; a field with another default in a subclass keeps its bounds."""
     return {name: found["bounds"] for name, found in _declared(kind).items()}
 
 
@@ -443,7 +448,7 @@ def help_of(kind: type) -> dict[str, str]:
 
 
 def _declared(kind: type) -> dict[str, Mapping[str, Any]]:
-    """Return the metadata of each declared setting; help that a subclass leaves out is inherited."""
+    """Return the metadata of each declared setting, with inherited help."""
     found: dict[str, Mapping[str, Any]] = {}
     for one in fields(kind):  # type: ignore[arg-type]
         own = [
@@ -480,22 +485,22 @@ def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iter
     """Return settings of a dataclass from a table of TOML or an object of JSON.
 
     Args:
-        kind: the dataclass; its base is `Settings`.
-        values: by key; lists become tuples.
+        kind: dataclass derived from `Settings`.
+        values: values by key, where lists become tuples.
         place: for messages.
-        also: further keys that the file has there, for suggestions.
+        also: further keys of the file, for suggestions.
 
     Raises:
-        InputError: names every unknown or missing key, and every value of another type or out of bounds.
+        InputError: every unknown or missing key, and every value of another type or out of bounds.
     """
     from pydantic import ValidationError
 
     values = frozen(values)
     try:
-        # Python's own dictionaries are no dataclasses to a strict pydantic; those of JSON are.
+        # Strict pydantic rejects Python dictionaries as dataclasses, but accepts those of JSON.
         return adapter(kind).validate_json(json.dumps(values, default=str))
     except InputError as error:
-        # Settings name their table in front, as the place already does.
+        # Messages of settings begin with their table, as the place already does.
         sentences = [f"{place} {one.removeprefix(f'{kind.TABLE}: ')}" for one in mistakes_of(error)]  # type: ignore[attr-defined]
         raise InputErrors(sentences) if len(sentences) > 1 else InputError(sentences[0]) from error
     except ValidationError as error:
@@ -511,7 +516,7 @@ def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iter
             if key in bounds_of(kind) and (text := _complaint(kind, key, values[key])):
                 raise InputError(f"{place} {text}")
     mistakes.report()
-    raise AssertionError("pydantic rejected what has no mistake")
+    raise AssertionError("pydantic rejected valid values")
 
 
 def _complaint(kind: Any, key: str, value: Any) -> str:
@@ -531,7 +536,7 @@ def frozen(value: Any) -> Any:
 
 @cache
 def adapter(kind: Any) -> Any:
-    """Return pydantic's adapter of a dataclass; the import takes a tenth of a second."""
+    """Return pydantic's adapter of a dataclass, imported here because that takes a tenth of a second."""
     from pydantic import TypeAdapter
 
     return TypeAdapter(kind)

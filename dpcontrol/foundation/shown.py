@@ -3,6 +3,7 @@
 The base classes leave the data to the dataclasses that derive from them. Pictures come from the table of renderers.
 """
 
+import warnings
 from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import fields
@@ -45,8 +46,8 @@ def _in_json(document: Callable[..., Any]) -> Callable[..., Any]:
     """Return a method `document` whose values are those of JSON."""
 
     @wraps(document)
-    def call(self: Any) -> Any:
-        return plain(document(self))
+    def call(self: Any, *arguments: Any) -> Any:
+        return plain(document(self, *arguments))
 
     return call
 
@@ -118,7 +119,6 @@ class Timed(Shown):
         """Return the states at given times."""
         raise NotImplementedError
 
-    @checked
     def sample(self, count: Count = 200) -> Array:
         """Return states at equally spaced times.
 
@@ -128,6 +128,13 @@ class Timed(Shown):
         Returns:
             States (count, N).
         """
+        if np.ndim(count):
+            warnings.warn("sample(times) will go: use states(times) instead", DeprecationWarning, stacklevel=2)
+            return self.states(count)
+        return self._sample(count)
+
+    @checked
+    def _sample(self, count: Count) -> Array:
         return self.states(np.linspace(*self.time_range, count))
 
     @checked

@@ -1,6 +1,6 @@
-"""What stands between the model and the world: sensors, drive, disturbances; and the plant that they make of the arms.
+"""Bench between model and world: sensors, drive, disturbances, and the plant with these arms.
 
-Relative encoders that count, a cart's scale, and what goes wrong with them; angles count from hanging, q: one count:
+Relative encoders that count, a cart's scale, and their faults; angles count from hanging, q is one count:
 
     joint_i = θ_i - θ_{i-1} + zero_i + noise,   s_i = q round(joint_i / q) - q missed_i,   θ̂_i = s_1 + … + s_i
 
@@ -9,16 +9,17 @@ The cart's drive; a command given at tick k acts from (k + delay) periods on, fo
     demanded = clip(response · command + noise),   |demanded| ≤ a_max,   |demanded - last| ≤ jerk · period
     acting:   |w + u Δt| ≤ v_max,   w = v + lag · a         (w: velocity reference of the drive's loop)
 
-Pushes on the arms and knocks on the cart, which act in no time at a tick, right after its reading; a tilted track:
+Pushes on the arms and knocks on the cart are instantaneous. They act at a tick, right after its reading. The track can
+be tilted:
 
     push:  M(θ) Δω = impulse          knock:  Δẋ given, arms keep their momenta          tilt:  gravity (g sin, -g cos)
 
-Everything random in a run is drawn from its seed, from one stream of numbers for each use: a change of one setting
-leaves all other draws as they were, and a longer run begins like a shorter one. What is drawn for each tick comes in
-blocks, so that a night takes no more memory than a minute.
+All random numbers of a run come from its seed, with a separate stream for each use. So a changed setting leaves all
+other draws unchanged, and a longer run begins like a shorter one. Draws for each tick come in blocks, so the memory of
+a run does not grow with its duration.
 
-Sources: the rig's data sheets as read for its parameters: 40,000 counts per turn, 1 µm on the cart; commanded in
-velocity, 3 m/s, limit switches at both ends; O'Neill's seed sequences as in numpy.random.SeedSequence.
+Sources: the data sheets of the rig, with 40,000 counts per turn, 1 µm on the cart, a drive commanded in velocity, 3
+m/s, and limit switches at both ends. Seed sequences: O'Neill, as in numpy.random.SeedSequence.
 """
 
 import math
@@ -44,7 +45,7 @@ Clip = Callable[[Any, Any, Any], Any]
 
 
 _FINEST_ANGLE, _FINEST_CART = 1e-5, 1e-7
-"""rad and m: steps that an estimator assumes of sensors that are simulated without rounding or noise."""
+"""Steps that an estimator assumes for ideal sensors, rad and m."""
 
 
 AGES = ("unknown", "reported")
@@ -53,16 +54,22 @@ AGES = ("unknown", "reported")
 
 @dataclass(frozen=True)
 class SensorSettings(Settings, table="sensors"):
-    """The sensors and their faults; what is random is drawn beforehand, see `dpcontrol.loop.bench`.
+    """The sensors and their faults.
 
-    counts: of a relative arm encoder per turn, 0 for no rounding; cart_resolution: of the cart's scale, m, 0 likewise.
-    zero_error: rad, uniform ± on the zero of each arm's encoder, so that outer angles carry the sum. noise: standard
-    deviation on each relative angle, rad; cart_noise: on the cart, m. missed_counts: per s that each encoder loses
-    while its joint moves. dropout: share of ticks at which no sensor is read. stuck_at s: from when the sensor
-    `stuck_sensor` (0, 1 … the arms, then the cart) repeats its value, for stuck_for s. jitter s: a reading is up to so
-    old, uniform. ages: "reported" if each reading comes with its age, else "unknown". rate_noise rad/s: standard
-    deviation of what is added to estimated rates, as where rates are measured. zero_drift rad/h: at which the zero of
-    each arm's encoder drifts, either way.
+    Attributes:
+        counts: counts of a relative arm encoder per turn, 0 for no rounding.
+        cart_resolution: resolution of the cart's scale, m, 0 for no rounding.
+        zero_error: bound of the uniform error of each arm encoder's zero, rad. Outer angles have the sum.
+        noise: standard deviation of each relative angle, rad.
+        cart_noise: standard deviation of the cart's position, m.
+        missed_counts: counts per s that each encoder loses while its joint moves.
+        dropout: share of ticks without a reading.
+        stuck_at: time from which `stuck_sensor` repeats its value, s. Sensors count from the inner arm to the cart.
+        stuck_for: duration of this fault, s.
+        jitter: largest age of a reading, uniformly distributed, s.
+        ages: "reported" if each reading comes with its age, else "unknown".
+        rate_noise: standard deviation of noise on the estimated rates, which simulates measured rates, rad/s.
+        zero_drift: drift of each arm encoder's zero, in either direction, rad/h.
     """
 
     counts: int = setting(40_000, least=1, zero="no rounding", help="Encoder counts per turn of a joint.")
@@ -95,11 +102,11 @@ class SensorSettings(Settings, table="sensors"):
     )
 
     def _check_together(self) -> None:
-        """Check that an encoder which loses counts has some."""
+        """Check that an encoder which loses counts has counts."""
         if self.missed_counts and not self.counts:
             raise InputError(
-                f"sensors: missed_counts = {self.missed_counts!r} with counts = 0: an encoder that does not count "
-                "misses none; give its counts"
+                f"sensors: missed_counts = {self.missed_counts!r} with counts = 0: an encoder without counts cannot "
+                f"lose any; set counts"
             )
 
     @property
@@ -108,10 +115,10 @@ class SensorSettings(Settings, table="sensors"):
         return (2 * np.pi / self.counts if self.counts else 0.0), self.cart_resolution
 
     def covariance(self, arms: int) -> Array:
-        """Return the covariance (n+1, n+1) of the measured positions: a count's q²/12 and the noise, summed.
+        """Return the covariance (n+1, n+1) of the measured positions: rounding of q²/12 plus noise.
 
-        cov(angle_i, angle_j) = (min(i, j) + 1)(q²/12 + noise²). Where nothing is rounded nor noisy a filter must still
-        doubt a reading a little: as if an encoder counted to `_FINEST_ANGLE`, the scale to `_FINEST_CART`.
+        cov(angle_i, angle_j) = (min(i, j) + 1)(q²/12 + noise²). Ideal sensors get the steps `_FINEST_ANGLE` and
+        `_FINEST_CART`, because a filter needs a positive covariance.
         """
         angle, cart = self.steps
         angle = angle or (0.0 if self.noise else _FINEST_ANGLE)
@@ -125,13 +132,20 @@ class SensorSettings(Settings, table="sensors"):
 
 @dataclass(frozen=True)
 class DriveSettings(Settings, table="drive"):
-    """The drive and its cart; what is random is drawn beforehand, see `dpcontrol.loop.bench`.
+    """The drive and its cart.
 
-    delay: from reading to acting, in periods, also fractions. lag s: time constant of the velocity loop. cart_mass
-    kg (zero: the arms do not move the cart) and cart_viscous N s/m. velocity m/s, acceleration m/s²: what it can do,
-    inf: as the scene's limits; jerk m/s³. command_noise m/s²: standard deviation, Gaussian, new each period.
-    response: share of a command that the drive gives. track m: hard stops stand at ± this, inf: at the scene's limit
-    of position. switch_margin m: so far before them the limit switches are touched.
+    Attributes:
+        delay: from a reading to the action of its command, in periods, also fractions.
+        lag: time constant of the velocity loop, s.
+        cart_mass: mass of the cart, kg. The arms do not move a cart of mass 0.
+        cart_viscous: viscous friction of the cart, N s/m.
+        velocity: bound, m/s, or inf for the itinerary's limit.
+        acceleration: bound, m/s², or inf for the itinerary's limit.
+        jerk: bound, m/s³.
+        command_noise: standard deviation of Gaussian noise, drawn in each period, m/s².
+        response: share of a command that the drive gives.
+        track: distance of the hard stops from the centre, m, or inf for the itinerary's limit.
+        switch_margin: distance of the limit switches from the hard stops, m.
     """
 
     delay: float = setting(
@@ -141,25 +155,27 @@ class DriveSettings(Settings, table="drive"):
     cart_mass: float = setting(0.0, least=0, most=1e6, unit="kg", help="Mass of the cart, which the arms then push.")
     cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m", help="Viscous friction of the cart.")
     velocity: float = setting(
-        math.inf, above=0, infinite="none of its own", unit="m/s", help="Largest velocity of the drive."
+        math.inf, above=0, infinite="no separate limit", unit="m/s", help="Largest velocity of the drive."
     )
     acceleration: float = setting(
-        math.inf, above=0, infinite="none of its own", unit="m/s²", help="Largest acceleration of the drive."
+        math.inf, above=0, infinite="no separate limit", unit="m/s²", help="Largest acceleration of the drive."
     )
-    jerk: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s³", help="Largest jerk of the drive.")
+    jerk: float = setting(
+        math.inf, above=0, infinite="no separate limit", unit="m/s³", help="Largest jerk of the drive."
+    )
     command_noise: float = setting(
         0.0, least=0, most=1e6, unit="m/s²", help="Standard deviation of noise on the command."
     )
     response: float = setting(1.0, least=0, most=10, help="Share of a command that the drive gives.")
     track: float = setting(
-        math.inf, above=0, infinite="none of its own", unit="m", help="Distance of the hard stops from the centre."
+        math.inf, above=0, infinite="no separate limit", unit="m", help="Distance of the hard stops from the centre."
     )
     switch_margin: float = setting(
         0.0, least=0, most=1000, unit="m", help="Distance of the limit switches from the hard stops."
     )
 
     def limits(self, limits: Limits) -> Limits:
-        """Return what the drive can do: its own bounds where it has them, else those of the scene."""
+        """Return the bounds of the drive, by default those of the itinerary."""
         return Limits(
             position=self.track if math.isfinite(self.track) else limits.position,
             velocity=self.velocity if math.isfinite(self.velocity) else limits.velocity,
@@ -168,7 +184,7 @@ class DriveSettings(Settings, table="drive"):
         )
 
     def within(self, limits: Limits, period: float, *, clip: Clip = clip_number) -> "DriveLimits":
-        """Return what it does with demands, `period` s apart, under the scene's limits; clip: `clip_lanes` for many."""
+        """Return the drive's bounds for demands `period` s apart; clip: `clip_lanes` for several runs."""
         own = self.limits(limits)
         step = self.jerk * period if math.isfinite(self.jerk) else math.inf
         return DriveLimits(float(own.acceleration), float(own.velocity), step, self.response, clip)
@@ -176,7 +192,7 @@ class DriveSettings(Settings, table="drive"):
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """What the drive does with a demand within its bounds; demands are plain floats or, by `clip_lanes`, arrays (S,).
+    """Bounds of the drive on demands, which are floats or, with `clip_lanes`, arrays (S,).
 
     acceleration m/s², velocity m/s, jerk_step m/s² per period (inf for none), response.
     """
@@ -188,14 +204,14 @@ class DriveLimits:
     clip: Clip
 
     def demanded(self, command: Any, noise: Any, last: Any) -> Any:
-        """Return what becomes of `command` on its way, `last` having been demanded before it."""
+        """Return the demand that results from `command`, given the `last` demand."""
         wanted = self.clip(self.response * command + noise, -self.acceleration, self.acceleration)
         return self.clip(wanted, last - self.jerk_step, last + self.jerk_step)
 
     def acting(self, demanded: Any, velocity: Any, duration: float) -> Any:
-        """Return what acts for `duration` s, so that the loop's velocity reference, now `velocity`, stays in bounds.
+        """Return the acceleration for `duration` s that keeps the velocity reference, now `velocity`, in bounds.
 
-        One that a knock has thrown out of them comes back as fast as the drive can.
+        After a knock out of these bounds, the reference returns as fast as the drive can.
         """
         low, high = (-self.velocity - velocity) / duration, (self.velocity - velocity) / duration
         return self.clip(self.clip(demanded, low, high), -self.acceleration, self.acceleration)
@@ -207,10 +223,13 @@ class DriveLimits:
 
 @dataclass(frozen=True)
 class Push(Settings, table="push"):
-    """One blow at `time` s, at the tick next to it: on arm `arm` (0: the inner) and on the cart.
+    """One blow at `time` s, on the nearest tick.
 
-    impulse N m s: of a couple on the arm; rate rad/s: jump of the arm's rate in place of or besides it; knock m/s:
-    jump of the cart's velocity.
+    Attributes:
+        arm: arm that is struck, 0 the inner one.
+        impulse: angular impulse of a couple on the arm, N m s.
+        rate: additional jump of the arm's rate, rad/s.
+        knock: jump of the cart's velocity, m/s.
     """
 
     time: float = setting(least=0, unit="s", help="Time of the blow.")
@@ -224,11 +243,13 @@ class Push(Settings, table="push"):
 class DisturbanceSettings(Settings, table="disturbances"):
     """Seeded and explicit disturbances.
 
-    pushes: how many blows on arms in a run, at random times on random arms, each of a uniform ± push_impulse N m s;
-    knocks: how many on the cart, each a uniform ± knock_velocity m/s. knocks_per_minute: blows on random arms at random
-    times (a Poisson process), for as long as the run lasts, each of a uniform ± knock_impulse N m s. tilt rad of the
-    track, positive with the right end down; angles are measured from the track's normal, so hanging arms read `tilt`.
-    explicit: further blows.
+    Attributes:
+        pushes: number of blows on random arms at random times, uniform up to ±push_impulse N m s.
+        knocks: number of blows on the cart, uniform up to ±knock_velocity m/s.
+        knocks_per_minute: rate of further blows on random arms (a Poisson process), uniform up to ±knock_impulse N m s.
+        tilt: tilt of the track, rad, positive with the right end down. Angles are measured from the track's normal, so
+            hanging arms read `tilt`.
+        explicit: further blows.
     """
 
     pushes: int = setting(0, least=0, most=10_000, help="Number of random blows on the arms.")
@@ -251,17 +272,21 @@ class DisturbanceSettings(Settings, table="disturbances"):
 
 @dataclass(frozen=True)
 class MechanicsSettings(Settings, table="mechanics"):
-    """Mechanics of an ordinary rig that no model has; see `dpcontrol.dynamics.components`.
+    """Unmodelled mechanics of an ordinary rig; see `dpcontrol.dynamics.components`.
 
-    belt Hz: frequency of the cart on an elastic belt with the motor held. belt_damping: damping ratio of that.
-    belt_scale: place of the cart's scale, "motor" or "cart". play rad: width of the play between joint and encoder, for
-    all arms or each. The encoder's first place in it is random. cable_torque N m acts on the hanging inner arm,
-    cable_stiffness N m/rad against its turning. stiction N m: break-away torque of the joints, for all or each.
-    kinetic: torque of a sliding joint as a share of that. initial_rate rad/s: uniform ± on each rate of the first
-    state. initial_cart m: first position of the cart.
-
-    known_belt Hz and known_play rad are the loop's values of belt and play, by default the true ones. With 0 the loop
-    ignores them.
+    Attributes:
+        belt: frequency of the cart on an elastic belt with the motor held, Hz.
+        belt_damping: damping ratio of this oscillation.
+        belt_scale: place of the cart's scale, "motor" or "cart".
+        play: width of the play between joint and encoder, for all arms or each, rad. The initial place is random.
+        cable_torque: torque of a cable on the hanging inner arm, N m.
+        cable_stiffness: stiffness of the cable against turning, N m/rad.
+        stiction: break-away torque of the joints, for all or each, N m.
+        kinetic: torque of a sliding joint as a share of that.
+        initial_rate: bound of each uniform initial rate, rad/s.
+        initial_cart: initial position of the cart, m.
+        known_belt: belt frequency assumed by the loop, by default the true one, 0 to ignore it, Hz.
+        known_play: play assumed by the loop, by default the true one, 0 to ignore it, rad.
     """
 
     belt: float = setting(
@@ -308,7 +333,7 @@ class MechanicsSettings(Settings, table="mechanics"):
         """Return the values of `play`, `known_play` or `stiction` for each arm.
 
         Raises:
-            InputError: their number is not that of the arms.
+            InputError: their number differs from that of the arms.
         """
         value = getattr(self, name)
         if value == math.inf:
@@ -319,7 +344,7 @@ class MechanicsSettings(Settings, table="mechanics"):
         return values
 
     def components(self, arms: int, offsets: Array) -> tuple[SymbolicPlant, ...]:
-        """Return the components of a plant of so many arms; offsets (n,): of encoders in their play, -0.5 to 0.5."""
+        """Return the components of a plant; offsets (n,): encoder positions in their play, -0.5 to 0.5."""
         found: list[SymbolicPlant] = []
         play, stiction = self.of_each("play", arms), self.of_each("stiction", arms)
         if self.belt:
@@ -335,7 +360,7 @@ class MechanicsSettings(Settings, table="mechanics"):
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """What stands between the model and the world."""
+    """Sensors, drive, disturbances and mechanics of a bench."""
 
     sensors: SensorSettings = field(default_factory=SensorSettings)
     drive: DriveSettings = field(default_factory=DriveSettings)
@@ -343,7 +368,9 @@ class BenchSettings:
     mechanics: MechanicsSettings = field(default_factory=MechanicsSettings)
 
     def plant(self, arms: ArmChainParameters, offsets: Array | None = None) -> PlantParameters:
-        """Return these arms on this drive and track; offsets: see `MechanicsSettings.components`, zero by default.
+        """Return these arms on this drive and track.
+
+        offsets: see `MechanicsSettings.components`, zero by default.
 
         Raises:
             InputError: the drive or the tilt is impossible.
@@ -356,7 +383,7 @@ class BenchSettings:
         )  # fmt: skip
 
 
-# Their order is that of the seed's streams: append only, or old seeds give other runs.
+# The order is that of the seed's streams: append only, because any other change alters the runs of old seeds.
 _STREAMS = ("plant", "initial_error", "zero_errors", "command_noise", "ages", "dropped", "missed", "noise",
             "rate_noise", "pushes", "knocks", "model", "zero_drift", "random_blows",
             "initial_rate", "play")  # fmt: skip
@@ -364,7 +391,7 @@ _STREAMS = ("plant", "initial_error", "zero_errors", "command_noise", "ages", "d
 
 @dataclass(frozen=True, eq=False)
 class Blow:
-    """What strikes at one tick: impulses (n,) N m s, jumps (n,) rad/s, knock m/s."""
+    """Blow at one tick: impulses (n,) N m s, jumps (n,) rad/s, knock m/s."""
 
     impulses: Array
     jumps: Array
@@ -377,27 +404,27 @@ _BLOCK = 1 << 14
 
 @dataclass(frozen=True, eq=False)
 class Stream(Brief):
-    """What is drawn for each tick of a run: `make` turns a generator and a count into as many ticks' (count, …).
+    """Random numbers for each tick of a run: `make` turns a generator and a count into an array (count, …).
 
-    Blocks one after the other hold the numbers of one long draw.
+    Successive blocks hold the numbers of one long draw.
     """
 
     seed: np.random.SeedSequence
     make: Callable[[np.random.Generator, int], NDArray[Any]]
     begin: int = 0
-    """Ticks that were before the first."""
+    """Ticks before the first."""
 
     def first(self, count: int) -> NDArray[Any]:
         """Return the first `count` ticks."""
         return self.make(np.random.default_rng(self.seed), self.begin + count)[self.begin :]
 
     def reader(self, rows: Callable[[NDArray[Any]], Any], *, ticks: int = _BLOCK) -> "StreamReader":
-        """Return a reader from the first tick on; rows: what becomes of a block; ticks: how many, if known."""
+        """Return a reader from the first tick on, with a conversion `rows` of blocks and an optional length `ticks`."""
         return StreamReader(self, rows, block=min(max(ticks, 1), _BLOCK))
 
 
 class StreamReader:
-    """Gives a stream tick by tick, `reader[k]`, without end, in order; it keeps one block of it."""
+    """Returns a stream tick by tick, `reader[k]`, in order and without end; it stores one block."""
 
     def __init__(self, stream: Stream, rows: Callable[[NDArray[Any]], Any], *, block: int) -> None:
         self._random, self._make, self._rows = np.random.default_rng(stream.seed), stream.make, rows
@@ -412,7 +439,7 @@ class StreamReader:
             self._values = self._rows(self._make(self._random, self._block))
             self._first, self._end = self._end, self._end + self._block
         if tick < self._first:
-            raise IndexError(f"tick {tick} of a stream is asked for after tick {self._first}")
+            raise IndexError(f"tick {tick} of a stream is requested after tick {self._first}")
         return self._values[tick - self._first]
 
 
@@ -428,13 +455,24 @@ def _drawn(name: str) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class BenchDraw(Brief):
-    """One run's draws for n arms and K ticks.
+    """Random draws of one run for n arms and K ticks.
 
-    plant; initial_error (n,) rad on the angles, initial_rate (n,) rad/s on the rates; zeros (n,) rad of the encoders,
-    drift (n,) rad/s of them; blows by their tick. streams: by name what is drawn for each tick, also beyond the K; None
-    stands below for none of the kind, which costs nothing. command_noise (K,) m/s²; ages (K,) s of the readings;
-    dropped (K,): ticks without reading; missed (K, n): counts lost where the joint moves; noise (K, n+1) on relative
-    angles, rad, and cart, m; rate_noise (K, n) rad/s on estimated rates.
+    A stream that the settings do not use is None.
+
+    Attributes:
+        plant: parameters of the arms.
+        initial_error: errors (n,) of the initial angles, rad.
+        initial_rate: initial rates (n,), rad/s.
+        zeros: zero errors (n,) of the encoders, rad.
+        drift: drift (n,) of these errors, rad/s.
+        blows: blows by tick.
+        streams: numbers for each tick by name, also beyond K.
+        command_noise: noise (K,) on commands, m/s².
+        ages: ages (K,) of the readings, s.
+        dropped: ticks without reading (K,).
+        missed: counts (K, n) lost by moving joints.
+        noise: noise (K, n+1) on relative angles, rad, and cart, m.
+        rate_noise: noise (K, n) on estimated rates, rad/s.
     """
 
     seed: int
@@ -448,9 +486,9 @@ class BenchDraw(Brief):
     streams: Mapping[str, Stream]
     blows: Mapping[int, Blow]
     random_blows: Callable[[], Iterator[tuple[int, Blow]]]
-    """Gives blows at random times with their ticks, in order, without end where there are any."""
+    """Yields blows at random times with their ticks, in order and without end."""
     own: Any = None
-    """A user's plant in place of these (`dpcontrol.loop.own`)."""
+    """A user's plant that replaces these arms (`dpcontrol.loop.own`)."""
 
     command_noise = _drawn("command_noise")
     ages = _drawn("ages")
@@ -460,12 +498,12 @@ class BenchDraw(Brief):
     rate_noise = _drawn("rate_noise")
 
     def reader(self, name: str, rows: Callable[[NDArray[Any]], Any] = np.ndarray.tolist) -> StreamReader | None:
-        """Return what gives a stream tick by tick, None where there is none; see `Stream.reader`."""
+        """Return a reader of a stream, or None if it is not used; see `Stream.reader`."""
         stream = self.streams.get(name)
         return None if stream is None else stream.reader(rows, ticks=self.ticks)
 
     def endless(self, *, since: int = 0) -> "BenchDraw":
-        """Return the same for a run of any length, or for the rest of it that begins with tick `since`."""
+        """Return the draw for a run of any length, or its rest from tick `since` on."""
 
         def later() -> Iterator[tuple[int, Blow]]:
             return ((tick - since, blow) for tick, blow in self.random_blows() if tick >= since)
@@ -482,12 +520,15 @@ _ENDLESS = 1 << 60
 
 @dataclass(frozen=True)
 class Unlike:
-    """How the plant differs from the model.
+    """Differences of the plant from the model.
 
-    mismatch: share by which its parameters differ; model_uncertainty: factor on the standard errors of the model's
-    `uncertainty`, by which they differ besides, zero for none. initial_error rad: uniform ± on each angle of the first
-    state. friction: factor on that of the plant drawn. plant: arms of its own, about which it is drawn in place of the
-    model's.
+    Attributes:
+        mismatch: relative errors of its parameters.
+        model_uncertainty: factor on the standard errors of the model's `uncertainty`, for additional errors; 0 for
+            none.
+        initial_error: bound of each uniform initial angle error, rad.
+        friction: factor on the friction of the drawn plant.
+        plant: arms that replace the model's as the centre of the draw.
     """
 
     mismatch: float = 0.0
@@ -510,11 +551,19 @@ def draw_bench(
     period: float,
     unlike: Unlike = _ALIKE,
 ) -> BenchDraw:
-    """Draw a run of `ticks` ticks, `period` s each, of the bench with these arms as the model.
+    """Draw the bench of a run with these arms as the model.
+
+    Args:
+        arms: the model's arms.
+        settings: settings of the bench.
+        seed: seed of the random numbers.
+        ticks: number of ticks.
+        period: period, s.
+        unlike: differences of the plant from the model.
 
     Raises:
-        InputError: settings that do not fit these arms or this period; an uncertainty is asked for and not known.
-        GoalMissed: no arms near the model's have the ratios drawn.
+        InputError: settings that do not fit these arms or this period, or a missing uncertainty.
+        GoalMissed: no arms near the model's have the drawn ratios.
     """
     n, sensors, drive, blows = arms.count, settings.sensors, settings.drive, settings.disturbances
     if sensors.jitter > period:
@@ -529,7 +578,7 @@ def draw_bench(
     def random(name: str) -> np.random.Generator:
         return np.random.default_rng(children[name])
 
-    # What is not asked for is not drawn: making a generator takes longer than most draws.
+    # Unused values are not drawn: making a generator takes longer than most draws.
     streams: dict[str, Stream] = {}
 
     def stream(name: str, make: Callable[[np.random.Generator, int], NDArray[Any]], wanted: Any) -> None:
@@ -549,7 +598,7 @@ def draw_bench(
     stream("command_noise", lambda source, count: source.standard_normal(count) * noisy, noisy)
     stream("ages", lambda source, count: source.uniform(0.0, sensors.jitter, count), sensors.jitter)
     stream("dropped", lambda source, count: source.uniform(size=count) < sensors.dropout, sensors.dropout)
-    # Whole counts of the right mean: the whole part always, one more with the rest's probability.
+    # Whole counts with the right mean: the integer part, plus one with the probability of the rest.
     stream("missed", lambda source, count: np.floor(source.uniform(size=(count, n)) + lost).astype(np.int64), lost)
     normal("noise", np.array([*[sensors.noise] * n, sensors.cart_noise]))
     normal("rate_noise", np.full(n, sensors.rate_noise))
@@ -581,7 +630,7 @@ def draw_bench(
 def _random_blows(
     settings: DisturbanceSettings, arms: int, period: float, random: np.random.Generator
 ) -> Iterator[tuple[int, Blow]]:
-    """Yield blows on arms at random times, in order; none where none are asked for."""
+    """Yield blows on arms at random times, in order, or none."""
     now = 0.0
     while settings.knocks_per_minute and settings.knock_impulse:
         now += random.exponential(60 / settings.knocks_per_minute)

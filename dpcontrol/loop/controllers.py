@@ -1,10 +1,10 @@
-"""From a reference and settings to the controller and the estimator of a run, whatever their kinds.
+"""Build the controller and the estimator of a run from a reference and settings.
 
-A reference that stays on one orbit or at one equilibrium says so in its notes (`stay`): kinds that hold orbits or
-equilibria need one, and kinds that track take it as any other.
+The notes of a reference that stays on one orbit or at one equilibrium have the entry `stay`. Laws that hold orbits or
+equilibria need this entry. Laws that track accept any reference.
 
-The notes of a reference whose stops are kept say which of its intervals are a stay's and which a flight's (`program`).
-Orbits that are not in a reference are searched for again, which is the same search with the same result each time.
+If stops are kept, the notes list the intervals of stays and flights (`program`). Orbits that are not in a reference are
+computed again. This search is deterministic.
 """
 
 from collections.abc import Callable, Mapping
@@ -52,8 +52,10 @@ if TYPE_CHECKING:
 
 
 class Filter(NamedTuple):
-    """A kind of estimator: its settings, those with the defaults for the adaptive law, what makes it, and whether it is
-    an expression, which is compiled into the tick and exported to C."""
+    """A kind of estimator: its settings, its defaults for the adaptive law, and its factory.
+
+    A symbolic estimator is compiled into the tick and can be exported to C.
+    """
 
     settings: type
     adaptive: type
@@ -81,7 +83,7 @@ FILTERS = (
 ESTIMATORS: dict[str, type[EstimatorSettings]] = {one.settings.kind: one.settings for one in FILTERS[:-1]}
 """The settings of each built-in kind, by its name in an itinerary."""
 ADAPTIVE_ESTIMATORS: dict[str, type[EstimatorSettings]] = {one.adaptive.kind: one.adaptive for one in FILTERS[:-1]}
-"""The same with the defaults for the adaptive law."""
+"""These settings with the defaults for the adaptive law."""
 
 
 def filter_of(settings: EstimatorSettings | OwnEstimator) -> Filter:
@@ -97,7 +99,7 @@ def estimators_of(law: "ControllerSettings") -> dict[str, type[EstimatorSettings
 
 
 def make_estimator(settings: EstimatorSettings | OwnEstimator, model: SampledModel, *, noise: Array) -> Estimator:
-    """Return the estimator of `settings` for `model`; noise (n+1, n+1): of the measured positions.
+    """Return the estimator of `settings` for `model`; noise (n+1, n+1): covariance of the measured positions.
 
     Raises:
         InputError: the noise has the wrong shape or is no covariance.
@@ -106,13 +108,13 @@ def make_estimator(settings: EstimatorSettings | OwnEstimator, model: SampledMod
 
 
 KEEPERS = ("none", "ogy", "ogy-classic", "tvlqr")
-"""What may keep the stops of a walk; with none the whole reference is followed in one piece."""
+"""Laws that can keep the stops of a walk; with none, one law follows the whole reference."""
 
 
 def keeping_controller(
     reference: Reference, parameters: ArmChainParameters, model: SampledModel, *, flies: TvlqrSettings, keep: str
 ) -> Program:
-    """Return the program that keeps the stays of `reference` by `keep` and flies the rest as `flies` says.
+    """Return the program that keeps the stays of `reference` with `keep` and flies between them with `flies`.
 
     Raises:
         InputError: the reference was planned without stays, or is of other arms.
@@ -124,7 +126,7 @@ def keeping_controller(
             f'controller: keep = "{keep}": the reference was planned without stays; write keep = "{keep}" under '
             "[controller] of an itinerary that is a walk"
         )
-    # What a flight ends on is the next stay's to hold: nothing has to be enforced there.
+    # The next stay holds the end of a flight, so no terminal weight is needed.
     open_ended = replace(flies, closing=1.0)
     keepers: dict[str, OgyController | OrbitController] = {}
     segments: list[Segment] = []
@@ -155,20 +157,19 @@ def _orbit_name(saddle: str, energy: float) -> str:
 
 
 def _part(reference: Reference, entry: Mapping[str, Any]) -> Reference:
-    """Return the part of a reference that an entry of its program is."""
+    """Return the part of a reference in one entry of its program."""
     first, last = entry["rows"]
     mesh = reference.mesh[first : last + 1] - reference.mesh[first]
     return replace(reference, mesh=mesh, states=reference.states[first:last], inputs=reference.inputs[first:last])
 
 
 def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmChainParameters) -> "SustainedOrbit":
-    """Return the sustained orbit of which an entry tells: keep (the saddle), energy, family, lyapunov_period, rows,
-    turns.
+    """Return the sustained orbit of an entry: keep (the saddle), energy, family, lyapunov_period, rows, turns.
 
     Raises:
         InputError: it is of other arms.
     """
-    # Runs that keep no orbit do without what finds them.
+    # Runs that keep no orbit do not import the search for orbits.
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
     from dpcontrol.references.sustained import SustainedOrbit
 
@@ -200,9 +201,9 @@ def _stay_entry(reference: Reference) -> dict[str, Any]:
 def nearest_keeper(
     reference: Reference, parameters: ArmChainParameters, model: SampledModel, *, flies: TvlqrSettings
 ) -> NearestKeeper:
-    """Return what holds the nearest of a reference's orbits and equilibria, and hanging still, when it is given up.
+    """Return the laws that hold the reference's orbits and equilibria, and the hanging arms, after tracking is lost.
 
-    Orbits are held by feedback at every tick, at the nearest phase: nothing keeps them from farther away.
+    Orbits are held by feedback at every tick, at the nearest phase. No other law holds them from a larger distance.
 
     Raises:
         InputError: the reference is of other arms.
@@ -246,9 +247,9 @@ def _sought(saddle: str, energy: float, reference: Reference, parameters: ArmCha
 
 
 _OSCILLATION = 2.5
-"""rad/s: amplitude of a joint's rate at which a hold takes dry friction of its model for viscous friction."""
+"""Amplitude of a joint's rate at which a hold replaces dry by viscous friction in its model, rad/s."""
 _MOST_DRY = 0.055
-"""Most of it, as a share like a hold's damping: more costs robustness against wrong masses."""
+"""Largest damping ratio from it: more reduces robustness against wrong masses."""
 
 ControllerSettings = (
     TvlqrSettings
@@ -264,8 +265,10 @@ ControllerSettings = (
 
 @dataclass(frozen=True, eq=False)
 class LawInputs:
-    """What a controller is made of; parameters: the model's arms, estimator: for what it will know; keep: see
-    `make_controller`."""
+    """Inputs of a controller.
+
+    parameters: the model's arms. estimator: for the state that it will estimate. keep: see `make_controller`.
+    """
 
     reference: Reference
     parameters: ArmChainParameters
@@ -276,7 +279,7 @@ class LawInputs:
 
     @property
     def stay(self) -> dict[str, Any]:
-        """Where the reference stays, if it goes nowhere."""
+        """The reference's `stay`, if it has one."""
         return dict(self.reference.notes.get("stay", {}))
 
 
@@ -322,8 +325,10 @@ def _tvlqr(made: LawInputs) -> Controller:
 
 
 class Law(NamedTuple):
-    """A kind of controller: its settings, what makes it, and whether it is an expression by the loop's clock, which is
-    compiled into the tick and exported to C (not by phase)."""
+    """A kind of controller: its settings and its factory.
+
+    A law that is symbolic in the loop's time, but not in a phase, is compiled into the tick and can be exported to C.
+    """
 
     settings: type
     make: Callable[[LawInputs], Controller]
@@ -359,12 +364,18 @@ def make_controller(
     estimator: FilterSettings,
     keep: str = "none",
 ) -> Controller:
-    """Return the controller of `settings`, with `parameters` as the model's and `estimator` for what it will know.
+    """Return the controller of `settings`.
 
-    keep: what keeps the stops of a walk (`KEEPERS`) where the settings are TVLQR's.
+    Args:
+        reference: reference to follow.
+        parameters: the model's arms.
+        model: model between ticks.
+        settings: settings of the law.
+        estimator: estimator that supplies its state.
+        keep: law that keeps the stops of a walk (`KEEPERS`), with TVLQR in between.
 
     Raises:
-        InputError: the reference did not converge, is not one of these arms, or not of the kind that is needed.
+        InputError: the reference did not converge, is not one of these arms, or not of the required kind.
         GoalMissed: no controller can be made for it.
     """
     return law_of(settings).make(LawInputs(reference, parameters, model, settings, estimator, keep))

@@ -58,7 +58,7 @@ class Lockstep:
         angles = references[:, : self._arms, None] if references.ndim == 2 else references
         runs = [
             rows.run(
-                lane, self._counts[lane], angles[:, :, lane % angles.shape[2]], stands_from=self._stopped_at[lane],
+                lane, self._counts[lane], angles[:, :, lane % angles.shape[2]], still_from=self._stopped_at[lane],
                 period=self._period, ending=self._endings[lane], reason=self._reasons[lane],
             )
             for lane in range(self._runs)

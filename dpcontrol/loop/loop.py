@@ -1,11 +1,11 @@
-"""The closed loop, of one run on any rig or of many simulated side by side: tick by tick read, decide, command.
+"""The closed loop of one run on any rig or of many simulated runs in lockstep: read, decide, command in each tick.
 
-All that is random in a simulated run comes from its seed; the controller and the estimator know the model's parameters
-and the drive's nominal limits and delay, and nothing of what was drawn.
+All random numbers of a simulated run come from its seed. Controller and estimator use the model's parameters and the
+drive's nominal limits and delay, but none of the drawn values.
 
-What is decided at a tick is the `Ticker`'s, the same code for one run as for many; here it is carried out: sentences
-and events are made where an outcome asks for them, and a run ends where its cart stands. Rows of ticks go to the sink
-in step with its chunks, every twenty milliseconds: a run that is killed loses no more.
+The `Ticker` decides, with the same code for one run and many. This module carries out the decisions: it emits sentences
+and events, and ends a run when its cart is at rest. Rows of ticks go to the sink every 20 ms, in step with its chunks.
+A killed run loses no more than that.
 """
 
 import itertools
@@ -55,22 +55,25 @@ from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 
 _FLUSH_SECONDS = 0.02
-"""Between two handings over of rows to the sink; a log's writer makes a chunk of as many."""
+"""Ticks between two transfers of rows to the sink, equal to a chunk of a log."""
 _PROGRESS_EVERY = 500
 _THOUGHTS = 1_000_000
-"""Ticks, the last, of which it is kept how long they took."""
-_TELL_EVERY = 1.0
-"""Seconds between events that deadlines were missed."""
+"""Last ticks whose computing time is stored."""
+_REPORT_INTERVAL = 1.0
+"""Time between events on missed deadlines, s."""
 
 
 class ControlLoop:
-    """One run of a controller and an estimator on a rig; `run` may be called once.
+    """One run of a controller and an estimator on a rig; `run` can be called once.
 
-    rate_noise, (n, 1) rad/s by tick: what is added to the rates that the controller steers by, as where rates are
-    measured and not estimated (Wiebe et al., Open-source dual-purpose acrobot and pendubot platform, IEEE RAM 2024);
-    the estimator itself goes on without it. fallback: used when the supervisor gives the reference up; without one the
-    run ends then, or `recovery` says how it goes on. keep: whether the result holds all ticks, or only the last block
-    of them. The rig's `truth`, where it has one, is recorded and never used.
+    Attributes:
+        rate_noise: noise (n, 1) on the controller's rates by tick, rad/s. It simulates measured rates (Wiebe et al.,
+            Open-source dual-purpose acrobot and pendubot platform, IEEE RAM 2024). The estimator does not receive it.
+        fallback: laws that take over if the supervisor abandons the reference. Without one, the run ends or recovers.
+        recovery: motions after a fall.
+        keep: True if the result holds all ticks, False for the last block only.
+
+    The rig's `truth` is recorded if it exists, but never used.
     """
 
     def __init__(
@@ -101,19 +104,17 @@ class ControlLoop:
 
     @property
     def queued(self) -> list[float]:
-        """The commands (m/s²) to be on their way when the run begins, oldest first."""
+        """Commands in flight when the run begins, oldest first, m/s²."""
         return self.ticker.queued[:, 0].tolist()
 
     def rehearse(self) -> None:
-        """Have all that the loop needs in memory before its first deadline, by ticks that nobody sees."""
+        """Load all code and data before the first deadline by ticks without output."""
         self.ticker.rehearse()
 
     def run(self, rig: Rig) -> LoopResult:
-        """Run to the controller's last tick, or to where the supervisor ends it and the cart stands.
+        """Run to the controller's last tick, or until the supervisor has stopped the cart.
 
-        With a recovery it goes on after a fall, for as long as that says.
-
-        Interrupted, the sink gets the rows so far.
+        With a recovery, the run continues after falls. If it is interrupted, the sink receives the rows so far.
 
         Raises:
             InputError: the sink cannot be written.
@@ -132,7 +133,7 @@ class ControlLoop:
         ticks = f"{self.count - 1} ticks at {1 / period:g} Hz"
         self._event(0.0, "info", "start", f"{ticker.kind}, {ticker.estimator_kind}, {ticks}")
         if recovery is not None:
-            self._tell_all(0, [recovery.begin(ticker)])
+            self._emit_choices(0, [recovery.begin(ticker)])
         late, quiet_until = 0, 0.0
         at, take, watched = ticker.at, rows.take, ticker.watched
         command, notable, news, done_at = at["command"], at["notable"], at["news"], at["done"]
@@ -149,9 +150,9 @@ class ControlLoop:
             except ArithmeticError as failure:
                 self._fail(k, failure)
                 break
-            asked = clock()
+            began = clock()
             report = ticker(k, reading, None if noise is None else noise[k])
-            thought(clock() - asked)
+            thought(clock() - began)
             rig.command(report.item(command, 0))
             take(k - self._first, reading, report, rig.truth, ticker.references[k - ticker.began])
             self._done = done = k + 1
@@ -159,11 +160,11 @@ class ControlLoop:
                 self._fail(k, wrong)
                 break
             if report.item(notable, 0):
-                self._heed(k, rig)
+                self._handle_outcome(k, rig)
             if reading.late > 0:
                 late, now = late + 1, k * period
                 if now >= quiet_until:
-                    quiet_until = now + _TELL_EVERY
+                    quiet_until = now + _REPORT_INTERVAL
                     text = f"a tick's command comes {1e3 * reading.late:.3g} ms too late; {late} such ticks so far"
                     self._event(now, "warn", "deadline missed", text)
             if ticker.event:
@@ -172,7 +173,7 @@ class ControlLoop:
                 self.ending, self.reason = Ending.CART_STOP, rig.fault
                 break
             if report.item(news, 0):
-                self._tell(k)
+                self._emit_news(k)
             if recovery is not None:
                 if self._fall is not None:
                     self._recover(k, *self._fall, rig)
@@ -180,16 +181,16 @@ class ControlLoop:
                     ticker.brake(k)
                     self._recover(k, Outcome.TRACKING_LOST, why, rig)
                 elif not self._stopped:
-                    self._tell_all(done, recovery.follow_up(k, report, ticker, period))
+                    self._emit_choices(done, recovery.follow_up(k, report, ticker, period))
                 if done == ticker.began + ticker.count:
                     following = () if self._stopped else recovery.ended(k, ticker)
                     if not following:
                         break
-                    self._tell_all(done, following)
+                    self._emit_choices(done, following)
                 if self._stopped and report.item(done_at, 0):
                     break
                 if done == self._until and not self._stopped:
-                    self.reason, self._stopped = "the time asked for is over", True
+                    self.reason, self._stopped = "the requested time is over", True
                     ticker.brake(k)
             elif done == self.count or report.item(done_at, 0):
                 break
@@ -208,13 +209,13 @@ class ControlLoop:
         return result if recovery is None else replace(result, falls=recovery.falls, flights=recovery.flights(done))
 
     def _fail(self, k: int, failure: ArithmeticError) -> None:
-        """Note what ends the run at tick k: the plant, or a user's object."""
+        """Record the failure of the plant or a user's object, which ends the run at tick k."""
         own = isinstance(failure, OwnFailure)
         self.ending = Ending.OBJECT_FAILED if own else Ending.PLANT_FAILED
         self.reason = f"{failure}, at t = {k * self._period:.3f} s" if own else str(failure)
 
     def _next_block(self, k: int) -> tuple[Ticks, Callable[..., None]]:
-        """Make room for further ticks, from tick k on."""
+        """Allocate rows from tick k on."""
         before = self._rows
         if self._keep:
             self._full.append(before)
@@ -225,15 +226,15 @@ class ControlLoop:
         self._first = k
         return rows, rows.take
 
-    def _heed(self, k: int, rig: Rig) -> None:
-        """Do what the outcome of tick k asks for."""
+    def _handle_outcome(self, k: int, rig: Rig) -> None:
+        """Handle the outcome of tick k."""
         ticker, now = self.ticker, k * self._period
         report = ticker.program.report
         outcome = Outcome(int(report.item(ticker.at["outcome"], 0)))
         if outcome is not Outcome.GO_ON:
             why = explained(outcome, now, ticker.figures(k), arms=self._arms, period=self._period)
             if self._recovery is not None and outcome >= Outcome.ESTIMATE_LOST:
-                # The rest of this tick is still of what was followed.
+                # The rest of this tick still belongs to the former reference.
                 self._fall = outcome, why
                 return
             self._event(now, "warn", EVENTS.get(outcome, "stop"), why)
@@ -249,20 +250,20 @@ class ControlLoop:
                 self.ending, self.reason = Ending.FELL_BACK, f"{why}; {held}"
             else:
                 self.ending, self.reason, self._stopped = ending(outcome), why, True
-                # From here on the reference stands.
+                # From here on the reference is constant.
                 ticker.freeze_reference(k)
         if report.item(ticker.at["stop"], 0) and (self._stopped or self._recovery is None):
-            # The drive brakes by itself; what is sent meanwhile is what the loop believes it does.
+            # The drive brakes without commands; the loop sends its prediction of the braking meanwhile.
             rig.stop()
 
     def _recover(self, k: int, outcome: Outcome, why: str, rig: Rig) -> None:
-        """Return from a fall at tick k, or bring the run to its end where no attempt is left."""
+        """Return from a fall at tick k, or end the run if no attempt is left."""
         recovery = self._recovery
         assert recovery is not None
         self._fall = None
-        told = recovery.fell(k, outcome, why, self.ticker, self._period)
-        if told is not None:
-            self._tell_all(k, told)
+        choices = recovery.fell(k, outcome, why, self.ticker, self._period)
+        if choices is not None:
+            self._emit_choices(k, choices)
             return
         why += f"; given up after {recovery.falls} fall{'s' * (recovery.falls > 1)}"
         self._event(k * self._period, "warn", "stop", why)
@@ -270,53 +271,54 @@ class ControlLoop:
         self.ticker.freeze_reference(k)
         rig.stop()
 
-    def _tell_all(self, k: int, told: Sequence[Choice]) -> None:
-        """Make events of what is told at tick k."""
-        for one in told:
+    def _emit_choices(self, k: int, choices: Sequence[Choice]) -> None:
+        """Emit the choices of tick k as events."""
+        for one in choices:
             self._event(k * self._period, one.level, one.name, one.text)
 
-    def _tell(self, k: int) -> None:
-        """Make events of what is new in tick k and changes nothing."""
+    def _emit_news(self, k: int) -> None:
+        """Emit events of tick k that change no state."""
         now, figures = k * self._period, self.ticker.figures(k)
         if figures["newly_cut"]:
             wish, fastest = figures["wish"], self.limits.velocity
             over = f"command {wish:.3g} m/s², cut to {figures['command']:.3g} m/s²"
             text = over if abs(wish) > self.limits.acceleration else f"cart at {fastest:g} m/s"
             self._event(now, "warn", "saturated", text)
-        if figures["doubted"]:
+        if figures["untrusted"]:
             self._event(now, "info", "controller", self.ticker.flag_estimate())
 
     def _event(self, time_s: float, level: str, name: str, text: str) -> None:
-        # Events stand among the ticks they belong to.
+        # Events follow the ticks that they belong to.
         self._flush(round(time_s / self._period))
         self.sink.event(time_s, level, name, text)
 
     def _flush(self, until: int) -> None:
         first = self._flushed
         if until > first:
-            # Noted first, so that rows on which an interrupt falls are not written twice.
+            # Set first, so that an interrupt cannot write rows twice.
             self._flushed = until
             self.sink.ticks(self._rows.between(first - self._first, until - self._first))
 
 
 _SHAPED = 0.25
-"""Belt's frequency as a share of the loop's rate up to which commands are shaped for it."""
+"""Largest belt frequency for which commands are shaped, as a share of the loop's rate."""
 
 
 @dataclass(frozen=True)
 class LoopSettings(Settings, table="run"):
     """The settings of a run.
 
-    seed: seed of the random numbers.
-    rate: of the loop, Hz.
-    initial_error: largest error of each angle of the true first state, rad.
-    mismatch: largest relative error of the plant's parameters.
-    model_uncertainty: factor on the standard errors in the model's file; the plant is drawn with these as well.
-    friction: factor on the friction of the plant.
-    plant: arms of the plant, if they differ from the model's; mismatch and friction apply to them.
-    travel: the cart's greatest distance from the centre, m; zero for the reference's own limit.
-    drive_lag: time constant of the drive that filter, prediction and gains assume, s.
-    keep: the law that keeps the stops of a walk (`KEEPERS`), while TVLQR flies.
+    Attributes:
+        seed: seed of the random numbers.
+        rate: rate of the loop, Hz.
+        initial_error: largest initial error of each angle, rad.
+        mismatch: largest relative error of the plant's parameters.
+        model_uncertainty: factor on the standard errors in the model's file, from which the plant is drawn as well.
+        friction: factor on the friction of the plant.
+        plant: arms of the plant, if they differ from the model's, for mismatch and friction.
+        travel: the cart's greatest distance from the centre, m, 0 for the reference's limit.
+        drive_lag: time constant of the drive assumed by filter, prediction and gains, s.
+        keep: law that keeps the stops of a walk (`KEEPERS`), with TVLQR in between.
     """
 
     seed: int = setting(least=0, help="Seed of the random numbers.")
@@ -350,47 +352,45 @@ class LoopSettings(Settings, table="run"):
     supervisor: SupervisorSettings = field(default_factory=SupervisorSettings)
 
     def _check_together(self) -> None:
-        """Check that what keeps the stops goes with the controller, and that a plant is drawn in one way."""
+        """Check that the keeper of stops fits the controller, and that a plant is drawn in one way."""
         if self.plant is not None and self.model_uncertainty:
-            raise self.refusal(
-                "model_uncertainty", "the plant has arms of its own, not those near the model's; use a mismatch"
-            )
+            raise self.refusal("model_uncertainty", "the plant's arms differ from the model's; use a mismatch")
         mechanics = replace(self.mechanics, initial_rate=0.0, initial_cart=0.0)
         built_in = self.drive.lag or self.drive.cart_mass or self.disturbances.tilt or mechanics != MechanicsSettings()
         if self._own_plant and (built_in or self.model_uncertainty):
             raise InputError(
-                f"run: plant = {self._own_plant.name}: its `step` is all there is of arms, cart and drive; leave out "
-                "lag, cart_mass, tilt, model_uncertainty, belts, play, cables and stiction"
+                f"run: plant = {self._own_plant.name}: its `step` replaces arms, cart and drive; remove lag, "
+                f"cart_mass, tilt, model_uncertainty, belts, play, cables and stiction"
             )
         if self.keep != "none" and not isinstance(self.controller, TvlqrSettings):
-            raise self.refusal("keep", f'what flies between the stops is "tvlqr", not "{self.controller.kind}"')
+            raise self.refusal("keep", f'the law between the stops must be "tvlqr", not "{self.controller.kind}"')
         if self.keep != "none" and self.supervisor.on_fall != "stop":
             raise self.refusal(
                 "keep",
-                f'what keeps stops has a clock of its own, and on_fall = "{self.supervisor.on_fall}" needs gains by '
+                f'a keeper of stops has internal timing, and on_fall = "{self.supervisor.on_fall}" needs gains by '
                 'time: run with --set keep=none, or with on_fall = "stop"',
             )
 
     @property
     def bench(self) -> BenchSettings:
-        """What stands between the model and the world."""
+        """Settings of the bench."""
         return BenchSettings(self.sensors, self.drive, self.disturbances, self.mechanics)
 
     def known_mechanics(self, arms: int) -> KnownMechanics:
-        """Return what the loop knows of the bench's mechanics."""
+        """Return the loop's model of the bench's mechanics."""
         own = self.mechanics
         return KnownMechanics(own.of_each("known_play", arms), self.known_belt, own.belt_damping)
 
     @property
     def known_belt(self) -> float:
-        """Frequency of the belt that the loop knows, Hz; 0 if there is none, or if the rate is too low for shaping."""
+        """Belt frequency in the loop's model, Hz; 0 without a belt or if the rate is too low for shaping."""
         own = self.mechanics
         belt = own.belt if np.isinf(own.known_belt) else own.known_belt
         return belt if belt < _SHAPED * self.rate else 0.0
 
     @property
     def known_lag(self) -> float:
-        """The lag that filter, prediction and gains know of, s: of the drive, and of a belt with its shaping."""
+        """Lag in the model of filter, prediction and gains, s: of the drive, and of a belt with its shaping."""
         return self.drive_lag + KnownMechanics((), self.known_belt, self.mechanics.belt_damping).lag
 
     def draw(
@@ -402,9 +402,9 @@ class LoopSettings(Settings, table="run"):
         seed: int | None = None,
         mismatch: float | None = None,
     ) -> BenchDraw:
-        """Return what is drawn for a run of `ticks` ticks with these arms as the model; see `draw_bench`.
+        """Return the draw for a run of `ticks` ticks with these arms as the model; see `draw_bench`.
 
-        seed, mismatch: in place of the settings' own.
+        seed, mismatch: override the settings.
         """
         plant = self.plant
         own = plant.own if isinstance(plant, OwnPlant) else None
@@ -421,13 +421,13 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def _own_plant(self) -> OwnObject | None:
-        """A user's plant in Python, in place of arms, cart and drive."""
+        """A user's plant in Python that replaces arms, cart and drive."""
         own = self.plant.own if isinstance(self.plant, OwnPlant) else None
         return None if own is None or own.symbolic else own
 
     @property
     def lockstep(self) -> bool:
-        """Whether runs of these settings can go side by side, if their law can answer for many."""
+        """True if runs of these settings can be computed in lockstep, given a law that supports it."""
         sensors, supervisor = self.sensors, self.supervisor
         faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
         hands_over = self.keep != "none" or supervisor.hold != "none" or supervisor.resynchronise
@@ -436,19 +436,19 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def own(self) -> tuple[OwnObject, ...]:
-        """The users' own objects that are not of a file."""
+        """Users' own objects that do not come from a file."""
         made = [getattr(one, "own", None) for one in (self.controller, self.estimator, self.plant)]
         return tuple(one for one in made if isinstance(one, OwnObject) and not one.source)
 
     def limits(self, reference: Reference) -> Limits:
-        """Return the cart's limits in this run: the reference's, with this travel where it is given."""
+        """Return the cart's limits in this run: the reference's, with the travel of the settings if given."""
         return replace(reference.limits, position=self.travel) if self.travel else reference.limits
 
 
 def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:
-    """Return the cart-level model of these arms between ticks at `rate` Hz, its drive lagging by `lag` s.
+    """Return the cart-level model of these arms between ticks at `rate` Hz with a drive lag of `lag` s.
 
-    It has dry friction, of zero where these arms have none, for a filter that estimates it.
+    It always has dry friction, possibly zero, for a filter that estimates it.
     """
     parameters = replace(parameters, coulomb=parameters.coulomb or (0.0,) * parameters.count)
     equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)

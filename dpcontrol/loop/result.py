@@ -1,8 +1,8 @@
-"""What stands at the loop's ends: the rig that it runs on, the sink that takes its ticks, how a run ended, and why.
+"""Ends of the loop: the rig, the sink that receives its ticks, and a run's ending with its reason.
 
-The supervisor's outcomes: go on; restart the estimator; re-synchronise the reference's clock; hold the nearest orbit;
-stop the cart in time. The tick itself decides (`dpcontrol.control.tick`); here are its settings, and the words for it.
-A run that cannot be saved ends with the cart at rest inside its limits.
+The supervisor has these outcomes: continue, restart the estimator, resynchronise the reference's clock, hold the
+nearest orbit, or stop the cart in time. The tick itself decides (`dpcontrol.control.tick`). This module has its
+settings and texts. A run that cannot be saved ends with the cart at rest inside its limits.
 """
 
 import math
@@ -28,13 +28,17 @@ from dpcontrol.logs.rolling import RollingLog
 
 
 class Reading(NamedTuple):
-    """What came from the sensors at one tick.
+    """Readings of the sensors at one tick.
 
-    time s since the first reading; positions (n+1,): absolute angles, summed from relative encoders, then the cart;
-    present (n+1,): which of them are new, or None when all are (those that are not hold their last value); switch:
-    -1 or +1 while the limit switch at the left or right end of the track is touched, else 0; late s: by how much the
-    deadline was missed; age s: how long before its tick the reading was taken, None if the rig does not report it. Of S
-    runs side by side: positions and present (n+1, S), age (S,), and switch (S,): whether one is touched.
+    S runs in lockstep have positions and present (n+1, S), age (S,), and switch (S,), which is True if one is touched.
+
+    Attributes:
+        time: since the first reading, s.
+        positions: absolute angles, summed from relative encoders, then the cart (n+1,).
+        present: new entries (n+1,), the others repeat their last value; None if all are new.
+        switch: -1 or +1 while the limit switch at the left or right end of the track is touched, else 0.
+        late: delay beyond the deadline, s.
+        age: age of the reading at its tick, s, None if the rig does not report it.
     """
 
     time: float
@@ -62,7 +66,7 @@ class Rig(Protocol):
         ...
 
     def command(self, acceleration: float) -> None:
-        """Send the cart's wanted acceleration, m/s² to the right."""
+        """Send the cart's demanded acceleration, m/s² to the right."""
         ...
 
     def stop(self) -> None:
@@ -71,12 +75,12 @@ class Rig(Protocol):
 
     @property
     def truth(self) -> Array | None:
-        """Return the true state (2n+2,) at the last reading's tick, None where nobody knows it."""
+        """Return the true state (2n+2,) at the last reading's tick, or None if it is unknown."""
         ...
 
     @property
     def fault(self) -> str:
-        """Return why the bench has failed, such as the end of its track, or "" while it works."""
+        """Return the cause of a bench's failure, such as the end of its track, or "" while it works."""
         ...
 
 
@@ -85,41 +89,45 @@ CONTROL_HEAD = 7
 
 
 class Ending(StrEnum):
-    """How a run ended."""
+    """Ending of a run."""
 
     FINISHED = "finished"
-    """It came to the reference's end. Whether the itinerary was completed is for the score to say."""
+    """The reference was followed to its end. The score decides if the itinerary was completed."""
     FELL_BACK = "fell back"
-    """The reference was given up and the nearest orbit held instead, to the end."""
+    """The nearest orbit was held after tracking was lost, to the end."""
     CART_STOP = "cart at its stop"
     ESTIMATE_LOST = "estimate lost"
     TRACKING_LOST = "tracking lost"
     PLANT_FAILED = "plant failed"
     OBJECT_FAILED = "object failed"
-    """A user's law, estimator, plant or rig raised, took too long, or returned what it may not."""
+    """A user's law, estimator, plant or rig raised, took too long, or returned an invalid value."""
 
 
 HOLDS = ("none", "nearest")
-"""What may be held where the reference was given up."""
+"""Motions that can be held after tracking is lost."""
 
 ON_FALL = ("stop", "resume", "restart")
-"""What a run does after a fall: it ends, does the symbol that failed again, or the itinerary from its beginning."""
+"""Actions after a fall: end the run, repeat the failed symbol, or restart the itinerary."""
 
 
 @dataclass(frozen=True)
 class SupervisorSettings(Settings, table="supervisor"):
-    """When to step in.
+    """Limits of the supervisor, and its actions.
 
-    lost_tracking rad: mean distance of an angle from the reference from which no feedback returns (half a turn is π,
-    and a completed period asks for 0.1); resynchronise rad: distance from which the clock is moved to the nearest
-    phase, 0 for never. lost_estimate: mean NIS per degree of freedom; encoders that agree to a count make it thousands
-    where the model is wrong by a tenth, and nothing is lost; 1e5 is some 0.04 rad. restarts: how often within a second
-    the estimator is restarted before it counts as lost. missing s: longest time without a measurement. braking: share
-    of the greatest acceleration that is counted on to stop the cart (it brakes harder), and margin m: what must be
-    left of the track then. hold: "nearest" to hold the nearest orbit or equilibrium, once, where tracking is lost;
-    "none" to stop. on_fall: what a run does whose cart had to be stopped: "stop" ends it; "resume" calms the arms,
-    starts from rest and does the symbol that failed again; "restart" begins the itinerary anew. attempts: of one symbol
-    until the run ends all the same.
+    Attributes:
+        lost_tracking: mean distance of an angle from the reference beyond which feedback cannot return, rad. Half a
+            turn is π, and a completed period requires 0.1.
+        resynchronise: distance at which the clock moves to the nearest phase, rad, 0 for never.
+        lost_estimate: mean NIS per degree of freedom. It reaches thousands if encoders are exact to a count and the
+            model is wrong by a tenth, without harm. 1e5 is about 0.04 rad.
+        restarts: restarts of the estimator within a second before it counts as lost.
+        missing: longest time without a measurement, s.
+        braking: share of the largest acceleration that stopping assumes. The actual braking is harder.
+        margin: free track that must remain after stopping, m.
+        hold: "nearest" to hold the nearest orbit or equilibrium once if tracking is lost, "none" to stop.
+        on_fall: action after a fall: "stop" ends the run, "resume" starts from rest and repeats the failed symbol,
+            "restart" begins the itinerary again.
+        attempts: attempts of one symbol until the run ends.
     """
 
     lost_tracking: float = setting(
@@ -147,11 +155,11 @@ EVENTS = {
     Outcome.RESYNCHRONISE: "re-synchronise",
     Outcome.HOLD: "hold",
 }
-"""What an outcome is called in a log; all others: stop."""
+"""Names of outcomes in a log; all others are "stop"."""
 
 
 def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arms: int, period: float) -> str:
-    """Return why a tick at `now` s decided so, in one sentence; figures: see `Ticker.figures`."""
+    """Return the reason for the decision of a tick at `now` s, in one sentence; figures: see `Ticker.figures`."""
     error, distance = figures["error"], figures["distance"]
     away = f"an angle has stayed {error:.2g} rad from the reference"
     lost, shown = f"estimate lost at t = {now:.3f} s:", _lost(figures)
@@ -170,9 +178,9 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
             return f"{lost} no measurement for {figures['silent']:.3f} s; check the encoders' cables"
         case Outcome.FALLEN:
             far = f"an angle is {distance:.2g} rad from the reference"
-            return f"tracking lost at t = {now:.3f} s: {far}, and the cart runs off after it: {cart}"
+            return f"tracking lost at t = {now:.3f} s: {far}, and the cart runs away after it: {cart}"
         case Outcome.CART:
-            # No remedy: of such runs a longer track saves a third, and of those near their reference half.
+            # No remedy is given: a longer track saves a third of such runs, and half of those near their reference.
             return f"cart at its stop at t = {now:.3f} s: {cart}, with an angle {distance:.2g} rad from the reference"
         case Outcome.STUCK:
             which = int(figures["sensor"])
@@ -181,7 +189,8 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
             return f"{lost} {name} is stuck: {same}; check its cable and its head"
         case Outcome.SWITCH:
             return (
-                f"cart at its stop at t = {now:.3f} s: a limit switch answered, with an angle {distance:.2g} rad from "
+                f"cart at its stop at t = {now:.3f} s: a limit switch was touched, with an angle {distance:.2g} rad "
+                f"from "
                 "the reference"
             )
         case Outcome.GO_ON:
@@ -189,13 +198,13 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
 
 
 _ASTRAY = 1.0
-"""rad: an estimate that is so far from the encoders has slipped, whatever its NIS."""
+"""Distance from the encoders at which an estimate has slipped at any NIS, rad."""
 _LEAST_LOST = 5.0
-"""Mean NIS from which an estimate may be said to be lost: see `SupervisorSettings`."""
+"""Mean NIS above which an estimate can count as lost; see `SupervisorSettings`."""
 
 
 def _lost(figures: Mapping[str, float]) -> str:
-    """Return what is wrong with the estimate."""
+    """Return the defect of the estimate."""
     nis, apart = figures["mean_nis"], figures["apart"]
     if not math.isfinite(nis + apart):
         return "it is no longer finite"
@@ -203,11 +212,11 @@ def _lost(figures: Mapping[str, float]) -> str:
         return f"it is {apart:.3g} rad from the encoders"
     if nis < _LEAST_LOST:
         return "its rates have run away"
-    return f"mean NIS {nis:.3g} for each position, where 1 or so is expected"
+    return f"mean NIS {nis:.3g} for each position, about 1 is expected"
 
 
 def ending(outcome: Outcome) -> Ending:
-    """Return how a run ends that is stopped by this outcome."""
+    """Return the ending of a run that is stopped by this outcome."""
     if outcome in (Outcome.CART, Outcome.SWITCH):
         return Ending.CART_STOP
     return Ending.TRACKING_LOST if outcome in (Outcome.TRACKING_LOST, Outcome.FALLEN) else Ending.ESTIMATE_LOST
@@ -215,12 +224,17 @@ def ending(outcome: Outcome) -> Ending:
 
 @dataclass(frozen=True, eq=False)
 class Ticks(Brief):
-    """K ticks, n arms.
+    """K ticks of n arms.
 
-    times (K,) s; measured (K, n+1), not-a-number where an encoder gave nothing; estimates, references (K, 2n+2) in
-    state order; truth the same, or None where it is not known; control (K, 9+2n) with the columns of
-    `dpcontrol.logs.layout.control_fields`. told: estimates, control and extras in one, while they are written.
-    extras (K, 2E): standard deviations of what is estimated besides the state, then the values.
+    Attributes:
+        times: times (K,), s.
+        measured: measured positions (K, n+1), NaN for missing ones.
+        estimates: estimated states (K, 2n+2).
+        references: reference states (K, 2n+2).
+        truth: true states (K, 2n+2), or None if unknown.
+        control: columns of `dpcontrol.logs.layout.control_fields` (K, 9+2n).
+        packed: estimates, control and extras in one array, while they are written.
+        extras: standard deviations of additionally estimated parameters, then their values (K, 2E).
     """
 
     times: Array
@@ -229,28 +243,28 @@ class Ticks(Brief):
     references: Array
     truth: Array | None
     control: Array
-    told: Array | None = None
+    packed: Array | None = None
     extras: Array | None = None
 
     @classmethod
     def empty(
         cls, count: int, arms: int, *, has_truth: bool, period: float, extras: int = 0, first: int = 0
     ) -> "Ticks":
-        """Return room for `count` ticks from `first` on, `period` s apart; extras: how many the estimator has."""
+        """Return room for `count` ticks from `first` on, `period` s apart, with `extras` parameters."""
         n = 2 * arms + 2
-        # What a report begins with stands together.
+        # The first columns of a report are contiguous.
         end = n + CONTROL_HEAD + n
-        told = np.empty((count, end + 2 * extras))
+        packed = np.empty((count, end + 2 * extras))
         times = np.asarray(np.arange(first, first + count) * period, dtype=np.float64)
         measured, references = np.empty((count, arms + 1)), np.empty((count, n))
         return cls(
-            times, measured, told[:, :n], references, np.empty((count, n)) if has_truth else None, told[:, n:end], told,
-            told[:, end:],
+            times, measured, packed[:, :n], references, np.empty((count, n)) if has_truth else None, packed[:, n:end],
+            packed, packed[:, end:],
         )  # fmt: skip
 
     @classmethod
     def joined(cls, parts: "Sequence[Ticks]") -> "Ticks":
-        """Return parts one after the other; of one part, itself."""
+        """Return the concatenation of parts, or the only part."""
         if len(parts) == 1:
             return parts[0]
 
@@ -262,19 +276,22 @@ class Ticks(Brief):
         return cls(*(whole(name) for name in names), extras=whole("extras"))  # type: ignore[arg-type]
 
     def take(self, k: int, reading: Reading, report: Array, truth: Array | None, reference: Array) -> None:
-        """Write tick k; report: see `TickEquations.report`; reference (N,)."""
+        """Write tick k.
+
+        report: see `TickEquations.report`. reference: state (N,).
+        """
         self.measured[k] = reading.positions
         self.references[k] = reference
         if reading.present is not None:
             self.measured[k, ~reading.present] = math.nan
         if self.truth is not None:
             self.truth[k] = truth
-        told = self.told
-        assert told is not None
-        told[k] = report[: told.shape[1], 0]
+        packed = self.packed
+        assert packed is not None
+        packed[k] = report[: packed.shape[1], 0]
 
     def without_nis(self, k: int) -> None:
-        """Note that tick k has no NIS: the filter begins anew."""
+        """Clear the NIS of tick k because the filter restarts."""
         self.control[k, 5] = math.nan
 
     def between(self, first: int, end: int) -> "Ticks":
@@ -288,19 +305,19 @@ class Ticks(Brief):
 
 
 class LoopSink(Protocol):
-    """Takes ticks and events as they happen; a log writer is made into one."""
+    """Receiver of ticks and events during a run, such as a log writer."""
 
     def ticks(self, rows: Ticks) -> None:
-        """Take the next ticks; these rows change no more."""
+        """Receive the next ticks, whose rows are final."""
         ...
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Take one event: level info, warn or error, its name, and what happened."""
+        """Receive one event: level info, warn or error, its name and its text."""
         ...
 
 
 class NoSink:
-    """Takes nothing: the result holds every tick anyway."""
+    """Sink that discards everything, since the result holds every tick."""
 
     def ticks(self, rows: Ticks) -> None:
         """Ignore ticks."""
@@ -330,10 +347,17 @@ class Sinks:
 class LoopResult(Brief):
     """A run of K ticks, n arms.
 
-    ticks: its rows. ending, and reason, a sentence. late: ticks that began too late; elapsed s. thinking (K,) s: what
-    each tick of controller and estimator took. plant: the parameters that were simulated, if any. falls: from which it
-    recovered, or not; flights: when it was on its itinerary, where it could recover. hardest: the largest acceleration
-    that a simulated drive applied, m/s².
+    Attributes:
+        ticks: its rows.
+        ending: kind of ending.
+        reason: a sentence.
+        late: number of ticks that began too late.
+        elapsed: duration of the computation, s.
+        thinking: computing time (K,) of controller and estimator, s.
+        plant: simulated parameters, if any.
+        falls: falls with or without recovery.
+        flights: intervals on the itinerary, if recovery was possible.
+        hardest: largest acceleration of a simulated drive, m/s².
     """
 
     ticks: Ticks
@@ -349,7 +373,7 @@ class LoopResult(Brief):
 
     @property
     def finished(self) -> bool:
-        """Tell whether the run came to the reference's end."""
+        """True if the run reached the reference's end."""
         return self.ending is Ending.FINISHED
 
     @property
@@ -371,7 +395,7 @@ class LoopResult(Brief):
 
 
 def inside_95(nis: Array, freedom: int) -> float:
-    """Return the share of the known NIS (K,) of so many positions that lies in its two-sided 95 % band."""
+    """Return the share of the known NIS (K,) of `freedom` positions in its two-sided 95 % band."""
     known = nis[np.isfinite(nis)]
     return share_inside(known, freedom) if known.size else math.nan
 
@@ -383,10 +407,10 @@ def rms(values: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class BatchRun(Brief):
-    """One run of K ticks: what it is judged by, and a few of its figures.
+    """One run of K ticks with the data that judge it and a few figures, in SI units.
 
-    times (K,) s; truth (K, 2n+2); references (K, n): angles; applied (K,) m/s²; ending and why; falls, flights and
-    hardest: see `LoopResult`. SI units.
+    times (K,). truth (K, 2n+2). references (K, n): angles. applied (K,). ending, reason, falls, flights and hardest:
+    see `LoopResult`.
     """
 
     times: Array
@@ -403,7 +427,7 @@ class BatchRun(Brief):
 
     @classmethod
     def of(cls, result: LoopResult) -> "BatchRun":
-        """Return what the loop gave, in the same form.
+        """Convert the result of a loop.
 
         Raises:
             InputError: the true states of the run are not known.
@@ -419,22 +443,22 @@ class BatchRun(Brief):
 
 
 _TURN = 32
-"""Ticks turned at once from lanes side by side into one after the other: singly, each row would be fetched again."""
+"""Ticks transposed together from lanes to runs: one by one, each row would be fetched again."""
 
 
 class JudgedTicks:
-    """What S runs of up to K ticks are judged by, while they go on."""
+    """Data that judge S runs of up to K ticks, while they are computed."""
 
     def __init__(self, count: int, runs: int, arms: int) -> None:
         n = 2 * arms + 2
-        # A run's states stand together, for they are looked at run by run.
+        # A run's states are contiguous because they are read run by run.
         self._truth, self._latest = np.empty((runs, count, n)), np.empty((_TURN, n, runs))
         self._applied, self._feedback, self._nis = (np.empty((count, runs)) for _ in range(3))
         self._done = 0
         self._freedom = arms + 1
 
     def take(self, k: int, report: Array, at: Mapping[str, int], truth: Array) -> None:
-        """Take tick k: its report (size, S), see `TickEquations.report`, and the true states (N, S)."""
+        """Store tick k: its report (size, S), see `TickEquations.report`, and the true states (N, S)."""
         turn = k % _TURN
         self._latest[turn] = truth
         self._done = k + 1
@@ -447,18 +471,26 @@ class JudgedTicks:
         )
 
     def without_nis(self, k: int, lane: int) -> None:
-        """Note that tick k of a run has no NIS: the filter begins anew."""
+        """Clear the NIS of tick k of a run because the filter restarts."""
         self._nis[k, lane] = math.nan
 
     def run(
-        self, lane: int, count: int, references: Array, *, stands_from: int, period: float, ending: Ending, reason: str
+        self,
+        lane: int,
+        count: int,
+        references: Array,
+        *,
+        still_from: int,
+        period: float,
+        ending: Ending,
+        reason: str,
     ) -> BatchRun:
-        """Return one run of `count` ticks; references (K, n), which stand from a tick on where it was stopped."""
+        """Return one run of `count` ticks; references (K, n) are constant from the tick of a stop on."""
         rest, count = self._done % _TURN, min(count, self._done)
         self._truth[lane, self._done - rest : self._done] = self._latest[:rest, :, lane]
         wanted = references[:count].copy()
-        if stands_from < count:
-            wanted[stands_from:] = wanted[stands_from]
+        if still_from < count:
+            wanted[still_from:] = wanted[still_from]
         times = np.asarray(np.arange(count) * period, dtype=np.float64)
         return BatchRun(
             times, self._truth[lane, :count], wanted, self._applied[:count, lane].copy(), ending, reason,
@@ -467,7 +499,7 @@ class JudgedTicks:
 
 
 class LogSink:
-    """Hands the loop's ticks and events to a log's writer."""
+    """Writes the loop's ticks and events to a log."""
 
     def __init__(self, writer: LogWriter | RollingLog) -> None:
         self._writer = writer
@@ -485,14 +517,14 @@ class LogSink:
 
 
 class SinkBeside:
-    """Hands ticks and events to another sink in a thread, so that no disk makes a loop in real time late.
+    """Passes ticks and events to another sink in a thread, so that a slow disk does not delay a loop in real time.
 
-    A context manager, which waits for what is under way; what failed there is raised with later rows, or at the end.
+    The context manager waits for pending rows. An error in the thread is raised with later rows or at the end.
     """
 
     def __init__(self, sink: LoopSink) -> None:
-        # The thread itself begins with the first event, by the priority that the loop has then: one that had less would
-        # hold the interpreter up where the computer is busy.
+        # The thread starts at the first event, with the loop's priority at that time. A lower priority would block
+        # the interpreter on a busy computer.
         self._sink, self._thread = sink, ThreadPoolExecutor(1, "log")
         self._under_way = deque[Future[None]]()
 

@@ -345,10 +345,10 @@ class Ticker:
         """Return a sentence on the parameter that left the range which the law trusts."""
         schedule, report = self._schedule, self.program.report
         assert schedule is not None
-        which = int(report[self.at["doubted"], 0]) - 1
+        which = int(report[self.at["untrusted"], 0]) - 1
         share = report[self._extra, 0][which]
         return (
-            f"model doubted: {schedule.names[which]} is estimated to be off by {share:+.0%}, beyond the "
+            f"model error: {schedule.names[which]} is estimated to be off by {share:+.0%}, beyond the "
             f"first-order range (trust {schedule.trust:g}); identify the arms, or tracking may be lost"
         )
 
@@ -361,7 +361,7 @@ class Ticker:
         velocity    m/s, of the cart; NaN if its scale contradicts it
         """
         column, references, arms = self.program.report[:, lane], self.references[k - self.began], self._arms
-        names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "doubted", "newly_cut")
+        names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "untrusted", "newly_cut")
         angles = column[:arms]
         wanted = references[:arms] if references.ndim == 1 else references[:, lane]
         measured, present = (self.program.reading[self._reading[name]] for name in ("measured", "present"))

@@ -1,10 +1,10 @@
-"""The atlas of an energy: orbits of all saddles, each tube cut once, all kinds of connection; kept by content.
+"""The atlas of an energy, cached by content: orbits of all saddles, one cut per tube, all kinds of connection.
 
 On disk it is one .npz file, readable with numpy alone (`numpy.load(path)`), without pickles.
 
 Keys; arrays are float64 unless said otherwise. K-th orbit, cut, piece and connection, counted from 0:
 
-    header   JSON text (a 0-d string array), numbers with all their digits, null for what is not finite:
+    header   JSON text (a 0-d string array), numbers with all their digits, null for infinite or missing values:
              {"format": "dpcontrol-atlas", "version": 2, "model", "title", "energy" (J), "status", "seconds",
               "points": [{name, state, energy, kind}], "absent": [[saddle, reason]],
               "sections": [{name, normal, position, momentum, offset, period, side, middle, reach}],
@@ -29,7 +29,8 @@ Keys; arrays are float64 unless said otherwise. K-th orbit, cut, piece and conne
 
 States are angles, then rates (rad, rad/s), or positions and velocities.
 
-Connections against energy, kept by content: a sweep takes ten seconds or more, its diagram tens of kilobytes.
+Diagrams of connections against energy are cached by content: a sweep takes at least ten seconds, and its diagram tens
+of kilobytes.
 """
 
 import json
@@ -87,16 +88,18 @@ VERSION = 2
 _ORBIT_SAMPLES = 256
 _FLIGHT_SAMPLES = 400
 _DENSE = 4
-"""Times as many instants are flown as are kept."""
+"""Ratio of computed to stored instants."""
 
 
 @dataclass(frozen=True)
 class AtlasSettings(Settings, table="atlas"):
-    """What an atlas holds.
+    """Contents of an atlas.
 
-    hits: of the unstable and the stable tube at every section; None means the first of both for each kind, and where
-    these do not meet the next, up to last_hit. search: of each kind. strands: trajectories of each branch that are
-    kept for drawing, and their instants.
+    Attributes:
+        hits: crossings of the unstable and the stable tube at every section. None selects the first crossings of each
+            kind that meet, up to last_hit.
+        search: settings of each search.
+        strands: stored trajectories of each branch, for drawing, and their instants.
     """
 
     hits: tuple[int, int] | None = setting(None, least=1, most=9)
@@ -108,7 +111,7 @@ class AtlasSettings(Settings, table="atlas"):
 
 @dataclass(frozen=True)
 class FoundAtlas:
-    """An atlas, the file where it is kept, if the cache can be written, and whether it was found there."""
+    """An atlas, its file if the cache is writable, and True if it was cached."""
 
     atlas: Atlas
     file: Path
@@ -116,7 +119,7 @@ class FoundAtlas:
 
 
 def atlas_key(model: Model | System, energy: float, settings: AtlasSettings) -> str:
-    """Return the content that an atlas depends on, as 16 hexadecimal digits."""
+    """Return the hash of an atlas's inputs, as 16 hexadecimal digits."""
     content = {
         "format": VERSION,
         "code": code_hash(__name__),
@@ -142,7 +145,7 @@ def make_atlas(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> FoundAtlas:
-    """Return the atlas of `model` at `energy` (J), from the cache unless `fresh`, and keep it there if it is no part.
+    """Return the atlas of `model` at `energy` (J), from the cache unless `fresh`, and cache it if it is complete.
 
     Raises:
         InputError: no saddle has a Lyapunov orbit at this energy.
@@ -194,7 +197,7 @@ def compute_atlas(
             system.worded(f"energy = {energy:g} J: no saddle of {model.name} has a Lyapunov orbit; ")
             + system.worded(f"their families begin at {births}")
         )
-    # Sections are cut for the first of each saddle's families, which is the one that has sections.
+    # Only the first of each saddle's families has sections to cut.
     first = {orbit.saddle: orbit for orbit in orbits if orbit.family == 0}
     pairs = [pair for pair in system.sections if pair[0] in first and pair[1] in first]
     with _timed(seconds, "jit"):
@@ -235,6 +238,8 @@ def compute_atlas(
         connections=connections,
         seconds=seconds,
         status=_status(orbits, absent, kinds, system),
+        labels=system.labels,
+        si=system.si,
     )
 
 
@@ -247,7 +252,7 @@ def _timed(seconds: dict[str, float], key: str) -> Iterator[None]:
 
 
 def _compile(system: System, sections: list[Section]) -> None:
-    """Call each integrator once, for an instant: compiling is done on the first call."""
+    """Compile each integrator by one short call."""
     # Off every section and every symmetry, where an event's derivatives do not vanish.
     off = 0.01 * np.arange(1, system.dimension + 1)
     state, instant = next(iter(system.equilibria.values())) + off * system.scale, 1e-6
@@ -274,7 +279,7 @@ def _sampled_rotating(orbit: RotatingOrbit) -> AtlasRotatingOrbit:
 def _sampled_connection(connection: Connection) -> AtlasConnection:
     orbit, system = connection.orbit, connection.orbit.system
     begin, end = float(orbit.times[0]), float(orbit.times[-1])
-    # A flight that never comes within the distance that counts as joined is shown whole.
+    # A flight that never joins the orbit is shown whole.
     if np.isfinite(connection.time_out):
         begin = max(begin, -connection.time_out - connection.source.period)
     if np.isfinite(connection.time_in):
@@ -357,11 +362,11 @@ def _kind(one: PairSearch) -> AtlasKind:
 def _status(
     orbits: list[LyapunovOrbit], absent: list[tuple[str, str]], kinds: tuple[AtlasKind, ...], system: System
 ) -> str:
-    """Return one sentence on what there is, what is not, and what may be hidden."""
+    """Return one sentence on existing, absent and possibly missed connections."""
     count = sum(kind.count for kind in kinds)
     parts = [f"{len(orbits)} orbits, {count} connections of {len({(k.source, k.target) for k in kinds})} kinds"]
     if not system.sections:
-        parts.append(f"{system.name} has no sections on which connections are sought")
+        parts.append(f"{system.name} has no sections for connections")
     later = {(k.source, k.target): k.hits for k in kinds if k.count and k.hits != (1, 1)}
     empty = {(k.source, k.target) for k in kinds if not k.count and k.hits == (1, 1)}
     for (source, target), hits in later.items():
@@ -381,7 +386,7 @@ def _status(
 
 
 def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
-    """Write `atlas` to `path` (whole, or not at all) in the layout above; path: or a file in memory.
+    """Write `atlas` atomically to `path` or to a file in memory, in the layout above.
 
     Raises:
         InputError: the file cannot be written.
@@ -400,7 +405,7 @@ def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
 def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -> dict[str, Any]:
     """Return a record's entry in the header; its arrays go into `arrays` under `prefix` and their names.
 
-    Entries of a list "orbits" have the prefix "orbit_0_" and so on. One state, or point, stands in the header.
+    Entries of a list "orbits" have the prefix "orbit_0_" and so on. A single state or point is in the header.
     """
     entry: dict[str, Any] = {}
     for name, value in fields_of(type(record), record).items():
@@ -420,11 +425,11 @@ def load_atlas(path: Path | IO[bytes]) -> Atlas:
     """Read what `save_atlas` wrote, from a path or an open binary file.
 
     Raises:
-        InputError: there is no such file, or it is damaged or not an atlas; says which.
+        InputError: the file does not exist, is damaged or is not an atlas.
     """
     making = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
     with archive(path, what="an atlas", **making, format=FORMAT, versions=(VERSION,)) as (header, arrays):
-        # Any error in here means that the file is no atlas.
+        # Any error here means that the file is not an atlas.
         hints = get_type_hints(Section)
         sections = [
             Section(**{key: _typed(value, hints[key], key) for key, value in entry.items()})
@@ -440,9 +445,9 @@ def load_atlas(path: Path | IO[bytes]) -> Atlas:
 def _unpacked(
     kind: type[Record], entry: dict[str, Any], prefix: str, arrays: Arrays, sections: list[Section]
 ) -> Record:
-    """Return the record of which `_packed` made an entry and arrays."""
+    """Return the record of an entry and arrays of `_packed`."""
     values: dict[str, Any] = {}
-    # What has a default came later: files without it are read as before.
+    # Fields with a default came later, and older files lack them.
     entry = {f.name: f.default for f in fields(kind) if f.default is not MISSING} | entry  # type: ignore[arg-type]
     for name, hint in get_type_hints(kind).items():
         member = next((one for one in get_args(hint) if is_dataclass(one)), None)
@@ -475,7 +480,7 @@ def _unpacked(
 
 
 def _typed(value: Any, hint: Any, name: str) -> Any:
-    """Return a value of the header as its field's type wants it, lists as tuples, or raise ValueError."""
+    """Return a value of the header in its field's type, lists as tuples, or raise ValueError."""
     parts = get_args(hint)
     if type(None) in parts:
         if value is None:
@@ -495,8 +500,8 @@ def _typed(value: Any, hint: Any, name: str) -> Any:
 
 
 def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
-    """Return a finite array whose axes are those that its name asks for, or raise ValueError."""
-    # Coordinates that are no angles have an infinite period.
+    """Return a finite array with the axes of its name, or raise ValueError."""
+    # Coordinates other than angles have an infinite period.
     if name != "periods" and not np.isfinite(array).all():
         raise ValueError(f"its array {name} is not finite")
     states = name.endswith(("reverser", "samples", "strands", "states", "nodes"))
@@ -526,10 +531,10 @@ def make_branches(
     samples: int = 28,
     progress: Progress = no_progress,
 ) -> BranchDiagram:
-    """Return the diagram of the first-hit connections between two saddles, from the cache where it is kept.
+    """Return the diagram of the first-hit connections between two saddles, from the cache if possible.
 
     Raises:
-        InputError: saddles or energies between which nothing can be swept.
+        InputError: saddles or energies without a range to sweep.
     """
     settings = SweepSettings(energies=samples)
     energies = energies or (LOWEST, HIGHEST if source == target else HIGHEST_BETWEEN)

@@ -1,4 +1,4 @@
-"""Itinerary files: what to do and how, from TOML to the settings of each stage.
+"""Itinerary files: from TOML to the settings of each stage.
 
 Either the file's top level gives one part's keys, or [[parts]] lists several:
 
@@ -64,7 +64,7 @@ def _parts(
         place, part = replace(top, table=f"parts {number}"), None
         with mistakes:
             if "orbit" in one:
-                raise InputError(f"{place} orbit: an orbit is kept in an itinerary of its own, without [[parts]]")
+                raise InputError(f"{place} orbit: an itinerary that keeps an orbit has no [[parts]]")
             part = _part(one, model, place)
         found.append(part)
     return tuple(found)
@@ -164,7 +164,7 @@ def read_run_settings(
         folder: of the file, which a relative path of a plant starts from.
 
     Raises:
-        InputError: names file, table, key, value and the allowed range of every mistake.
+        InputError: every mistake with file, table, key, value and allowed range.
     """
     places = {name: replace(top, table=name) for name in ("run", "controller", "estimator", "supervisor")}
     run, law_keys = dict(tables.get("run", {})), dict(tables.get("controller", {}))
@@ -190,7 +190,7 @@ def read_run_settings(
         law = _kind(law_keys, CONTROLLERS, "adaptive" if keep == "none" else "tvlqr", places["controller"])
         if keep != "none" and not isinstance(law, TvlqrSettings):
             raise places["controller"].error(
-                "keep", keep, f'what flies between the stops is kind = "tvlqr", not "{law.kind}"'
+                "keep", keep, f'the law between the stops must be kind = "tvlqr", not "{law.kind}"'
             )
     with mistakes:
         parts["estimator"] = _kind(tables.get("estimator", {}), estimators_of(law), "ekf", places["estimator"])
@@ -215,8 +215,8 @@ def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, pl
 def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
     """Return a run's settings with those at the given paths replaced; see `dpcontrol.plans.overrides`.
 
-    `plant`, which is a file, stays as it is: see `Itinerary.with_run`. A controller that cannot hand over to what keeps
-    the stops follows the whole reference itself.
+    `plant` is a file and stays unchanged; see `Itinerary.with_run`. A controller that cannot hand over to a keeper of
+    stops follows the whole reference.
 
     Raises:
         InputError: an unknown name, an unknown kind, or an impossible value.
@@ -226,16 +226,20 @@ def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
         role: _of_kind(role, given[role], getattr(loop, role)) for role in ("controller", "estimator") if role in given
     }
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
-    adaptive, knows = isinstance(law, AdaptiveSettings), Augment.PARAMETERS in filters.augments
+    adaptive, augmented = isinstance(law, AdaptiveSettings), Augment.PARAMETERS in filters.augments
     defaults = estimators_of(law).get(filters.kind, OwnEstimator)
     if adaptive and isinstance(filters, OwnEstimator):
         raise InputError(
             f'controller: kind = "adaptive" needs the errors of the model, which {filters.kind} does not estimate; use '
             '"tvlqr"'
         )
-    if own and not isinstance(filters, OwnEstimator) and (type(filters) is not defaults or (adaptive and not knows)):
+    if (
+        own
+        and not isinstance(filters, OwnEstimator)
+        and (type(filters) is not defaults or (adaptive and not augmented))
+    ):
         # The adaptive law needs the parameters' errors.
-        needed = {"augment": defaults.augment} if adaptive and not knows else {}
+        needed = {"augment": defaults.augment} if adaptive and not augmented else {}
         own["estimator"] = defaults(**{**_changed(filters), **needed})
     loop, changes, mistakes = replace(loop, **own, **_followed(law)), dict[str, dict[str, Any]](), Mistakes()
     for path, value in given.items():
@@ -287,20 +291,21 @@ def setting_of(loop: LoopSettings, name: str) -> Any:
 
 
 def _changed(filters: FilterSettings) -> dict[str, Any]:
-    """Return what a filter's settings do not have by default: what the file asks for, whatever the controller."""
+    """Return the settings of a filter that differ from their defaults, which the file sets for any controller."""
     default = type(filters)()
     return {name: value for name, value in vars(filters).items() if value != getattr(default, name)}
 
 
 @dataclass(frozen=True)
 class Itinerary:
-    """One scene: its parts and the settings of every stage. `loop` carries seed 0 until a run gives another.
+    """An itinerary: its parts and the settings of every stage. `loop` has seed 0 until a run sets another.
 
-    start, finish: "orbit" (on the first, last part's orbit; at the start with its exact rates, which no rig can make),
-    "rest" (hanging still) or "hold" (at the equilibrium that is its first, last part; both or neither). keeps: whether
-    the stops of its walk are planned as stays on sustained orbits, as the file asks for; runs with other controllers
-    follow the same reference. zeros (n,) rad, or none: what a rig's hanging arms read.
-    stored: the .npz of the plan that it was taken from, if any, and is not planned again.
+    Attributes:
+        start, finish: "orbit" (on the first or last part's orbit, at its exact rates, which rigs cannot start from),
+            "rest" (hanging) or "hold" (at the equilibrium of the first or last part, for both ends or neither).
+        keeps: True if the file plans stops as stays on sustained orbits. Other controllers follow the same reference.
+        zeros: readings (n,) of a rig's hanging arms, rad, or none.
+        stored: .npz file of its existing plan, if any.
     """
 
     name: str
@@ -320,7 +325,7 @@ class Itinerary:
 
     @property
     def stay(self) -> HoldPart | OrbitPart | None:
-        """The equilibrium or orbit that it stays at, if it goes nowhere."""
+        """The equilibrium or orbit of an itinerary without transfers."""
         only = self.parts[0] if len(self.parts) == 1 else None
         if isinstance(only, OrbitPart) or (isinstance(only, HoldPart) and self.start == "hold"):
             return only
@@ -338,24 +343,24 @@ class Itinerary:
 
     @property
     def wraps(self) -> tuple[int, ...]:
-        """The wraps of all walks, in order; stops where two parts meet have none."""
+        """The wraps of all walks, in order, without stops between parts."""
         return tuple(count for part in self.walks for count in part.wraps)
 
     @property
     def uncertainty(self) -> Uncertainty | None:
-        """How well the model is known, where runs draw their plant from that.
+        """Uncertainty of the model, if runs draw their plant from it.
 
         Raises:
-            InputError: they do, and the model's file does not say.
+            InputError: they do, and the model's file does not give it.
         """
-        return self.model.known_to if self.loop.model_uncertainty else None
+        return self.model.identified_uncertainty if self.loop.model_uncertainty else None
 
     def with_run(self, settings: Mapping[str, Any], *, seed: int | None = None) -> "Itinerary":
-        """Return the itinerary with settings of its runs replaced by path, and the seed if it is given.
+        """Return the itinerary with some run settings replaced by path, and the seed if given.
 
         Raises:
-            InputError: an unknown kind or an impossible value; a plant whose file is missing or faulty or that has
-                other arms; an uncertainty to draw the plant from that the model's file does not give.
+            InputError: an unknown kind or an impossible value, a plant with a missing or faulty file or with other
+                arms, or a drawn plant without an uncertainty in the model's file.
         """
         loop = self.loop
         plant = canonical(settings).get("plant")
@@ -373,10 +378,10 @@ class Itinerary:
         return scene
 
     def remark_on_rig(self) -> None:
-        """Remark on numbers of the rig that look as if they were given in another unit.
+        """Emit remarks on numbers of the rig that seem to be in another unit.
 
         Raises:
-            InputError: a number that no rig has.
+            InputError: an impossible number.
         """
         try:
             for sentence in rig_oddities(self.limits, self.loop, arms=self.model.arms.count, zeros=self.zeros):
@@ -406,7 +411,7 @@ def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
     """Return the itinerary of a plan's file, from the texts that its reference was made from.
 
     Raises:
-        InputError: it is a reference that no plan made.
+        InputError: it is a reference without a plan.
     """
     notes = reference.notes
     try:
@@ -481,7 +486,7 @@ def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model 
     with mistakes:
         for key in rest if listed is not None else ():
             if key in _SAME_IN_PARTS:
-                raise InputError(f"{top} {key}: the file lists [[parts]]; the key belongs into one of them")
+                raise InputError(f"{top} {key}: the file lists [[parts]]; move the key into one of them")
     header = Header()
     with mistakes:
         more = {key: one for key, one in rest.items() if key not in _SAME_IN_PARTS} if listed is not None else {}
@@ -532,7 +537,7 @@ def _check_ends(parts: tuple[Part, ...], start: str, finish: str, top: Place) ->
         raise InputError(f'{top} orbit: an orbit is kept from "orbit" to "orbit"; remove start and finish')
     for key, which, part in (("start", start, parts[0]), ("finish", finish, parts[-1])):
         if which == "orbit" and isinstance(part, HoldPart):
-            raise top.error(key, which, f"the part there is a hold, which no orbit leads to; {key} at rest")
+            raise top.error(key, which, f"the part there is a hold without an orbit; {key} at rest")
 
 
 def _check_level(
@@ -562,7 +567,7 @@ def _check_level(
 
 
 def _named_model(name: str, *, where: str, beside: Path | None) -> Model:
-    """Return a model by name or path, which is taken from the folder `beside` where it is there."""
+    """Return a model by name or path, from the folder `beside` if it is there."""
     own = None if beside is None else beside / name
     try:
         return load_model(str(own) if own is not None and name.endswith(".toml") and own.is_file() else name)
@@ -571,7 +576,7 @@ def _named_model(name: str, *, where: str, beside: Path | None) -> Model:
 
 
 def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path | None = None) -> ArmChainParameters:
-    """Return the arms of a plant's own model file, given by name or path, in the place of the model's `arms`.
+    """Return the arms of a plant's model file, by name or path, to replace the model's `arms`.
 
     Raises:
         InputError: no such file, a mistake in it, or another number of arms; begins with `where`.

@@ -20,7 +20,7 @@ BENCH: Mapping[str, type] = {
 }
 """The parts of the bench, which are fields of a run's settings."""
 ENDS = ("orbit", "rest", "hold")
-"""Where an itinerary may start and finish."""
+"""Starts and finishes of an itinerary."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 """Model files: a pendulum's parameters with their sources, from TOML.
 
-Identified arms as a model file: where each number comes from, and how well it is known.
+A model file of identified arms gives the source and the uncertainty of each number.
 """
 
 import tomllib
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from decimal import Decimal
@@ -41,10 +42,12 @@ _ZEROS = Usual(0.0, 2 * np.pi, "rad")
 
 @dataclass(frozen=True)
 class Model:
-    """A model as its file gives it: title, parameters, the source of each table, and the text itself.
+    """A model as its file gives it: title, parameters, the source of each table, and the text.
 
-    encoder_zeros (n,) rad: recorded absolute angles where the true ones are zero, if the file gives them;
-    uncertainty: of identified arms; remarks: sentences on what is odd about its numbers.
+    Attributes:
+        encoder_zeros: recorded absolute angles (n,) at true zero, rad, if the file gives them.
+        uncertainty: uncertainty of identified arms.
+        remarks: sentences on unusual numbers.
     """
 
     name: str
@@ -62,7 +65,7 @@ class Model:
 
     @cached_property
     def system(self) -> "ModelSystem":
-        """The conservative system in which orbits and tubes live: for arms, without friction, on a fixed pivot."""
+        """The conservative system of orbits and tubes: for arms, without friction, on a fixed pivot."""
         if isinstance(self.parameters, ThreeBodyParameters):
             own = three_body_system(self.name, self.parameters)
         else:
@@ -70,7 +73,7 @@ class Model:
         return ModelSystem(**{f.name: getattr(own, f.name) for f in fields(own)}, model=self)
 
     def unit(self, name: str, form: str = " {}") -> str:
-        """Return a unit of SI as texts have it after a number; "" for three bodies, whose units are their own."""
+        """Return a unit of SI as a suffix of numbers, or "" for three bodies, whose units are dimensionless."""
         return "" if isinstance(self.parameters, ThreeBodyParameters) else form.format(name)
 
     @cached_property
@@ -99,21 +102,21 @@ class Model:
 
     @property
     def arms(self) -> ArmChainParameters:
-        """The arms' parameters, where there are arms.
+        """The arms' parameters, if there are arms.
 
         Raises:
-            InputError: the model is no pendulum.
+            InputError: the model is not a pendulum.
         """
         if not isinstance(self.parameters, ArmChainParameters):
             raise InputError(f"{self.path}: {self.title} has no arms and no cart; choose a model of arms, such as lab")
         return self.parameters
 
     @property
-    def known_to(self) -> Uncertainty:
-        """How well the arms are known.
+    def identified_uncertainty(self) -> Uncertainty:
+        """Uncertainty of the arms.
 
         Raises:
-            InputError: the file does not say.
+            InputError: the file does not give it.
         """
         if self.uncertainty is None:
             raise InputError(
@@ -121,19 +124,25 @@ class Model:
             )
         return self.uncertainty
 
+    @property
+    def known_to(self) -> Uncertainty:
+        """Deprecated name of `identified_uncertainty`."""
+        warnings.warn("Model.known_to will go: use identified_uncertainty", DeprecationWarning, stacklevel=2)
+        return self.identified_uncertainty
+
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSystem(System):
-    """The conservative system of a model, which whatever is found in it leads back to."""
+    """The conservative system of a model, with a link back to the model."""
 
     model: Model
 
 
 def model_of(system: System) -> Model:
-    """Return the model that a system is the conservative part of.
+    """Return the model of a conservative system.
 
     Raises:
-        InputError: the system was made without one.
+        InputError: the system was made without a model.
     """
     if not isinstance(system, ModelSystem):
         raise InputError(f"{system.name} has no arms and no cart: start from a model of arms, such as lab")
@@ -320,14 +329,14 @@ def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
 
 
 def model_text(found: "Identification", *, title: str, logs: Sequence[str], starting_model: str) -> str:
-    """Return the TOML text of what was identified from `logs`, started at the model of that name."""
+    """Return the TOML text of arms identified from `logs`, with `starting_model` as the first guess."""
     arms, count = found.arms, len(ratio_names(found.arms))
     left = np.array([s.rms for s in found.segments if not s.used])
-    # A comment ends with its line, whatever a file is called.
+    # Control characters in a file's name must not end the comment.
     of = _plain(f"Identified from {', '.join(logs)}")
     starting_model = _plain(starting_model)
     known = np.isfinite(np.diag(found.covariance)[:count])
-    # A file of numbers has no infinity: what the data do not see is not varied.
+    # A TOML file of numbers has no infinity: undetermined ratios are not varied.
     covariance = np.where(np.outer(known, known), found.covariance[:count, :count], 0.0)
     lines = [
         _first_line(logs, starting_model),
@@ -357,14 +366,14 @@ def model_text(found: "Identification", *, title: str, logs: Sequence[str], star
     if "zeros" in found.candidates[found.chosen].terms:
         lines += [
             "",
-            "[encoders]   # what recorded absolute angles show where the true ones are zero",
+            "[encoders]   # recorded absolute angles at true zero",
             f"source = {quoted(of)}",
             f"zeros = {_numbers(found.zeros.mean(axis=0))}   # rad",
         ]
     lines += [
         "",
-        "[uncertainty]   # covariance of the ratios, row by row; what is not determined is not varied",
-        f"source = {quoted(f'{of}; residuals taken as alike over blocks')}",
+        "[uncertainty]   # covariance of the ratios, row by row; undetermined ratios are not varied",
+        f"source = {quoted(f'{of}; equal residuals assumed over blocks')}",
         "names = [" + ", ".join(quoted(name) for name in found.names[:count]) + "]",
         "covariance = [",
         *("    " + ", ".join(repr(float(v)) for v in row) + "," for row in covariance),
@@ -379,7 +388,7 @@ def _first_line(logs: Sequence[str], starting_model: str) -> str:
 
 
 def check_model_replaced(path: Path, *, logs: Sequence[str], starting_model: str, force: bool = False) -> None:
-    """Reject a file in the place of a model to identify, unless it was identified from the same logs.
+    """Reject an existing model file that was not identified from the same logs.
 
     Raises:
         InputError: there is another file.
@@ -391,7 +400,7 @@ def check_model_replaced(path: Path, *, logs: Sequence[str], starting_model: str
 
 
 def write_model(found: "Identification", path: Path, *, title: str, logs: Sequence[str], starting_model: str) -> Path:
-    """Write what was identified as a model file and return its path.
+    """Write identified arms as a model file and return its path.
 
     Raises:
         InputError: the file cannot be written.
@@ -401,7 +410,7 @@ def write_model(found: "Identification", path: Path, *, title: str, logs: Sequen
 
 
 def quoted(text: str) -> str:
-    """Return text as TOML writes it, on one line."""
+    """Return text as a TOML string on one line."""
     return '"' + _plain(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 

@@ -43,7 +43,7 @@ class Leaf(NamedTuple):
 @cache
 def paths() -> Mapping[str, Leaf]:
     """Return every setting of a run by its path."""
-    # Imported here, for the help of verbs needs no dynamics.
+    # Imported here because the help of verbs needs no dynamics.
     from dpcontrol.loop.controllers import ADAPTIVE_ESTIMATORS, CONTROLLERS, ESTIMATORS
     from dpcontrol.loop.loop import LoopSettings
     from dpcontrol.loop.result import SupervisorSettings
@@ -174,7 +174,7 @@ def option_of(path: str) -> str:
 
 
 def settings_to_vary() -> list[str]:
-    """Return the beginnings of values of `--set` and `--over`."""
+    """Return the completions of `--set` and `--over`."""
     return [f"{path}=" for path in paths()]
 
 

@@ -1,9 +1,9 @@
-"""An itinerary's parts as pieces of one reference: walks, holds and rests, with transfers where they do not meet.
+"""Parts of an itinerary as pieces of one reference: walks, holds and rests, with transfers between them.
 
-Each piece is solved on its own, from a state that is known to a state that is known, and they are joined end to end:
-the cost grows with the sum of their lengths, and an infeasible piece is reported by name.
+Each piece is solved separately, between two known states, and the pieces are joined. So the cost grows with the sum of
+their lengths, and an infeasible piece is reported by name.
 
-The notes of a plan, from its pieces: what score, review and controllers need, by the types of `references.reference`.
+The pieces also give the notes of the plan for score, pages and controllers, in the types of `references.reference`.
 """
 
 import json
@@ -31,18 +31,20 @@ from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 REST_BEFORE, REST_AFTER = 0.5, 1.0
-"""Seconds for which the pendulum hangs still before it starts and after it is back."""
+"""Time that the pendulum hangs still at the start and after its return, s."""
 WOBBLES = 2
-"""Wobbles in which one orbit becomes another of the same saddle."""
+"""Wobbles of a change between two orbits of one saddle."""
 
 
 @dataclass(frozen=True)
 class Goal(Brief):
-    """What a piece is to be: a walk's shadowing orbit, or a stay at an equilibrium of `seconds`.
+    """Goal of a piece: a walk's shadowing orbit, or a stay of `seconds` at an equilibrium.
 
-    first, last (n,): angles of the saddles or equilibria at which it starts and ends, on its own lift; start, end
-    (2n,): its pendulum states there; symbols: a walk's, as the itinerary writes them. wraps: at the stop that it shares
-    with the goal before it; None for a walk in one piece.
+    Attributes:
+        first, last: angles (n,) of the saddles or equilibria at start and end, including turns.
+        start, end: pendulum states (2n,) there.
+        symbols: symbols of a walk, as the itinerary writes them.
+        wraps: at the stop shared with the goal before, or None for a walk in one piece.
     """
 
     text: str
@@ -59,7 +61,7 @@ class Goal(Brief):
 
     @property
     def orbits(self) -> tuple[LyapunovOrbit, LyapunovOrbit]:
-        """The orbits that a walk leaves and joins."""
+        """First and last orbit of a walk."""
         assert self.shadowing is not None
         return self.shadowing.connections[0].source, self.shadowing.connections[-1].target
 
@@ -77,10 +79,10 @@ class SolvedPiece(Brief):
 def walk_goal(
     orbit: ShadowingOrbit, symbols: tuple[str, ...], *, round_off: tuple[bool, bool], wraps: int | None = None
 ) -> Goal:
-    """Return the goal of following a shadowing orbit from its start to its end.
+    """Return the goal of following a shadowing orbit from start to end.
 
-    round_off: whether start and end move out to where their periodic orbits are at phase zero, the arms at the saddle's
-    angles: whence they are reached more easily from elsewhere than in mid-swing.
+    round_off: True for ends that are extended to phase zero of their periodic orbits, with the arms at the saddle's
+    angles. Transfers reach these states more easily than those in mid-swing.
     """
     system, chain = orbit.connections[0].source.system, orbit.connections
     n = system.dimension // 2
@@ -119,13 +121,20 @@ def solve_pieces(
     scheduler: str = "",
     progress: Progress = no_progress,
 ) -> list[SolvedPiece]:
-    """Return the pieces that do all goals in order, with the transfers between them; fresh: none of them kept ones.
+    """Return the pieces of all goals in order, with the transfers between them.
 
-    workers, scheduler: processes, or the Dask cluster, by which transfers are sought. A reference that did not converge
-    ends the list: what follows starts where it should have led.
+    The list ends with a reference that did not converge, because the next piece would start from its end.
+
+    Args:
+        itinerary: arms, limits and settings.
+        goals: goals in order.
+        fresh: ignore cached transfers.
+        workers: processes that search for transfers.
+        scheduler: address of a Dask cluster that replaces them.
+        progress: receiver of progress reports.
 
     Raises:
-        GoalMissed: no transfer between two goals.
+        GoalMissed: there is no transfer between two goals.
     """
     ways = [_way(itinerary, *pair) for pair in pairwise(goals)]
     wanted = [way.transfer for way in ways if way is not None]
@@ -172,22 +181,26 @@ def lifted(state: Array, lift: Array) -> Array:
 
 
 def lifted_guess(goal: Goal, lift: Array) -> Guess:
-    """Return what follows a walk's shadowing orbit from its beginning, `lift` (n,) added to its angles."""
+    """Return the guess along a walk's shadowing orbit, with `lift` (n,) added to its angles."""
     assert goal.shadowing is not None
     sample, turned = goal.shadowing.states, np.concatenate([lift, np.zeros(len(lift))])
     return lambda times: sample(times + goal.begin) + turned
 
 
 _ROOM, _ELSEWHERE = 0.05, 0.3
-"""rad: half of what a run may be off its last orbit, so that a reference that is farther off leaves the feedback no
-room; and from where on it has not come to that orbit at all."""
+"""Distances of a reference from its last orbit, rad: half the tolerance of runs, and the one that misses the orbit.
+
+Beyond the first, feedback has no margin left.
+"""
 _CLOSER = (100.0, 10_000.0)
-"""Factors on the pendulum's weight with which such a reference is sought again: friction and one cart keep no orbit
-exactly, and the cheapest way to end is not the nearest."""
+"""Factors on the pendulum's weight when such a reference is sought again.
+
+With friction, no orbit can be kept exactly, and the cheapest end is not the nearest.
+"""
 
 
 def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, judged: bool) -> SolvedPiece:
-    """Return the piece of a goal itself; judged: by its last orbit, which the itinerary ends on."""
+    """Return the piece of a goal; judged: True if the itinerary ends on its last orbit, which judges it."""
     settings = itinerary.reference
     if goal.shadowing is None:
         method, interval = method_named(settings.method), max(settings.interval, 0.05)
@@ -217,7 +230,7 @@ _PHASES = 1000
 
 
 def _off_last_orbit(goal: Goal, found: Reference, lift: Array) -> float:
-    """Return how far the angles of a walk are from its last orbit over the last period, rad."""
+    """Return the distance of a walk's angles from its last orbit over the last period, rad."""
     orbit, n = goal.orbits[1], len(lift)
     shares = np.linspace(0.0, 1.0, _PHASES)
     path = OrbitCurve(orbit).states(shares)[:, :n] - orbit.system.equilibrium(orbit.saddle)[:n] + goal.last + lift
@@ -227,13 +240,13 @@ def _off_last_orbit(goal: Goal, found: Reference, lift: Array) -> float:
 
 @dataclass(frozen=True)
 class _Way:
-    """A transfer between two goals; turns (n,): whole ones that its ends go on by, one for each."""
+    """A transfer between two goals; turns (n,): candidates of whole turns of its ends."""
 
     transfer: Transfer
     turns: list[Array]
 
     def taken(self, found: Reference, lift: Array) -> SolvedPiece:
-        """Return it as a piece, `lift` (n,) that of the goal before it, from what was found."""
+        """Return the found transfer as a piece, with `lift` (n,) of the goal before it."""
         landed = found.state(found.duration)
         nearest = int(np.argmin([np.abs(landed - end).max() for end in self.transfer.ends]))
         onward = self.turns[nearest] * 2 * np.pi + lift
@@ -241,7 +254,7 @@ class _Way:
 
 
 def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
-    """Return the transfer from the end of one goal to the start of the next; None where their orbits' saddle is one."""
+    """Return the transfer from one goal to the next, or None if their orbits have the same saddle."""
     rest = resting_place(itinerary.model.system)
     text = " to ".join("rest" if name == rest else name for name in (before.where[1], after.where[0]))
     apart = (before.last - after.first) / (2 * np.pi)
@@ -249,7 +262,7 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
         return None
     turns = ways_round(apart)
     if before.shadowing is None and after.shadowing is None:
-        # Between equilibria one way is as good as its mirror image.
+        # Between equilibria a transfer and its mirror image are equivalent.
         turns = [way for k, way in enumerate(turns) if not any(np.allclose(way - apart, apart - w) for w in turns[:k])]
     ends = [lifted(after.start, way * 2 * np.pi) for way in turns]
     return _Way(Transfer.of(itinerary, text, lifted(before.end, np.zeros(len(apart))), ends), turns)
@@ -263,9 +276,9 @@ def _blended(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, progr
 
 
 def ways_round(apart: Array) -> list[Array]:
-    """Return the whole turns (n,) by which arms that are `apart` (n,) turns may come together.
+    """Return the whole turns (n,) that bring arms `apart` (n,) turns together.
 
-    Half a turn apart, both ways round are tried.
+    For half a turn, both directions are tried.
     """
     choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
     return [np.array(ways) for ways in product(*choices)]
@@ -285,7 +298,7 @@ def _blend(
     duration = 2 * turns / (pace[0] + pace[1])
     curves = OrbitCurve(first), OrbitCurve(last)
     n = len(lift)
-    # Curves are at the saddle's named position; the walk's last lift is that of all its turns.
+    # Curves are at the saddle's named position. The walk's last lift has all its turns.
     home = before.offsets[-1][:n] * 2 * np.pi + lift
 
     def guess(times: Array) -> Array:
@@ -316,11 +329,11 @@ def _phase_at_start(orbit: ShadowingOrbit, first: LyapunovOrbit) -> float:
 
 
 STILL = 0.8
-"""Seconds that stand for the period of an equilibrium, about those of the orbits: how long its ends are looked at."""
+"""Observation time at the ends of an equilibrium, about a period of the orbits, s."""
 
 
 class _Story:
-    """Stops and symbols as they follow one another, and orbits and equilibria in the order in which they are met."""
+    """Stops and symbols in order, and orbits and equilibria in the order of their first visit."""
 
     def __init__(self, itinerary: Itinerary) -> None:
         self.system = itinerary.model.system
@@ -332,7 +345,7 @@ class _Story:
         self.samples: list[Array] = []
 
     def enter(self, goal: Goal, angles: Array, text: str) -> None:
-        """Come to the first stop of a piece, by the transfer before it, named by its text, if there was one."""
+        """Add the first stop of a piece, and the transfer before it, named by its text, if any."""
         name = goal.where[0]
         here = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
         if not text or (self.stops and np.allclose(self.stops[-1]["angles"], angles)):
@@ -364,7 +377,7 @@ class _Story:
             self._arrive(target, home[:n] + piece.lift, self._on(connection.target), symbol, wraps)
 
     def _arrive(self, name: str, angles: Array, orbit: int, symbol: SymbolNote | None, wraps: int | None) -> None:
-        """Add a stop and the symbol that leads to it; none where it is the stop before, on another orbit."""
+        """Add a stop with its symbol, or only its orbit if it is the previous stop."""
         stop: StopNote = {"saddle": name, "angles": [float(angle) for angle in angles], "orbit": orbit}
         if symbol is None and self.stops:
             self.stops[-1] = {**stop, "arrived_on": self.stops[-1]["orbit"]}

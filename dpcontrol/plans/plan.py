@@ -1,12 +1,13 @@
-"""From an itinerary to its reference: connections, shadowing orbit, collocation; kept by content.
+"""From an itinerary to its reference, cached by content: connections, shadowing orbit, collocation.
 
-What the plan says beyond the trajectory (symbols, stops, orbits) is stored with the reference as notes and arrays,
-so that a log that carries the reference can be scored and reviewed alone.
+Symbols, stops and orbits are stored with the reference as notes and arrays. So a log that contains the reference can be
+scored and reviewed without other files.
 """
 
 import json
 import os
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from io import BytesIO
@@ -37,14 +38,18 @@ if TYPE_CHECKING:
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
 FORMAT = 2
-"""Raised whenever the notes change their meaning."""
+"""Version of the notes, raised whenever their meaning changes."""
 
 
 @dataclass(frozen=True)
 class Plan(ByReference, Timed):
-    """An itinerary's reference with its notes; file: where it is kept; cached: whether it was found there.
+    """An itinerary's reference with its notes.
 
-    Of a reference that did not converge there is no file, nor where the cache cannot be written.
+    There is no file if the reference did not converge, or the cache is not writable.
+
+    Attributes:
+        file: its file in the cache.
+        cached: True if it was cached before.
     """
 
     itinerary: Itinerary
@@ -69,7 +74,7 @@ class Plan(ByReference, Timed):
         """Return the states of arms and cart at given times.
 
         Args:
-            times: times (K,) from the start, s; by default 200 over the whole plan. Times outside count as the nearest
+            times: times (K,) from the start, s (default: 200 over the whole plan). Times outside count as the nearest
                 end.
 
         Returns:
@@ -82,7 +87,7 @@ class Plan(ByReference, Timed):
 
     @property
     def notes(self) -> PlanNotes:
-        """What the plan says beyond the trajectory."""
+        """Symbols, stops and orbits of the plan."""
         return plan_notes(self.reference)
 
     @cached_property
@@ -93,7 +98,7 @@ class Plan(ByReference, Timed):
         return file.getvalue()
 
     def followed(self) -> "Plan":
-        """Return the plan, where its reference can be followed.
+        """Return the plan if its reference can be followed.
 
         Raises:
             GoalMissed: it did not converge.
@@ -102,8 +107,27 @@ class Plan(ByReference, Timed):
             raise GoalMissed(f"{self.itinerary.name} has no reference to follow: {self.status}")
         return self
 
+    def margins(self, options: Mapping[str, object] | None = None) -> Any:
+        """Deprecated: use `dp.closed_loop(plan).margins()`."""
+        return self._closed_loop("margins", options).margins()
+
+    def preflight(
+        self, options: Mapping[str, object] | None = None, *, runs: int = 0, workers: int = 0, yes: bool = False,
+        progress: Progress = no_progress,
+    ) -> Any:  # fmt: skip
+        """Deprecated: use `dp.closed_loop(plan).preflight()`."""
+        loop = self._closed_loop("preflight", options)
+        return loop.preflight(runs=runs, workers=workers, yes=yes, progress=progress)
+
+    def _closed_loop(self, method: str, options: Mapping[str, object] | None) -> Any:
+        import dpcontrol as dp
+
+        text = f"Plan.{method} will go: use dp.closed_loop(plan).{method}() instead"
+        warnings.warn(text, DeprecationWarning, stacklevel=3)
+        return dp.closed_loop(self, settings=options)
+
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol plan --json` prints."""
+        """Return the JSON output of `dpcontrol plan`."""
         figures = (
             "duration", "max_error_between_nodes", "constraint_violation", "max_cart_position", "max_cart_velocity",
             "max_cart_acceleration", "rms_cart_acceleration", "iterations", "solve_seconds", "status",
@@ -118,7 +142,7 @@ class Plan(ByReference, Timed):
 
 
 def plan_key(itinerary: Itinerary) -> str:
-    """Return the content that a plan depends on, as 16 hexadecimal digits."""
+    """Return the hash of a plan's inputs, as 16 hexadecimal digits."""
     content = {
         "format": FORMAT,
         "code": PLANNING,
@@ -136,11 +160,11 @@ def plan_key(itinerary: Itinerary) -> str:
 
 
 _SECONDS, _MEMORY = 0.25, 3.5e6
-"""What each period of a walk takes to plan, in s and bytes, measured over 200 of them."""
+"""Planning cost of each period of a walk, in s and bytes, measured over 200 periods."""
 _FLIGHT = 4
-"""Periods that a symbol takes."""
+"""Periods per symbol."""
 _TRANSFER, _TRANSFER_OF_MORE = 3.0, 16.0
-"""Seconds that a transfer of one or two arms, and of more, takes to plan."""
+"""Planning time of a transfer of one or two arms, and of more, s."""
 
 
 def _amounts(itinerary: Itinerary) -> dict[str, int]:
@@ -153,7 +177,7 @@ def _amounts(itinerary: Itinerary) -> dict[str, int]:
 
 
 def _extent(itinerary: Itinerary) -> tuple[int, int]:
-    """Return how many periods of walks and how many transfers there are in an itinerary."""
+    """Return the numbers of periods of walks and of transfers in an itinerary."""
     ends = (itinerary.start, itinerary.finish)
     apart = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))
     amounts = _amounts(itinerary)
@@ -161,7 +185,7 @@ def _extent(itinerary: Itinerary) -> tuple[int, int]:
 
 
 def plan_cost(itinerary: Itinerary) -> Cost:
-    """Return what planning an itinerary will take; stays at an equilibrium or on an orbit hardly count."""
+    """Return the cost of planning an itinerary, without the small cost of stays."""
     periods, transfers = _extent(itinerary)
     amounts = _amounts(itinerary)
     longest = max(amounts, key=lambda name: amounts[name])
@@ -176,11 +200,11 @@ def plan_cost(itinerary: Itinerary) -> Cost:
 
 
 _PERIOD, _TRANSFER_LASTS = 0.7, 2.5
-"""s: of an orbit, and of a transfer between rest, equilibria and walks; of the lab's arms, roughly."""
+"""Approximate durations of an orbit and of a transfer of the lab's arms, s."""
 
 
 def expected_seconds(itinerary: Itinerary) -> float:
-    """Return about how long an itinerary lasts, s, before it is planned."""
+    """Estimate the duration of an itinerary before it is planned, s."""
     periods, transfers = _extent(itinerary)
     stays = sum(part.seconds for part in itinerary.parts if not isinstance(part, WalkPart))
     return _PERIOD * periods + _TRANSFER_LASTS * transfers + stays
@@ -196,14 +220,21 @@ def make_plan(
     scheduler: str = "",
     yes: bool = False,
 ) -> Plan:
-    """Return the plan of an itinerary, as it is stored or from the cache unless `fresh`; yes: however long it takes.
+    """Return the plan of an itinerary.
 
-    orbits: that shadow the itinerary's walks, one for each, where they are known already. workers: processes that seek
-    its transfers (0: as many as are worth it), which are kept one by one; scheduler: address of a Dask cluster in their
-    place. A reference that did not converge is returned with its status and not kept.
+    A reference that did not converge is returned with its status and not cached.
+
+    Args:
+        itinerary: itinerary to plan.
+        orbits: shadowing orbits of its walks, if known.
+        progress: receiver of progress reports.
+        fresh: ignore the cache.
+        workers: processes that search for transfers, 0 for a useful number.
+        scheduler: address of a Dask cluster that replaces them.
+        yes: accept any duration.
 
     Raises:
-        InputError: the walk asks for connections that do not exist at this energy, or the plan would take too long.
+        InputError: the walk needs connections that do not exist at this energy, or the plan would take too long.
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
     if itinerary.loop.supervisor.on_fall != "stop":
@@ -220,7 +251,7 @@ def make_plan(
     if not fresh and (content := kept(file)) is not None:
         return Plan(itinerary, load_reference(BytesIO(content)), file, cached=True)
     announce(plan_cost(itinerary), yes=yes)
-    # A plan that is kept needs nothing of what makes plans.
+    # A cached plan does not need the planner.
     from dpcontrol.judge.decoding import shortfall
     from dpcontrol.plans.planning import planned
 
@@ -239,7 +270,7 @@ def make_plan(
 
 
 def with_kept_starts(plan: Plan) -> Plan:
-    """Return a plan with ways from rest to its stops if its runs need them and the cache has all of them."""
+    """Return a plan with cached transfers from rest to its stops, if its runs need them and all are cached."""
     scene = plan.itinerary
     if scene.loop.supervisor.on_fall == "stop" or "starts" in plan.notes or not plan.converged:
         return plan
@@ -263,9 +294,9 @@ def recoverable(
     found: "Callable[[StartNote, Reference | None], None] | None" = None,
     progress: Progress = no_progress,
 ) -> Plan:
-    """Return a plan with ways from rest to its stops, where its runs go on after a fall; from the cache unless `fresh`.
+    """Return a plan with transfers from rest to its stops, if its runs recover from falls.
 
-    found: see `planned_starts`; called with each start that is not in the cache.
+    found: receiver of each start that is not cached; see `planned_starts`.
 
     Raises:
         GoalMissed: the first stop cannot be reached from rest.
@@ -275,7 +306,7 @@ def recoverable(
         return plan
     if not fresh and "starts" in (known := with_kept_starts(plan)).notes:
         return known
-    # A plan without starts needs nothing of what makes them.
+    # A plan without starts does not need their search.
     from dpcontrol.plans.starts import no_listener, planned_starts
 
     starts, arrays = planned_starts(scene, plan.reference, found=found or no_listener, progress=progress)
@@ -290,10 +321,10 @@ def recoverable(
 
 
 def load_plan(file: Path) -> Plan:
-    """Return the plan in a file that was made by planning: its itinerary from the texts that it was made from.
+    """Return the plan of a file, with its itinerary from the stored texts.
 
     Raises:
-        InputError: the file is missing, damaged, or a reference that no plan made.
+        InputError: the file is missing, damaged, or a reference without a plan.
     """
     reference = load_reference(file)
     return Plan(stored_itinerary(file, reference), reference, file, cached=True)

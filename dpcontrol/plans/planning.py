@@ -1,17 +1,15 @@
-"""What makes a plan: the reference of an itinerary, with the notes and arrays that go with it.
+"""Planner: the reference of an itinerary, with its notes and arrays.
 
-A walk whose stops are kept: flights along connections between sustained orbits, and whole periods of these.
+A walk with kept stops has flights along connections between sustained orbits, and whole periods of these orbits.
 
     orbit · orbit · …  flight  orbit · orbit · …  flight  … orbit
 
-Every flight is solved on its own, from phase 0 of one sustained orbit to phase 0 of the next, cart included, so that a
-stay of any length costs nothing more. A stop with too few wraps for a whole period between two flights is flown
-through: its symbols share one flight. The reference says where stays and flights are (notes, `program`), for the
-controllers that hand over to each other.
+Every flight is solved separately, cart included, from phase 0 of one sustained orbit to phase 0 of the next. So the
+length of a stay adds no cost. If a stop has too few wraps for a whole period between two flights, its symbols share one
+flight. The notes list the intervals of stays and flights (`program`) for the controllers that alternate.
 
-Itineraries that go nowhere: one equilibrium held, or one periodic orbit kept, for so many seconds.
-
-The orbit is the one that friction and cart sustain (`references.sustained`), repeated for whole periods.
+Itineraries without transfers hold one equilibrium or keep one periodic orbit for a given time. This orbit is the
+sustained one (`references.sustained`), repeated for whole periods.
 """
 
 from collections.abc import Sequence
@@ -61,11 +59,18 @@ def planned(
     scheduler: str = "",
     progress: Progress = no_progress,
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
-    """Return the reference of an itinerary, its notes and arrays; orbits: that shadow its walks, where they are known;
-    fresh: without transfers that were kept; workers, scheduler: by which transfers are sought.
+    """Return the reference of an itinerary, its notes and arrays.
+
+    Args:
+        itinerary: itinerary to plan.
+        orbits: shadowing orbits of its walks, if known.
+        fresh: ignore cached transfers.
+        workers: processes that search for transfers.
+        scheduler: address of a Dask cluster that replaces them.
+        progress: receiver of progress reports.
 
     Raises:
-        InputError: the walk asks for connections that do not exist at this energy.
+        InputError: the walk needs connections that do not exist at this energy.
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
     if isinstance(itinerary.stay, OrbitPart):
@@ -91,9 +96,9 @@ def planned(
 
 
 def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progress) -> list[Goal]:
-    """Return what the itinerary is to do, one goal for each part, and rests at its ends where it asks for them."""
+    """Return the goals of an itinerary, one for each part, and rests at its ends if required."""
     rest = resting_place(itinerary.model.system)
-    # A hold there is the rest itself, for as long as it says.
+    # A hold of the hanging arms is itself the rest, with its duration.
     rests = [isinstance(part, HoldPart) and part.hold == rest for part in (itinerary.parts[0], itinerary.parts[-1])]
     goals = [stay_goal(itinerary, rest, REST_BEFORE)] if itinerary.start == "rest" and not rests[0] else []
     for k, part in enumerate(itinerary.parts):
@@ -102,7 +107,7 @@ def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progres
             orbit = orbits.pop(0) if orbits else shadowing_orbit(itinerary, part=part, progress=here)
             beside = [itinerary.parts[j] if 0 <= j < len(itinerary.parts) else None for j in (k - 1, k + 1)]
             ends = (itinerary.start, itinerary.finish)
-            # Towards another walk the orbits meet as they are; towards rest or a hold there is a transfer.
+            # Walks meet on their orbits. To rest or a hold, there is a transfer.
             apart = (e == "rest" if b is None else isinstance(b, HoldPart) for e, b in zip(ends, beside, strict=True))
             goals.append(walk_goal(orbit, part.walk, round_off=(next(apart), next(apart))))
         elif isinstance(part, HoldPart):
@@ -118,7 +123,7 @@ def shadowing_orbit(
     """Find the connections of a part's walk (the first walk's by default) and the orbit that shadows them.
 
     Raises:
-        InputError: the walk asks for connections that do not exist at this energy, or there is no walk.
+        InputError: the walk needs connections that do not exist at this energy, or there is no walk.
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
     if part is None:
@@ -136,11 +141,11 @@ def shadowing_orbit(
 
 
 _BESIDE, _BETWEEN = 0.01, 5
-"""How far from a part's energy, over the energy scale, three arms' connections are sought, and on how many energies."""
+"""Range of energies for connections of three arms, relative to the energy scale, and their number."""
 
 
 def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> ShadowingOrbit:
-    """Return the walk of three arms whose connection exists nearest to a part's energy."""
+    """Return the walk of three arms with the connection nearest to a part's energy."""
     (symbol, *_) = parse_walk(part.walk, system.saddles)
     reach = _BESIDE * system.energy_scale
     lowest = equilibrium(system, symbol.source).energy
@@ -154,7 +159,7 @@ def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> Shado
 
 
 def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tuple[tuple[Connection, ...], WalkSolver]:
-    """Return the connections of a part's walk, and what finds the orbits that shadow them."""
+    """Return the connections of a part's walk, and the solver of their shadowing orbits."""
     system = itinerary.model.system
     symbols = parse_walk(part.walk, system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
@@ -164,20 +169,20 @@ def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tu
             raise GoalMissed("; ".join(reason for _, reason in edges.absent))
         return resolve(part.walk, edges), WalkSolver(edges.known)
     except (InputError, GoalMissed) as error:
-        # The name of a connection is that of one energy.
+        # The name of a connection is valid at one energy only.
         if any(simple.name is not None for symbol in symbols for simple in symbol.simple):
             raise
         raise type(error)(f"{error}; {_other_energies(system, part)}") from error
 
 
 _SHARES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7)
-"""Of the way from the highest saddle of a walk to the highest equilibrium: where its connections are sought."""
+"""Energies for connections, as shares of the range from a walk's highest saddle to the highest equilibrium."""
 _LOST = 1e11
-"""Unstable multiplier from which on a period loses an orbit's tubes to rounding."""
+"""Unstable multiplier above which rounding destroys an orbit's tubes within a period."""
 
 
 def _other_energies(system: System, part: WalkPart) -> str:
-    """Return a sentence on energies near the part's at which all connections of its walk exist."""
+    """Return a sentence on nearby energies with all connections of a part's walk."""
     symbols = parse_walk(part.walk, system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
     heights = {name: one.energy for name, one in equilibria(system).items()}
@@ -210,7 +215,7 @@ _SAMPLES = 401
 def _kept_walk(
     itinerary: Itinerary, part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, progress: Progress
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
-    """Return the reference of a walk of these connections with its stops kept, its notes and the arrays with them.
+    """Return the reference of a walk with kept stops, its notes and arrays.
 
     Raises:
         GoalMissed: a sustained orbit, or a flight's shadowing orbit or reference, was not found.
@@ -228,14 +233,14 @@ def _kept_walk(
 
 
 def _early(flight: Goal) -> float:
-    """Return the periods from a flight's start to where its first connection leaves the orbit."""
+    """Return the periods from a flight's start to the departure of its first connection."""
     assert flight.shadowing is not None
     first = flight.shadowing.connections[0]
     return (float(flight.shadowing.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
 
 
 def _late(flight: Goal) -> float:
-    """Return the periods from where a flight's last connection joins the orbit to its end."""
+    """Return the periods from the arrival of a flight's last connection to its end."""
     assert flight.shadowing is not None
     last, end = flight.shadowing.connections[-1], flight.begin + flight.seconds
     return (end - float(flight.shadowing.symbol_times[-1]) - last.time_in) / last.target.period
@@ -251,13 +256,13 @@ def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, S
             found = sustained_orbit(lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, settings=sought)
             if not found.converged:
                 where = f"about {lyapunov.saddle} at {lyapunov.energy:g} J"
-                raise GoalMissed(f"the sustained orbit {where}, which is to be kept: {found.status}")
+                raise GoalMissed(f"the sustained orbit {where}, which must be kept: {found.status}")
             orbits[lyapunov.saddle] = found
     return orbits
 
 
 def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) -> list[Goal]:
-    """Return the walk's flights: one for each symbol, fewer where a stop has no room to stay."""
+    """Return the walk's flights, one for each symbol, or fewer if a stop is too short to stay."""
     single = [_flight(part, chain, solver, k, k + 1) for k in range(len(chain))]
     cuts = [k + 1 for k, (before, after) in enumerate(pairwise(single)) if _periods(before, after) >= 1]
     spans = pairwise([0, *cuts, len(chain)])
@@ -274,7 +279,7 @@ def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, fir
 
 
 def _periods(before: Goal, after: Goal) -> int:
-    """Return how many whole periods between two flights give the stop its wraps; negative where there is no room."""
+    """Return the whole periods between two flights for the stop's wraps, negative if it is too short."""
     assert before.shadowing is not None
     assert after.shadowing is not None
     assert after.wraps is not None
@@ -292,7 +297,7 @@ def _flown(
     found = find_reference(problem, itinerary.reference, progress=progress)
     text = ", ".join(goal.symbols)
     if not found.converged:
-        raise GoalMissed(f"no flight {text!r} between the orbits that are to be kept: {found.status}")
+        raise GoalMissed(f"no flight {text!r} between the kept orbits: {found.status}")
     return SolvedPiece(text, goal, lift, found)
 
 
@@ -304,7 +309,7 @@ def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
 
 
 def period_at(orbit: SustainedOrbit, state: Array) -> Reference:
-    """Return one period of the orbit, on the turns of a state (2n + 2,) of it at phase 0."""
+    """Return one period of the orbit, on the turns of its state (2n + 2,) at phase 0."""
     return replace(orbit.reference, states=orbit.reference.states + whole_turns(state - orbit.state(0.0)))
 
 
@@ -315,8 +320,8 @@ def _assembled(
     pieces: list[SolvedPiece],
     orbits: dict[str, SustainedOrbit],
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
-    """Return stays and flights end to end, with the notes and arrays of the whole."""
-    # The first orbit is where a run is caught, the last one what it is judged by: one period of each at least.
+    """Join stays and flights, with the notes and arrays of the whole."""
+    # Runs are caught on the first orbit and judged on the last one, so each lasts at least one period.
     leads = (max(round(part.lead_in - _early(flights[0])), 1), max(round(part.lead_out - _late(flights[-1])), 1))
     counts = [leads[0], *(_periods(a, b) for a, b in pairwise(flights)), leads[1]]
     places = [flights[0].orbits[0], *(flight.orbits[1] for flight in flights)]
@@ -352,7 +357,7 @@ def _sampled(orbit: SustainedOrbit) -> Array:
 
 
 def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, SustainedOrbit]) -> Reference:
-    """Return the whole with the cost of finding each of its orbits once, however often it is in it."""
+    """Return the whole with the search cost of each distinct orbit counted once."""
     solved = [*flights, *(orbit.reference for orbit in orbits.values())]
     iterations, seconds = sum(one.iterations for one in solved), sum(one.solve_seconds for one in solved)
     status = (
@@ -371,7 +376,7 @@ def _rows(before: list[Reference], part: Reference) -> list[int]:
 def _kept_orbit(
     itinerary: Itinerary, part: OrbitPart, progress: Progress
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
-    """Return the reference that stays on an orbit, its notes and the arrays that go with them.
+    """Return the reference that stays on an orbit, its notes and arrays.
 
     Raises:
         GoalMissed: the orbit was not found.

@@ -1,4 +1,4 @@
-"""What ordinary benches have: remarks on numbers of a rig that look as if they were given in another unit."""
+"""Plausible values of benches: remarks on numbers of a rig that seem to be in another unit."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -59,7 +59,7 @@ def rig_oddities(limits: Limits, loop: LoopSettings, *, arms: int, zeros: Sequen
     """Return a sentence on each number of a rig that is unusual, with its table and key.
 
     Raises:
-        InputError: a number that no rig has.
+        InputError: an impossible number.
     """
     sensor = loop.sensors.stuck_sensor
     if sensor > arms:

@@ -1,7 +1,7 @@
-"""Ways from hanging at rest to the stops of an itinerary, by which a run goes on after a fall.
+"""Transfers from hanging at rest to the stops of an itinerary, for recovery from falls.
 
-For each stop a transfer from rest to the plan's own reference: to a state at which the arms pass the saddle's angles,
-early in the stay, so that the feedback has settled when it ends. A stop at rest needs none.
+Each stop has a transfer from rest to a state of the plan's reference at which the arms pass the saddle's angles. The
+state is early in the stay, so that the feedback settles before the stay ends. A stop at rest needs none.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,11 +20,11 @@ from dpcontrol.plans.transfers import kept_transfer
 from dpcontrol.references.reference import Reference, StartNote, plan_notes, start_arrays
 
 _RATE = 100.0
-"""Hz, at which a stop's places are looked at: what is joined there is a whole number of ticks away at usual rates."""
+"""Sampling rate of a stop's places, Hz: joints are whole ticks at usual rates."""
 _PLACES = 3
-"""That are tried for each stop."""
+"""Places tried for each stop."""
 _STILL = 1e-6
-"""rad, rad/s, m and m/s: from rest."""
+"""Tolerance of a state at rest: rad, rad/s, m and m/s."""
 
 
 def no_listener(note: StartNote, lead_in: Reference | None) -> None:
@@ -38,10 +38,15 @@ def planned_starts(
     found: Callable[[StartNote, Reference | None], None] = no_listener,
     progress: Progress = no_progress,
 ) -> tuple[list[StartNote], dict[str, Array]]:
-    """Return the notes of the starts to an itinerary's stops that there are, in their order, and their arrays.
+    """Return the notes of the possible starts to an itinerary's stops, in order, and their arrays.
 
-    A stop that cannot be reached from rest is left out, with a remark: the one before it is used. found: called with
-    each start as soon as it is planned, and its transfer; None for a stop at rest.
+    A stop that cannot be reached from rest is skipped with a remark, and the one before it is used.
+
+    Args:
+        itinerary: arms, limits and settings.
+        reference: reference of the plan.
+        found: called with each planned start and its transfer, or None for a stop at rest.
+        progress: receiver of progress reports.
 
     Raises:
         GoalMissed: the first stop cannot be reached.
@@ -71,7 +76,7 @@ def planned_starts(
             text = f"from rest to stop {stop + 1} ({notes['stops'][stop]['saddle']}): {error}"
             if not starts:
                 raise GoalMissed(f"{itinerary.path}: on_fall: {text}") from error
-            remark(f"{itinerary.path}: on_fall: {text}; after a fall the stop before it is gone to")
+            remark(f"{itinerary.path}: on_fall: {text}; after a fall, the run returns to the stop before it")
             continue
         arrays |= start_arrays(len(starts), lead_in)
         starts.append(StartNote(stop=stop, at=float(times[place]), turns=short, status=lead_in.status))
@@ -80,13 +85,14 @@ def planned_starts(
 
 
 def _places(states: Array, angles: Array) -> NDArray[np.intp]:
-    """Return rows of a stay's states (K, N) at which a transfer may join it, the best first.
+    """Return rows of a stay's states (K, N) for a transfer to join, the best first.
 
-    angles (n,): the saddle's. Where the arms pass it, as on their orbit twice a period; of one that stands, the middle.
+    angles (n,): the saddle's. Arms on an orbit pass these angles twice a period. A constant stay is joined in its
+    middle.
     """
     n = len(angles)
     if np.abs(states[:, n : 2 * n]).max() <= _STILL:
-        # At rest the arms may as well have hung from the beginning.
+        # A stop at rest is equivalent to hanging from the beginning.
         return np.array([0 if not angles.any() else len(states) // 2])
     away = np.abs(states[:, :n] - angles).max(axis=1)
     inner = np.flatnonzero((away[1:-1] <= away[:-2]) & (away[1:-1] < away[2:])) + 1
@@ -99,7 +105,7 @@ def _places(states: Array, angles: Array) -> NDArray[np.intp]:
 def _transfer(
     itinerary: Itinerary, states: Array, places: Sequence[int] | NDArray[np.intp], progress: Progress
 ) -> tuple[Reference, int, list[int]]:
-    """Return a transfer from rest to one of the places of states (K, N), which, and the turns that it falls short."""
+    """Return a transfer from rest to one of the places of states (K, N), the place and the missing turns."""
     n = itinerary.model.arms.count
     candidates: list[tuple[int, list[int], Array]] = []
     for place in places:

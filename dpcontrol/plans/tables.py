@@ -161,7 +161,7 @@ def _object(kind: type) -> dict[str, Any]:
 
 
 def _bound(number: dict[str, Any], bounds: Any) -> None:
-    """Add bounds to the schema of a number; zero or infinity may be allowed besides."""
+    """Add bounds to the schema of a number, and zero or infinity if allowed."""
     limits = {"minimum": bounds.least, "exclusiveMinimum": bounds.above, "maximum": bounds.most}
     limits = {key: float(value) for key, value in limits.items() if math.isfinite(value)}
     if bounds.zero and limits.get("minimum", 0.0) > 0:

@@ -1,21 +1,21 @@
-"""Transfers of an itinerary: found once and kept, and told apart by what each of them takes and passes.
+"""Transfers of an itinerary, cached, with their costs and their approaches to orbits.
 
-A transfer is kept by content as soon as it is found, at the turns that its start is named at, so that planning that was
-interrupted goes on where it was, and a motion that comes again, in the same itinerary or another, costs nothing.
+A transfer is cached by content as soon as it is found, at the turns of its start's name. So interrupted planning
+continues from there, and repeated motions, also of other itineraries, cost nothing.
 
-Of several motions between the same places, the least sensitive of those that leave the feedback room is taken. With e
-the state's distance from the motion under linear-quadratic feedback K, to first order in a relative error of one of the
-arms' parameters,
+Of several motions between the same places that leave margin for feedback, the least sensitive one is used. Let e be the
+distance of the state from the motion under linear-quadratic feedback K. To first order in a relative error of one of
+the arms' parameters,
 
-    e_{k+1} = (A_k - B_k K_k) e_k + E_k,      e_0 = 0,
+    e_{k+1} = (A_k - B_k K_k) e_k + E_k,      e_0 = 0.
 
-and its sensitivity is the largest root of the sum of squares of the angles' errors, over all arms and parameters. The
-runs that transfers from rest lose to plants that are off by 0.3 are in its order: 5, 6, 28 and 51 of 200 where it is
-2.3, 2.5, 3.3 and 4.7 on the way to Down-Up; effort puts them the other way round.
+The sensitivity is the largest root of the sum of squares of the angles' errors, over all arms and parameters. It orders
+the failures of transfers from rest to Down-Up on plants with errors of 0.3. With sensitivities of 2.3, 2.5, 3.3 and
+4.7, runs fail 5, 6, 28 and 51 times in 200. Effort gives the reverse order.
 
-What each takes is its time, the cart's effort ∫u² and stroke. What it passes are the families of Lyapunov orbits: of
-each, the orbit to which the pendulum comes closest, the distance being the largest component of the scaled gap. A
-family shrinks to its saddle, so that is at no distance from a transfer that begins or ends there.
+The cost is the time, the cart's effort ∫u² and stroke. Approaches are to families of Lyapunov orbits: for each family,
+the orbit that the pendulum comes closest to, by the largest component of the scaled gap. A family shrinks to its
+saddle, so the distance is zero for a transfer that begins or ends there.
 """
 
 import json
@@ -53,18 +53,18 @@ from dpcontrol.references.reference import (
 from dpcontrol.references.trajectory import Trajectory
 
 _SAMPLING = 2e-3
-"""s between the states that are held against the orbits."""
+"""Interval of states that are compared with the orbits, s."""
 _PERIOD, _SHARE = 5e-3, 1e-4
-"""Of the feedback with which motions are compared, s; and of the differences that stand for derivatives."""
+"""Period of the feedback in the comparison of motions, s, and step of difference quotients."""
 _MET = 1e-6
 """Scaled distance from a saddle at which a transfer's end is at it."""
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """A transfer that is wanted, from `start` (N,) to one of `ends` (N,), with all that it depends on.
+    """A required transfer from `start` (N,) to one of `ends` (N,), with all its inputs.
 
-    text: how it is named; model: the name of its arms'.
+    text: its name. model: name of its arms' model.
     """
 
     text: str
@@ -85,7 +85,7 @@ class Transfer:
 
     @property
     def key(self) -> str:
-        """What the motion depends on, as 16 hexadecimal digits."""
+        """Hash of the motion's inputs, as 16 hexadecimal digits."""
         content = {
             "code": PLANNING,
             "parameters": asdict(self.arms),
@@ -98,21 +98,21 @@ class Transfer:
 
     @property
     def file(self) -> Path:
-        """Where it is kept once it is found."""
+        """Its file in the cache."""
         return cache_file("transfers", self.model, self.key)
 
 
 _SEVERAL = 4
-"""Transfers from which processes of their own are worth their start."""
+"""Number of transfers that justifies separate processes."""
 
 
 def kept_transfer(
     itinerary: Itinerary, start: Array, ends: Sequence[Array], *, progress: Progress = no_progress
 ) -> Reference:
-    """Return a transfer from `start` (N,) to one of `ends` (N,), from the cache where it is kept.
+    """Return a transfer from `start` (N,) to one of `ends` (N,), cached if possible.
 
     Raises:
-        GoalMissed: there is none within the limits; says what stood in the way.
+        GoalMissed: there is none within the limits; the message has the cause.
     """
     wanted = Transfer.of(itinerary, "", start, ends)
     return find_transfers([wanted], progress=progress)[wanted.key]
@@ -126,14 +126,20 @@ def find_transfers(
     fresh: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Reference]:
-    """Return transfers by key, from the cache unless `fresh`; each that is found is kept at once.
+    """Return transfers by key, and cache each one when it is found.
 
-    workers: processes in which they are sought, 0 for one on each processor if there are several; scheduler: address of
-    a Dask cluster, or empty. One that there is not does not keep the others from being found.
+    A transfer that does not exist does not prevent the search for the others.
+
+    Args:
+        wanted: transfers to find.
+        workers: processes of the search, 0 for one per processor if there are several transfers.
+        scheduler: address of a Dask cluster, or empty.
+        fresh: ignore the cache.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: no cluster answers.
-        GoalMissed: there are none of some within the limits; says what stood in the way.
+        GoalMissed: some do not exist within the limits; the message has the cause.
     """
     found: dict[str, Reference] = {}
     left: dict[str, Transfer] = {}
@@ -173,11 +179,11 @@ def _sought(
 
 
 _ONE_AT_A_TIME = threading.Lock()
-"""The solver is not to be shared between threads, and a Dask worker may have several."""
+"""Threads cannot share the solver, and a Dask worker may have several."""
 
 
 def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, str]:
-    """Return the bytes of a transfer's .npz file, or why there is none."""
+    """Return the bytes of a transfer's .npz file, or the cause of its absence."""
 
     def here(_: str, done: float) -> None:
         progress(wanted.text, done)
@@ -197,9 +203,9 @@ def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, s
 
 
 def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:
-    """Return how far in rad angles stray, at most, for a unit of each relative error of the arms' parameters.
+    """Return the largest deviation of angles per unit relative error of the arms' parameters, rad.
 
-    Infinite where the motion's end cannot be stabilised.
+    It is infinite if the motion's end cannot be stabilised.
     """
     model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=_PERIOD)
     count, n = max(round(motion.duration / _PERIOD), 1), arms.count
@@ -221,11 +227,11 @@ def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:
 
 
 def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, commands: Array) -> Array:
-    """Return E (K, N, p): by how much a relative error of each number of each arm changes a period's step."""
+    """Return E (K, N, p): change of a period's step per relative error of each number of each arm."""
     nominal = model.parameters.copy()
 
     def steps(base: Array) -> Array:
-        # The model's own array, from which it steps.
+        # The model's array, which its steps read.
         model.parameters[:] = base
         return np.array([model.step(state, float(command)) for state, command in zip(states, commands, strict=True)])
 
@@ -240,7 +246,7 @@ def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, comma
 
 
 def turned(reference: Reference, angles: Array) -> Reference:
-    """Return a reference with `angles` (n,) added to its own."""
+    """Return a reference with `angles` (n,) added."""
     turns = np.zeros(reference.states.shape[-1])
     turns[: len(angles)] = angles
     return replace(reference, states=reference.states + turns)
@@ -252,7 +258,7 @@ def transfer_notes(
     *,
     progress: Progress = no_progress,
 ) -> list[TransferNote]:
-    """Return what transfers take and pass, each given by its text, the time at which it begins, s, and its motion."""
+    """Return costs and approaches of transfers, each given by its text, begin in s and motion."""
     times = [np.linspace(0.0, one.duration, round(one.duration / _SAMPLING) + 1) for _, _, one in transfers]
     states = [one.state(at) for (_, _, one), at in zip(transfers, times, strict=True)]
     notes: list[TransferNote] = [
@@ -285,13 +291,13 @@ def _families(
         try:
             found.append(lyapunov_family(system, saddle, energies=energies, family=family, progress=progress).members)
         except InputError:
-            # It begins above all that the transfers reach.
+            # The family begins above the transfers' energies.
             continue
     return found
 
 
 def _closest(orbits: Sequence[LyapunovOrbit], times: Array, states: Array) -> ApproachNote:
-    """Return where states (K, 2n) at `times` (K,) come closest to one of a family's orbits, or to its saddle."""
+    """Return the closest approach of states (K, 2n) at `times` (K,) to a family's orbits or its saddle."""
     first = orbits[0]
     away = first.system.scaled_distance(states[[0, -1]], first.centre)
     if away.min() < _MET:

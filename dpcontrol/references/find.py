@@ -3,20 +3,20 @@
 Each round solves the program of `dpcontrol.references.transcription` on the current mesh, starting from the previous
 solution. Intervals whose error between nodes exceeds the tolerance are then split. If a polynomial exceeds a limit
 between nodes, that limit is tightened by the excess. The rounds end when neither change is needed. If the solver fails
-or converges to a different motion, friction is raised in steps. This continuation starts without friction, where the
-guess is already a solution, and halves its step after a failure. If it fails too, the status reports the share of
-friction reached, the cause (limits, friction, authority or guess) and a remedy. Without friction and cart, the
-shadowing orbit is the reference.
+or converges to a different motion, friction is raised in steps. This continuation starts without friction, since the
+guess then is a solution, and halves its step after a failure. If it fails too, the status reports the share of friction
+reached, the cause (limits, friction, authority or guess) and a remedy. Without friction and cart, the shadowing orbit
+is the reference.
 
 A transfer (swing-up, landing, change of orbit) has no orbit to follow; its cost is the cart's effort and travel. The
 guess turns each arm along a smooth curve that ignores the rates at both ends. From it, direct collocation found 35 of
 36 swing-ups and landings tried; with those rates in the guess it found 30, with half the margin. Several durations and
 lattice points of the end state are tried on a coarse mesh. The first solution that leaves room for feedback is refined,
-or the gentlest if none does. If the growth of errors under feedback can be estimated, all combinations are tried. Of
-those that leave room, the one with the smallest errors is refined.
+or the gentlest if none does. If the growth of errors under feedback can be estimated, all combinations are tried. The
+one that leaves room with the smallest errors is refined.
 
-Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7; Nocedal &
-Wright, Numerical Optimization, 2nd ed., section 11.3, for continuation; Kelly, An introduction to trajectory
+Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7. Nocedal &
+Wright, Numerical Optimization, 2nd ed., section 11.3, for continuation. Kelly, An introduction to trajectory
 optimization, SIAM Review 59 (2017), for transfers.
 """
 
@@ -147,7 +147,7 @@ def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> str:
     if not passed:
         return ""
     return (
-        f"without limits it takes a {' and a '.join(passed)}; limits that wide are enough: widen them, or choose a "
+        f"without limits it takes a {' and a '.join(passed)}; these values suffice as limits: widen them, or choose a "
         "gentler itinerary"
     )
 
@@ -155,7 +155,7 @@ def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> str:
 def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSettings) -> str:
     """Describe the cause of a failed solution: the cart's authority, limits or the guess."""
     if not has_authority(problem, first.mesh):
-        return "the cart's acceleration moves no arm, so nothing makes up for friction; check the arms' parameters"
+        return "the cart's acceleration moves no arm, so friction cannot be compensated; check the arms' parameters"
     free = solve(problem, first, settings=settings, limits=_UNLIMITED)
     if not free.succeeded:
         return (
@@ -163,7 +163,7 @@ def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSet
             "lower the friction"
         )
     return limits_passed(problem, free.trajectory) or (
-        "the limits are not the reason, for without them the same motion is found; use shorter intervals"
+        "the limits are not the cause: the same motion is found without them; use shorter intervals"
     )
 
 
@@ -171,11 +171,11 @@ def friction_text(share: float) -> str:
     """Describe the share of friction that could be compensated."""
     if np.isnan(share):
         return (
-            "even without friction and limits the guess leads to no motion near it: check that it is an orbit of the "
+            "there is no motion near the guess even without friction and limits: check that it is an orbit of the "
             "same arms"
         )
     return (
-        f"friction is out of reach: {share:.0%} of it can be made up for within the limits; lower the friction, "
+        f"friction is out of reach: {share:.0%} of it can be compensated within the limits; lower the friction, "
         "widen the limits or choose a gentler itinerary"
     )
 
@@ -205,9 +205,8 @@ def another_motion(away: float, when: float) -> str:
     """Describe a solution that is a different motion from the guess."""
     return (
         f"no reference near the guess: the motion found passes {away:.2f} from it at t = {when:.2f} s (scaled by "
-        f"{ANGLE_SCALE:.3g} rad and {RATE_SCALE:g} rad/s, more for faster arms; up to {FARTHEST:g} is the same "
-        "motion), so it is another motion than the itinerary's; check that the guess is an orbit of the same arms, or "
-        "lower the friction"
+        f"{ANGLE_SCALE:.3g} rad and {RATE_SCALE:g} rad/s, more for faster arms), {FARTHEST:g} is allowed, "
+        "so it is not the itinerary's motion; check that the guess is an orbit of the same arms, or lower the friction"
     )
 
 
@@ -272,10 +271,10 @@ _NODE = 1e-3
 """Shortest interval, s."""
 
 
-def _tightened(limits: Limits, asked: Limits, largest: dict[str, float]) -> Limits | None:
-    """Return node limits that pull the polynomials inside `asked`; None if they are inside."""
+def _tightened(limits: Limits, required: Limits, largest: dict[str, float]) -> Limits | None:
+    """Return node limits that pull the polynomials inside `required`; None if they are inside."""
     changes = {}
-    for name, bound in asked.named().items():
+    for name, bound in required.named().items():
         over = largest[name] - bound
         if over > _LIMIT_SLACK:
             # The excess shifts to other intervals as the limit moves; tightening by more ends in a few rounds.
@@ -396,8 +395,8 @@ def find_reference(
     return result(
         solved,
         f"not converged in {round_number} rounds: error between nodes {worst:.1e} where "
-        f"{settings.tolerance:.1e} is asked{'; ' + passed if passed else ''}; start with a shorter interval, "
-        "ask for less, or allow more rounds",
+        f"{settings.tolerance:.1e} is required{'; ' + passed if passed else ''}; start with a shorter interval, "
+        "loosen the tolerance, or allow more rounds",
         converged=False,
         error=worst,
     )
@@ -424,7 +423,7 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
     if not converged:
         status = (
             f"not converged: the guess is {worst:.1e} from a frictionless motion where {settings.tolerance:.1e} is "
-            'asked; check that it is an orbit of the same arms, or use level "cart"'
+            'required; check that it is an orbit of the same arms, or use level "cart"'
         )
     return Reference.of(
         trajectory, problem.limits, status=status, converged=converged, max_error_between_nodes=worst,

@@ -1,13 +1,14 @@
 """Collocation methods as data: points, support, differentiation matrix, quadrature weights, end weights.
 
 On one interval, scaled to 0 ≤ τ ≤ 1, the state is a polynomial of degree K through its values at K + 1 support places,
-the first of them τ = 0; at the K collocation points its derivative equals the equations' rate. The input is the
-polynomial through its values at the collocation points. A method supplies numbers only; the transcription is one for
-all: Legendre–Gauss (radau, gauss, lobatto) with any number of points, Hermite–Simpson as three Lobatto points.
+the first of them τ = 0. At the K collocation points, its derivative equals the equations' rate. The input is the
+polynomial through its values at the collocation points. A method supplies numbers only, and all methods share one
+transcription: Legendre–Gauss (radau, gauss, lobatto) with any number of points, and Hermite–Simpson as three Lobatto
+points.
 
 Sources: Garg, Patterson, Hager, Rao, Benson & Huntington, A unified framework for the numerical solution of optimal
-control problems using pseudospectral methods, Automatica 46 (2010); Hairer & Wanner, Solving Ordinary Differential
-Equations II, section IV.5 (orders; Lobatto IIIA).
+control problems using pseudospectral methods, Automatica 46 (2010). Hairer & Wanner, Solving Ordinary Differential
+Equations II, section IV.5 (orders, Lobatto IIIA).
 """
 
 from dataclasses import dataclass
@@ -26,10 +27,14 @@ from dpcontrol.foundation.shown import Brief
 class Method(Brief):
     """A collocation method on 0 ≤ τ ≤ 1 with K points.
 
-    points (K,): where the rate is matched, rising. support (K+1,): where the state's polynomial has its values, from 0.
-    places (K,): index in `support` of each point. differentiation (K, K+1): values at the support -> derivatives at the
-    points. weights (K,): of the quadrature. end (K+1,): values at the support -> value at τ = 1. order: of the error at
-    the ends of intervals, as their length falls.
+    Attributes:
+        points: collocation points (K,), rising.
+        support: places of the state's values (K+1,), from 0.
+        places: index in `support` of each point (K,).
+        differentiation: values at the support -> derivatives at the points (K, K+1).
+        weights: quadrature weights (K,).
+        end: values at the support -> value at τ = 1 (K+1,).
+        order: order of the error at interval ends.
     """
 
     name: str
@@ -43,12 +48,12 @@ class Method(Brief):
 
     @property
     def closes(self) -> bool:
-        """Tell whether the last support place ends the interval, so that it is the next interval's start."""
+        """True if the last support place ends the interval and starts the next one."""
         return bool(self.support[-1] == 1.0)
 
     @property
     def shares_inputs(self) -> bool:
-        """Tell whether points lie on both ends, where neighbouring intervals have one input."""
+        """True if points lie on both ends, where neighbouring intervals have one input."""
         return bool(self.points[0] == 0.0 and self.points[-1] == 1.0)
 
 
@@ -99,7 +104,8 @@ def _roots(polynomial: np.polynomial.Legendre) -> Array:
 def radau(count: int) -> Method:
     """Return the flipped Legendre–Gauss–Radau method with `count` points, the last at the interval's end.
 
-    State of degree `count`, input of degree `count` - 1; exact quadrature to degree 2 `count` - 2; order 2 `count` - 1.
+    The state has degree `count`, the input `count` - 1. Quadrature is exact to degree 2 `count` - 2. The order is
+    2 `count` - 1.
     """
     # The points are 1 and the zeros of (P_{K-1} - P_K)/(1 - x), on -1 to 1.
     inner = _roots(_LEGENDRE(count - 1) - _LEGENDRE(count))[:-1]
@@ -116,8 +122,8 @@ def gauss(count: int) -> Method:
 def lobatto(count: int, *, name: str = "") -> Method:
     """Return the Legendre–Gauss–Lobatto method with `count` points, on both ends of the interval; order 2 `count` - 2.
 
-    The state is of degree `count`, one more than its points bear: its value halfway to the second point is free and
-    makes up for the rate that is matched at τ = 0.
+    The state has degree `count`, one more than its points determine. Its free value halfway to the second point
+    compensates for the collocation at τ = 0.
     """
     inner = _roots(_LEGENDRE(count - 1).deriv()) if count > 2 else np.empty(0)
     points = np.concatenate([[0.0], inner, [1.0]])
@@ -148,14 +154,14 @@ def collocation_method(name: str, points: Array, *, order: int) -> Method:
 
 
 _FAMILIES = {"radau": (radau, 2), "gauss": (gauss, 1), "lobatto": (lobatto, 2)}
-"""The methods that a name with a number of points may mean, and the least number."""
+"""Methods named by a number of points, and the least number."""
 
 
 def method_named(name: str) -> Method:
     """Return the method of a name such as "radau-5", "gauss-4", "lobatto-4" or "hermite-simpson".
 
     Raises:
-        InputError: there is no such method, or not with so many points.
+        InputError: unknown method or number of points.
     """
     if name == "hermite-simpson":
         return lobatto(3, name=name)

@@ -1,9 +1,9 @@
-"""What a reference is asked for: equations, an orbit to follow, limits; and how the program is solved.
+"""Statement of a reference: equations, an orbit to follow, limits, and settings of the solution.
 
     minimise ∫ u² + w_z |z - z_guess|² + w_x x² dt      subject to  (z, x, ẋ)˙ = f(z, x, ẋ, u), limits, ends
 
-z: the pendulum's state, differences scaled by (π per angle, 10 rad/s per rate); x: cart position; u: cart
-acceleration. Without w_z the optimiser wanders off the itinerary.
+z is the pendulum's state, with differences scaled by π per angle and 10 rad/s per rate. x is the cart's position and u
+its acceleration. Without w_z the optimiser leaves the itinerary.
 """
 
 from collections.abc import Callable
@@ -25,8 +25,10 @@ Guess = Callable[[Array], Array]
 """From times (K,) in s to pendulum states (K, 2n): a conservative shadowing orbit."""
 
 PLANNING = 1
-"""Version of what makes references and plans, in the keys under which they are kept. Raise it whenever a plan changes:
-a test of golden plans fails until then."""
+"""Version of the planner, part of the cache keys of references and plans.
+
+Raise it whenever a plan changes: a test of golden plans fails until then.
+"""
 
 LEVELS = ("cart", "conservative")
 SOLVERS = ("ipopt", "fatrop")
@@ -48,7 +50,7 @@ class Limits(Settings, table="limits"):
     jerk: float = setting(0.0, least=1e-6, most=1e6, zero="no limit", unit="m/s³", help="Largest jerk of the cart.")
 
     def named(self) -> dict[str, float]:
-        """Return {name: bound} of those that there are."""
+        """Return {name: bound} of the existing bounds."""
         bounds = {"position": self.position, "velocity": self.velocity, "acceleration": self.acceleration}
         return {**bounds, "jerk": self.jerk} if self.jerk > 0 else bounds
 
@@ -58,11 +60,13 @@ LIMIT_UNITS = {name: bounds.unit for name, bounds in bounds_of(Limits).items()}
 
 @dataclass(frozen=True, eq=False)
 class EndConditions(Settings, table="ends"):
-    """What holds at the ends of a reference.
+    """Conditions at the ends of a reference.
 
-    start, end (N,): where it starts and ends, not-a-number for what is free; None: the guess's pendulum state with the
-    cart at rest in the middle. closing (N,): it ends where it starts, plus this (whole turns), wherever that is.
-    energy: of the pendulum at the start in J, or None. stretch: share by which the duration may change, zero for none.
+    Attributes:
+        start, end: states (N,) with NaN for free entries; None for the guess's, with the cart at rest in the middle.
+        closing: whole turns (N,) between start and end of a closed motion.
+        energy: energy of the pendulum at the start, J, or None.
+        stretch: share by which the duration can change, 0 for none.
     """
 
     start: Array | None = None
@@ -73,9 +77,9 @@ class EndConditions(Settings, table="ends"):
 
 
 def state_scale(dimension: int, limits: Limits) -> Array:
-    """Return what each component of a state (dimension,) is divided by before errors are compared.
+    """Return the scale of each component of a state (dimension,) in errors.
 
-    π per angle, 10 rad/s per rate, the full stroke, 3 m/s.
+    It is π per angle, 10 rad/s per rate, the full stroke and 3 m/s.
     """
     n = (dimension - 2) // 2
     return np.array([ANGLE_SCALE] * n + [RATE_SCALE] * n + [2 * limits.position, CART_VELOCITY_SCALE], dtype=float)
@@ -83,13 +87,17 @@ def state_scale(dimension: int, limits: Limits) -> Array:
 
 @dataclass(frozen=True)
 class ReferenceProblem(Brief):
-    """A reference to be found.
+    """Problem of a reference.
 
-    equations: at the cart level, state (N,) = angles, rates, cart position and velocity, one input;
-    parameters (p,): base parameters with friction; guess: the orbit to follow from time 0 to `duration` s;
-    limits of the cart; ends: what holds at start and end. cart_guess: from times (K,) to cart position, velocity and
-    acceleration (K, 3) where the search starts; None: at rest in the middle. propagators: by degree of the input, for
-    the errors between nodes; each is compiled once.
+    Attributes:
+        equations: cart-level equations with states (N,) of angles, rates, cart position and velocity, and one input.
+        parameters: base parameters (p,) with friction.
+        guess: orbit to follow from time 0 to `duration`.
+        duration: duration, s.
+        limits: limits of the cart.
+        ends: conditions at start and end.
+        cart_guess: times (K,) -> initial cart position, velocity and acceleration (K, 3); None for a cart at rest.
+        propagators: compiled propagators of the errors between nodes, by degree of the input.
     """
 
     equations: Equations
@@ -107,7 +115,7 @@ class ReferenceProblem(Brief):
         """Reject problems that cannot be transcribed.
 
         Raises:
-            InputError: names what is wrong and what is allowed.
+            InputError: an invalid shape or value.
         """
         e = self.equations
         if e.input_count != 1 or e.dimension < 4 or e.dimension % 2:
@@ -127,7 +135,7 @@ class ReferenceProblem(Brief):
                 raise InputError(f"ends: {name} has shape {np.shape(value)}: the state is ({e.dimension},)")
 
     def end_states(self) -> tuple[Array, Array]:
-        """Return the fixed states (N,) at start and end, not-a-number where free."""
+        """Return the fixed states (N,) at start and end, NaN for free entries."""
         given = self.guess_at(np.array([0.0, self.duration]))
         ends = [self.ends.start, self.ends.end]
         if self.ends.closing is not None:
@@ -162,13 +170,19 @@ class ReferenceProblem(Brief):
 
 @dataclass(frozen=True)
 class ReferenceSettings(Settings, table="reference"):
-    """How a reference is sought.
+    """Settings of the search for a reference.
 
-    level: "cart" (friction, and the cart that makes up for it) or "conservative" (neither: the shadowing orbit itself,
-    without a solver); method: by name; solver: "ipopt" or "fatrop"; interval: first length of an interval, s;
-    tolerance: allowed error between nodes (scaled); pendulum_weight w_z and cart_weight w_x of the cost; end_tolerance:
-    how far (scaled) the pendulum may end from the guess's end; rounds: of refinement of the mesh or tightening of
-    limits; iterations: of the solver, each round.
+    Attributes:
+        level: "cart" with friction and a cart that compensates it, or "conservative" for the shadowing orbit itself.
+        method: collocation method by name.
+        solver: "ipopt" or "fatrop".
+        interval: initial length of an interval, s.
+        tolerance: allowed scaled error between nodes.
+        pendulum_weight: w_z of the cost.
+        cart_weight: w_x of the cost.
+        end_tolerance: allowed scaled distance of the pendulum from the guess's end.
+        rounds: rounds of mesh refinement or tightening of limits.
+        iterations: solver iterations in each round.
     """
 
     level: str = setting("cart", choices=LEVELS, help="Equations: with friction and cart, or conservative.")
@@ -187,11 +201,11 @@ class ReferenceSettings(Settings, table="reference"):
         """Check the bounds.
 
         Raises:
-            InputError: names the setting, its value and what is allowed.
+            InputError: an invalid setting, with its value and range.
         """
         if self.level == "dissipative":
             raise InputError(
-                'level = "dissipative": with friction and a still cart nothing gives back the energy that is lost; use '
+                'level = "dissipative": with friction and a fixed cart, lost energy cannot be restored; use '
                 '"cart", or "conservative" for neither'
             )
         super().__post_init__()

@@ -1,6 +1,6 @@
-"""A reference: what the bench shall do, as polynomials on a mesh; its file, its figures, and the notes of its plan.
+"""A reference: the bench's planned motion as polynomials on a mesh, its file, its figures and the notes of its plan.
 
-References that end where the next begins can be joined to one. On disk a reference is one .npz file, readable with
+Successive references can be joined. On disk a reference is one .npz file, readable with
 numpy alone (`numpy.load(path)`). Keys, all float64 unless said otherwise:
 
     header   JSON text (a 0-d string array): {"format": "dpcontrol-reference", "version": 2, "method": "radau-5",
@@ -13,9 +13,9 @@ numpy alone (`numpy.load(path)`). Keys, all float64 unless said otherwise:
     inputs   (N, K, nu)    at the points: cart acceleration, m/s²
     extra_*  any shape     arrays the caller stored, by name
 
-The notes are `PlanNotes`; arrays that go with them stand among the extra ones: `orbit_K` (M, 2n), samples of the K-th
-orbit over a period. The error between nodes and the energy need the arms that a reference was made for: `made_from`,
-whose `parameters` are those of `dpcontrol.dynamics.chain.ArmChainParameters` by name.
+The notes are `PlanNotes`. Their arrays are among the extra ones: `orbit_K` (M, 2n), samples of the K-th orbit over a
+period. The error between nodes and the energy require the reference's arms: `made_from` has their `parameters`, by the
+names of `dpcontrol.dynamics.chain.ArmChainParameters`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,12 +42,20 @@ from dpcontrol.references.trajectory import Trajectory, error_between_nodes, lar
 
 @dataclass(frozen=True, eq=False)
 class Reference(Trajectory):
-    """A trajectory of pendulum and cart, with its input, to be tracked.
+    """A trajectory of pendulum and cart, with its input, for tracking.
 
-    mesh, states, inputs, method: see `Trajectory`; the input is the cart's acceleration in m/s². limits it was made
-    for. status: a sentence; converged: whether it may be used. max_error_between_nodes: scaled, infinite where it was
-    not measured; constraint_violation: scaled, at the nodes; iterations of the solver in all; solve_seconds. extra:
-    arrays, and notes: JSON values, that the caller stores with it.
+    mesh, states, inputs (cart acceleration, m/s²) and method: see `Trajectory`.
+
+    Attributes:
+        limits: limits that it respects.
+        status: a sentence.
+        converged: True if it can be used.
+        max_error_between_nodes: scaled, infinite if not measured.
+        constraint_violation: scaled, at the nodes.
+        iterations: of the solver in all rounds.
+        solve_seconds: time of the solver, s.
+        extra: arrays stored with it.
+        notes: JSON values stored with it.
     """
 
     limits: Limits
@@ -62,7 +70,7 @@ class Reference(Trajectory):
 
     @classmethod
     def of(cls, trajectory: Trajectory, limits: Limits, **about: Any) -> "Reference":
-        """Return the reference that a trajectory is; about: the fields after `limits`, by name."""
+        """Return a trajectory as a reference; about: the fields after `limits`, by name."""
         return cls(trajectory.method, trajectory.mesh, trajectory.states, trajectory.inputs, limits, **about)
 
     def __repr__(self) -> str:
@@ -75,7 +83,7 @@ class Reference(Trajectory):
 
     @property
     def stats(self) -> dict[str, float]:
-        """Return the cost of finding it."""
+        """Return the cost of the search."""
         return {"intervals": len(self.mesh) - 1, **picked(self, "iterations", "solve_seconds")}
 
     @cached_property
@@ -107,18 +115,18 @@ class Reference(Trajectory):
 
 
 class ByReference:
-    """What stands and falls with its reference."""
+    """Results that depend on a reference."""
 
     reference: Reference
 
     @property
     def converged(self) -> bool:
-        """Whether the reference converged, so that it may be followed."""
+        """True if the reference converged and can be followed."""
         return self.reference.converged
 
     @property
     def status(self) -> str:
-        """How the reference was found, or why not and what to try."""
+        """Method of the reference, or the cause of its failure and a remedy."""
         return self.reference.status
 
 
@@ -133,15 +141,15 @@ def still(state: Array, seconds: float, *, method: Method, limits: Limits, inter
 
 
 def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
-    """Return pieces as one reference, and the times (P + 1,) at which they begin and the last ends.
+    """Return pieces as one reference, and the times (P + 1,) of their begins and the last end, s.
 
-    All have one method. A jump from one to the next counts as a constraint violation; their inputs may jump.
+    All have the same method. A jump of states between pieces counts as a constraint violation. Inputs can jump.
 
     Raises:
         ValueError: no pieces, or pieces of different methods.
     """
     if not pieces or len({piece.method.name for piece in pieces}) > 1:
-        raise ValueError("pieces of one method are joined, one at least")
+        raise ValueError("pieces must have one method, and there must be at least one")
     first, limits = pieces[0], pieces[0].limits
     if len(pieces) == 1:
         return first, np.array([0.0, first.duration])
@@ -179,12 +187,12 @@ _START = "start_{}_{}"
 
 
 def start_arrays(which: int, lead_in: Reference) -> dict[str, Array]:
-    """Return the extra arrays of the transfer that the plan's start of this number begins with."""
+    """Return the extra arrays of the transfer of a plan's start, by its number."""
     return {_START.format(which, name): array for name, array in picked(lead_in, "mesh", "states", "inputs").items()}
 
 
 def start_reference(reference: Reference, which: int) -> Reference | None:
-    """Return the transfer that the plan's start of this number begins with, None where it is at rest already."""
+    """Return the transfer of a plan's start, by its number, or None if the start is at rest."""
     arrays = {name: reference.extra.get(_START.format(which, name)) for name in ("mesh", "states", "inputs")}
     if any(array is None for array in arrays.values()):
         return None
@@ -197,16 +205,16 @@ READ = (1, 2)
 """Versions that are read."""
 _EXTRA = "extra_"
 _FOUND = ("max_error_between_nodes", "constraint_violation", "iterations", "solve_seconds")
-"""Figures of the search; those of the cart follow from the trajectory."""
+"""Figures of the search; the cart's figures follow from the trajectory."""
 _CART = ("max_cart_position", "max_cart_velocity", "max_cart_acceleration", "rms_cart_acceleration")
 
 
 _LARGEST = 1e9
-"""s, rad, rad/s, m, m/s and m/s²: their squares are still numbers."""
+"""Largest values in SI units whose squares are still finite."""
 
 
 def save_reference(path: Path | BytesIO, reference: Reference) -> None:
-    """Write `reference` to `path` (whole, or not at all) in the layout above; path: or a file in memory.
+    """Write `reference` atomically to `path` or to a file in memory, in the layout above.
 
     Raises:
         InputError: the file cannot be written, or the notes are not JSON.
@@ -229,7 +237,7 @@ def save_reference(path: Path | BytesIO, reference: Reference) -> None:
 
 
 def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
-    """Make a reference of a file's parts; any of the raised errors means that the file is not one."""
+    """Build a reference from a file's parts; any of the raised errors means an invalid file."""
     method = method_named(header["method"])
     mesh, states, inputs = (np.asarray(arrays[k], dtype=float) for k in ("mesh", "states", "inputs"))
     intervals, count = len(mesh) - 1, len(method.points)
@@ -245,7 +253,7 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
         raise ValueError(f"states {states.shape} and inputs {inputs.shape} must have three dimensions")
     # Not a number fails too.
     if not all(np.abs(values).max(initial=0.0) <= _LARGEST for values in (mesh, states, inputs)):
-        raise ValueError("its mesh, states or inputs are not finite, or beyond all measure")
+        raise ValueError("its mesh, states or inputs are not finite, or too large")
     found: dict[str, Any] = {}
     for k in _FOUND:
         found[k] = value = np.inf if header["numbers"][k] is None else header["numbers"][k]
@@ -266,7 +274,7 @@ def load_reference(path: Path | IO[bytes]) -> Reference:
     """Read what `save_reference` wrote, from a path or an open binary file.
 
     Raises:
-        InputError: there is no such file, or it is damaged or not a reference; says which.
+        InputError: the file does not exist, is damaged or is not a reference.
     """
     making = {"make": "plan the itinerary first", "again": "plan again"}
     with archive(path, what="a reference", **making, format=FORMAT, versions=READ) as (header, arrays):
@@ -275,7 +283,7 @@ def load_reference(path: Path | IO[bytes]) -> Reference:
 
 @dataclass(frozen=True)
 class LimitUse:
-    """How much of one of the cart's limits a reference uses: bound and largest size in `unit`, and when, s."""
+    """Use of one of the cart's limits: bound and largest size in `unit`, and the time of the latter, s."""
 
     name: str
     unit: str
@@ -285,15 +293,15 @@ class LimitUse:
 
     @property
     def share(self) -> float:
-        """Return the largest over the bound."""
+        """Largest size divided by the bound."""
         return self.largest / self.bound
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceSummary:
-    """A reference and what follows from it.
+    """A reference with derived figures.
 
-    arms that it was made for: None where the notes do not say.
+    arms: its arms, or None if the notes lack them.
     """
 
     reference: Reference
@@ -301,7 +309,7 @@ class ReferenceSummary:
 
     @cached_property
     def uses(self) -> tuple[LimitUse, ...]:
-        """How much of each limit it uses."""
+        """Use of each limit."""
         reference = self.reference
         return tuple(
             LimitUse(name, LIMIT_UNITS[name], bound, reference.largest[name], where_largest(reference, name))
@@ -317,7 +325,7 @@ class ReferenceSummary:
     def errors(self) -> Array | None:
         """Errors between nodes (N,), scaled, measured again on each interval.
 
-        None where the arms are not known or heyoka is not installed.
+        None if the arms are unknown or heyoka is not installed.
         """
         if self.arms is None or not installed("heyoka"):
             return None
@@ -332,14 +340,14 @@ class ReferenceSummary:
         return error_between_nodes(problem, self.reference)
 
     def energies(self, states: Array) -> Array | None:
-        """Return the pendulum's energy in J at states (K, N), or None where the arms are not known."""
+        """Return the pendulum's energy in J at states (K, N), or None if the arms are unknown."""
         if self.arms is None:
             return None
         pendulum = equations_of(self.arms, Level.CONSERVATIVE)
         return NumericEquations(pendulum, self.arms.base()).hamiltonian(states[:, :-2])
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol reference --json` prints, the file's name apart."""
+        """Return the JSON output of `dpcontrol reference`, without the file's name."""
         reference, notes = self.reference, self.reference.notes
         lengths = np.diff(reference.mesh)
         stops = list(notes.get("stops") or [])
@@ -378,7 +386,7 @@ def summarised(reference: Reference) -> ReferenceSummary:
     """Return the summary of a reference.
 
     Raises:
-        InputError: the notes name arms that cannot be, or others than it has.
+        InputError: the arms in the notes are impossible or differ from the reference's.
     """
     made_from = reference.notes.get("made_from")
     if not isinstance(made_from, Mapping) or "parameters" not in made_from:
@@ -390,7 +398,7 @@ def summarised(reference: Reference) -> ReferenceSummary:
         }
         arms = ArmChainParameters(**values)
     except (InputError, TypeError, ValueError) as error:
-        raise InputError(f"the reference's notes hold no arms' parameters ({error}); plan again") from error
+        raise InputError(f"the reference's notes lack the arms' parameters ({error}); plan again") from error
     if 2 * arms.count + 2 != reference.states.shape[-1]:
         raise InputError(
             f"the reference's notes name {arms.count} arms but its states have {reference.states.shape[-1]} entries; "
@@ -400,9 +408,9 @@ def summarised(reference: Reference) -> ReferenceSummary:
 
 
 class StopNote(TypedDict):
-    """Where the pendulum wobbles or rests: its angles with all their turns, rad; indices into `orbits`.
+    """A stop: place of wobbles or rest, with angles including turns, rad, and indices into `orbits`.
 
-    arrived_on: the orbit it came on, where the energy is changed at the stop.
+    arrived_on: the arriving orbit, if the stop changes the energy.
     """
 
     saddle: str
@@ -412,7 +420,7 @@ class StopNote(TypedDict):
 
 
 class SectionNote(TypedDict):
-    """Where a connection crosses its section: normal · state = value, at these angles, rad."""
+    """Section of a connection: normal · state = value, at these angles, rad."""
 
     normal: list[float]
     value: float
@@ -420,10 +428,11 @@ class SectionNote(TypedDict):
 
 
 class SymbolNote(TypedDict):
-    """What leads from one stop to the next: a connection, or a transfer, whose name and section are None.
+    """Motion between two stops: a connection, or a transfer, which has neither name nor section.
 
-    time s: of the section's crossing, or the middle of a transfer; time_out, time_in s: from the orbit to the section
-    and on to the next orbit, at their phases; null of a transfer.
+    Attributes:
+        time: of the section's crossing, or the middle of a transfer, s.
+        time_out, time_in: from the orbit to the section and on to the next orbit, s, null for a transfer.
     """
 
     text: str
@@ -441,7 +450,7 @@ class SymbolNote(TypedDict):
 
 
 class OrbitNote(TypedDict):
-    """A periodic orbit, or an equilibrium, whose period is how long its ends are looked at: J, s."""
+    """A periodic orbit, or an equilibrium with the observation time of its ends as period: J, s."""
 
     saddle: str
     energy: float
@@ -457,7 +466,7 @@ class SaddleNote(TypedDict):
 
 
 class ShadowingNote(TypedDict):
-    """How the walks' orbits were found: the largest residual, None where there is no walk; s together."""
+    """Search for the walks' orbits: largest residual, or None without a walk, and total time in s."""
 
     residual: float | None
     duration: float
@@ -466,7 +475,7 @@ class ShadowingNote(TypedDict):
 
 
 class OriginNote(TypedDict):
-    """What makes the plan again: the texts of scene and model with their hashes, the arms, the program."""
+    """Inputs that reproduce the plan: itinerary and model with their hashes, arms, program."""
 
     program: str
     scene: str
@@ -478,7 +487,7 @@ class OriginNote(TypedDict):
 
 
 class StayNote(TypedDict):
-    """Of an itinerary that goes nowhere: the equilibrium held, or the orbit kept and what finds it again."""
+    """Stay of an itinerary without transfers: the equilibrium, or the orbit and the inputs of its search."""
 
     kind: Literal["hold", "orbit"]
     hold: NotRequired[str]
@@ -490,9 +499,7 @@ class StayNote(TypedDict):
 
 
 class ApproachNote(TypedDict):
-    """Where a transfer comes closest to a family of orbits: `distance` scaled, of the orbit at `energy` J, at `time` s
-    from the transfer's beginning.
-    """
+    """Closest approach of a transfer to a family: scaled `distance` from the orbit at `energy` J, at `time` s."""
 
     orbit: str
     distance: float
@@ -501,7 +508,7 @@ class ApproachNote(TypedDict):
 
 
 class TransferNote(TypedDict):
-    """What a transfer takes: s, ∫u² dt in m²/s³, the cart's stroke in m; and what it passes, by family of orbits."""
+    """Cost of a transfer: duration in s, ∫u² dt in m²/s³, stroke in m, and approaches by family of orbits."""
 
     text: str
     begin: float
@@ -512,10 +519,10 @@ class TransferNote(TypedDict):
 
 
 class SegmentNote(TypedDict):
-    """A stay ("keep", the saddle) or a flight ("fly") of a walk whose stops are kept.
+    """A stay ("keep", the saddle) or a flight ("fly") of a walk with kept stops.
 
-    rows: intervals of the mesh from the first to before the second, of a stay those of its first period; turns: by
-    which its states are away from the orbit's own.
+    rows: range of mesh intervals, of a stay those of its first period. turns: turns of its states relative to the
+    orbit.
     """
 
     rows: list[int]
@@ -529,9 +536,9 @@ class SegmentNote(TypedDict):
 
 
 class StartNote(TypedDict):
-    """A way from hanging at rest to a stop: it ends on the plan's reference `at` s, the arms `turns` short of there.
+    """A transfer from hanging at rest to a stop, which joins the plan's reference at `at` s, `turns` short of it.
 
-    status: how the transfer was found. Its arrays are extra ones (`start_reference`); a stop at rest needs none.
+    status: result of the search. Its arrays are extra ones (`start_reference`). A stop at rest needs none.
     """
 
     stop: int
@@ -541,10 +548,15 @@ class StartNote(TypedDict):
 
 
 class PlanNotes(TypedDict):
-    """All of a plan's notes. wraps: one for each interior stop, None beside a transfer, where they are not counted;
-    transfers: s between which the pendulum is on its way from piece to piece, and taken: what each of them takes;
-    energy J: of the first orbit. polished: of a plan that was re-optimised as a whole, the least scaled distance to
-    each stop's orbit; such a plan keeps crossings, windings and wraps, and need not come near the orbits.
+    """Notes of a plan.
+
+    Attributes:
+        wraps: one for each interior stop, None beside a transfer.
+        transfers: intervals of transfers between pieces, s.
+        taken: cost of each transfer.
+        energy: energy of the first orbit, J.
+        polished: least scaled distance to each stop's orbit, of a plan re-optimised as a whole. Such a plan keeps
+            crossings, windings and wraps, but can leave the neighbourhood of the orbits.
     """
 
     itinerary: str
@@ -571,8 +583,8 @@ class PlanNotes(TypedDict):
 
 
 def transitions_in(notes: PlanNotes) -> list[tuple[int, int]]:
-    """Return the numbers of symbol and transfer of each way from one equilibrium to another, the first for each two."""
-    # At rest nothing grows in a period; where it could, a walk begins or ends.
+    """Return numbers of symbol and transfer of each transition between equilibria, the first for each pair."""
+    # A stop at rest has no growth over a period; other stops begin or end a walk.
     still = [notes["orbits"][stop["orbit"]]["multiplier"] == 1.0 for stop in notes.get("stops", [])]
     ways = {round(sum(way) / 2, 6): k for k, way in enumerate(notes.get("transfers", []))}
     found: dict[tuple[str, str], tuple[int, int]] = {}

@@ -1,26 +1,26 @@
-"""Sustained orbits: the periodic orbits that friction and cart keep alive, with the least effort of the cart.
+"""Sustained orbits: periodic orbits with friction and cart, at the least effort of the cart.
 
     minimise ∫ u² + w_x x² dt  over one period T
     subject to  ẋ = f(x, u),  x(T) = x(0),  H(x(0)) = E,  θ_k(0) as at the saddle
 
-x(T) = x(0) closes the cart as well. H is pinned at one point, without which doing nothing at the equilibrium is
-optimal, and there the input jumps; the angle there, of the arm that moves fastest, fixes the phase; w_x centres the
-cart; the period is free. The search starts on the Lyapunov orbit, with which the result coincides where there is no
-friction.
+x(T) = x(0) closes the cart's motion as well. H is fixed at one point of the orbit. Otherwise rest at the equilibrium
+would be optimal. The input jumps there. The angle of the fastest arm at that point fixes the phase, w_x centres the
+cart, and the period is free. The search starts on the Lyapunov orbit, which is the result without friction.
 
-Multipliers. *Period map*: x(0) → x(T) with the input replayed by the clock. *Section map*: from section to section,
-through the orbit at right angles to it (pendulum only, scaled), the clock being reset to the section's phase at each
-crossing: λ_u, λ_s and one near 1 by which the energy settles. They depend on how often the clock is reset. The cart
-adds 1, 1 to either: driven by its acceleration it is a double integrator, whose drift feedback alone can stop.
+Multipliers. *Period map*: x(0) → x(T) with the input replayed by time. *Section map*: from one section through the
+orbit to the next, at right angles to it (pendulum only, scaled). The clock is reset to the section's phase at each
+crossing. Its multipliers are λ_u, λ_s and one near 1 for the decay of the energy. They depend on the number of resets.
+The cart adds 1, 1 to either map: driven by its acceleration it is a double integrator, which drifts without feedback.
 
 Linearised along the orbit, small differences and a pulse of the input become
 
     δẋ = A(t) δx + B(t) v(t),    A = ∂f/∂x,  B = ∂f/∂u  at (x*(t), u*(t));    δx(b) = Φ(b, a) δx(a) + Γ(b, a)
 
-solved by Gauss collocation on the reference's own intervals, whose polynomials are smooth there.
-Sources: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (1990), for the sections' use; Betts,
-Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7, for what the intervals resolve;
-Hairer, Lubich & Wanner, Geometric Numerical Integration, section II.1, for the method.
+solved by Gauss collocation on the reference's intervals, whose polynomials are smooth there.
+
+Sources: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (1990), for control on sections. Betts,
+Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7, for the resolution of
+intervals. Hairer, Lubich & Wanner, Geometric Numerical Integration, section II.1, for the method.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.shown import Brief
+from dpcontrol.foundation.shown import Brief, Timed, checked_times
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.references.find import find_reference
@@ -52,15 +52,15 @@ Signal = Callable[[Array], Array]
 """From times (K,) in s to inputs (K,) in m/s²."""
 
 _METHOD = gauss(8)
-"""Of order 16: on intervals that resolve the reference its own error is at rounding."""
+"""Method of order 16, whose error is at rounding on the reference's intervals."""
 _SMALL = 0.5
 
 
 def _multipliers(parts: Array) -> NDArray[np.complex128]:
     """Return the eigenvalues of parts[-1] … parts[0] (P, n, n) and the cart's 1, 1, largest modulus first.
 
-    Those well inside the unit circle are taken from the inverse, made of the parts' own: the product knows them only to
-    rounding times its largest. The pendulum's motion does not depend on the cart.
+    Eigenvalues well inside the unit circle come from the product of the parts' inverses, because the product itself
+    resolves them only to rounding times its largest. The pendulum's motion does not depend on the cart.
     """
     forward, backward = np.eye(parts.shape[-1]), np.eye(parts.shape[-1])
     for part in parts:
@@ -73,19 +73,22 @@ def _multipliers(parts: Array) -> NDArray[np.complex128]:
 
 
 STRETCH = 0.2
-"""Share by which the period may differ from the Lyapunov orbit's; one at the bound is of another orbit."""
+"""Allowed relative change of the period from the Lyapunov orbit's; at the bound, it is another orbit."""
 
 
 SUSTAINED = ReferenceSettings(method="radau-8", tolerance=1e-9, pendulum_weight=0.0, cart_weight=1.0, iterations=60)
-"""How sustained orbits are sought: the cheapest, not the nearest to the Lyapunov orbit, so without pendulum weight."""
+"""Settings for the cheapest orbit, without a weight on the distance from the Lyapunov orbit."""
 
 
 @dataclass(frozen=True, eq=False)
 class PhaseSection(Brief):
     """The plane through the orbit at one of its phases, at right angles to it in the pendulum's scaled state.
 
-    phase: 0 to 1; time: on the orbit's clock, s; state, rate, normal (N,): x*, ẋ* there, and the normal such that
-    normal · rate = 1, zero for the cart: where a cart stands does not tell the phase.
+    Attributes:
+        phase: 0 to 1.
+        time: on the orbit's clock, s.
+        state, rate: x*, ẋ* there (N,).
+        normal: normal (N,) with normal · rate = 1, zero for the cart, whose place does not determine the phase.
     """
 
     phase: float
@@ -95,7 +98,7 @@ class PhaseSection(Brief):
     normal: Array
 
     def lateness(self, state: ArrayLike) -> Array:
-        """Return by how many seconds, to first order, states (…, N) near the section have passed it, (…)."""
+        """Return the time since states (…, N) near the section passed it, to first order, s (…)."""
         return np.asarray((np.asarray(state) - self.state) @ self.normal)
 
     @property
@@ -106,11 +109,11 @@ class PhaseSection(Brief):
 
 @dataclass(frozen=True, eq=False)
 class SectionMap(Brief):
-    """From section j to section j + 1, the clock reset at j: ξ_{j+1} = matrix ξ_j + response p_j to first order.
+    """First-order map from section j to section j + 1, with the clock reset at j: ξ_{j+1} = matrix ξ_j + response p_j.
 
-    ξ (N,): state minus the orbit's at the section; p_j in m/s²: height of a half-sine pulse from j to j + 1 that is
-    added to the orbit's input; it ends with the nominal time between the sections, `duration` s. matrix (N, N),
-    response (N,).
+    ξ (N,) is the state minus the orbit's at the section. p_j, in m/s², is the height of a half-sine pulse added to the
+    orbit's input from j to j + 1. It lasts the nominal time between the sections, `duration` s. matrix (N, N), response
+    (N,).
     """
 
     start: PhaseSection
@@ -126,15 +129,42 @@ class SectionMap(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class SustainedOrbit(ByReference):
+class SustainedOrbit(ByReference, Timed):
     """A periodic orbit of pendulum and cart with the input that sustains it; time 0 is its phase 0.
 
-    lyapunov: the conservative orbit it grew from. arms: with friction. reference: one period.
+    lyapunov: the conservative orbit that it continues. arms: with friction. reference: one period.
     """
 
     lyapunov: LyapunovOrbit
     arms: ArmChainParameters
     reference: Reference
+
+    def __repr__(self) -> str:
+        return f"<sustained orbit about {self.lyapunov.saddle} at {self.energy:g}: {self.status}>"
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time of a period, s."""
+        return 0.0, self.period
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        return (*self.lyapunov.columns, "cart_position", "cart_velocity")
+
+    def states(self, times: Any = None) -> Array:
+        """Return the states of arms and cart at given times.
+
+        Args:
+            times: times (K,) from phase 0, s; by default 200 over one period.
+
+        Returns:
+            States (K, N): angles, rates, and the cart's position and velocity.
+
+        Raises:
+            InputError: the times are not finite numbers.
+        """
+        return self.sample() if times is None else self.state(checked_times(times))
 
     @property
     def energy(self) -> float:
@@ -170,7 +200,7 @@ class SustainedOrbit(ByReference):
 
     @cached_property
     def multipliers(self) -> NDArray[np.complex128]:
-        """Those (N,) of the period map with the input replayed, largest first; not-a-number if not converged."""
+        """Multipliers (N,) of the period map with replayed input, largest first; NaN if not converged."""
         n = self.lyapunov.system.dimension
         if not self.converged:
             return np.full(n + 2, np.nan, dtype=complex)
@@ -237,7 +267,7 @@ class SustainedOrbit(ByReference):
         matrix, response = np.eye(n), np.zeros(n)
         first = min(duration, period - begin)
         spans = [(begin, begin + first, -begin)]
-        # What is left after the period's end belongs to its clock's start, unless it is rounding.
+        # The rest after the period's end starts at its clock's zero, unless it is rounding.
         if duration - first > 1e-12 * period:
             spans.append((0.0, duration - first, first))
         for start, end, shift in spans:
@@ -266,7 +296,7 @@ class SustainedOrbit(ByReference):
         return PhaseSection(phase, time, state, rate, normal / (normal @ rate))
 
     def sections(self, count: int) -> tuple[PhaseSection, ...]:
-        """Return `count` sections at phases (j + 1/2) / count: as far as can be from phase 0, where the input jumps.
+        """Return `count` sections at phases (j + 1/2) / count, farthest from the jump of the input at phase 0.
 
         Raises:
             InputError: `count` is less than 1 or more than 1,000.
@@ -303,8 +333,8 @@ class SustainedOrbit(ByReference):
         ]
         return _multipliers(np.array(parts))
 
-    def document(self, sections: int) -> dict[str, Any]:
-        """Return what `dpcontrol orbit --sustained --json` prints, with the multipliers of so many sections."""
+    def document(self, sections: int = 1) -> dict[str, Any]:
+        """Return the JSON output of `dpcontrol orbit --sustained`, with the multipliers of `sections` sections."""
         reference, there = self.reference, self.converged
         return {
             **picked(self.lyapunov, "saddle", "family"),
@@ -330,20 +360,27 @@ def sustained_orbit(
     settings: ReferenceSettings = SUSTAINED,
     progress: Progress = no_progress,
 ) -> SustainedOrbit:
-    """Return the orbit that friction and cart sustain where there was a Lyapunov orbit of the same arms.
+    """Continue a Lyapunov orbit of the same arms to an orbit with friction and cart.
 
-    limits of the cart. Where `converged` is false it must not be used, and `status` says why and what to try.
+    If `converged` is False, do not use the result; `status` has the cause and a remedy.
+
+    Args:
+        lyapunov: conservative orbit.
+        arms: arms with friction.
+        limits: limits of the cart.
+        settings: settings of the collocation.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: the Lyapunov orbit is not one of these arms.
     """
     n = lyapunov.system.dimension // 2
-    # The last of a system's parameters are its friction, which it may have but does not use.
+    # A system's last parameters are its friction, which the orbit does not use.
     conservative = lyapunov.system.parameters[:-n]
     if arms.count != n or not np.array_equal(arms.frictionless().base()[:-n], conservative):
         raise InputError(f"the orbit about {lyapunov.saddle} is of other arms than the {arms.count} given")
     curve = OrbitCurve(lyapunov)
-    # The arm that moves fastest tells the phase best.
+    # The fastest arm resolves the phase best.
     leading = int(np.argmax(np.abs(lyapunov.state[n : 2 * n])))
     start = np.full(2 * n + 2, np.nan)
     start[leading] = lyapunov.state[leading]
@@ -361,6 +398,6 @@ def sustained_orbit(
             reference,
             converged=False,
             status=f"no sustained orbit: the period left that of the Lyapunov orbit, {lyapunov.period:.4g} s, by "
-            f"{STRETCH:.0%}, so that it is of another kind; choose an energy nearer to the saddle's or less friction",
+            f"{STRETCH:.0%}, which gives another orbit; choose an energy nearer to the saddle's or less friction",
         )
     return SustainedOrbit(lyapunov, arms, reference)

@@ -1,11 +1,13 @@
-"""A motion as polynomials on a mesh, what a solver made of it, and how good it is.
+"""A motion as polynomials on a mesh, the result of a solver, and its quality.
 
-An interval of length h from t_i has its states at t_i + h σ_k, its input at t_i + h τ_k; σ and τ: the method's support
-and points. Both polynomials are evaluated in barycentric form (Berrut & Trefethen, SIAM Review 46 (2004), eq. 4.2).
-Error between nodes: a propagator at machine precision restarts at each interval's start under the interval's own input
-polynomial; the largest scaled difference from the state's polynomial on a dense grid counts. Limits: the extrema of the
-polynomials of cart position, velocity and acceleration, from the roots of their derivatives. How far from its guess a
-solution lies tells an itinerary from another motion.
+An interval of length h from t_i has its states at t_i + h σ_k and its input at t_i + h τ_k, with the method's support
+σ and points τ. Both polynomials are evaluated in barycentric form (Berrut & Trefethen, SIAM Review 46 (2004), eq. 4.2).
+
+Error between nodes: a propagator at machine precision restarts at each interval's start under the interval's input
+polynomial. The error is the largest scaled difference from the state's polynomial on a dense grid. Limits: the extrema
+of the polynomials of cart position, velocity and acceleration follow from the roots of their derivatives. A solution
+far from its guess is another motion.
+
 Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., sections 4.5 and 4.7.
 """
 
@@ -40,7 +42,7 @@ class Trajectory(Brief):
 
     @property
     def effort(self) -> float:
-        """Return ∫u² of the first input by the method's own quadrature, of an acceleration in m²/s³."""
+        """Return ∫u² of the first input by the method's quadrature, for an acceleration in m²/s³."""
         return float((self.inputs[..., 0] ** 2 @ self.method.weights) @ np.diff(self.mesh))
 
     @property
@@ -77,7 +79,7 @@ def times_on(mesh: Array, places: Array) -> Array:
 
 @dataclass(frozen=True)
 class Solved:
-    """What the solver left: a trajectory, its constraint violation (scaled), and how it ended."""
+    """Result of the solver: a trajectory, its scaled constraint violation and the solver's outcome."""
 
     trajectory: Trajectory
     violation: float
@@ -89,7 +91,7 @@ class Solved:
 
 
 def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> Trajectory:
-    """Return the guess on the mesh; the cart rests in the middle unless the problem says where it goes."""
+    """Return the guess on the mesh, with the problem's cart guess or a cart at rest in the middle."""
     times, input_times = times_on(mesh, method.support), times_on(mesh, method.points)
     states = np.zeros((*times.shape, problem.equations.dimension))
     states[..., : problem.pendulum_dimension] = problem.guess_at(times.ravel()).reshape(*times.shape, -1)
@@ -101,12 +103,12 @@ def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> 
 
 
 DENSE = 21
-"""Places per interval where the error is looked at: four per piece between the nodes of five points."""
+"""Places per interval at which the error is evaluated: four between adjacent nodes of five points."""
 _FAST = 3.0
-"""How many times the scale of a rate an arm's largest rate may be until the scale grows with it."""
+"""Largest ratio of an arm's largest rate to the scale of rates, above which the scale grows."""
 LATENESS = 0.3
 _LOOK = 0.005
-"""Seconds by which a reference may be late on its guess, or early, and steps in which it is looked for."""
+"""Largest time shift between a reference and its guess, s, and steps of its search."""
 
 
 def power_coefficients(points: Array, values: Array) -> Array:
@@ -116,7 +118,7 @@ def power_coefficients(points: Array, values: Array) -> Array:
 
 
 def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Array:
-    """Return the largest scaled error in each interval, (N,); infinite where the propagation fails."""
+    """Return the largest scaled error in each interval, (N,); infinite if the propagation fails."""
     method, propagator = trajectory.method, interval_propagator(problem, trajectory.method)
     scale = state_scale(problem.equations.dimension, problem.limits)
     tau = np.linspace(0.0, 1.0, DENSE)
@@ -162,10 +164,11 @@ def largest_on_intervals(points: Array, values: Array, *, above: float) -> float
 
 
 def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[float, float]:
-    """Return how far (scaled) the pendulum passes from the guess, and when, s.
+    """Return the largest scaled distance of the pendulum from the guess, and its time, s.
 
-    At each time the nearest of the guess's states within LATENESS before and after counts, because friction delays the
-    motion. The scale of an arm's rate is at least a third of its largest rate in the guess: small arms are faster.
+    At each time, the nearest of the guess's states within LATENESS before and after counts, because friction delays the
+    motion. The scale of an arm's rate is at least a third of its largest rate in the guess, because small arms are
+    faster.
     """
     nz = problem.pendulum_dimension
     times = np.linspace(0.0, problem.duration, max(2, int(np.ceil(problem.duration / _LOOK)) + 1))
@@ -186,7 +189,7 @@ def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[
 
 
 def _limited_curves(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
-    """Return the places in an interval and the values (N, …) there of each quantity that a limit may bind."""
+    """Return places in an interval and values (N, …) there of each limited quantity."""
     inputs, method = trajectory.inputs[..., 0], trajectory.method
     slopes = inputs @ differentiation_matrix(method.points).T / np.diff(trajectory.mesh)[:, None]
     return {
@@ -210,5 +213,5 @@ def where_largest(trajectory: Trajectory, name: str) -> float:
 def largest_values(trajectory: Trajectory, limits: Limits) -> dict[str, float]:
     """Return the largest size of each limited quantity of the cart, between nodes too."""
     curves, bounds = _limited_curves(trajectory), limits.named()
-    # A curve that stays below nine tenths of its bound on the dense grid does not pass it in between.
+    # A curve below nine tenths of its bound on the dense grid does not exceed it in between.
     return {name: largest_on_intervals(*curves[name], above=0.9 * bound) for name, bound in bounds.items()}

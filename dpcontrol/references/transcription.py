@@ -2,14 +2,14 @@
 
     Σ_j D_kj x_j = h f(x_k, u_k)   at the points k of each interval of length h,   x(τ = 1) = next interval's start
 
-The interval is one casadi function, mapped over the mesh; variables are scaled by `state_scale` and ordered by stage,
-an interval's start, its inner values, its inputs: what a structure-exploiting solver needs, and a sparse one does not
-mind. casadi would find the Jacobian of the whole program by colouring: some forty sweeps over all intervals for each.
-One interval's Jacobian and Hessian are small symbolic matrices; mapped over the mesh and scattered into the program's
-sparse ones they are built, and evaluated, several times faster.
+The interval is one casadi function, mapped over the mesh. Variables are scaled by `state_scale` and ordered by stage:
+an interval's start, its inner values, its inputs. Structure-exploiting solvers need this order, and sparse ones accept
+it. For the Jacobian of the whole program, casadi would use colouring, with some forty sweeps over all intervals.
+Instead, one interval's small symbolic Jacobian and Hessian are mapped over the mesh and scattered into the program's
+sparse matrices. This is several times faster to build and to evaluate.
 
-Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4; Wächter & Biegler,
-Mathematical Programming 106 (2006), for IPOPT; Vanroye, Sathya, De Schutter & Decré, FATROP: a fast constrained optimal
+Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4. Wächter & Biegler,
+Mathematical Programming 106 (2006), for IPOPT. Vanroye, Sathya, De Schutter & Decré, FATROP: a fast constrained optimal
 control problem solver (2023).
 """
 
@@ -40,11 +40,16 @@ Indices = NDArray[np.intp]
 def interval_derivatives(
     interval: ca.Function, *, columns: Indices, lengths: Array, guess: Array, size: int
 ) -> dict[str, Any]:
-    """Return the options grad_f, jac_g and hess_lag of `casadi.nlpsol`, and the program's own x, f and g.
+    """Return the options grad_f, jac_g and hess_lag of `casadi.nlpsol`, and the program's x, f and g.
 
-    interval: (v, length, guess) -> (constraints, cost) of one interval, SX. columns (nv, N): where each interval's v
-    lies among the program's `size` variables; the last block of v may be shared with the next interval's first.
-    guess (ng, N); lengths (N,). Constraints are ordered by interval.
+    Constraints are ordered by interval.
+
+    Args:
+        interval: (v, length, guess) -> (constraints, cost) of one interval, SX.
+        columns: indices (nv, N) of each interval's v among the variables. Neighbours can share the last block of v.
+        lengths: lengths of the intervals (N,), s.
+        guess: guess (ng, N).
+        size: number of variables.
     """
     nv, intervals = columns.shape
     v, length = ca.SX.sym("v", nv), ca.SX.sym("length")
@@ -77,7 +82,7 @@ def interval_derivatives(
     curvatures = one_hessian.map(intervals)(*fixed, weights, ca.reshape(lam, rows, intervals))
     local_row, local_col = (np.array(part) for part in hessian.sparsity().get_triplet())
     one, other = columns[local_row].T.ravel(), columns[local_col].T.ravel()
-    # Columns need not rise within v; the upper triangle is wanted.
+    # Columns need not rise within v, but the result must be the upper triangle.
     full_hessian = _scattered(ca.vec(curvatures), np.minimum(one, other), np.maximum(one, other), (size, size))
     total, flat = ca.sum2(f), ca.vec(g)
     return {
@@ -102,7 +107,7 @@ def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int,
     slot = np.cumsum(first) - 1
     if first.all():
         return ca.MX(sparsity, values[order.tolist()])
-    # One column for each value: a product with zeros and ones adds what falls together.
+    # One column for each value: a product with zeros and ones adds values at equal places.
     gather = ca.Sparsity.triplet(len(unique), len(place), slot.tolist(), order.tolist())
     return ca.MX(sparsity, ca.mtimes(ca.DM(gather, 1.0), values))
 
@@ -110,7 +115,7 @@ def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int,
 def solver_options(settings: ReferenceSettings, *, warm: bool = False) -> dict[str, Any]:
     """Return casadi's options.
 
-    warm: the search starts from a solution on another mesh, so a barrier far from it would only lead away.
+    warm: True if the search starts from a solution on another mesh, which a large barrier would lose.
     """
     shared: dict[str, Any] = {"print_time": False, "error_on_fail": False}
     if settings.solver == "fatrop":
@@ -159,10 +164,11 @@ def interval_function(problem: ReferenceProblem, method: Method, settings: Refer
 
 
 class _Program:
-    """The nonlinear program of one mesh: its expressions, bounds, and where its variables lie.
+    """The nonlinear program of one mesh: its expressions, bounds and the indices of its variables.
 
-    Variables, by column: an interval's start, its support values (but for one that is the next interval's start, unless
-    the solver wants every stage on its own), its inputs. Then the last state, then the duration's factor if it is free.
+    Variables, by column: an interval's start, its support values and its inputs. A support value that is the next
+    interval's start is left out, unless the solver requires separate stages. Then follow the last state and, if it is
+    free, the factor of the duration.
     """
 
     def __init__(
@@ -181,18 +187,18 @@ class _Program:
         joined = self.stretches or self.coupled or problem.ends.closing is not None
         if self.staged and joined:
             raise InputError(
-                'solver = "fatrop" takes stages one by one: it serves fixed times, open ends and inputs that may jump; '
-                'use "ipopt" for a free duration, a periodic orbit, a jerk limit, lobatto or hermite-simpson'
+                'solver = "fatrop" supports only fixed times, open ends and inputs that jump; use "ipopt" for a free '
+                "duration, a periodic orbit, a jerk limit, lobatto or hermite-simpson"
             )
         self.options: dict[str, Any] = {}
-        # What couples more than neighbouring intervals is left to casadi's own derivatives.
+        # Couplings of more than neighbouring intervals use casadi's derivatives.
         if self.staged or joined or problem.ends.energy is not None:
             self._assemble()
         else:
             self._assemble_by_interval()
 
     def _assemble_by_interval(self) -> None:
-        """Make the program, and its derivatives, from one interval's."""
+        """Build the program and its derivatives from those of one interval."""
         nx, count, n, free = self.nx, self.count, self.intervals, self.free
         width = nx * (1 + free) + count
         v, length, aim = ca.SX.sym("v", width + nx), ca.SX.sym("length"), ca.SX.sym("aim", self.nz * count)
@@ -264,7 +270,7 @@ class _Program:
         self.high_g.append(values)
 
     def _join_ends(self, rows: list[ca.MX], first: ca.MX, last: ca.MX, matrix: ca.MX) -> None:
-        """Add what holds at the ends beyond bounds: closing, energy; and all of it where stages have no bounds."""
+        """Add conditions at the ends beyond bounds: closing and energy, or all of them if stages have no bounds."""
         ends, e = self.problem.ends, self.problem.equations
         if ends.closing is not None:
             self._equal(rows, last - first, np.asarray(ends.closing) / self.scale)
@@ -285,7 +291,7 @@ class _Program:
             self.fixed_counts = (len(fixed), len(held))
 
     def _name_stages(self, gaps: int) -> None:
-        """Tell the solver, stage by stage, the numbers of states, inputs and constraints, and which are equal."""
+        """Pass the numbers of states, inputs and constraints of each stage to the solver, and the equalities."""
         n, width = self.intervals, self.nx * self.free + self.count
         equal = np.concatenate(self.low_g) == np.concatenate(self.high_g)
         self.options = {
@@ -305,7 +311,7 @@ class _Program:
         high = np.concatenate([np.tile(stage, self.intervals), box])
         low = -high
         if self.staged:
-            # These stand among the constraints; a bound that leaves no room would not be strictly feasible.
+            # These are constraints, because equal bounds would not be strictly feasible.
             high[: self.nx], low[: self.nx] = np.inf, -np.inf
             high[-self.nx :], low[-self.nx :] = np.inf, -np.inf
         else:
@@ -351,7 +357,7 @@ def solve(
     warm: `first` is nearly a solution.
 
     Raises:
-        InputError: a formulation that the solver does not serve.
+        InputError: a formulation that the solver does not support.
     """
     began = time.perf_counter()
     program = _Program(problem, settings, first, limits)

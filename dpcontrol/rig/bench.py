@@ -52,11 +52,11 @@ from dpcontrol.rig.packets import (
     LARGEST,
     CommandPacket,
     Condition,
-    Heard,
     Kind,
     OtherVersion,
     Packet,
     ReadingPacket,
+    ReceivedPacket,
     Role,
     Start,
     Talk,
@@ -180,9 +180,9 @@ class RecordedRig:
         record = self._record
         k = self._tick + 1
         if k >= record.ticks or (k > record.last and not self._stopped):
-            stood = f"; the cart stood still from t = {record.still_from:.3f} s" if record.still_from > 0 else ""
+            pause = f"; the cart stood still from t = {record.still_from:.3f} s" if record.still_from > 0 else ""
             last = f"the controller's last command came at t = {record.last * self.period:.3f} s"
-            raise ArithmeticError(f"{last}: {record.ended}{stood}")
+            raise ArithmeticError(f"{last}: {record.ended}{pause}")
         self._tick = k
         present = None if record.sent[k] else self._nothing
         age = float(record.ages[k]) if math.isfinite(record.ages[k]) else None
@@ -348,10 +348,10 @@ class UdpBench:
                 busy = packets.bye("the bench is busy with another loop; wait until it has ended")
                 self._refuse(self._packed(heard, busy), sender)
 
-    def _packed(self, heard: Heard, message: Packet) -> bytes:
+    def _packed(self, heard: ReceivedPacket, message: Packet) -> bytes:
         return packets.packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
 
-    def _answer(self, heard: Heard, message: Packet, sender: Any) -> None:
+    def _answer(self, heard: ReceivedPacket, message: Packet, sender: Any) -> None:
         with suppress(OSError):
             self._socket.sendto(self._packed(heard, message), sender)
 
@@ -697,7 +697,7 @@ class BenchProcess:
         if not self.address[1]:
             self._end()
             raise InputError("the example bench did not start; `dpcontrol rig` shows why")
-        self.said: list[str] = []
+        self.messages: list[str] = []
         self.record: BenchRecord | None = None
         """Messages and record of the run, available after the block."""
 
@@ -713,7 +713,7 @@ class BenchProcess:
     def began(self) -> bool:
         """True if a loop has begun its run."""
         self._handle_packets(0.0)
-        return bool(self.said)
+        return bool(self.messages)
 
     def _handle_packets(self, wait: float) -> None:
         """Receive messages of the bench for at most `wait` seconds."""
@@ -724,7 +724,7 @@ class BenchProcess:
                 if isinstance(heard, BenchRecord):
                     self.record = heard
                 elif heard is not None:
-                    self.said.append(heard)
+                    self.messages.append(heard)
 
     def controlled_by(self, program: Path, *arguments: str) -> Deadlines | None:
         """Let a program control the run, and return the deadlines that it reports.
@@ -746,7 +746,7 @@ class BenchProcess:
         except OSError as error:
             raise InputError(f"{name}: {error.strerror or error}; give an executable program") from error
         try:
-            figures, said = process.communicate()
+            figures, errors = process.communicate()
         finally:
             if process.poll() is None:
                 # The program stops the cart first; Windows offers no way to request that.
@@ -756,7 +756,7 @@ class BenchProcess:
                     process.communicate(timeout=_END)
                 process.kill()
         if not self.began:
-            why = said.strip().splitlines()[-1:] or ["it printed nothing"]
+            why = errors.strip().splitlines()[-1:] or ["it printed nothing"]
             raise InputError(f"{name} ended with {process.returncode} before a run began: {why[0]}")
         try:
             return Deadlines(**json.loads(figures))

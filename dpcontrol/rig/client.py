@@ -29,10 +29,10 @@ from dpcontrol.rig import packets as packets
 from dpcontrol.rig.packets import (
     LARGEST,
     Condition,
-    Heard,
     Kind,
     Packet,
     ReadingPacket,
+    ReceivedPacket,
     Role,
     Talk,
     Welcome,
@@ -131,7 +131,7 @@ class Deadlines:
 SCHEME = "udp"
 _DRIFT = 1e-4
 """Relative difference in the pace of the two clocks; those of computers differ by some 5e-5."""
-_ASK_EVERY = 0.2
+_REQUEST_INTERVAL = 0.2
 """Interval between HELLOs, s."""
 _LONGEST_PERIOD = 60.0
 """Upper bound of a bench's period, s."""
@@ -226,8 +226,8 @@ class UdpRig:
         self._ignored = self._refused = 0
         self._last_error = ""
         # An unpredictable number shows that an answer belongs to this HELLO.
-        self._asked = secrets.token_bytes(8)
-        self._talk = Talk(Role.LOOP, int.from_bytes(self._asked, "little"), key=key)
+        self._request = secrets.token_bytes(8)
+        self._talk = Talk(Role.LOOP, int.from_bytes(self._request, "little"), key=key)
         try:
             self.welcome = self._introduced()
         except BaseException:
@@ -322,7 +322,7 @@ class UdpRig:
         until = time.perf_counter() + self._settings.answer
         while (now := time.perf_counter()) < until:
             self._send(packets.hello())
-            waited = now + _ASK_EVERY
+            waited = now + _REQUEST_INTERVAL
             while (now := time.perf_counter()) < waited:
                 heard = self._received(waited - now)
                 if heard is None:
@@ -385,7 +385,7 @@ class UdpRig:
             elif now >= due + settings.patience:
                 return None
 
-    def _received(self, wait: float) -> Heard | None:
+    def _received(self, wait: float) -> ReceivedPacket | None:
         """Return the next valid packet, or None if none arrives within `wait` s."""
         until = time.perf_counter() + wait
         try:
@@ -401,16 +401,16 @@ class UdpRig:
         except OSError as error:
             self._link_error = f"{error.strerror or error}"
             # No program listens there now, but a restarted bench might.
-            time.sleep(min(wait, _ASK_EVERY))
+            time.sleep(min(wait, _REQUEST_INTERVAL))
         return None
 
-    def _accepted(self, data: bytes) -> Heard | None:
+    def _accepted(self, data: bytes) -> ReceivedPacket | None:
         """Return a valid, new packet of this run's bench, or None; invalid ones are counted."""
         try:
             heard = self._talk.unpack(data)
         except ValueError as error:
             # A second answer to a repeated HELLO is not foreign.
-            if self._tick < 0 or data[8:16] != self._asked:
+            if self._tick < 0 or data[8:16] != self._request:
                 self._refused += 1
                 self._last_error = str(error)
             return None

@@ -45,7 +45,7 @@ from dpcontrol.loop.result import Reading, Rig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig.client import Deadlines
 
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 
 REACH = 0.010
 """Maximum distance of the cart from its initial position, except towards the switches, m."""
@@ -297,7 +297,7 @@ def commission(
     zeros: Sequence[float] = (),
     switches: float = 0.0,
     options: CommissioningSettings | None = None,
-    tell: Tell = lambda text: None,
+    notify: Notify = lambda text: None,
 ) -> Commissioning:
     """Check and measure a rig whose arms hang and whose cart is at the centre.
 
@@ -307,7 +307,7 @@ def commission(
         settings: present settings of the scene's [run].
         zeros: present zeros (n,), rad.
         switches: distance to creep to either side until a limit switch responds, m; 0 to skip this.
-        tell: receives instructions about the next step.
+        notify: receives instructions about the next step.
 
     Raises:
         InputError: the distance to the switches is impossible, or the rig is too slow to hold its cart.
@@ -327,7 +327,7 @@ def commission(
     chirp = _chirp(arms, rig.period, options)
     try:
         session = _Session(rig, arms.count, limits, zeros)
-        _move(session, motion, arms, chirp, switches, limits, options, tell)
+        _move(session, motion, arms, chirp, switches, limits, options, notify)
     except _Halted as halted:
         halt = halted.finding
     finally:
@@ -360,17 +360,17 @@ class _Motion:
 
 def _move(
     session: _Session, motion: _Motion, arms: ArmChainParameters, chirp: tuple[Array, Array], switches: float,
-    limits: Limits, options: CommissioningSettings, tell: Tell,
+    limits: Limits, options: CommissioningSettings, notify: Notify,
 ) -> None:  # fmt: skip
     """Perform all motions of the cart."""
-    tell(f"the arms should hang with the cart at the centre; it will move by at most {1e3 * REACH:.0f} mm")
+    notify(f"the arms should hang with the cart at the centre; it will move by at most {1e3 * REACH:.0f} mm")
     _look(session, options)
-    tell("the cart shifts a few millimetres and back: check that it goes to the right first")
+    notify("the cart shifts a few millimetres and back: check that it goes to the right first")
     session.step = "drive"
     _shift(session, arms)
     session.step = "still"
-    _wait_until_still(session, options, tell)
-    tell(f"the cart follows a chirp for {options.sweep:g} s, then stays still for {options.ring:g} s; the arms swing")
+    _wait_until_still(session, options, notify)
+    notify(f"the cart follows a chirp for {options.sweep:g} s, then stays still for {options.ring:g} s; the arms swing")
     session.step, motion.held_from = "delay", session.tick
     session.hold(options.hold)
     motion.chirped_from = session.tick
@@ -382,13 +382,13 @@ def _move(
     motion.rang_to = session.tick
     session.step = "switches"
     if not switches:
-        ask = "give --switches with the distance in metres that the cart can move"
-        motion.switches = [_untried("--switches was not given", ask)]
+        remedy = "give --switches with the distance in metres that the cart can move"
+        motion.switches = [_untried("--switches was not given", remedy)]
     elif abs(session.gain - 1) > _SAFE_GAIN:
         # With a wrong scale, the cart could reach the hard stop.
         motion.switches = [_untried("the drive has a fault", "fix the drive first")]
     else:
-        tell(f"the cart creeps to the right, then to the left, by up to {switches:g} m: be ready to cut the power")
+        notify(f"the cart creeps to the right, then to the left, by up to {switches:g} m: be ready to cut the power")
         motion.switches = _tried_switches(session, switches, limits, options)
 
 
@@ -530,9 +530,9 @@ def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
     )
 
 
-def _wait_until_still(session: _Session, options: CommissioningSettings, tell: Tell) -> None:
+def _wait_until_still(session: _Session, options: CommissioningSettings, notify: Notify) -> None:
     """Hold the cart until the arms hardly swing."""
-    waited, told = 0.0, False
+    waited, notified = 0.0, False
     while True:
         first = session.tick
         session.hold(1.2)
@@ -546,9 +546,9 @@ def _wait_until_still(session: _Session, options: CommissioningSettings, tell: T
                 "hold them until they hang still, let go and start again; if they do hang still, their readings are "
                 "not in radians, or are wrapped to one turn",
             )
-        if not told:
-            tell(f"the arms swing by ±{swings.max():.2g} rad: hold them still; waiting for up to {options.wait:g} s")
-            told = True
+        if not notified:
+            notify(f"the arms swing by ±{swings.max():.2g} rad: hold them still; waiting for up to {options.wait:g} s")
+            notified = True
 
 
 def _chirp(arms: ArmChainParameters, period: float, options: CommissioningSettings) -> tuple[Array, Array]:

@@ -160,7 +160,7 @@ Content = Start | Welcome | ReadingPacket | CommandPacket | str | None
 """Content of a packet: a sentence for BYE, None for HELLO and STOP."""
 
 
-class Heard(NamedTuple):
+class ReceivedPacket(NamedTuple):
     """A received packet; new: True if its sequence number is above all earlier ones."""
 
     kind: Kind
@@ -224,7 +224,7 @@ def _seal(data: bytes, role: Role, key: bytes) -> bytes:
     return hmac.digest(key, role.value + data, "sha256")[:_SEAL]
 
 
-def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> Heard:
+def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
     """Return head and content of a packet from `role`, after checking its seal.
 
     Raises:
@@ -253,7 +253,7 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> Heard:
         raise Unsealed("a packet is sealed with a key, but no key is given here")
     if len(data) != end:
         raise ValueError(f"a packet of kind {number} is damaged: it has {len(data)} bytes instead of {end}")
-    return Heard(kind, session, sequence, content)
+    return ReceivedPacket(kind, session, sequence, content)
 
 
 def _content(kind: Kind, data: bytes, count: int) -> tuple[Content, int]:
@@ -309,14 +309,14 @@ class Talk:
 
     def __init__(self, role: Role, session: int, *, key: bytes = b"") -> None:
         self._role, self._session, self._key = role, session, key
-        self._said = self._newest = 0
+        self._sequence = self._newest = 0
 
     def pack(self, message: Packet) -> bytes:
         """Return the encoded packet of a message."""
-        self._said += 1
-        return packed(message, self._role, session=self._session, sequence=self._said, key=self._key)
+        self._sequence += 1
+        return packed(message, self._role, session=self._session, sequence=self._sequence, key=self._key)
 
-    def unpack(self, data: bytes) -> Heard:
+    def unpack(self, data: bytes) -> ReceivedPacket:
         """Return a received packet.
 
         Raises:

@@ -1,35 +1,43 @@
-"""Campaigns: one itinerary, many seeds, several cases; how often it is completed, and how sure that is.
+"""Campaigns: success rates of an itinerary over many seeds and several cases, with confidence intervals.
 
-A case is a controller with values that override the scene's. All cases run the same seeds, so that they can be compared
-in pairs. Jobs of some seeds each go to processes of this machine or to a Dask cluster; the table does not depend on how
-many workers there are or which of them die. A job carries all it needs (reference, parameters, settings), so that a
-worker needs this package and no files; the same job gives the same rows wherever and however often it runs.
+A case is a controller with values that override those of the itinerary. All cases run the same seeds, so they can be
+compared in pairs. Jobs of a few seeds each run in processes of this machine or on a Dask cluster. The table depends
+neither on the number of workers nor on workers that die. A job carries all its inputs (reference, parameters,
+settings), so a worker needs this package but no files. The same job always gives the same rows.
 
-The rows are one tidy Parquet file. Meanwhile every finished job is kept as NAME.parquet.parts/KEY.parquet, whole or
-absent, its key the hash of all it depends on: a campaign that is started again takes what is there and runs the rest.
+The rows are one tidy Parquet file. Until it is complete, each finished job is stored as
+NAME.parquet.parts/KEY.parquet, written atomically. KEY is the hash of the job's inputs. A campaign that is started
+again reads the stored jobs and runs the rest.
 
-The robustness score: how much of each kind of trouble a controller stands, level by level. Each kind has 21 levels, on
-top of what the scene itself asks of its bench. The score of a kind is the share of its runs that complete the whole
-itinerary, symbol by symbol, by the true state; that of the controller the mean over the kinds.
+The robustness score measures how much of each kind of trouble a controller tolerates. Each kind has 21 levels, in
+addition to the disturbances of the itinerary itself. The score of a kind is the share of its runs that complete the
+whole itinerary, symbol by symbol, by the true state. The controller's score is the mean over the kinds.
 
 The first six kinds are those of the leaderboard of the dfki double pendulum, which swings up under a torque of at most
-6 N m; the last three are of encoders and of the cart's drive. What agrees with theirs, and what does not:
+6 N m. The last three concern encoders and the cart's drive. Agreement with the leaderboard's definitions:
 
-    velocity noise   there Gaussian, 0 to 0.5 rad/s, on the rates that the controller is given; here to 3 rad/s
-    response         the same: 0.1 to 2 times what was commanded
-    delay            there 0 to 40 ms; here to 300 ms, for the loop knows it and predicts, as a rig's delay is known
-    model error      there one parameter at a time, ±25 %; here all at once, ±25 % at worst and friction five times that
-    command noise    there up to 1.1 of 6 N m; here up to 75 m/s² where 30 can be given
-    pushes           there three a joint, of 0.06 to 1.3 N m s over a tenth of a second on arms several times as heavy,
-                     at one level; here three in all, instantaneous, up to 0.012 N m s, 4 rad/s of the outer arm alone
+    velocity noise   Gaussian on the rates given to the controller. There 0 to 0.5 rad/s, here to 3 rad/s.
 
-Where their ranges left nearly every run of `tvlqr` and `adaptive` unharmed, ours go on to where runs fail.
+    response         The same: 0.1 to 2 times the command.
 
-There a level of noise counts if more than half of its runs succeed; here every run counts. So scores of the two may be
-read side by side, kind by kind, and not subtracted.
+    delay            There 0 to 40 ms. Here to 300 ms, because the loop predicts over its known delay.
 
-Source: Wiebe et al., Open-source dual-purpose acrobot and pendubot platform (IEEE RAM, 2024), section on benchmarking;
-ranges as in the leaderboard's scripts, robustness version 2, of github.com/dfki-ric-underactuated-lab/double_pendulum.
+    model error      There one parameter at a time, ±25 %. Here all at once, ±25 %, and friction up to ±125 %.
+
+    command noise    There up to 1.1 of 6 N m. Here up to 75 m/s² of a limit of 30.
+
+    pushes           There three per joint, of 0.06 to 1.3 N m s over 0.1 s, on heavier arms, at one level.
+                     Here three in all, instantaneous, up to 0.012 N m s, 4 rad/s of the outer arm.
+
+
+Our ranges are wider where theirs left nearly every run of `tvlqr` and `adaptive` unharmed.
+
+The leaderboard counts a level of noise if more than half of its runs succeed. Here every run counts. Scores of the two
+can therefore be compared kind by kind, but their differences mean nothing.
+
+Source: Wiebe et al., Open-source dual-purpose acrobot and pendubot platform (IEEE RAM, 2024), section on benchmarking.
+The ranges follow the leaderboard's scripts, robustness version 2, of
+github.com/dfki-ric-underactuated-lab/double_pendulum.
 """
 
 import io
@@ -97,17 +105,20 @@ COLUMNS: dict[str, str] = {
     "path": "string",
     "replays": "bool",
 }
-"""A row's columns and their Arrow types. symbol: the one that was not done, empty if all were; case: what the campaign
-varied, as name=value; replays: whether the loop itself, tick by tick, fails too, asked of the first failures of a job
-only; null where it was not asked. SI units."""
+"""Columns of a row with their Arrow types, in SI units.
+
+symbol: first symbol that was not completed, or empty.
+case: varied settings, as name=value.
+replays: True if the loop fails tick by tick too; only tried for the first failures of a job, else null.
+"""
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Compiled code is not to be shared between threads, and a Dask worker may have several."""
+"""Threads cannot share compiled code, and a Dask worker may have several."""
 
 
 @dataclass(frozen=True)
-class Case:
-    """One combination of what a campaign varies: its label, the values by name, and the loop's settings."""
+class Case(Brief):
+    """One combination of varied values: its label, the values by name, and the loop's settings."""
 
     label: str
     values: tuple[tuple[str, float | str], ...]
@@ -116,9 +127,14 @@ class Case:
 
 @dataclass(frozen=True)
 class Job:
-    """Seeds of one case. reference: the plan's archive; path: "compiled" (many seeds in lockstep) or "ticks";
-    uncertainty: of the arms, for cases that draw their plants from it; replayed: how many failures in lockstep are run
-    again tick by tick. mismatches: one for each seed, in place of the case's own.
+    """Seeds of one case.
+
+    Attributes:
+        reference: archive of the plan.
+        path: "compiled" for many seeds in lockstep, or "ticks".
+        uncertainty: uncertainty of the arms, for cases that draw their plants from it.
+        replayed: number of failures in lockstep that are run again tick by tick.
+        mismatches: one for each seed, which replaces the case's.
     """
 
     itinerary: str
@@ -133,7 +149,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """What the rows depend on, as 16 hexadecimal digits."""
+        """Hash of the job's inputs, as 16 hexadecimal digits."""
         return content_hash(self.reference, repr(self))
 
 
@@ -157,7 +173,7 @@ def run_job(job: Job) -> list[Row]:
 
 def _rows(job: Job) -> list[Row]:
     arms, loop = job.arms, job.case.loop
-    # By what a controller depends on: cases that differ in the bench share one.
+    # By the inputs of a controller: cases that differ only in the bench share one.
     decisive = LoopSettings(
         seed=0, rate=loop.rate, drive_lag=loop.known_lag, keep=loop.keep, controller=loop.controller,
         estimator=loop.estimator,
@@ -177,8 +193,8 @@ def _rows(job: Job) -> list[Row]:
     rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
     failed = [pair for pair in zip(rows, mismatches, strict=True) if not pair[0]["completed"]]
     for row, mismatch in failed[: job.replayed]:
-        # What is listed as a failure should be one when its seed is run alone; where a law keeps a clock of its own,
-        # round-off decides a few.
+        # A listed failure should also fail when its seed is run separately. For laws with internal timing, rounding
+        # decides a few runs.
         row["replays"] = not tick_by_tick(row["seed"], mismatch)["completed"]
     return rows
 
@@ -230,7 +246,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
 METADATA = b"dpcontrol.campaign"
 """Key of the file's own metadata: JSON with the settings, version and commit."""
 RECORD = "campaign.json"
-"""The same of an interrupted campaign, beside its finished jobs."""
+"""File with the same metadata beside the finished jobs of an interrupted campaign."""
 
 
 def _schema(extra: Sequence[str], metadata: Mapping[str, Any] | None = None) -> "pa.Schema":
@@ -241,14 +257,19 @@ def _schema(extra: Sequence[str], metadata: Mapping[str, Any] | None = None) -> 
 
 
 def _table(rows: Iterable[Row], extra: Sequence[str]) -> "pa.Table":
-    """Return rows as columns, in a tenth of the memory; extra: names of further columns of numbers."""
+    """Return rows as columns, in a tenth of the memory.
+
+    Args:
+        rows: rows of runs.
+        extra: names of further columns of numbers.
+    """
     import pyarrow as pa
 
     return pa.Table.from_pylist(list(rows), schema=_schema(extra))
 
 
 def _write(path: Path, table: "pa.Table") -> None:
-    """Write a table to a Parquet file, whole or not at all.
+    """Write a table to a Parquet file atomically.
 
     Raises:
         InputError: the file cannot be written.
@@ -262,7 +283,7 @@ def _write(path: Path, table: "pa.Table") -> None:
 
 
 def _read(path: Path) -> "pa.Table | None":
-    """Return a campaign's table; None where there is none, or the file is damaged or something else."""
+    """Return a campaign's table, or None if the file is absent, damaged or of another kind."""
     pa = part("pyarrow")
     try:
         check_seal(path.read_bytes())
@@ -273,16 +294,17 @@ def _read(path: Path) -> "pa.Table | None":
 
 
 def _kept(part: Path, extra: Sequence[str]) -> "pa.Table | None":
-    """Return a finished job's rows; None where there are none, or they are damaged or have other columns."""
+    """Return a finished job's rows, or None if they are absent, damaged or have other columns."""
     table = _read(part)
     return table if table is not None and table.schema.equals(_schema(extra)) else None
 
 
 def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Row]]]:
-    """Run jobs in `workers` processes; where the caller is interrupted or takes no more, those under way are ended.
+    """Run jobs in `workers` processes, which end if the caller is interrupted or stops iterating.
 
     Raises:
-        InputError, GoalMissed: as `run_job`; the latter also when a job's worker died again and again.
+        InputError: see `run_job`.
+        GoalMissed: see `run_job`; also if a job's worker died repeatedly.
     """
     return in_processes(
         run_job, jobs, workers,
@@ -293,19 +315,24 @@ def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[R
 MOST_RUNS = 1_000_000
 MOST_CASES = 10_000
 MOST_PAIRED = 6
-"""Cases up to which each two are compared."""
+"""Largest number of cases that are compared in pairs."""
 MOST_TICKS = 5_000_000
-"""Of all runs of a job together: what is kept of them takes 72 bytes a tick."""
+"""Ticks of all runs of a job together, at 72 bytes of memory per tick."""
 MOST_TICKS_OF_LOOPS = 120_000
-"""Of a job whose runs go one after the other, in a quarter of a minute: so much is lost where a campaign is killed."""
+"""Ticks of a sequential job, about 15 s of work: the most that a killed campaign loses."""
 
 
 @dataclass(frozen=True)
 class CampaignSettings(Settings, table="campaign"):
-    """runs for each case, from seed `first_seed` on; path: "compiled" runs many seeds in lockstep, "ticks" the loop
-    itself; workers: processes, 0 for one on each processor; scheduler: address of a Dask cluster, or empty; batch:
-    seeds in a job, fewer where runs are long; replayed: how many of a job's failures in lockstep the loop itself runs
-    again, to confirm them.
+    """Size of a campaign and the processes that run it.
+
+    Attributes:
+        runs: runs of each case, from seed `first_seed` on.
+        path: "compiled" runs many seeds in lockstep, "ticks" the loop itself.
+        workers: processes, 0 for one per processor.
+        scheduler: address of a Dask cluster, or empty.
+        batch: seeds in a job, fewer for long runs.
+        replayed: number of a job's failures in lockstep that the loop itself runs again to confirm them.
     """
 
     runs: int = setting(least=1, most=MOST_RUNS)
@@ -319,7 +346,7 @@ class CampaignSettings(Settings, table="campaign"):
 
 @dataclass(frozen=True)
 class CaseResult(Brief):
-    """One case's runs: how many were completed, and the rows of those that were not."""
+    """Runs of one case: the number completed and the rows of the others."""
 
     case: Case
     completed: Share
@@ -333,8 +360,12 @@ class CaseResult(Brief):
 
 @dataclass(frozen=True)
 class Transition:
-    """Runs of one transition in one case: how many were completed, and why the others were not. duration s, without
-    the rests before and after it; max_cart_position m, rms_cart_acceleration m/s², its mean over the runs.
+    """Runs of one transition in one case: the number completed and the causes of the other endings.
+
+    Attributes:
+        duration: without the rests before and after it, s.
+        max_cart_position: farthest position of the cart, m.
+        rms_cart_acceleration: mean over the runs, m/s².
     """
 
     name: str
@@ -348,19 +379,20 @@ class Transition:
     reasons: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """Return the transition in JSON's terms."""
+        """Return the transition as JSON values."""
         return {**asdict(self), **share_document(self.completed)}
 
 
 @dataclass(frozen=True)
 class Campaign(Shown):
-    """The outcome of a campaign.
+    """The result of a campaign.
 
-    completed: share of all runs.
-    pairs: first case, second case and their comparison, for every two cases of a few.
-    table: all runs, as Arrow columns.
-    file: Parquet file of the table, if it was written.
-    alone: the parts that were flown alone, by name: from, to and duration, s.
+    Attributes:
+        completed: share of all runs.
+        pairs: first case, second case and their comparison, for every two of a few cases.
+        table: all runs, as Arrow columns.
+        file: Parquet file of the table, if it was written.
+        alone: parts that were run separately, by name: start, end and duration, s.
     """
 
     itinerary: str
@@ -378,7 +410,7 @@ class Campaign(Shown):
 
     @property
     def status(self) -> str:
-        """How often it was completed, in a sentence."""
+        """Success rate in one sentence."""
         share = self.completed
         band = f"{share.low:.1%} to {share.high:.1%}"
         return f"{share.successes} of {share.runs} runs completed, {share.rate:.1%} (95 %: {band})"
@@ -390,12 +422,12 @@ class Campaign(Shown):
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """Each run by the names of `COLUMNS`, and the numbers that vary."""
+        """Each run by the names of `COLUMNS`, with the varied numbers."""
         return tuple(self.table.to_pylist())
 
     @cached_property
     def transitions(self) -> tuple["Transition", ...]:
-        """Each transition alone, where they were run so, in their order, and case by case."""
+        """Transitions that were run separately, in order, case by case."""
         rows: dict[tuple[str, str], list[Row]] = {}
         for row in self.rows:
             rows.setdefault((row["itinerary"], row["case"]), []).append(row)
@@ -423,7 +455,7 @@ class Campaign(Shown):
         return pandas_classes()[0](self.table.to_pylist())
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol campaign --json` prints."""
+        """Return the JSON output of `dpcontrol campaign`."""
         kept = [*(["itinerary"] if self.transitions else []), "seed", "symbol", "reason", "ending", "replays"]
         cases = [
             {
@@ -434,7 +466,7 @@ class Campaign(Shown):
             }
             for r in self.results
         ]
-        # With one case its figures are the campaign's; with several those of all runs together.
+        # A single case has the campaign's figures. With several cases, the figures are those of all runs together.
         return {
             "itinerary": self.itinerary,
             **share_document(self.completed),
@@ -450,7 +482,7 @@ class Campaign(Shown):
 
 
 def share_document(share: Share) -> dict[str, Any]:
-    """Return a share in JSON's terms."""
+    """Return a share as JSON values."""
     return {
         "runs": share.runs,
         "completed": share.successes,
@@ -462,7 +494,7 @@ def share_document(share: Share) -> dict[str, Any]:
 def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[str, Any]) -> tuple[Case, ...]:
     """Return the cases: every combination of the values in `over`, on top of `fixed`.
 
-    Names are paths of a run's settings. A value that is no list is the only one.
+    Names are paths of a run's settings. A value that is not a list counts as a single value.
 
     Raises:
         InputError: an unknown name, an impossible value or an empty list.
@@ -486,7 +518,7 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
 
 
 def _shown(values: Sequence[Any]) -> list[Any]:
-    """Return the values, users' own objects by their names; of the same name numbered from the second on."""
+    """Return the values for display: objects by name, repeated names numbered from the second on."""
     out: list[Any] = []
     for value in values:
         plain = isinstance(value, int | float | str)
@@ -497,9 +529,9 @@ def _shown(values: Sequence[Any]) -> list[Any]:
 
 
 def transitions_of(plan: Plan) -> tuple[Plan, ...]:
-    """Return the parts of a plan that lead from one equilibrium to another, each with the rests before and after it.
+    """Return the transitions of a plan between equilibria, each with the rests before and after it.
 
-    Of several between the same two the first.
+    If several connect the same equilibria, only the first is returned.
 
     Raises:
         InputError: there is none.
@@ -543,21 +575,29 @@ def run_campaign(
     progress: Progress = no_progress,
     yes: bool = False,
 ) -> Campaign:
-    """Run every case on every seed; write the rows to `file`, if one is wanted, whole or not at all.
+    """Run every case on every seed and write the rows.
 
-    transitions: of an itinerary of holds each transfer alone instead. force: replace what is there, whatever it is.
-    Interrupted, it leaves what is finished beside the file, and goes on from there when it is run again.
+    If it is interrupted, finished jobs stay beside the file, and the next call continues from them.
+
+    Args:
+        plan: plan of the itinerary.
+        cases: cases to compare.
+        file: Parquet file, written atomically; by default none.
+        settings: seeds and processes.
+        transitions: run each transfer of an itinerary of holds separately.
+        force: replace any file there.
+        progress: receiver of progress reports.
 
     Raises:
-        InputError: the file cannot be written; no cluster answers; the settings do not fit the plan.
-        GoalMissed: the plan did not converge, or workers died again and again.
+        InputError: the file cannot be written, no cluster answers, or the settings do not fit the plan.
+        GoalMissed: the plan did not converge, or workers died repeatedly.
     """
     pa = part("pyarrow")
     began = time.perf_counter()
     itinerary = plan.itinerary
     plans = transitions_of(plan) if transitions else (plan.followed(),)
     announce(_cost(plans, cases, settings), yes=yes)
-    # One plan serves all cases, those that end with a fall and those that go on.
+    # One plan serves all cases, whether they end with a fall or recover.
     recovers = [case.loop for case in cases if case.loop.supervisor.on_fall != "stop"]
     if recovers and transitions:
         raise InputError("transitions alone end with a fall: leave on_fall at stop, or run the whole itinerary")
@@ -594,16 +634,16 @@ def run_campaign(
 
 
 def _ends(plan: Plan) -> tuple[str, str, float]:
-    """Return from where a plan of one transition leads where, and how long it takes, s."""
+    """Return start, end and duration in s of a plan of one transition."""
     (symbol,), ((begin, end),) = plan.notes["symbols"], plan.notes["transfers"]
     return symbol["source"], symbol["target"], end - begin
 
 
 def check_table(file: Path, record: Mapping[str, Any]) -> None:
-    """Reject a file in the table's place, unless it is of the same campaign, and no more of it.
+    """Reject an existing file at the table's place unless it holds part of the same campaign.
 
     Raises:
-        InTheWay: there is another file.
+        InTheWay: another file is there.
     """
     if not file.is_file():
         return
@@ -613,7 +653,7 @@ def check_table(file: Path, record: Mapping[str, Any]) -> None:
 
 
 def check_parts(file: Path, record: Mapping[str, Any]) -> None:
-    """Reject a file and the finished jobs beside it, unless they are of the same campaign.
+    """Reject a file and stored jobs of another campaign.
 
     Raises:
         InTheWay: they are of another campaign.
@@ -632,10 +672,10 @@ _DECISIVE = ("itinerary", "model", "scene_hash", "model_hash", "cases", "transit
 
 
 def _check_same(file: Path, record: Mapping[str, Any], there: Mapping[str, Any]) -> None:
-    """Reject another campaign, or one with seeds that this one lacks.
+    """Reject another campaign, or seeds that this one does not run.
 
     Raises:
-        InTheWay: it is one.
+        InTheWay: the recorded campaign differs.
     """
     own, other = record["settings"], there.get("settings", {})
     first, runs = other.get("first_seed", -1), other.get("runs", 0)
@@ -651,7 +691,7 @@ _ROW_BYTES = 1000.0
 
 
 def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettings) -> Cost:
-    """Return what a campaign will take, of this machine's processes or, on a cluster, of as many; all of it anew."""
+    """Estimate the cost of a whole campaign, on this machine or on as many processes of a cluster."""
     runs = settings.runs * len(cases) * len(plans)
     ticks = settings.runs * sum(case.loop.rate for case in cases) * sum(plan.reference.duration for plan in plans)
     lasting = ticks / 1000 / _PACES[settings.path] / (settings.workers or processors())
@@ -662,14 +702,14 @@ def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettin
 def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list[Job]:
     archive = plan.archive
     seeds = range(settings.first_seed, settings.first_seed + settings.runs)
-    # A batch never depends on how many runs were asked for, so that more runs of the same campaign reuse the first.
+    # Batches do not depend on the number of runs, so that a longer campaign reuses the jobs of a shorter one.
     name, arms = plan.itinerary.name, plan.itinerary.model.arms
     jobs = []
     for case in cases:
         ticks = max(round(plan.reference.duration * case.loop.rate), 1)
         lockstep = settings.path == "compiled" and case.loop.lockstep
         size = max(min(settings.batch, (MOST_TICKS if lockstep else MOST_TICKS_OF_LOOPS) // ticks), 1)
-        uncertainty = plan.itinerary.model.known_to if case.loop.model_uncertainty else None
+        uncertainty = plan.itinerary.model.identified_uncertainty if case.loop.model_uncertainty else None
         jobs += [
             Job(name, archive, arms, case, tuple(seeds[k : k + size]), settings.path, uncertainty, settings.replayed)
             for k in range(0, settings.runs, size)
@@ -727,9 +767,9 @@ LEVELS = 21
 
 @dataclass(frozen=True)
 class Trouble:
-    """One kind: the run setting it raises, its values level by level, and other settings that go with it.
+    """One kind of trouble: the setting it raises, its values by level, and accompanying settings.
 
-    in_periods: the values are in s, the setting in periods.
+    in_periods: True if the values are in s and the setting in periods.
     """
 
     name: str
@@ -739,7 +779,7 @@ class Trouble:
     in_periods: bool = False
 
     def level(self, k: int, *, rate: float) -> dict[str, float]:
-        """Return the settings at level k of 0 … 20 of a loop at `rate` Hz."""
+        """Return the settings of level k, 0 to 20, for a loop at `rate` Hz."""
         value = self.values[k] * rate if self.in_periods else self.values[k]
         return {self.setting: value, **dict(self.besides)}
 
@@ -797,7 +837,7 @@ class StandardScore:
     total: float
 
     def document(self) -> dict[str, Any]:
-        """Return its part of what `dpcontrol campaign --standard --json` prints."""
+        """Return its part of the JSON output of `dpcontrol campaign --standard`."""
         kinds = {kind: share_document(share) for kind, share in self.kinds.items()}
         return {"controller": self.controller, "score": self.total, "kinds": kinds}
 

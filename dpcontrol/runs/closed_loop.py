@@ -1,4 +1,4 @@
-"""The closed loop of a plan: what flies it, made once, for runs, campaigns, margins and export."""
+"""The closed loop of a plan: components built once for runs, campaigns, margins and export."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -58,7 +58,9 @@ from dpcontrol.runs.run import (
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop(Timed):
-    """A plan with the options of its runs. Controller, fallback and recovery are made at the first run, once.
+    """A plan with the options of its runs.
+
+    Controller, fallback and recovery are built once, at the first run.
 
     Raises:
         InputError: an impossible option.
@@ -90,7 +92,7 @@ class ClosedLoop(Timed):
         return self.plan.states(times)
 
     def document(self) -> dict[str, Any]:
-        """Return the plan and the options as values for JSON."""
+        """Return the plan and the options as JSON values."""
         options = {
             name: value if isinstance(value, int | float) else str(value) for name, value in self.options.items()
         }
@@ -103,7 +105,7 @@ class ClosedLoop(Timed):
 
     @cached_property
     def assembly(self) -> Assembly:
-        """What runs are made of.
+        """Components of the runs.
 
         Raises:
             GoalMissed: there is no reference to follow.
@@ -112,7 +114,7 @@ class ClosedLoop(Timed):
 
     @cached_property
     def _flown(self) -> tuple[Plan, Assembly]:
-        """The plan with ways from rest where its runs need them, and what flies it."""
+        """The plan, with transfers from rest if its runs need them, and its assembly."""
         plan = recoverable(self.plan.followed())
         return plan, replace(self.assembly, reference=plan.reference, law=self.assembly.controller)
 
@@ -132,16 +134,15 @@ class ClosedLoop(Timed):
         """Run once on the simulated bench, or on a rig.
 
         Args:
-            seed: of all that is random.
-            rig: in place of the simulated bench, an object with `read()`, `command(acceleration)` and `stop()`, or the
-                address of a bench in real time: "udp", udp://HOST:PORT, FILE.py:CLASS, or a link of `dp.rig_link`.
-            program: with rig "udp", the program that controls the run, such as main_udp of `export`.
-            library: shared library made of `export`'s files, which does the ticks.
-            log: file to write the run's log to; without one it stays in memory, or, on a bench in real time, is
-                logs/NAME-SEED.mcap.
+            seed: seed of the random numbers.
+            rig: object with `read()`, `command(acceleration)` and `stop()`, or the address of a bench in real time:
+                "udp", udp://HOST:PORT, FILE.py:CLASS, or a link of `dp.rig_link` (default: the simulated bench).
+            program: controlling program for rig "udp", such as main_udp of `export`.
+            library: shared library built from `export`'s files, which computes the ticks.
+            log: log to write (default: in memory, or logs/NAME-SEED.mcap in real time).
             force: replace the log of another run there.
-            live: show the run in the viewer while it happens.
-            progress: where progress goes; see `dpcontrol.api`.
+            live: show the run in the viewer.
+            progress: receiver of progress reports (see `dpcontrol.api`).
 
         Raises:
             InputError: the rig lacks a method or does not answer, the log cannot be written, or there is no display
@@ -185,12 +186,12 @@ class ClosedLoop(Timed):
         Args:
             hours: duration, h, or settings with the length and number of logs.
             folder: folder for the logs.
-            rig: "udp", udp://HOST:PORT or a link of `dp.rig_link`; by default the simulated bench.
+            rig: "udp", udp://HOST:PORT or a link of `dp.rig_link` (default: the simulated bench).
             resume: continue the interrupted night of this folder.
             force: replace another night there.
-            live: show the run in the viewer while it happens.
+            live: show the run in the viewer.
             yes: accept any duration.
-            progress: where progress goes; see `dpcontrol.api`.
+            progress: receiver of progress reports (see `dpcontrol.api`).
 
         Raises:
             InputError: the folder is not usable, no bench answers, or it would take too long.
@@ -198,7 +199,7 @@ class ClosedLoop(Timed):
         """
         night = hours if isinstance(hours, NightSettings) else NightSettings(hours)
         out, link = Path(folder), linked(rig)
-        scene = night_itinerary(self.plan.itinerary, asked=self.options)
+        scene = night_itinerary(self.plan.itinerary, given=self.options)
         check_folder(night_folder(out), resume=resume, force=force)
         night_cost(scene, night, night_folder(out), real_time=link is not None, yes=yes)
         with reporting(progress, "night") as report:
@@ -220,21 +221,21 @@ class ClosedLoop(Timed):
         yes: bool = False,
         progress: Reporting = None,
     ) -> Campaign:
-        """Run many seeds, and count how often the itinerary is completed.
+        """Run many seeds and measure the success rate.
 
         Args:
             runs: seeds of each case.
-            over: values of run options by name, or one value; each combination is a case.
-            settings: first seed, workers and the like, in place of `runs`.
-            transitions: run each transfer from hold to hold alone.
-            out: Parquet file to write the rows to.
+            over: values of run options by name, each combination a case.
+            settings: seeds, workers and other settings, replacing `runs`.
+            transitions: run each transfer from hold to hold separately.
+            out: Parquet file to write.
             force: replace the table of another campaign there.
-            yes: run it however long it takes.
-            progress: where progress goes; see `dpcontrol.api`.
+            yes: accept any duration.
+            progress: receiver of progress reports (see `dpcontrol.api`).
 
         Raises:
             InputError: an unknown option or impossible value, or the file cannot be written.
-            GoalMissed: there is no reference to follow, or workers died again and again.
+            GoalMissed: there is no reference to follow, or workers died repeatedly.
         """
         cases = cases_of(self.planned.itinerary, fixed=self.options, over=over or {})
         with reporting(progress, "campaign") as report:
@@ -256,16 +257,16 @@ class ClosedLoop(Timed):
         """Return the robustness score: shares of completed runs under nine kinds of trouble.
 
         Args:
-            controllers: kinds of laws to compare; by default that of this loop.
-            settings: runs at each of 21 levels, workers and the like; by default 8 runs.
-            out: Parquet file to write the rows to.
+            controllers: kinds of laws to compare (default: this loop's).
+            settings: runs at each of 21 levels (default 8), and workers.
+            out: Parquet file to write.
             force: replace the table of another campaign there.
             yes: accept any duration.
-            progress: where progress goes; see `dpcontrol.api`.
+            progress: receiver of progress reports (see `dpcontrol.api`).
 
         Raises:
             InputError: an unknown controller, or the file cannot be written.
-            GoalMissed: there is no reference to follow, or workers died again and again.
+            GoalMissed: there is no reference to follow, or workers died repeatedly.
         """
         chosen = controllers or [self.plan.itinerary.loop.controller.kind]
         cases = standard_cases(self.planned.itinerary, fixed=self.options, controllers=chosen)
@@ -277,7 +278,7 @@ class ClosedLoop(Timed):
         return standard_scores(found.results)
 
     def margins(self) -> Margins:
-        """Return what gain, further delay and further lag the loop bears along the reference; takes some seconds.
+        """Return the margins of gain, delay and lag along the reference, in a few seconds.
 
         Raises:
             InputError: the law has no margins.
@@ -289,13 +290,13 @@ class ClosedLoop(Timed):
     def preflight(
         self, *, runs: Index = 0, workers: Workers = 0, yes: bool = False, progress: Reporting = None
     ) -> Preflight:
-        """Return how likely a run completes, what ends it otherwise, how far each border is, and what would help.
+        """Predict success rate, causes of failure, borders and useful changes.
 
         Args:
             runs: seeds for the rate, 0 for as many as two minutes allow.
-            workers: processes, 0 for one on each processor.
-            yes: however long it takes.
-            progress: where progress goes; see `dpcontrol.api`.
+            workers: processes, 0 for one per processor.
+            yes: accept any duration.
+            progress: receiver of progress reports (see `dpcontrol.api`).
 
         Raises:
             InputError: it would take too long.
@@ -317,18 +318,18 @@ class ClosedLoop(Timed):
         force: bool = False,
         progress: Reporting = None,
     ) -> ControllerSource:
-        """Return the controller as C99, and write it to a folder or a unit.
+        """Return the controller as C99 and write it to a folder or a unit.
 
         Args:
-            folder: to write to, whole or not at all; a name that ends in .fmu makes a co-simulation unit (FMI 2.0).
-            single: in single precision.
-            clock: clock of a Cortex-M4 that must keep the rate, MHz; by default not checked.
+            folder: folder to write, or NAME.fmu for a co-simulation unit (FMI 2.0).
+            single: use single precision.
+            clock: clock of a Cortex-M4 that must keep the rate, MHz (default: not checked).
             force: replace files of the same names there.
-            progress: where progress goes; see `dpcontrol.api`.
+            progress: receiver of progress reports (see `dpcontrol.api`).
 
         Raises:
-            InputError: the law or the estimator cannot leave as C, the target cannot keep the rate, or the folder holds
-                something else.
+            InputError: the law or the estimator cannot be exported to C, the target cannot keep the rate, or the folder
+                holds something else.
             GoalMissed: there is no reference to follow, or no controller can be made for it.
         """
         check_exportable(self.plan.itinerary)

@@ -14,12 +14,12 @@ from dpcontrol.runs.run import bench_recipe, hanging_recipe
 
 @dataclass(frozen=True)
 class BenchAddress:
-    """The socket of an example bench, and who may reach it.
+    """Socket of an example bench, with its access rules.
 
     Attributes:
-        host: address of this computer to listen at.
-        port: port; 0 selects any free one.
-        key_file: file with the key that bench and loop share; by default the environment's DPCONTROL_RIG_KEY.
+        host: address of this computer.
+        port: port, 0 for any free one.
+        key_file: file with the shared key (default: the environment's DPCONTROL_RIG_KEY).
         insecure: accept loops on other computers without a key.
         settings: watchdog and priority of the server.
     """
@@ -37,7 +37,7 @@ def example_bench(
     *,
     hanging: bool = False,
     faults: Sequence[str] = (),
-    say: Callable[[str], None] = lambda text: None,
+    notify: Callable[[str], None] = lambda text: None,
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> UdpBench:
@@ -46,9 +46,9 @@ def example_bench(
     Args:
         itinerary: arms, cart and settings of the bench.
         at: socket of the bench.
-        hanging: begin with hanging arms, for commissioning; nothing is planned.
-        faults: wiring mistakes for practice; by default none.
-        say: called with a sentence on each event.
+        hanging: begin with hanging arms, for commissioning, without a plan.
+        faults: wiring mistakes for practice (default none).
+        notify: called with a sentence on each event.
         yes: accept any duration of planning.
         progress: called with a label and the completed share.
 
@@ -75,5 +75,5 @@ def example_bench(
         key=key,
         insecure=at.insecure,
         settings=at.settings,
-        report=say,
+        report=notify,
     )

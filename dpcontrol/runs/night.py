@@ -1,12 +1,12 @@
-"""Long runs: an itinerary repeated for hours, through falls, into a folder of logs; begun, interrupted, resumed.
+"""Long runs: an itinerary repeated for hours, through falls and interruptions, into a folder of logs.
 
-Where the end of the itinerary meets its start the next repetition follows at once, else from rest. After a fall the
-arms are calmed, and the symbol that failed is done again (`dpcontrol.loop.recovery`).
+If the end of the itinerary meets its start, the next repetition follows at once. Otherwise it begins from rest. After a
+fall the arms are calmed and the failed symbol is repeated (`dpcontrol.loop.recovery`).
 
-What is simulated goes on as drawn where a night is resumed: the same plant, the same encoders with their drift, the
-blows and noise that the uninterrupted night would have had from there on. Arms and cart begin anew, as on a bench.
+A resumed night keeps its random draws: the same plant, the same encoders with their drift, and the blows and noise that
+the uninterrupted night would have had from that time on. Arms and cart start again from rest, as on a bench.
 
-On a bench in real time, over UDP, the log is written beside the loop, in a thread: a disk may take seconds.
+On a bench in real time, over UDP, a thread writes the log because a disk can stall for seconds.
 """
 
 import math
@@ -60,22 +60,26 @@ from dpcontrol.runs.run import (
 )
 
 _BYTES_A_TICK = 430
-"""Of a log of two arms on a cart, packed."""
+"""Bytes per tick of a compressed log of two arms on a cart."""
 _SPEED = 12_000
 """Ticks in a second of simulation, logging included, on one core."""
 _MEMORY, _MEMORY_A_TICK, _MEMORY_A_STOP = 3.5e8, 3900, 210
-"""Of a night however long, bytes: of itself, and for each tick of its itinerary the laws' gains and the latest rows,
-and as many again for each stop to which there is a way from rest.
+"""Memory of a night of any length, bytes, and bytes for each tick of its itinerary: gains and latest rows.
+
+Each stop with a transfer from rest takes as many again.
 """
 MOST_DISK = 2e10
-"""Bytes of logs that are begun without being asked for by name."""
+"""Bytes of logs above which a night needs confirmation."""
 _SPARE_DISK = 1e9
-"""That must be left."""
+"""Bytes of disk that must stay free."""
 
 
 @dataclass(frozen=True)
 class NightSettings(Settings, table="night"):
-    """How long a run goes on, h; file_minutes of each log; of the older logs each `keep_every`-th is kept."""
+    """Duration and logs of a long run.
+
+    hours: duration, h. file_minutes: length of each log, min. keep_every: share of older logs to keep, one in so many.
+    """
 
     hours: float = setting(above=0, most=10_000, unit="h")
     file_minutes: float = setting(10.0, least=0.01, most=1440, unit="min")
@@ -83,13 +87,13 @@ class NightSettings(Settings, table="night"):
 
     @property
     def files(self) -> int:
-        """How many there will be, thinned ones included."""
+        """Number of logs, including thinned ones."""
         return ceil(60 * self.hours / self.file_minutes - 1e-9)
 
     def disk(self, rate: float) -> float:
-        """Return what the logs of a loop at `rate` Hz will take, bytes."""
+        """Return the expected size of the logs of a loop at `rate` Hz, bytes."""
         a_file = min(self.file_minutes * 60, self.hours * 3600) * rate * _BYTES_A_TICK
-        # The one that is being written, and the last, are whole.
+        # The current log and the one before it are not thinned.
         return a_file * min(self.files, ceil(self.files / self.keep_every) + 2)
 
 
@@ -98,21 +102,21 @@ def night_folder(out: Path) -> Path:
     return out.with_suffix("") if out.suffix == ".mcap" else out
 
 
-def night_itinerary(itinerary: Itinerary, *, asked: Mapping[str, object]) -> Itinerary:
-    """Return an itinerary as long runs have it, if not `asked` otherwise: after a fall they go on, without limit.
+def night_itinerary(itinerary: Itinerary, *, given: Mapping[str, object]) -> Itinerary:
+    """Return an itinerary with the defaults of long runs: after a fall they continue, without limit.
 
-    What keeps its stops by a clock of its own is left out then, and what flies keeps them too, by time.
+    Settings in `given` override these defaults. A keeper of stops with internal timing is replaced by gains by time.
     """
-    asked = canonical(asked)
+    given = canonical(given)
     supervisor, keep = itinerary.loop.supervisor, itinerary.loop.keep
-    if supervisor.on_fall == "stop" and "supervisor.on_fall" not in asked:
+    if supervisor.on_fall == "stop" and "supervisor.on_fall" not in given:
         supervisor = replace(supervisor, on_fall="resume")
-    if "supervisor.attempts" not in asked:
+    if "supervisor.attempts" not in given:
         supervisor = replace(supervisor, attempts=0)
-    if keep != "none" and supervisor.on_fall != "stop" and "controller.keep" not in asked:
+    if keep != "none" and supervisor.on_fall != "stop" and "controller.keep" not in given:
         remark(
-            f'{itinerary.path}: [controller] keep = "{keep}" has a clock of its own, by which nothing is taken up '
-            "again after a fall; this long run keeps its stops by gains by time instead, as with --set keep=none"
+            f'{itinerary.path}: [controller] keep = "{keep}" has internal timing and cannot resume after a fall; '
+            "this long run keeps its stops with gains by time, as with --set keep=none"
         )
         keep = "none"
     return replace(itinerary, loop=replace(itinerary.loop, supervisor=supervisor, keep=keep))
@@ -128,12 +132,19 @@ def night_cost(
     real_time: bool = False,
     yes: bool = False,
 ) -> str:
-    """Return the cost of a long run in a sentence, and refuse one beyond the limits unless `yes`.
+    """Return the cost of a long run in a sentence.
 
-    pace: simulated ticks in a second; waits s: for ways from rest; real_time: on a rig.
+    Args:
+        itinerary: itinerary of the night.
+        night: duration and logs.
+        folder: folder of the logs.
+        pace: simulated ticks per second.
+        waits: time for transfers from rest, s.
+        real_time: True on a rig.
+        yes: accept a cost beyond the limits.
 
     Raises:
-        InputError: it is beyond the limits, or the disk is too full.
+        InputError: the cost is beyond the limits, or the disk is too full.
     """
     rate = itinerary.loop.rate
     disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / pace) + waits
@@ -158,10 +169,10 @@ def night_cost(
 
 
 def night_plan(itinerary: Itinerary, *, yes: bool = False, progress: Progress = no_progress) -> Plan:
-    """Return the plan of a long run's itinerary, with ways from rest to its stops only if they are in the cache.
+    """Return the plan of a long run, with cached transfers from rest to its stops.
 
     Raises:
-        InputError, GoalMissed: as `make_plan`.
+        InputError, GoalMissed: see `make_plan`.
     """
     stops = replace(itinerary.loop, supervisor=replace(itinerary.loop.supervisor, on_fall="stop"))
     plan = make_plan(replace(itinerary, loop=stops), yes=yes, progress=progress)
@@ -170,10 +181,10 @@ def night_plan(itinerary: Itinerary, *, yes: bool = False, progress: Progress = 
 
 @contextmanager
 def _starts_beside(plan: Plan, recovery: RecoveryPlan, *, waits: bool) -> Iterator[RecoveryPlan]:
-    """Plan ways from rest to the stops in a process beside the run, and append each to the recovery's as it is found.
+    """Plan transfers from rest to the stops in a separate process, and append each one to the recovery plan.
 
-    Each transfer is kept in the cache, so nothing is lost if the run ends before. waits: a run that needs a way waits
-    for the first one, as simulated time can; otherwise its arms go on resting.
+    Each transfer is cached, so a run that ends early loses none. With `waits`, a run that needs a transfer waits for
+    the first one, which only simulated time can. Otherwise its arms keep resting.
     """
     starts, first, problems = recovery.starts, threading.Event(), list[GoalMissed]()
     context = multiprocessing.get_context("spawn")
@@ -220,21 +231,21 @@ def _starts_beside(plan: Plan, recovery: RecoveryPlan, *, waits: bool) -> Iterat
 
 
 _GENTLE = 10
-"""By how much less urgent planning is than a loop in real time (nice)."""
+"""Niceness of planning beside a loop in real time."""
 
 
 def _plan_starts(
     pipe: Connection, path: Path, loop: LoopSettings, archive: bytes, main: GainSchedule, nice: int
 ) -> None:
-    """Send ways from rest as they are found; remarks as texts, and the error if the first stop cannot be reached.
+    """Send transfers from rest as they are found, remarks as texts, and the error if the first stop cannot be reached.
 
-    path: the itinerary's, for messages; archive: of its plan.
+    path: path of the itinerary for messages. archive: archive of its plan.
     """
     end_with_parent()
     if hasattr(os, "nice"):
         os.nice(nice)
     reference = load_reference(BytesIO(archive))
-    # The plan has the texts of itinerary and model; the objects made of them cannot be sent to another process.
+    # The plan holds the texts of itinerary and model because their objects cannot be sent to another process.
     itinerary = replace(stored_itinerary(path, reference), loop=loop)
     assembly, sent = Assembly(reference, itinerary.model.arms, loop), list[int]()
 
@@ -249,7 +260,7 @@ def _plan_starts(
         pipe.send(missed)
         return
     for k, note in enumerate([] if sent else plan_notes(known).get("starts", ())):
-        # Meanwhile another process has put them into the cache.
+        # Another process may have cached them by now.
         found(note, start_reference(known, k))
 
 
@@ -259,7 +270,7 @@ def _gigabytes(size: float) -> str:
 
 @dataclass(frozen=True)
 class _Resumption:
-    """Where a night begins or goes on: session and number of the first file, from 1, and the time, s."""
+    """Start of a night or of its next session: session and number of the first file, from 1, and time, s."""
 
     session: int = 1
     number: int = 1
@@ -277,16 +288,20 @@ def run_night(
     live: LiveSink | None = None,
     progress: Progress = no_progress,
 ) -> Night:
-    """Repeat a planned itinerary for hours, into the folder of `out`; return what it did.
+    """Repeat a planned itinerary for hours, with logs in the folder of `out`.
 
-    The itinerary is one of `night_itinerary`. link: to the bench that it runs on in real time; without one it is
-    simulated. resume: go on with the night in that folder, which was interrupted. force: replace it. live: makes a sink
-    that shows it while it happens.
+    Args:
+        plan: plan of an itinerary of `night_itinerary`.
+        out: log that a single run would write.
+        night: duration and logs.
+        link: link to a bench in real time (default: the simulated bench).
+        resume: continue the interrupted night of that folder.
+        force: replace the night of that folder.
+        live: makes a sink that shows the run.
 
     Raises:
-        InputError: the folder holds a night already, or none or another one to be resumed, or cannot be written; or no
-            bench answers, or it does not fit.
-        GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
+        InputError: the folder is not writable, holds another night or none to resume, or no bench fits.
+        GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
     scene = plan.followed().itinerary
     settings, arms = scene.loop, scene.model.arms
@@ -298,8 +313,8 @@ def run_night(
     recovery = assembly.planned_recovery(later=True)
     if recovery is None:
         raise InputError(
-            f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, by ways from rest where '
-            'need be; use on_fall = "resume" or "restart"'
+            f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, from rest if necessary; '
+            f'use on_fall = "resume" or "restart"'
         )
     limits = assembly.limits
 
@@ -344,13 +359,13 @@ def run_night(
                     raise GoalMissed(result.reason)
                 rolling.result(**outcome(result), **rig.deadlines.record())
         except KeyboardInterrupt:
-            remark(f"{folder} ends here; the same command with --resume goes on with it")
+            remark(f"{folder} ends here; continue it by the same command with --resume")
             raise
     return read_night(folder)
 
 
 def _pace(plan: Plan, assembly: Assembly, recovery: RecoveryPlan) -> float:
-    """Return how many ticks a second are simulated and logged here, by a trial of some of them."""
+    """Measure the ticks per second that this machine simulates and logs."""
     until = round(_TRIAL * assembly.settings.rate)
     with TemporaryDirectory() as folder, log_writer(plan, Path(folder) / "trial.mcap") as writer:
         return until / assembly.simulate(sink=LogSink(writer), recovery=recovery, keep=False, until=until).elapsed
@@ -361,10 +376,15 @@ _TRIAL = 1.5
 
 
 def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
-    """Return the expected wait of a simulated night for its first way from rest, in ticks.
+    """Return the expected wait of a simulated night for its first transfer from rest, in ticks.
 
-    references (K, N): of a lap. ticks: of the night. The way is needed if laps begin from rest. It may be needed after
-    a blow: the forecast is then the geometric mean of a night with the wait and one without.
+    The transfer is needed if laps begin from rest. It may be needed after a blow: the forecast is then the geometric
+    mean of a night with the wait and one without.
+
+    Args:
+        settings: settings of the loop.
+        references: states (K, N) of a lap.
+        ticks: ticks of the night.
     """
     blows = settings.disturbances.knocks_per_minute
     if len(references) < ticks and meeting_tick(references, round(LAST_SECONDS * settings.rate)) is None:
@@ -374,14 +394,14 @@ def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
 
 
 _START_TICKS = 170_000
-"""Ticks that are simulated while one way from rest is planned."""
+"""Ticks that are simulated while one transfer from rest is planned."""
 _BRAKING = 2.0
-"""s for which a bench must go on beyond a night's end, at which the cart is braked."""
+"""Time that a bench must run beyond the end of a night, for braking the cart, s."""
 
 
 @contextmanager
 def _switching_soon() -> Iterator[None]:
-    """Let the loop have the interpreter within a tenth of a period, while a thread writes the log."""
+    """Limit the loop's wait for the interpreter to a tenth of a period while a thread writes the log."""
     was = sys.getswitchinterval()
     sys.setswitchinterval(1e-4)
     try:
@@ -394,7 +414,7 @@ def check_night(folder: Path, record: Mapping[str, str]) -> None:
     """Reject a folder that holds another long run, or none that can be resumed.
 
     Raises:
-        InTheWay: the last log there is of another run, or cannot be read.
+        InTheWay: the last log is unreadable or of another run.
         InputError: there is no long run.
     """
     check_folder(folder, resume=True, force=False)
@@ -406,18 +426,18 @@ def check_night(folder: Path, record: Mapping[str, str]) -> None:
 
 
 def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
-    """Return the files of the long run in a folder, before anything is planned.
+    """Return the files of the long run in a folder, before planning starts.
 
     Raises:
-        InputError: there is one and it is neither to be resumed nor replaced, or none to be resumed.
+        InputError: a long run is there that is neither resumed nor replaced, or none to resume.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is no folder, which a long run writes; choose another --out")
+        raise InputError(f"{folder} is not a folder; a long run writes a folder: choose another --out")
     name = folder.resolve().name
     there = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
     if there and not resume and not force:
         raise InTheWay(
-            f"{folder} holds a long run already; go on with it by --resume, choose another --out, or replace it "
+            f"{folder} already holds a long run; continue it with --resume, choose another --out, or replace it "
             "with --force"
         )
     if resume and not there:
@@ -426,7 +446,7 @@ def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
 
 
 def _since(settings: LoopSettings, begin: float) -> LoopSettings:
-    """Return the settings of a bench that has been running for `begin` s: what sticks may have come back meanwhile."""
+    """Return the settings of a bench that has been running for `begin` s, with recovered sticking parts."""
     sensors = settings.sensors
     first, end = sensors.stuck_at - begin, sensors.stuck_at + sensors.stuck_for - begin
     if not begin or sensors.stuck_at == float("inf"):
@@ -439,10 +459,10 @@ def _since(settings: LoopSettings, begin: float) -> LoopSettings:
 def _place(
     folder: Path, metadata: Mapping[str, str], night: NightSettings, rate: float, *, resume: bool, force: bool
 ) -> _Resumption:
-    """Return where to begin, what an interrupted session left having been closed.
+    """Return the start of the next session, after closing the logs of an interrupted one.
 
     Raises:
-        InputError: there is a night and it is not to be resumed, or the other way round, or it is over, or another.
+        InputError: a night is there that is not to be resumed, is complete or is another one, or there is none.
     """
     name = folder.resolve().name
     there = check_folder(folder, resume=resume, force=force)
@@ -456,8 +476,8 @@ def _place(
             try:
                 recover(partial, log)
             except InputError as error:
-                # What ended before its first tick leaves nothing to recover.
-                remark(f"{error}; the night goes on without it")
+                # A session that ended before its first tick left no log to recover.
+                remark(f"{error}; the night continues without it")
     logs = sorted(folder.glob(f"{name}-[0-9]*.mcap"))
     if logs:
         check_same_run(logs[-1], metadata, also=(NIGHT_METADATA,))
@@ -465,7 +485,7 @@ def _place(
     last = digests[-1]
     if last.end >= night.hours * 3600 - 1 / rate:
         raise InputError(
-            f"{folder} is complete: {last.end / 3600:.4g} of {night.hours:g} hours; ask for more --hours to go on"
+            f"{folder} is complete: {last.end / 3600:.4g} of {night.hours:g} hours; raise --hours to continue"
         )
     number = max(int(file.name[len(name) + 1 :].partition(".")[0]) for file in there)
     return _Resumption(last.session + 1, number + 1, ceil(last.end * rate - 1e-6) / rate)

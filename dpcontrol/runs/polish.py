@@ -6,13 +6,13 @@ The parts of a plan are solved one by one, which costs several times the joint o
 Interior holds stay as they are, and so does the end of the final rest, by which runs are judged. The motion may use
 `SHARE` of each limit, or as much as the robust plan: at the full track the supervisor ends every run.
 
-Such programs have many minima, whose efforts differ by up to a third. Several searches start from the joined parts, on
-meshes and polynomials of their own. The least costly motion that keeps the walk is refined.
+Such programs have many minima, whose efforts differ by up to a third. Several searches start from the joined parts,
+with different meshes and polynomials. The least costly motion that keeps the walk is refined.
 
-A motion keeps the walk if it crosses the same sections as the robust plan, in the same order and direction, on the same
-turns of each arm, and with the same number of wobbles at each interior stop. The joint optimum need not come near the
-orbits: nearness is a property of the robust plan, which the user gives up for less effort. If no free motion keeps the
-walk, the result is one that a weight holds near the robust plan.
+A motion keeps the walk if it crosses the same sections as the robust plan, in the same order and direction and on the
+same turns of each arm. It must also have the same number of wobbles at each interior stop. The joint optimum can leave
+the neighbourhood of the orbits: nearness is a property of the robust plan, which the user trades for less effort. If no
+free motion keeps the walk, a weight holds the motion near the robust plan.
 """
 
 import json
@@ -31,6 +31,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
 from dpcontrol.judge.decoding import FOLLOWS, orbit_distance, orbit_index, shortfall
 from dpcontrol.orbits.lyapunov import resting_place
@@ -47,12 +48,12 @@ from dpcontrol.runs.campaign import Case, Job
 from dpcontrol.runs.preflight import outcomes, seconds_of
 
 SHARE = 0.7
-"""Of each limit that the motion may use: at 1 the feedback has no room, and 0.7 costs 2 to 3 % of effort."""
+"""Share of each limit that the motion may use: 1 leaves no margin for feedback, 0.7 costs 2 to 3 % of effort."""
 
 
 @dataclass(frozen=True)
 class _JointSearch:
-    """How a motion is sought: method and interval s, weight of the distance to the robust plan, iterations at most."""
+    """One search: method, interval in s, weight of the distance to the robust plan and limit of iterations."""
 
     method: str
     interval: float
@@ -66,10 +67,10 @@ _SEARCHES = (
 )  # fmt: skip
 """Tried in turn; those with a weight stay near the robust plan, at more effort."""
 _HOLD = 10.0
-"""Weight of the distance to what was found while its mesh is refined."""
+"""Weight of the distance to the motion whose mesh is refined."""
 CART_WEIGHT = 0.01
 MISMATCHES, RUNS = (0.05, 0.2), 48
-"""At which both plans are flown, and how often each."""
+"""Mismatches at which both plans are run, and the runs at each."""
 _PACE, _AT_FIRST = 5.0, 10.0
 """s of one processor for a second of motion, and before the first."""
 _LOOK = 1e-3
@@ -78,8 +79,14 @@ _LOOK = 1e-3
 
 @dataclass(frozen=True)
 class Side:
-    """Effort ∫u² of a plan, m²/s³; peak, m/s²; travel either side, m; nearest: largest of its scaled distances to the
-    orbits; completed: share of runs by mismatch.
+    """Figures of one plan.
+
+    Attributes:
+        effort: ∫u² dt, m²/s³.
+        peak: largest acceleration, m/s².
+        travel: to either side, m.
+        nearest: largest of its scaled distances to the orbits.
+        completed: share of runs by mismatch.
     """
 
     name: str
@@ -90,15 +97,15 @@ class Side:
     completed: dict[float, Share]
 
     def document(self) -> dict[str, Any]:
-        """Return it for JSON."""
+        """Return the figures as JSON values."""
         shares = {f"{mismatch:g}": picked(share, "successes", "runs", "rate", "low", "high")
                   for mismatch, share in self.completed.items()}  # fmt: skip
         return {**picked(self, "name", "effort", "peak", "travel", "nearest"), "completed": shares}
 
 
 @dataclass(frozen=True, repr=False)
-class Polished:
-    """A robust plan and the polished one, with what each takes; one side where the polished plan did not converge."""
+class Polished(Shown):
+    """A robust plan and the polished one with their figures; one side if the polished plan did not converge."""
 
     robust: Plan
     polished: Plan
@@ -106,12 +113,12 @@ class Polished:
 
     @property
     def converged(self) -> bool:
-        """Whether there is a polished plan."""
+        """True if there is a polished plan."""
         return self.polished.converged
 
     @property
     def status(self) -> str:
-        """How the polished plan was found, or why there is none."""
+        """Method of the polished plan, or the reason for its absence."""
         return self.polished.status
 
     def __repr__(self) -> str:
@@ -127,13 +134,18 @@ def polish(
     plan: Plan, *, fresh: bool = False, runs: int = RUNS, workers: int = 0, yes: bool = False,
     progress: Progress = no_progress,
 ) -> Polished:  # fmt: skip
-    """Return a plan from rest to rest beside the same walk re-optimised as a whole; from the cache unless `fresh`.
+    """Re-optimise the walk of a plan from rest to rest as a whole.
 
-    runs: flown of each plan at each of the `MISMATCHES`, by as many processes as `workers` says, 0 for one on each
-    processor; yes: however long it takes.
+    Args:
+        plan: robust plan.
+        fresh: ignore the cache.
+        runs: runs of each plan at each of the `MISMATCHES`.
+        workers: processes, 0 for one per processor.
+        yes: accept any duration.
+        progress: receiver of progress reports.
 
     Raises:
-        InputError: the plan is not from rest to rest, or polished already, or it would take too long.
+        InputError: the plan is not from rest to rest, is already polished, or it would take too long.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
     check_polishable(plan.followed())
@@ -155,10 +167,10 @@ def polish(
 
 
 def check_polishable(plan: Plan) -> None:
-    """Check that a plan leads from rest to rest, and is not polished.
+    """Check that a plan leads from rest to rest and is not polished.
 
     Raises:
-        InputError: it does not, or it is.
+        InputError: one of the two fails.
     """
     notes, scene = plan.notes, plan.itinerary
     rest = resting_place(scene.model.system)
@@ -181,7 +193,7 @@ def _key(plan: Plan) -> str:
 
 
 def _polished(plan: Plan, progress: Progress) -> Reference:
-    """Return the polished reference with its notes; if there is none, the robust one with a status that says why."""
+    """Return the polished reference with its notes, or the robust one with the reason in its status."""
     robust, none = plan.reference, np.zeros(plan.itinerary.model.arms.count)
     spans = list(stretches(robust))
     parts = [tail(robust, begin, seconds=end - begin, turns=none) for begin, end, _ in spans]
@@ -190,7 +202,7 @@ def _polished(plan: Plan, progress: Progress) -> Reference:
     for count, k in enumerate(moving):
         here = part_of(progress, 0.8 * count / len(moving), 0.8 * (count + 1) / len(moving))
         found[k] = _searched(_problem(plan, parts[k]), parts[k], plan.itinerary.reference, here)
-    # The least costly motion of each part, then with the next one of a part in its place.
+    # The least costly motion of each part comes first. Then the second best of one part replaces it.
     missed, choice = "", dict.fromkeys(moving, 0)
     while all(place < len(found[k]) for k, place in choice.items()):
         progress("refining", 0.8)
@@ -205,11 +217,11 @@ def _polished(plan: Plan, progress: Progress) -> Reference:
             return whole
         choice = {k: place + 1 for k, place in choice.items()}
     why = f": {missed}" if missed else ": no search converged"
-    return replace(robust, converged=False, status=f"no cheaper motion keeps the walk{why}; fly the robust plan")
+    return replace(robust, converged=False, status=f"no cheaper motion keeps the walk{why}; use the robust plan")
 
 
 def _problem(plan: Plan, part: Reference) -> ReferenceProblem:
-    """Return the problem of a part of the robust plan, in its time and between its ends."""
+    """Return the problem of one part of the robust plan, with the same time and ends."""
     robust, arms = plan.reference, plan.itinerary.model.arms.planned()
     bounds = {name: max(SHARE * bound, robust.largest[name]) for name, bound in robust.limits.named().items()}
     ends = EndConditions(start=part.state(0.0), end=part.state(part.duration))
@@ -245,7 +257,7 @@ def _settings(settings: ReferenceSettings, weight: float, method: str, iteration
 
 
 def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
-    """Return a motion in place of a part of the plan, on a mesh of the plan's method that meets its tolerance."""
+    """Return a motion for a part of the plan, on a mesh of the plan's method that meets its tolerance."""
     own = plan.itinerary.reference
     settings = _settings(own, _HOLD, own.method, max(own.iterations, 100))
     problem = replace(_problem(plan, part), guess=_along(motion))
@@ -256,7 +268,7 @@ def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
 
 
 def stretches(robust: Reference) -> Iterator[tuple[float, float, bool]]:
-    """Yield begin and end of each stretch, s, and whether it moves: interior holds and the last moments do not."""
+    """Yield begin and end of each stretch, s, and True if it moves, unlike interior holds and the final rest."""
     notes, after = plan_notes(robust), 0.0
     ways = notes["transfers"]
     for stop, symbol in zip(notes["stops"][1:-1], notes["symbols"], strict=False):
@@ -273,8 +285,13 @@ def stretches(robust: Reference) -> Iterator[tuple[float, float, bool]]:
 
 @dataclass(frozen=True, eq=False)
 class _Crossed:
-    """Crossings of a plan's sections by a motion: symbols' times, s; states there (S, N); events of each walk; half
-    wobbles at each interior stop, None if none are counted there.
+    """Crossings of a plan's sections by a motion.
+
+    Attributes:
+        times: times of the symbols, s.
+        states: states there (S, N).
+        events: events of each walk.
+        halves: half wobbles at each interior stop, or None if it has no count.
     """
 
     times: list[float]
@@ -329,7 +346,7 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
             halves.append(None)
             continue
         stop = notes["stops"][k + 1]
-        # The arm that swings farther on the stop's orbit shows its wobbles.
+        # The arm that swings farther on the stop's orbit counts its wobbles.
         arm = int(np.argmax(np.ptp(robust.extra[f"orbit_{orbit_index(notes, stop)}"][:, :n], axis=0)))
         above = angles[(grid >= arrived) & (grid <= left), arm] > stop["angles"][arm]
         halves.append(int(np.count_nonzero(above[1:] != above[:-1])))
@@ -337,7 +354,7 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
 
 
 def _crossing(robust: Reference, grid: Array, angles: Array, symbol: SymbolNote, after: float) -> float:
-    """Return when a symbol crosses its section, s: in its direction, on its turns, next to when it is due."""
+    """Return the time at which a symbol crosses its section in its direction and turns, nearest to its due time, s."""
     section, n = symbol["section"], angles.shape[1]
     assert section is not None
     normal = np.asarray(section["normal"][:n])
@@ -369,7 +386,7 @@ def _events(walk: list[SymbolNote], angles: Array) -> list[tuple[int, int, int]]
 
 
 def _noted(plan: Plan, motion: Reference) -> Reference:
-    """Return a polished motion with the notes of its plan: symbols where they cross, transfers as they are now."""
+    """Return a polished motion with the notes of its plan: crossings of symbols and present transfers."""
     robust = plan.reference
     crossed, notes = _crossed(robust, motion), {**robust.notes}
     n = plan.itinerary.model.arms.count
@@ -403,7 +420,7 @@ def nearness(plan: Reference) -> list[float]:
 
 
 def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Progress) -> Iterator[Side]:
-    """Yield what plans take, by name, each flown `runs` times at each of the mismatches."""
+    """Yield the figures of plans by name, after `runs` runs at each mismatch."""
     jobs = {
         (name, mismatch): Job(
             plan.itinerary.name, plan.archive, plan.itinerary.model.arms,

@@ -1,19 +1,19 @@
-"""Preflight: how likely the first run on a rig completes, what ends it, and which changes help.
+"""Preflight: success probability of the first run on a rig, causes of failure and useful changes.
 
-Runs are drawn as a campaign draws them, from what is known of the arms and of the bench: the model's identified
-uncertainty, or an assumed mismatch where its file gives none; delay, lag, counts and zeros as [run] has them.
+Runs are drawn like those of a campaign, from the uncertainty of the arms and the bench. This is the model's identified
+uncertainty, or an assumed mismatch if its file gives none. Delay, lag, counts and zeros come from [run].
 
-The rate comes with Wilson's interval, at 99 %: at 95 % one scene in twenty would lie outside, and more with the noise
-of the campaign it is compared with. The border of a trouble is the value at which the itinerary completes half as often
-as on the bench as it is, on the same seeds; it is bracketed by doubling, then narrowed by interpolation between the
-bracket's ends. A value is run on blocks of seeds until it is clear on which side it lies. Over the points found the
-share is made to fall (isotonic regression), and the border read off between them.
+The rate comes with Wilson's interval at 99 %. At 95 %, one itinerary in twenty would lie outside, and more with the
+noise of the campaign in the comparison. The border of a trouble is the value that halves the success rate of the
+present bench on the same seeds. It is bracketed by doubling and narrowed by interpolation. A value runs on blocks of
+seeds until its side of the border is clear. A falling curve is fitted to the points (isotonic regression), and the
+border is read off this curve.
 
-The gain of a change is measured on some of the seeds that failed and on some that completed. The changes are options of
-`dpcontrol run`, the same that `dpcontrol.runs.remedies` tries on a single run.
+The gain of a change is measured on some of the failed seeds and on some of the completed ones. The changes are options
+of `dpcontrol run`, the same as in `dpcontrol.runs.remedies`.
 
-Everything is made of a campaign's jobs, each kept in the cache: repeated or interrupted, a preflight goes on where it
-was, and on any machine it comes to the same figures.
+All work consists of a campaign's jobs, which are cached. A repeated or interrupted preflight continues from there, and
+gives the same figures on any machine.
 
 Source of isotonic regression: Barlow et al., Statistical Inference under Order Restrictions, Wiley 1972, chapter 1.
 """
@@ -36,7 +36,7 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress,
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.campaign import plain_reason
-from dpcontrol.judge.preflight import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt
+from dpcontrol.judge.preflight import EndingShare, Fact, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
@@ -47,7 +47,7 @@ from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
 
 @dataclass(frozen=True)
 class SceneChange:
-    """A change to try: its text, its options of `dpcontrol run`, and the advice that a preflight gives for it.
+    """A change: its text, its options of `dpcontrol run`, and a preflight's advice for it.
 
     Preflights try only changes with advice.
     """
@@ -59,10 +59,13 @@ class SceneChange:
 
 @dataclass(frozen=True)
 class _Trouble:
-    """A setting of the bench that can be reduced, by the path in a run's settings.
+    """A setting of the bench that can be reduced, by its path in a run's settings.
 
-    what: its name in a sentence. remedy: how a laboratory halves it. nothing: the value without the trouble. halves,
-    removed: whether half of it, or nothing of it, is tried.
+    Attributes:
+        what: name in a sentence.
+        remedy: how a laboratory halves it.
+        nothing: value without the trouble.
+        halves, removed: True if half of it, or its absence, is tried.
     """
 
     setting: str
@@ -107,7 +110,7 @@ _TROUBLES = (
 
 
 def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
-    """Yield the changes of each kind, the smallest first, that are possible for this scene's run."""
+    """Yield the possible changes of each kind for the itinerary's run, smallest first."""
     loop = scene.loop
     limit, drive, counts = loop.travel or scene.limits.position, loop.drive, loop.sensors.counts
     wide, *wider = map(_short, (1.5 * limit, 2 * limit, max(4 * limit, 2 * scene.limits.position)))
@@ -130,7 +133,7 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
             tried.append(SceneChange(f"no {one.what}", {one.setting: one.nothing}))
         yield tried
     if drive.lag and loop.drive_lag != drive.lag:
-        known = "a controller that knows the drive's lag"
+        known = "a controller with the drive's lag"
         yield (SceneChange(known, {"drive_lag": drive.lag}, "give the controller the drive's lag"),)
     if counts:
         finer = {"counts": 4 * counts}
@@ -149,7 +152,7 @@ def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
 
 
 def _short(value: float) -> float:
-    """Return a value with four digits, which an option gives exactly."""
+    """Return a value with four digits, which an option reproduces exactly."""
     return float(f"{value:.4g}")
 
 
@@ -158,15 +161,21 @@ _QUICK = 1000.0
 
 
 ASSUMED_MISMATCH = 0.05
-"""Of arms of which neither the model's file nor [run] says how well they are known."""
+"""Mismatch of arms without a given uncertainty in the model's file or [run]."""
 SAMPLED = 48
-"""Seeds that failed, and that completed, of which a change is tried at most."""
+"""Most failed seeds, and most completed seeds, on which a change is tried."""
 
 
 @dataclass(frozen=True)
 class PreflightSettings(Settings, table="preflight"):
-    """runs: seeds for the rate, from `first_seed` on, 0 for as many as two minutes allow; confidence of its interval;
-    workers: processes, 0 for one on each processor. The seeds are far from those that campaigns begin with.
+    """Size of a preflight.
+
+    Attributes:
+        runs: seeds for the rate, from `first_seed` on, 0 for as many as two minutes allow.
+        confidence: of its interval.
+        workers: processes, 0 for one per processor.
+
+    The seeds are far from the first seeds of campaigns.
     """
 
     runs: int = setting(0, least=16, most=100_000, zero="as many as two minutes allow")
@@ -176,7 +185,7 @@ class PreflightSettings(Settings, table="preflight"):
 
 
 class RunEnd(NamedTuple):
-    """How one seed ended."""
+    """Ending of one seed."""
 
     seed: int
     completed: bool
@@ -186,10 +195,14 @@ class RunEnd(NamedTuple):
 
 @dataclass(frozen=True)
 class Hazard:
-    """A trouble whose border is sought: its name, the run setting it raises, and other settings that go with it.
+    """A trouble with its border: name, run setting and accompanying settings.
 
-    set: the bench's own value of the setting; first, end: where the border is sought first, and at last. falling: less
-    is worse. shown: the factor from the setting to what is shown, in `unit`. step: to which values are rounded.
+    Attributes:
+        set: the bench's present value.
+        first, end: first and last value of the search.
+        falling: True if less is worse.
+        shown: factor from the setting to the display in `unit`.
+        step: resolution of values.
     """
 
     name: str
@@ -204,7 +217,7 @@ class Hazard:
     besides: tuple[tuple[str, Any], ...] = ()
 
     def place(self, value: float) -> float:
-        """Return a value's place on a scale that grows as it gets worse; minus infinity where there is no trouble."""
+        """Return a value's place on a scale of severity, minus infinity if there is no trouble."""
         none = value == 0 or math.isinf(value)
         return -math.inf if none else -math.log(value) if self.falling else math.log(value)
 
@@ -220,9 +233,9 @@ class Hazard:
 
 @dataclass(frozen=True)
 class _Search:
-    """A border to be found: job of the bench as it is, with the seeds and how they ended.
+    """Search for a border: job of the present bench, with the seeds and their endings.
 
-    block: seeds run at first; most: at once.
+    block: seeds of the first block. most: largest number at once.
     """
 
     hazard: Hazard
@@ -234,7 +247,7 @@ class _Search:
 
 @dataclass(frozen=True)
 class _Trial:
-    """A change to be tried: job of the changed bench, with the seeds and how they ended without it; most: at once."""
+    """Trial of a change: job of the changed bench, with the seeds, their former endings and the most at once."""
 
     change: SceneChange
     job: Job
@@ -253,7 +266,7 @@ def _do(task: _Task) -> "tuple[RunEnd, ...] | HazardBorder | Improvement":
 
 
 def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
-    """Return how a job's seeds ended, from the cache where they have been run; most: seeds at once, for memory."""
+    """Return the endings of a job's seeds, cached if possible; most: seeds at once, for memory."""
     if len(job.seeds) > most:
         parts = (replace(job, seeds=job.seeds[k : k + most]) for k in range(0, len(job.seeds), most))
         return tuple(row for part in parts for row in outcomes(part, most))
@@ -270,14 +283,14 @@ def _with(job: Job, loop: LoopSettings, seeds: Sequence[int]) -> Job:
 
 
 _SURE = 0.98
-"""Confidence at which a value counts as being on one side of the border."""
+"""Confidence required to assign a value to one side of the border."""
 _NARROW = math.log(1.3)
-"""Width of the bracket, as a ratio's logarithm, between whose ends the border is read off."""
+"""Width of the final bracket of the border, as the logarithm of a ratio."""
 _MOST_VALUES = 8
 
 
 def _border(search: _Search) -> HazardBorder:
-    """Return the border of a hazard: the value at which half of what completes as it is completes."""
+    """Return the border of a hazard: the value that halves the present number of completed runs."""
     hazard = search.hazard
     points: dict[float, ShareAt] = {}
 
@@ -322,7 +335,7 @@ def _border(search: _Search) -> HazardBorder:
 
 
 def _point(search: _Search, value: float, *, until_clear: bool = True) -> ShareAt:
-    """Run a value on all seeds, or on blocks of them until it is clear on which side of the border it lies."""
+    """Run a value on all seeds, or on blocks until its side of the border is clear."""
     job = search.job
     loop = overridden(job.case.loop, search.hazard.options(value))
     done = of = used = 0
@@ -338,7 +351,7 @@ def _point(search: _Search, value: float, *, until_clear: bool = True) -> ShareA
 
 
 def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
-    """Return the places where the share, and the ends of its 95 % interval, are a half; None where they are nowhere."""
+    """Return the places where the share and the ends of its 95 % interval are one half, or None."""
     found = sorted(points, key=lambda p: hazard.place(p.value))
     places = [hazard.place(p.value) for p in found]
     shares = falling(np.array([p.share for p in found]), np.array([p.reference for p in found]))
@@ -352,7 +365,7 @@ def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
 
 
 def falling(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the falling sequence (K,) next to values (K,) in weighted least squares, by pooling adjacent violators."""
+    """Return the least-squares falling sequence (K,) nearest to weighted values (K,), by pooling adjacent violators."""
     pools: list[tuple[float, float, int]] = []
     for value, weight in zip(values.tolist(), weights.tolist(), strict=True):
         pools.append((value, weight, 1))
@@ -363,7 +376,7 @@ def falling(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArra
 
 
 def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | None:
-    """Return where a falling curve is a half, by straight lines between its points; None where it is nowhere."""
+    """Return the point where a piecewise linear falling curve is one half, or None."""
     below = np.flatnonzero(falls < 0.5)
     if not below.size or not below[0]:
         return None
@@ -383,23 +396,25 @@ def _change(trial: _Trial) -> Improvement:
 
 
 _TICK, _TICK_ALONE = 1.8e-6, 2e-4
-"""s that a processor takes for a tick of one run of many side by side, and of one on its own."""
+"""Processor time of a tick of one run in lockstep, and of one separate run, s."""
 _AHEAD = 0.15
-"""By how much more for each period of delay that the loop computes ahead, as a share."""
+"""Additional share of this time for each period of predicted delay."""
 
 
 def seconds_of(loop: LoopSettings) -> float:
-    """Return the time that one tick of a run with these settings takes on one processor, s."""
+    """Return the processor time of one tick with these settings, s."""
     return _TICK * (1 + _AHEAD * loop.drive.delay) if loop.lockstep else _TICK_ALONE
 
 
 _AFFORD, _AFFORD_DELAY = 180.0, 40.0
-"""s of one processor that a preflight may take, and besides its search for the border of delay: two minutes of two,
-less what starts and compiles."""
+"""Processor time of a preflight and of its search for the border of delay, s.
+
+This is two minutes of two processors, less start-up and compilation.
+"""
 
 
 class _Amounts(NamedTuple):
-    """How many seeds are run: for the rate; for a border at first, and at its ends; for a change, of each kind."""
+    """Numbers of seeds for the rate, for the first and last points of a border, and for each kind of a change."""
 
     rate: int
     block: int
@@ -408,27 +423,27 @@ class _Amounts(NamedTuple):
 
     @classmethod
     def of(cls, rate: int) -> "_Amounts":
-        """Return the amounts that go with so many seeds for the rate."""
+        """Return the amounts for a number of seeds of the rate."""
         if rate <= _FEW:
             return cls(rate, min(24, rate), min(48, rate), max(rate // 8, 8))
         return cls(rate, 64, rate // 2, min(SAMPLED, rate // 4))
 
     @property
     def runs(self) -> int:
-        """About how many runs that makes at most."""
+        """Approximate upper bound of the runs."""
         return self.rate + _KINDS * (3 * self.block + 2 * self.border) + _CHANGES * min(2 * self.change, self.rate)
 
 
 _FEW = 128
-"""Seeds for the rate up to which all else is done with the fewest that tell anything."""
+"""Seeds for the rate up to which borders and changes use the fewest informative seeds."""
 _KINDS, _CHANGES = 10, 9
 _CHOICES = tuple(map(_Amounts.of, (320, 256, 192, 160, 128, 96, 64, 48, 32)))
 
 
-def _amounts(asked: int, seconds: float, *, lockstep: bool) -> _Amounts:
-    """Return how many seeds are run: for the rate as many as are asked for, or as can be afforded at `seconds` each."""
-    if asked:
-        return _Amounts.of(asked)
+def _amounts(seeds: int, seconds: float, *, lockstep: bool) -> _Amounts:
+    """Return the numbers of seeds, for the given rate seeds or those affordable at `seconds` each."""
+    if seeds:
+        return _Amounts.of(seeds)
     runs = ((one, one.runs if lockstep else one.rate) for one in _CHOICES)
     return next((one for one, count in runs if count * seconds <= _AFFORD), _CHOICES[-1])
 
@@ -441,16 +456,21 @@ def preflight(
     progress: Progress = no_progress,
     yes: bool = False,
 ) -> Preflight:
-    """Return how likely a planned itinerary completes on its bench, what ends it otherwise, and what would help.
+    """Predict success rate, causes of failure and useful changes of a planned itinerary on its bench.
 
-    options: run settings that take the place of the scene's. yes: however long it takes.
+    Args:
+        plan: plan of the itinerary.
+        options: run settings that override the itinerary's.
+        settings: size of the preflight.
+        yes: accept any duration.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: an impossible setting, or it would take too long.
-        GoalMissed: the plan did not converge, no controller can be made for it, or workers died again and again.
+        GoalMissed: the plan did not converge, no controller can be made for it, or workers died repeatedly.
     """
     began, options, settings = time.perf_counter(), options or {}, settings or PreflightSettings()
-    scene, known = as_known(plan.followed().itinerary, options)
+    scene, known = with_known_errors(plan.followed().itinerary, options)
     loop, name = scene.loop, scene.name
     ticks = max(round(plan.reference.duration * loop.rate), 1)
     lockstep, tick = loop.lockstep, seconds_of(loop)
@@ -459,13 +479,13 @@ def preflight(
     workers, count = settings.workers or processors(), amounts.runs if searches else amounts.rate
     work = f"up to {count:,} runs of {ticks / loop.rate:.1f} s"
     announce(Cost(work, count * ticks * tick / workers, 4e8 * workers, f"preflight of {name}"), yes=yes)
-    uncertainty = scene.model.known_to if loop.model_uncertainty else None
+    uncertainty = scene.model.identified_uncertainty if loop.model_uncertainty else None
     seeds = range(settings.first_seed, settings.first_seed + amounts.rate)
     case, arms = Case("preflight", (), loop), scene.model.arms
     job = Job(name, plan.archive, arms, case, tuple(seeds), "compiled", uncertainty, replayed=0)
     run = partial(in_processes, _do, remedy="Finished jobs are kept: run the same command again, with fewer --workers")
 
-    # As much memory as a campaign's jobs at most.
+    # At most the memory of a campaign's jobs.
     most = max(min(MOST_TICKS // ticks, 256), 1)
     size = min(128 if amounts.rate > _FEW else 64, most)
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
@@ -500,14 +520,14 @@ def preflight(
 
 
 def _all(pieces: Any, count: int, what: str, progress: Progress) -> Any:
-    """Yield what is done of each piece, and report how many are."""
+    """Yield the result of each piece, and report their number."""
     for k, (_, done) in enumerate(pieces, 1):
         progress(f"{what}: {k} of {count}", k / count)
         yield done
 
 
 def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
-    """Return what ended the runs that were not completed, the most frequent first, in the words of the loop."""
+    """Return the causes of failed runs, the most frequent first, in the loop's terms."""
     groups: dict[tuple[str, str], list[RunEnd]] = {}
     for row in ends:
         if not row.completed:
@@ -516,8 +536,8 @@ def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
     return tuple(EndingShare(*words, len(rows), rows[0].seed, rows[0].reason) for words, rows in ordered)
 
 
-def as_known(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Known]]:
-    """Return the scene with its runs drawn from what is known of the arms and the bench, and what that is.
+def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Fact]]:
+    """Return the scene with its runs drawn from the known errors of arms and bench, and a list of these.
 
     Raises:
         InputError: an impossible setting.
@@ -541,21 +561,21 @@ def as_known(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, l
     known = []
     if loop.model_uncertainty:
         source = f"identified: {scene.model.path.name}"
-        known.append(Known("arms", f"standard errors × {loop.model_uncertainty:g}", source))
+        known.append(Fact("arms", f"standard errors × {loop.model_uncertainty:g}", source))
     if loop.plant is not None:
-        known.append(Known("plant", "arms of its own", of("plant")))
+        known.append(Fact("plant", "other arms", of("plant")))
     if loop.mismatch or not loop.model_uncertainty:
         unknown = "" if identified else f"; {scene.model.path.name} has no [uncertainty]"
         source = "assumed" if assumed else of("mismatch")
-        known.append(Known("arms", f"each parameter off by up to ±{loop.mismatch:.3g}", source + unknown))
+        known.append(Fact("arms", f"each parameter off by up to ±{loop.mismatch:.3g}", source + unknown))
     limit = loop.travel or scene.limits.position
     known += [
-        Known("start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
-        Known("delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
-        Known("lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
-        Known("encoders", f"{sensors.counts:,} counts a turn" if sensors.counts else "not rounded", of("counts")),
-        Known("zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
-        Known("travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
+        Fact("start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
+        Fact("delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
+        Fact("lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
+        Fact("encoders", f"{sensors.counts:,} counts a turn" if sensors.counts else "not rounded", of("counts")),
+        Fact("zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
+        Fact("travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
     ]
     others = {
         "command noise": (drive.command_noise, "m/s²", "command_noise"),
@@ -563,25 +583,25 @@ def as_known(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, l
         "tilt": (blows.tilt, "rad", "tilt"),
         "blows": (blows.push_impulse if blows.pushes else 0.0, "N m s", "push_impulse"),
     }
-    known += [Known(name, f"{value:g} {unit}", of(key)) for name, (value, unit, key) in others.items() if value]
+    known += [Fact(name, f"{value:g} {unit}", of(key)) for name, (value, unit, key) in others.items() if value]
     for key in ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "initial_rate", "initial_cart"):
         if value := getattr(loop.mechanics, key):
             shown = " and ".join(f"{one:g}" for one in (value if isinstance(value, tuple) else (value,)))
             unit = bounds_of(MechanicsSettings)[key].unit
-            known.append(Known(key.replace("_", " "), f"{shown} {unit}", of(key)))
-    known.append(Known("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator")))
+            known.append(Fact(key.replace("_", " "), f"{shown} {unit}", of(key)))
+    known.append(Fact("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator")))
     return chosen, known
 
 
 def _notes(scene: Itinerary, loop: LoopSettings) -> list[str]:
     notes = []
     if scene.start == "orbit":
-        notes.append('start = "orbit": runs begin at the orbit\'s exact rates, which no rig can; plan it from "rest"')
+        notes.append('start = "orbit": runs begin at the orbit\'s exact rates, which a rig cannot; plan from "rest"')
     measured = {"lag": loop.drive.lag, "zero_error": loop.sensors.zero_error}
     if unmeasured := [name for name, value in measured.items() if not value]:
         notes.append(
-            f"{' and '.join(unmeasured)} = 0 in [run]: no bench is so; measure it with `dpcontrol commission "
-            f"{scene.name} --rig ADDRESS --write`, or give what is to be expected"
+            f"{' and '.join(unmeasured)} = 0 in [run]: a bench is never ideal; measure it with `dpcontrol commission "
+            f"{scene.name} --rig ADDRESS --write`, or give an estimate"
         )
     return notes
 
@@ -589,12 +609,12 @@ def _notes(scene: Itinerary, loop: LoopSettings) -> list[str]:
 def _searches(
     kinds: Sequence[Hazard], job: Job, completed: Sequence[bool], amounts: _Amounts, most: int, notes: list[str]
 ) -> list[_Search]:
-    """Return the borders to be sought; notes gets why there are none."""
+    """Return the searches for borders; notes receives the reasons if there are none."""
     done = sum(completed)
     if done < _FEWEST:
-        notes.append(f"only {done} of {len(completed)} runs complete: too few to seek borders; see what would help")
+        notes.append(f"only {done} of {len(completed)} runs complete: too few to find borders; see the useful changes")
         return []
-    # Where few complete, more seeds, so that as many do.
+    # If few runs complete, more seeds give the same number of completed runs.
     count = min(math.ceil(amounts.border * max(1.0, 0.6 * len(completed) / done)), len(completed))
     searches = []
     for kind in kinds:
@@ -605,19 +625,21 @@ def _searches(
 
 
 _FEWEST = 8
-"""Completed runs from which on borders are sought."""
+"""Completed runs required for a search of borders."""
 
 
 def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
-    """Return the troubles whose borders are sought, with the bench's own values; most_delay: periods, of time to spare.
+    """Return the troubles with borders, with the bench's own values.
 
-    Prediction over a delay takes time by its length, and each delay code of its own: its border is sought within 40 ms
-    and on few seeds.
+    most_delay: largest delay, in periods, that the computing time allows.
+
+    Prediction over a delay takes time in proportion, and each delay needs separate code. Its border is therefore sought
+    within 40 ms and on few seeds.
     """
     loop, rate = scene.loop, scene.loop.rate
     drive, sensors, blows, rig = loop.drive, loop.sensors, loop.disturbances, loop.mechanics
     pushes = blows.pushes or 2
-    # What the loop knows of the bench stays as it is.
+    # The loop's model of the bench stays unchanged.
     known = (("known_belt", loop.known_belt), ("known_play", rig.of_each("known_play", scene.model.arms.count)))
     further = [
         Hazard("cable torque", "cable_torque", "mN m", abs(rig.cable_torque), 0.05, 5.0, shown=1e3),
@@ -646,7 +668,7 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
 
 
 def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Trial]:
-    """Return the changes to be tried on `count` seeds of each kind, none where every run completes."""
+    """Return the changes to try on `count` seeds of each kind, none if every run completes."""
     if all(completed):
         return []
     failing = [k for k, done in enumerate(completed) if not done][:count]

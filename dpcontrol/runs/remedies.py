@@ -1,13 +1,13 @@
 """Remedies of a failed run: options of `dpcontrol run` that complete it more often than harmless changes do.
 
-A run that fails by chance is completed by almost any change, even by 39,999 instead of 40,000 counts. So a change must
-beat a null group. One half of it are harmless variants of the failed run, whose mismatches differ by a ten-thousandth.
-The other half are neighbouring seeds with the present settings. Each change is tried on the same variants and seeds.
-It is a remedy if it meets three conditions:
+Almost any change completes a run that failed by chance, even 39,999 instead of 40,000 counts. So a change must beat a
+null group. Half of this group are harmless variants of the failed run, whose mismatches differ by a ten-thousandth. The
+other half are neighbouring seeds with the present settings. Each change is tried on the same variants and seeds. It is
+a remedy if it meets three conditions:
 
     chance       McNemar's exact test of the pairs rejects chance at `_LEVEL`.
     neighbours   On the neighbouring seeds it rescues at least as many runs as it loses.
-    the run      The failed run itself is completed if the option is added to its command line.
+    the run      The option also completes the failed run itself.
 
 Changes of one kind are tried from the smallest; the first remedy of a kind ends it.
 """
@@ -29,7 +29,7 @@ from dpcontrol.runs.preflight import SceneChange, changes, outcomes, seconds_of
 from dpcontrol.runs.run import run_plan
 
 SAME, SAME_ALONE = 16, 8
-"""Variants of the failed run, and as many neighbouring seeds: side by side, and one after the other."""
+"""Variants of the failed run, and as many neighbouring seeds: in lockstep, and sequentially."""
 _HARMLESS = 1e-4
 """Share by which the mismatch of one variant differs from that of the one before."""
 _LEVEL = 0.02
@@ -38,7 +38,7 @@ _LEVEL = 0.02
 
 @dataclass(frozen=True)
 class Completed:
-    """How many runs were completed: variants of the failed run, and neighbouring seeds; each of `of`."""
+    """Numbers of completed runs among variants of the failed run and neighbouring seeds, each of `of`."""
 
     same_seed: int
     neighbours: int
@@ -46,16 +46,21 @@ class Completed:
 
     @property
     def total(self) -> int:
-        """Of both groups."""
+        """Completed runs of both groups."""
         return self.same_seed + self.neighbours
 
 
 @dataclass(frozen=True)
 class TriedChange:
-    """One change.
+    """One change with its results.
 
-    change: its text. option: its text on the command line. completed: whether the failed run is completed with it.
-    verdict: on that run. helps: whether it is a remedy. counts: None if the groups were not run.
+    Attributes:
+        change: its text.
+        option: its text on the command line.
+        completed: True if it completes the failed run.
+        verdict: on that run.
+        helps: True for a remedy.
+        counts: None if the groups were not run.
     """
 
     change: str
@@ -67,13 +72,16 @@ class TriedChange:
 
     @property
     def total(self) -> int:
-        """How many runs were completed in all."""
+        """Completed runs of all groups."""
         return self.counts.total if self.counts else 0
 
 
 @dataclass(frozen=True)
 class Why:
-    """The changes tried for a failed run. reason: of the failure. unchanged: the null group's count."""
+    """Changes tried for a failed run.
+
+    reason: of the failure. unchanged: the null group's count.
+    """
 
     log: str
     seed: int | None
@@ -88,7 +96,7 @@ class Why:
 
     @property
     def saves(self) -> tuple[str, ...]:
-        """The options that complete the run."""
+        """Options that complete the run."""
         return tuple(trial.option for trial in self.remedies)
 
     @property
@@ -120,12 +128,12 @@ class Why:
         return f"<why: {self.sentence}>"
 
     def document(self) -> dict[str, Any]:
-        """Return the JSON document of `dpcontrol score --why`."""
+        """Return the JSON output of `dpcontrol score --why`."""
         return {**asdict(self), "saves": list(self.saves), "sentence": self.sentence}
 
 
 _Group = tuple[Sequence[tuple[SceneChange, Job]], Sequence[bool]]
-"""Changes of one kind with their jobs, whose first run is the failed one. Which runs the null group completes."""
+"""Changes of one kind with their jobs, whose first run is the failed one, and the null group's results."""
 
 
 def why(
@@ -143,7 +151,7 @@ def why(
 
     Raises:
         InputError: it would take too long.
-        GoalMissed: no controller can be made for the run, or workers died again and again.
+        GoalMissed: no controller can be made for the run, or workers died repeatedly.
     """
     if failed.completed:
         return Why(failed.log, failed.seed, failed.reason, ())
@@ -162,7 +170,7 @@ def why(
             try:
                 made.append((change, _job(typed(change.options), size)))
             except InputError:
-                # The option does not go with the run's other settings.
+                # The option contradicts the run's other settings.
                 continue
         return tuple(made)
 
@@ -196,9 +204,9 @@ def _job(plan: Plan, size: int) -> Job:
 
 
 def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
-    """Return for each job which runs were completed and the first run's verdict, up to the first that beats the null.
+    """Return completed runs and the first run's verdict of each job, up to the first job that beats the null group.
 
-    If runs go one after the other, the rest of a job is run only if its first run is completed.
+    If runs are sequential, the rest of a job runs only if its first run is completed.
     """
     found: list[tuple[tuple[bool, ...], str]] = []
     (tried, before), first = group, slice(1)

@@ -1,11 +1,11 @@
 """Run an itinerary: its plan, the closed loop, the log.
 
-A run is determined by scene, model and reference, which its log carries, by its settings, which the log notes, and by
-the program: all that is random comes from the seed. So it can be repeated from its log alone, and on the same version
-the new log holds the same bytes in every message; only what the metadata says of the run's pace may differ.
+A run is determined by itinerary, model and reference, which its log contains, by its recorded settings, and by the
+program's version. All random numbers come from the seed. So a run can be repeated from its log alone. On the same
+version, every message of the new log has the same bytes, apart from the run's pace in the metadata.
 
-On a bench in real time, over UDP: the same loop, the same log, and how the deadlines were kept. The bench may be any
-that speaks `dpcontrol.rig.packets`; the example is the simulated one, by its own clock.
+On a bench in real time, over UDP, loop and log are the same, and the deadlines are recorded too. Any bench that
+implements `dpcontrol.rig.packets` works. The example bench is the simulated one with a real-time clock.
 """
 
 import json
@@ -91,7 +91,7 @@ if TYPE_CHECKING:
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
 _LIBRARY = "controller_library"
-"""Metadata of a run whose ticks a library did: what identifies its file."""
+"""Metadata of a run with a controller library: the identity of its file."""
 
 
 def default_log(itinerary: Itinerary) -> Path:
@@ -101,7 +101,7 @@ def default_log(itinerary: Itinerary) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Run(Timed):
-    """A run, or what was recorded of a bench, as its log says; see `RunLog` for the arrays."""
+    """A run or a recording of a bench, read from its log; see `RunLog` for the arrays."""
 
     log: RunLog
 
@@ -109,7 +109,7 @@ class Run(Timed):
         return f"<run {self.log.path}: {self.status}>"
 
     def score(self) -> Score:
-        """Return whether the run did what was asked, by what is in the log alone.
+        """Score the run from its log alone.
 
         Raises:
             InputError: the log carries no plan.
@@ -122,7 +122,7 @@ class Run(Timed):
 
     @property
     def converged(self) -> bool:
-        """Whether the itinerary was completed; False where that is not known."""
+        """True if the itinerary was completed, False if not or unknown."""
         return bool(self._judged and self._judged.completed)
 
     @property
@@ -131,9 +131,12 @@ class Run(Timed):
         return self._judged.sentence if self._judged else f"{len(self.log.time):,} samples, no plan to be judged by"
 
     def why(self, *, workers: int = 0, yes: bool = False, progress: Progress = no_progress) -> "Why":
-        """Return which options of `dpcontrol run` complete a run that failed, and more often than harmless changes do.
+        """Find options of `dpcontrol run` that complete the failed run more often than harmless changes do.
 
-        workers: processes, 0 for one on each processor. yes: however long it takes.
+        Args:
+            workers: processes, 0 for one per processor.
+            yes: accept any duration.
+            progress: receiver of progress reports.
 
         Raises:
             InputError: the log is not of a simulated run, lacks what a repetition needs, or it would take too long.
@@ -150,7 +153,7 @@ class Run(Timed):
             return why(plan, self.score(), typed, workers=workers, yes=yes, progress=progress)
 
     def margins(self) -> Margins:
-        """Return the gain, delay and lag that the loop bears.
+        """Return the margins of gain, delay and lag.
 
         Raises:
             InputError: the log lacks the plan, or its law has no margins.
@@ -163,7 +166,7 @@ class Run(Timed):
         return self._score if REFERENCE_ATTACHMENT in self.log.attachments else None
 
     def document(self) -> dict[str, Any]:
-        """Return what `dpcontrol run --json` prints.
+        """Return the JSON output of `dpcontrol run`.
 
         Raises:
             InputError: the log carries no plan.
@@ -172,10 +175,10 @@ class Run(Timed):
 
     @property
     def plant(self) -> ArmChainParameters | None:
-        """The arms that were simulated, as drawn for this run; None of a rig's log, and of older ones.
+        """The simulated arms as drawn for this run, or None for logs of rigs and of early versions.
 
         Raises:
-            InputError: the log is damaged there.
+            InputError: this part of the log is damaged.
         """
         text = self.log.metadata.get(PLANT_METADATA)
         try:
@@ -224,14 +227,14 @@ class Run(Timed):
 
 
 LiveSink = Callable[[RunLog], AbstractContextManager[LoopSink]]
-"""Makes a sink that shows a run while it happens, from the run's log before its first row."""
+"""Makes a live view of a run from its log before the first row."""
 
 
 def assembled(plan: Plan) -> Assembly:
-    """Return what the runs of a plan are made of.
+    """Return the components of a plan's runs.
 
     Raises:
-        InputError: the plant is to be drawn from an uncertainty that the model's file does not give.
+        InputError: the model's file lacks the uncertainty of a drawn plant.
         GoalMissed: the plan did not converge.
     """
     scene = plan.itinerary
@@ -249,17 +252,21 @@ def run_plan(
     live: LiveSink | None = None,
     progress: Progress = no_progress,
 ) -> Run:
-    """Run the closed loop of a planned itinerary; write its log to `out`, if one is wanted.
+    """Run the closed loop of a planned itinerary and write its log.
 
-    assembly: made of the plan before, to be shared by many runs. library: one made of what `export_plan` wrote for this
-    itinerary, which does the ticks. rig: a user's, in place of the simulated bench. force: replace a log of another run
-    at `out`. live: makes a sink that shows it while it happens.
+    Args:
+        plan: plan of the itinerary.
+        out: log to write (default none).
+        assembly: components shared by many runs.
+        library: library of `export_plan`, which computes the ticks.
+        rig: a user's rig (default: the simulated bench).
+        force: replace the log of another run.
+        live: makes a sink that shows the run.
 
     Raises:
-        InputError: the log cannot be written, or there is that of another run; the plant is to be drawn from an
-            uncertainty that the model's file does not give; the library is not of this itinerary; or there is no
-            display for a live view.
-        GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
+        InputError: the log cannot be written or belongs to another run, the model's file lacks the uncertainty of a
+            drawn plant, the library is of another itinerary, or a live view has no display.
+        GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
     plan = recoverable(plan.followed())
     scene, sink = plan.itinerary, _Events()
@@ -304,7 +311,7 @@ def run_record(itinerary: Itinerary, *, rig: str | None = None, library: Path | 
         library: shared library of the controller, if any.
 
     Raises:
-        InputError: the controller cannot leave as C.
+        InputError: the controller cannot be exported to C.
         GoalMissed: no plant can be drawn.
     """
     return {**run_metadata(itinerary), **_made_by(itinerary, rig, library)}
@@ -312,10 +319,10 @@ def run_record(itinerary: Itinerary, *, rig: str | None = None, library: Path | 
 
 @contextmanager
 def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[LoopSink]:
-    """Yield a run's sink, and beside it a live view if one is wanted.
+    """Yield a run's sink, with a live view if `live` is given.
 
     Raises:
-        InputError: there is no display for it.
+        InputError: the live view has no display.
     """
     if live is None:
         yield sink
@@ -326,7 +333,7 @@ def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[Lo
 
 
 def outcome(result: LoopResult) -> dict[str, str]:
-    """Return the metadata on how a run went: its pace, its ending, the time that ticks took, the hardest drive."""
+    """Return the result of a run as metadata: pace, ending, computing time of ticks, hardest drive."""
     noted = {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
     if result.hardest is not None:
         noted[HARDEST_METADATA] = repr(result.hardest)
@@ -337,27 +344,27 @@ def outcome(result: LoopResult) -> dict[str, str]:
 
 
 def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
-    """Return what a log says of the plant that is simulated, and of what else is drawn once for a run."""
+    """Return the metadata of the simulated plant and of other values drawn once for a run."""
     draw = itinerary.loop.draw(itinerary.model.arms, ticks=1, uncertainty=itinerary.uncertainty)
     once = {"initial_error": draw.initial_error.tolist(), "zeros": draw.zeros.tolist()}
-    # What a user's own plant is, its name in the settings says.
+    # A user's own plant is identified by its name in the settings.
     arms = {} if draw.own else {PLANT_METADATA: json.dumps(asdict(draw.plant.arms), sort_keys=True)}
     return {**arms, DRAWN_METADATA: json.dumps(once)}
 
 
 class _Events(NoSink):
-    """Keeps events; the result holds every tick."""
+    """Stores events; the result holds every tick."""
 
     def __init__(self) -> None:
         self.kept: list[Event] = []
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Keep one event."""
+        """Append one event."""
         self.kept.append(Event(time_s, level, name, text))
 
 
 def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
-    """Return what the log of a run would say; more: metadata."""
+    """Return the contents of a run's log; more: metadata."""
     scene = plan.itinerary
     lengths, limits = scene.model.arms.length, scene.loop.limits(plan.reference)
     states = {"estimate": ticks.estimates, "reference": ticks.references}
@@ -381,7 +388,7 @@ def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: st
 
 
 def _extras(ticks: Ticks, names: tuple[str, ...]) -> Extras | None:
-    """Return the extras of those ticks at which a log has them."""
+    """Return the extras of the logged ticks."""
     if ticks.extras is None or not names:
         return None
     numbers = slow_numbers(np.rint(ticks.times * 1e9).astype(np.int64))
@@ -391,7 +398,7 @@ def _extras(ticks: Ticks, names: tuple[str, ...]) -> Extras | None:
 
 
 def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
-    """Return the writer of the log of a run, with all that is known before it, and more metadata.
+    """Return the writer of a run's log, with the metadata known before the run.
 
     Raises:
         InputError: the log cannot be written.
@@ -418,7 +425,7 @@ def _attachments(plan: Plan) -> dict[str, bytes]:
 
 
 def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
-    """Return what distinguishes this run from others; settings as JSON, overriding options included."""
+    """Return the metadata that distinguish this run, with its settings as JSON, overrides included."""
     return {
         "version": dpcontrol.__version__,
         "commit": commit(),
@@ -435,7 +442,7 @@ def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
 
 @dataclass(frozen=True)
 class Repeat:
-    """A run repeated: its score, the comparison with the log it was repeated from, and a word on another version."""
+    """A repeated run: its score, the comparison with the original log, and a remark on another version."""
 
     score: Score
     comparison: Comparison
@@ -464,10 +471,10 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
 
 
 def logged_margins(log: RunLog) -> Margins:
-    """Return what gain, further delay and further lag the loop of a logged run bears along its reference.
+    """Return the margins of gain, delay and lag of a logged run along its reference.
 
     Raises:
-        InputError: the log lacks what that needs, or its law has no margins.
+        InputError: the log lacks the plan, or its law has no margins.
         GoalMissed: no controller can be made for its reference.
     """
     with TemporaryDirectory() as folder:
@@ -475,7 +482,7 @@ def logged_margins(log: RunLog) -> Margins:
 
 
 def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
-    """Return the plan of a logged run, its file in `folder`; repeats: to be run once more, else for its margins."""
+    """Return the plan of a logged run, its file in `folder`, for a repetition or else for its margins."""
     cannot = "be repeated" if repeats else "have margins"
     needed = (_SCENE, _MODEL, REFERENCE_ATTACHMENT)
     lacking = [name for name in needed if name not in log.attachments]
@@ -485,13 +492,13 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
     if repeats and (log.truth is None or "rig" in log.metadata):
         where = f"the rig at {log.metadata['rig']}" if "rig" in log.metadata else "a rig"
         raise InputError(
-            f"{log.path} cannot be repeated: it was made on {where}, and only what is simulated does the same twice; "
-            f"`dpcontrol replay` shows what a model makes of it"
+            f"{log.path} cannot be repeated: it was made on {where}, and only simulated runs are repeatable; "
+            f"`dpcontrol replay` compares it with a model"
         )
     if repeats and _LIBRARY in log.metadata:
         raise InputError(
-            f"{log.path} cannot be repeated: a controller's library did its ticks, which is not in the log; run it "
-            "again with --controller-library"
+            f"{log.path} cannot be repeated: a controller library computed its ticks, and the log does not contain "
+            f"it; run it again with --controller-library"
         )
     model = model_from(log.attachments[_MODEL].decode(), log.metadata["model"])
     itinerary = itinerary_from(log.attachments[_SCENE].decode(), log.metadata["itinerary"], model)
@@ -503,8 +510,8 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
 def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Plan:
     """Return the plan of a logged run with options added to its command line.
 
-    scene: the itinerary without any options. The run's own options are those settings in which it differs from that;
-    where they do not account for all that the log notes, the options are applied to the noted settings.
+    The run's own options are the settings that differ from those of `scene`, the itinerary without options. If these do
+    not explain all recorded settings, the options are applied to the recorded settings.
     """
     then = plan.itinerary
     pairs = {path: (setting_of(scene.loop, path), setting_of(then.loop, path)) for path in paths() if path != "plant"}
@@ -524,12 +531,12 @@ def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Pl
 
 
 def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinerary:
-    """Return the itinerary with the run's settings as the log notes them: overrides and all."""
+    """Return the itinerary with the run's recorded settings, overrides included."""
     text = log.metadata["run_settings"]
     try:
         return replace(itinerary, loop=stored_settings(json.loads(text), str(log.path)))
     except (TypeError, ValueError, LookupError) as error:
-        raise InputError(f"{log.path} cannot {cannot}: its run settings do not read: {error}") from error
+        raise InputError(f"{log.path} cannot {cannot}: its run settings are not readable: {error}") from error
     except InputError as error:
         raise InputError(
             f"{log.path} cannot {cannot}: its run settings are of another version; use the one that wrote it "
@@ -539,7 +546,7 @@ def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinera
 
 
 def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
-    """Return a run's settings from the JSON of a log; those that came later are at their defaults.
+    """Return a run's settings from the JSON of a log; settings of later versions have their defaults.
 
     Raises:
         InputError: an unknown setting or an impossible value.
@@ -562,11 +569,11 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
 
 
 _CHECKED_TICKS = 4000
-"""Of a simulated run, for the check of what was exported."""
+"""Ticks of a simulated run that checks an exported controller."""
 
 
 def check_exportable(itinerary: Itinerary) -> None:
-    """Reject an itinerary whose controller cannot be exported to C, by its settings, before it is planned.
+    """Reject an itinerary whose settings rule out an export to C, before it is planned.
 
     Raises:
         InputError: names the setting.
@@ -583,8 +590,8 @@ def check_exportable(itinerary: Itinerary) -> None:
         )
     if loop.supervisor.on_fall != "stop":
         raise InputError(
-            f'supervisor: on_fall = "{loop.supervisor.on_fall}" changes what is followed in mid-run and cannot leave '
-            'as C; export with on_fall = "stop"'
+            f'supervisor: on_fall = "{loop.supervisor.on_fall}" changes the reference during a run and cannot be '
+            f'exported to C; export with on_fall = "stop"'
         )
     kind, by = loop.controller.kind, getattr(loop.controller, "schedule", "time")
     if isinstance(loop.controller, OwnLaw):
@@ -606,10 +613,16 @@ def export_plan(
     force: bool = False,
     progress: Progress = no_progress,
 ) -> ControllerSource:
-    """Return the controller of a planned itinerary as C, and write it to a folder if one is given, whole or not at all.
+    """Return the controller of a planned itinerary as C, and write it to a folder atomically if one is given.
 
-    assembly: made of the plan before. single: in single precision. clock MHz: of a Cortex-M4 that is to keep the rate.
-    force: replace what is in the folder under the same names.
+    Args:
+        plan: plan of the itinerary.
+        out: folder to write.
+        assembly: components built before.
+        single: use single precision.
+        clock: clock of a Cortex-M4 that must keep the rate, MHz.
+        force: replace files of the same names.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: its law or estimator cannot be exported to C, the target cannot keep the rate, or the folder holds
@@ -625,10 +638,10 @@ def export_plan(
 def export_unit(
     plan: Plan, out: Path, *, single: bool = False, force: bool = False, progress: Progress = no_progress
 ) -> tuple[ControllerSource, str]:
-    """Write the controller of a planned itinerary as a co-simulation unit to `out`; return its C, and why the unit has
-    no binary for this platform, or "".
+    """Write the controller of a planned itinerary as a co-simulation unit to `out`.
 
-    single, force, and what is raised: see `export_plan`.
+    Returns its C, and the reason if the unit has no binary for this platform, else "". For other arguments and errors
+    see `export_plan`.
     """
     from dpcontrol.control.export import controller_unit
 
@@ -645,13 +658,13 @@ def export_unit(
 def _exported(
     plan: Plan, assembly: Assembly, single: bool, progress: Progress, *, clock: float | None = None
 ) -> tuple[ControllerSource, TickProgram, GainSchedule]:
-    """Return a controller as C, with the readings of a simulated run to replay, and what it was made of."""
+    """Return a controller as C, with readings of a simulated run for a replay, and its components."""
     itinerary = plan.itinerary
     check_exportable(itinerary)
     if any(itinerary.zeros):
         remark(
-            f"{itinerary.path}: [run] zeros = {list(itinerary.zeros)} is not in the exported program, which takes "
-            "readings as they come; set the encoders to zero, or take the zeros off before a step"
+            f"{itinerary.path}: [run] zeros = {list(itinerary.zeros)} is not in the exported program, which uses raw "
+            f"readings; set the encoders to zero, or subtract the zeros before a step"
         )
     controller, program, loop = assembly.controller, assembly.ticker().program, itinerary.loop
     schedule = checked_exportable(controller, lead=program.lead)
@@ -668,23 +681,27 @@ def _exported(
 
 
 def _beginning(controller: Controller, count: int) -> Any:
-    """Return the same controller for `count` ticks at most."""
+    """Return the controller limited to `count` ticks."""
     names = ("kind", "first_state", "schedule")
     return SimpleNamespace(**picked(controller, *names), ticks=min(controller.ticks, count - 1))
 
 
 OWN_BENCH = "udp"
-"""In place of an address: the example bench is started for the run, in a process of its own."""
+"""Address of an example bench that is started for the run in a separate process."""
 _SPARE = 1.0
-"""Seconds for which the example bench can go on after the controller's end."""
+"""Time that the example bench can continue after the controller's end, s."""
 
 
 @dataclass(frozen=True)
 class RigRun:
-    """A run on a bench: score (completion is not known without the true state), the loop's result, deadlines.
+    """A run on a bench: score, the loop's result and deadlines.
 
-    bench: what the example bench said, if it was started for the run. deadlines: None where another program controlled
-    it that says nothing of them. difference m/s²: the largest between such a program's commands and the loop's own.
+    Completion is unknown without the true state.
+
+    Attributes:
+        bench: output of the example bench, if it was started for the run.
+        deadlines: None if the controlling program does not report them.
+        difference: largest between such a program's commands and the loop's, m/s².
     """
 
     score: Score
@@ -695,10 +712,12 @@ class RigRun:
 
 
 def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> "BenchRecipe":
-    """Return the simulated bench that a planned itinerary is run on; assembly: of the plan, made where not given.
+    """Return the simulated bench of a planned itinerary.
+
+    assembly: components of the plan, built if not given.
 
     Raises:
-        InputError: the plant is to be drawn from an uncertainty that the model's file does not give.
+        InputError: the model's file lacks the uncertainty of a drawn plant.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
     itinerary, assembly = plan.itinerary, assembly or assembled(plan)
@@ -714,16 +733,16 @@ def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> "BenchRecipe":
 
 
 _RECOVERING = 600.0
-"""Seconds for which a bench can run beyond its itinerary where runs go on after falls."""
+"""Time that a bench can run beyond its itinerary if runs continue after falls, s."""
 _HANGING = 600.0
-"""Seconds for which a bench with hanging arms can run."""
+"""Running time of a bench with hanging arms, s."""
 
 
 def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> "BenchRecipe":
-    """Return the itinerary's simulated bench with its arms hanging, for commissioning, for which nothing is planned.
+    """Return the itinerary's simulated bench with hanging arms, for commissioning, without a plan.
 
     Raises:
-        InputError: a fault that these arms cannot have; the plant is to be drawn from an uncertainty that is not known.
+        InputError: a fault that these arms cannot have, or a drawn plant without a known uncertainty.
     """
     from dpcontrol.rig.bench import BenchRecipe, checked_faults
 
@@ -741,10 +760,13 @@ def _limits(itinerary: Itinerary) -> Limits:
 
 @dataclass(frozen=True)
 class RigLink:
-    """How a loop reaches its bench.
+    """Connection of a loop to its bench.
 
-    address: udp://HOST:PORT, or `udp` for an example bench of its own. key: the one that is shared with the bench;
-    insecure: a bench on another computer needs none. real_time: ask the system for priority.
+    Attributes:
+        address: udp://HOST:PORT, or `udp` to start an example bench.
+        key: key shared with the bench.
+        insecure: accept a bench on another computer without a key.
+        real_time: request priority from the system.
 
     Raises:
         InputError: the address is malformed.
@@ -756,7 +778,7 @@ class RigLink:
     real_time: bool = False
 
     def __post_init__(self) -> None:
-        """Look at the address."""
+        """Check the address."""
         from dpcontrol.rig.client import parse_address
 
         if self.address != OWN_BENCH:
@@ -766,9 +788,10 @@ class RigLink:
     def connected(
         self, itinerary: Itinerary, recipe: "BenchRecipe", *, ticks: int, what: str, loop: ControlLoop | None = None
     ) -> "Iterator[tuple[UdpRig, BenchProcess | None]]":
-        """Yield the rig, which can run for the `ticks` that `what` takes, and the example bench if there is one.
+        """Yield the rig with time for the `ticks` of `what`, and the example bench if there is one.
 
-        recipe: of that. loop: is rehearsed first, and knows the commands on their way; without one the arms hang.
+        recipe: bench of that run. loop: is rehearsed first and supplies the commands in flight; without one the arms
+        hang.
 
         Raises:
             InputError: no bench answers, it needs a key, or it does not fit the itinerary.
@@ -811,10 +834,10 @@ class RigLink:
 
 
 def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real_time: bool) -> RigLink | None:
-    """Return the link to a bench, with the key of a file or of the environment; None without an address.
+    """Return the link to a bench, with the key of a file or of the environment, or None without an address.
 
     Raises:
-        InputError: the address is malformed, or the key does not read.
+        InputError: the address is malformed, or the key is not readable.
     """
     from dpcontrol.rig.packets import shared_key
 
@@ -831,12 +854,15 @@ def commission_rig(
     practice: Itinerary | None = None,
     faults: Sequence[str] = (),
     switches: float = 0.0,
-    tell: Callable[[str], None] = lambda text: None,
+    notify: Callable[[str], None] = lambda text: None,
 ) -> "Commissioning":
-    """Find out what must be right before the first run on a rig; see `dpcontrol.rig.commissioning`.
+    """Check a rig before its first run; see `dpcontrol.rig.commissioning`.
 
-    link: to the rig; without one it is the example bench in simulated time. practice: the itinerary as that bench has
-    it, with other settings; faults: it has besides.
+    Args:
+        itinerary: itinerary of the rig.
+        link: link to the rig (default: the example bench in simulated time).
+        practice: itinerary with the settings of that bench.
+        faults: its wiring mistakes.
 
     Raises:
         InputError: no bench answers, it needs a key or does not fit the itinerary.
@@ -847,7 +873,7 @@ def commission_rig(
     recipe = hanging_recipe(practice or itinerary, faults=faults)
     find = partial(
         commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=_limits(itinerary),
-        zeros=itinerary.zeros, switches=switches, options=options, tell=tell,
+        zeros=itinerary.zeros, switches=switches, options=options, notify=notify,
     )  # fmt: skip
     if link is None:
         return find(recipe.rig(()))
@@ -857,15 +883,15 @@ def commission_rig(
 
 
 def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path, str]:
-    """Return the file that is to hold an itinerary with values in its [run], and its text.
+    """Return the file for an itinerary with measured values in its [run], and its text.
 
-    That is its own file, or, of one that is shipped, a copy in the working folder's `itineraries`.
+    This is the itinerary's file, or for a shipped one a copy in the working folder's `itineraries`.
 
     Raises:
-        InputError: the file cannot be read, or its text not be changed.
+        InputError: the file cannot be read, or its text cannot be changed.
     """
     if itinerary.stored is not None:
-        raise InputError(f"{itinerary.stored} is a plan, which stays as it is; give the itinerary's own .toml")
+        raise InputError(f"{itinerary.stored} is a plan and is not changed; give the itinerary's .toml")
     try:
         text = itinerary.path.read_bytes().decode()
     except OSError as error:
@@ -881,17 +907,17 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
 def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, live: LiveSink | None = None) -> RigRun:
     """Run the closed loop of a planned itinerary on a bench, write its log to `out`, and score it.
 
-    live: makes a sink that shows it while it happens.
+    live: makes a sink that shows the run.
 
     Raises:
-        InputError: no bench answers, it needs a key or does not fit the itinerary, the log cannot be written, or there
-            is no display for a live view.
+        InputError: no bench answers, it needs a key or does not fit the itinerary, the log cannot be written, or a live
+            view has no display.
         GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
     """
     itinerary, assembly = plan.itinerary, assembled(plan)
-    # What a rig does is not what any log there says, whatever its settings.
+    # A rig's run never repeats that of an existing log, even with equal settings.
     check_replaced(out, run_record(itinerary, rig=link.address), force=force)
-    # All is made before the log is begun.
+    # All components are built before the log is opened.
     _ = assembly.controller, assembly.fallback, assembly.recovery
     with log_writer(plan, out) as writer, watched(plan, LogSink(writer), live=live) as sink:
         loop, recipe = assembly.loop(sink=sink), bench_recipe(plan, assembly)
@@ -903,19 +929,20 @@ def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, liv
         if deadlines.strangers:
             writer.event(float(result.ticks.times[-1]), "warn", "rig", deadlines.strangers)
         writer.result(**outcome(result), rig=rig.address, **deadlines.record())
-    return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
+    return RigRun(score(read_log(out)), result, deadlines, tuple(process.messages if process else ()))
 
 
 PROGRAM_WATCHDOG = 0.03
-"""Seconds of silence after which the example bench stops the cart of a program, which does not stall as Python may."""
+"""Silence after which the example bench stops a program's cart, s: programs do not stall as Python can."""
 
 
 def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = False, force: bool = False) -> RigRun:
-    """Run a planned itinerary on an example bench with a program of its own as the controller, log and score the run.
+    """Run a planned itinerary on an example bench with an external program as the controller, log and score it.
 
-    The log is made once the run has ended: the loop is shown the readings that the bench recorded, and says what it
-    knew and wanted by them. It has the true states, and differs from a simulated run's in what real time did.
-    real_time: ask the system for priority, and the program to do so.
+    The log is written after the run: the loop processes the recorded readings, which gives its estimates and demands.
+    The log contains the true states and differs from that of a simulated run by the effects of real time.
+
+    real_time: request priority from the system and from the program.
 
     Raises:
         InputError: the program cannot be run or does not fit the itinerary, or the log cannot be written.
@@ -925,7 +952,7 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
 
     check_replaced(out, run_record(plan.itinerary, rig=OWN_BENCH), force=force)
     loop = plan.itinerary.loop
-    # A program does not get up after a fall, and takes no zeros off its readings.
+    # A program neither restarts after a fall nor subtracts zeros from its readings.
     stops = replace(loop, supervisor=replace(loop.supervisor, on_fall="stop"))
     assembly, settings = assembled(plan), BenchServerSettings(real_time=real_time, watchdog=PROGRAM_WATCHDOG)
     process, deadlines = BenchProcess(replace(bench_recipe(plan, assembly), zeros=()), settings), None
@@ -946,18 +973,18 @@ def _log_recorded(
     from dpcontrol.rig.bench import RecordedRig
 
     if process.record is None:
-        raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.said)}")
+        raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.messages)}")
     with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:
         loop = assembly.loop(sink=LogSink(writer))
         rig = RecordedRig(process.record, loop.ticker.program)
         result = loop.run(rig)
         if not len(result.ticks.times):
             raise GoalMissed(result.reason)
-        # What the loop took to see what had happened is not what the program took.
+        # The computing time of this replay is not that of the program.
         result = replace(result, elapsed=float(result.ticks.times[-1]) + rig.period, thinking=np.zeros(0))
         writer.result(
             **outcome(result), rig=f"udp://{process.address[0]}:{process.address[1]}",
             controller_program=content_hash(program.read_bytes()), command_difference=repr(rig.difference),
             **(kept.record() if kept else {}),
         )  # fmt: skip
-    return RigRun(score(read_log(out)), result, kept, tuple(process.said), rig.difference)
+    return RigRun(score(read_log(out)), result, kept, tuple(process.messages), rig.difference)

@@ -80,7 +80,7 @@ def test_a_file_that_cannot_be_changed_or_written_is_reported_without_losing_mea
     inline.write_text(f"run = {{ {', '.join(values)} }}\n{head}")
     ended = dpcontrol("commission", inline, "--write")
     assert ended.code == 2
-    assert "is not written line by line and stays as it is; write there delay" in ended.message
+    assert "is not written line by line and was not changed; write there delay" in ended.message
 
     def full(*_: object) -> None:
         raise commissioning_error()

@@ -73,7 +73,7 @@ def simulated_consistency(
             if equations.shares:
                 # The noise that covers the squares of the parameters' errors follows from the filter's own variances.
                 variances = unpacked(memory[size:].T)[:, equations.shares, equations.shares]
-                known[linear.slices["doubt"].start] = variances.mean(axis=1)
+                known[linear.slices["noise_inputs"].start] = variances.mean(axis=1)
             linear(known, moved)
             truth = moved[:size].copy()
             if process_noise:

@@ -152,8 +152,8 @@ def laws_expression() -> ca.Function:
 def asked(law: AdaptiveController, k: int, state: np.ndarray, extra: np.ndarray) -> tuple[float, float]:
     """Return the feedback at tick k in m/s², and which extra is trusted no further, by the tick's own expression."""
     expression = laws_expression()
-    feedback, doubted = expression(rows_of(law)[k], state, extra, law.trust)
-    return float(feedback), float(doubted)
+    feedback, untrusted = expression(rows_of(law)[k], state, extra, law.trust)
+    return float(feedback), float(untrusted)
 
 
 @cache
@@ -238,8 +238,8 @@ def test_an_error_is_the_logarithm_of_a_factor_however_large(name: str, base: li
 def test_a_share_beyond_trust_is_bounded_and_named(law: AdaptiveController) -> None:
     state = law.reference_states[100]
     assert asked(law, 99, state, np.array([0, 0, 0, 0.3, -0.3, 0.1, 0.1]))[1] == 0
-    far, doubted = asked(law, 100, state, np.array([0, 0, 0, 0.1, 0.1, 1.5, 0.1]))
-    assert law.names[int(doubted) - 1] == "S1"
+    far, untrusted = asked(law, 100, state, np.array([0, 0, 0, 0.1, 0.1, 1.5, 0.1]))
+    assert law.names[int(untrusted) - 1] == "S1"
     assert asked(law, 100, state, np.array([0, 0, 0, 0.1, 0.1, 50.0, 0.1]))[0] == far
     assert np.isfinite(asked(law, 100, state, np.array([0, 0, 0, -7.0, -2.0, 1.0, 0.1]))[0])
 
@@ -286,7 +286,7 @@ def test_arms_beyond_trust_are_named_and_the_run_ends_with_a_reason(
     # These arms: M11 twice, S1 1.8 times the model's, over M12.
     sink, narrow = Events(), replace(law, trust=0.2)
     result = Assembly(turn[1], LAB, _settings(SETTINGS, 0.4, seed=6), law=narrow).simulate(sink=sink)
-    assert any("model doubted: M" in text or "model doubted: S" in text for text in sink.texts), sink.texts
+    assert any("model error: M" in text or "model error: S" in text for text in sink.texts), sink.texts
     assert result.ending is not Ending.FINISHED
     assert result.reason
     assert np.abs(result.ticks.truth[:, 4]).max() <= 0.8 + 1e-9

@@ -227,7 +227,7 @@ def test_the_library_takes_the_ticks_place_in_a_run(plan: Plan, exported: Export
     assert shown["rms_tracking_error"] == pytest.approx(own.rms_tracking_error, rel=0.2)
     again = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap")
     assert again.code == 2
-    assert "a controller's library did its ticks" in again.message
+    assert "a controller library computed its ticks" in again.message
     # Another run is not accepted as this one.
     assert dpcontrol("run", "outer-turn", "--seed", "1", "--out", log).code == 2
 

@@ -67,7 +67,7 @@ def test_a_nis_inside_its_band_but_off_its_mean_is_called_so(log: RunLog) -> Non
     assert found.nis_means.inside_95 == 0.0
     assert found.nis_means.mean == pytest.approx(1.02, abs=0.05)
     far = score(replace(log, controls={**log.controls, "nis": nis / 2}))
-    assert "expects far more noise than there is; set counts and noise" in "\n".join(score_text(far))
+    assert "assumes far too much noise; set counts and noise" in "\n".join(score_text(far))
     assert found.document()["nis_means"] == {"mean": found.nis_means.mean, "expected": 3, "inside_95": 0.0}
 
 
@@ -77,7 +77,7 @@ def test_the_score_of_a_default_run_reports_no_fault_of_the_filter(log: RunLog) 
     assert found.nis_means is not None
     assert 2.5 < found.nis_means.mean < 3.2
     assert found.nis_means.inside_95 > 0.85
-    assert "noise than there is" not in "\n".join(score_text(found))
+    assert "too much noise" not in "\n".join(score_text(found))
 
 
 @pytest.mark.parametrize("freedom", [1, 2, 3])
@@ -90,5 +90,5 @@ def test_means_of_a_consistent_nis_are_in_their_band(freedom: int) -> None:
     assert found.sentence.endswith("inside")
     large = nis_means(1.5 * values, freedom)
     assert large is not None
-    assert "less noise" in large.sentence
+    assert "too little noise" in large.sentence
     assert nis_means(values[: MEANS_OF - 1], freedom) is None

@@ -115,7 +115,7 @@ def test_ratios_that_no_arms_have_are_drawn_again() -> None:
 def test_an_uncertainty_that_hardly_any_arms_fit_misses_the_goal_with_a_sentence() -> None:
     # The ratios of inertia one against the other: whichever way it goes, one arm's own inertia falls below zero.
     huge = Uncertainty(KNOWN_TO.names, tuple(1e8 * v for v in KNOWN_TO.covariance))
-    with pytest.raises(GoalMissed, match="times 100, none are arms that can be; take a smaller factor"):
+    with pytest.raises(GoalMissed, match="times 100, none gives possible arms; use a smaller factor"):
         _draw(100.0, 1, uncertainty=huge)
 
 

@@ -150,7 +150,7 @@ def test_laps_go_on_from_rest_to_the_time_that_is_asked_for(ready, monkeypatch) 
     monkeypatch.setattr("dpcontrol.loop.recovery._MEETS", 1e-6)
     result, told = ready(until=16_000, keep=False)
     assert result.ending is Ending.FINISHED
-    assert "time asked for" in result.reason
+    assert "requested time" in result.reason
     assert told.names == ["resume", "return", "at rest", "start", "lap", "return"]
     assert abs(result.ticks.times[-1] - 16.0) < 0.5
     # The last block alone.

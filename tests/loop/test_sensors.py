@@ -103,7 +103,7 @@ def test_of_sensors_without_any_noise_an_estimator_still_believes_a_little() -> 
         ({"noise": math.nan}, "noise = nan"),
         ({"stuck_at": -1.0}, "stuck_at"),
         ({"stuck_sensor": -1}, "stuck_sensor"),
-        ({"counts": 0, "missed_counts": 3.0}, "give its counts"),
+        ({"counts": 0, "missed_counts": 3.0}, "set counts"),
     ],
 )
 def test_impossible_sensors_are_named(given: dict[str, float], message: str) -> None:

@@ -106,7 +106,7 @@ def test_the_page_shows_hours_falls_and_missing_parts() -> None:
         (FALL, "tracking lost"),
         (STUCK, "sensor stuck"),
         ("estimate lost at t = 1.000 s: no measurement for 0.101 s; check the encoders' cables", "no measurement"),
-        ("cart at its stop at t = 2.000 s: a limit switch answered, with an angle", "limit switch"),
+        ("cart at its stop at t = 2.000 s: a limit switch was touched, with an angle", "limit switch"),
         ("cart at its stop at t = 2.000 s: at 0.399 m with 1.20 m/s it must brake", "cart near its stop"),
         ("something else", "other"),
     ],

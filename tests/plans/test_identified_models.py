@@ -50,8 +50,8 @@ def test_a_written_model_loads_as_it_was_found(found: Identification, file: Path
 def test_drawn_arms_spread_as_the_covariance_says_and_a_seed_repeats_them(found: Identification, file: Path) -> None:
     model = load_model(str(file))
     random = np.random.default_rng(1)
-    drawn = np.array([base_ratios(model.known_to.drawn(model.arms, random)) for _ in range(DRAWS)])
-    again = [model.known_to.drawn(model.arms, np.random.default_rng(3)) for _ in range(2)]
+    drawn = np.array([base_ratios(model.identified_uncertainty.drawn(model.arms, random)) for _ in range(DRAWS)])
+    again = [model.identified_uncertainty.drawn(model.arms, np.random.default_rng(3)) for _ in range(2)]
     assert model.uncertainty is not None
     # A standard deviation from 400 draws is itself known to 3.5 %.
     assert drawn.std(axis=0) == pytest.approx(np.sqrt(np.diag(model.uncertainty.matrix)), rel=0.15)
@@ -63,7 +63,7 @@ def test_models_without_uncertainty_are_as_they_were_and_cannot_be_drawn_from() 
     assert LAB.uncertainty is None
     assert LAB.encoder_zeros == ()
     with pytest.raises(InputError, match=r"no \[uncertainty\]"):
-        _ = LAB.known_to
+        _ = LAB.identified_uncertainty
 
 
 @pytest.mark.parametrize(

@@ -54,11 +54,11 @@ def test_packets_are_laid_out_as_described() -> None:
     expected = struct.pack("<IIIIdbBH", 9, 2**32 - 1, 4, 6, 0.002, -1, 1, len(text)) + struct.pack("<3d", 0.1, 0.2, 0.3)
     data = packets.packed(packets.reading(content), Role.BENCH, **at)
     assert data == head(3, 2) + expected + text
-    assert packets.unpacked(data, Role.BENCH) == packets.Heard(Kind.READING, 258, 3, content)
+    assert packets.unpacked(data, Role.BENCH) == packets.ReceivedPacket(Kind.READING, 258, 3, content)
     aged = content._replace(age=0.0004)
     data = packets.packed(packets.reading(aged), Role.BENCH, **at)
     assert data == head(3, 2) + expected + text + struct.pack("<d", 0.0004)
-    assert packets.unpacked(data, Role.BENCH) == packets.Heard(Kind.READING, 258, 3, aged)
+    assert packets.unpacked(data, Role.BENCH) == packets.ReceivedPacket(Kind.READING, 258, 3, aged)
     sealed_reading = packets.packed(packets.reading(aged), Role.BENCH, **at, key=KEY)
     assert packets.unpacked(sealed_reading, Role.BENCH, key=KEY).content == aged
     sealed = packets.packed(packets.command(7, -1.5), Role.LOOP, **at, key=KEY)
@@ -331,4 +331,4 @@ def test_the_loop_follows_its_reference_on_a_bench_in_a_process_of_its_own(turn:
     apart = (result.ticks.estimates - result.ticks.references)[:, : LAB.count]
     assert np.sqrt(np.mean(apart**2)) < 0.1
     assert rig.deadlines.ticks == ticks + 1
-    assert any("run ended: the run is over" in said for said in bench.said)
+    assert any("run ended: the run is over" in message for message in bench.messages)

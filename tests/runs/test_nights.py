@@ -39,20 +39,20 @@ BENCH = {"mismatch": 0.02, "initial_error": 0.01, "travel": 0.8}
 
 
 def test_a_night_goes_on_after_falls_unless_it_is_told_not_to() -> None:
-    as_asked = night_itinerary(TURN, asked={}).loop.supervisor
-    assert (as_asked.on_fall, as_asked.attempts) == ("resume", 0)
-    stops = night_itinerary(TURN, asked={"on_fall": "stop", "attempts": 10}).loop.supervisor
+    as_given = night_itinerary(TURN, given={}).loop.supervisor
+    assert (as_given.on_fall, as_given.attempts) == ("resume", 0)
+    stops = night_itinerary(TURN, given={"on_fall": "stop", "attempts": 10}).loop.supervisor
     assert (stops.on_fall, stops.attempts) == ("stop", 10)
 
 
 def test_what_keeps_stops_by_its_own_clock_is_left_out_of_a_night_and_that_is_said() -> None:
     linger = load_itinerary("linger")
-    with pytest.warns(Remark, match=r'linger.toml: \[controller\] keep = "tvlqr" has a clock of its own'):
-        loop = night_itinerary(linger, asked={}).loop
+    with pytest.warns(Remark, match=r'linger.toml: \[controller\] keep = "tvlqr" has internal timing'):
+        loop = night_itinerary(linger, given={}).loop
     assert (loop.keep, loop.supervisor.on_fall) == ("none", "resume")
     with pytest.raises(InputError, match="run with --set keep=none"):
-        night_itinerary(linger, asked={"keep": "tvlqr"})
-    assert night_itinerary(linger, asked={"on_fall": "stop"}).loop.keep == "tvlqr"
+        night_itinerary(linger, given={"keep": "tvlqr"})
+    assert night_itinerary(linger, given={"on_fall": "stop"}).loop.keep == "tvlqr"
 
 
 def test_the_memory_of_a_night_is_that_of_its_itinerary(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_what_sticks_comes_back_also_in_a_night_that_is_resumed() -> None:
 
 @pytest.mark.slow
 def test_ways_from_rest_that_are_planned_beside_a_night_are_those_of_its_plan() -> None:
-    plan = make_plan(night_itinerary(TURN.with_run(BENCH, seed=5), asked={}))
+    plan = make_plan(night_itinerary(TURN.with_run(BENCH, seed=5), given={}))
     arms, loop = plan.itinerary.model.arms, plan.itinerary.loop
     controller = Assembly(plan.reference, arms, loop).controller
     known = Assembly(plan.reference, arms, loop, law=controller).recovery
@@ -139,7 +139,7 @@ def test_ways_from_rest_that_are_planned_beside_a_night_are_those_of_its_plan() 
 def test_arms_rest_until_there_is_a_way_to_start_again(patient: bool) -> None:
     """In real time the run goes on with resting arms; without any way it ends with the reason."""
     blow = (Push(1.0, 1, 0.1),)
-    scene = night_itinerary(TURN.with_run(BENCH, seed=5), asked={})
+    scene = night_itinerary(TURN.with_run(BENCH, seed=5), given={})
     scene = replace(scene, loop=replace(scene.loop, disturbances=DisturbanceSettings(explicit=blow)))
     plan = make_plan(scene)
     arms, loop = scene.model.arms, scene.loop
@@ -177,7 +177,7 @@ def test_arms_rest_until_there_is_a_way_to_start_again(patient: bool) -> None:
 
 @pytest.mark.slow
 def test_a_short_night_is_repeated_interrupted_resumed_and_told(tmp_path: Path) -> None:
-    scene = night_itinerary(TURN.with_run(BENCH, seed=5), asked={})
+    scene = night_itinerary(TURN.with_run(BENCH, seed=5), given={})
     plan, out = make_plan(scene), tmp_path / "turn.mcap"
     night = NightSettings(hours=6 / 3600, file_minutes=0.05)
     done = run_night(plan, out, night)
@@ -185,9 +185,9 @@ def test_a_short_night_is_repeated_interrupted_resumed_and_told(tmp_path: Path) 
     assert [file.name for file in sorted(folder.glob("*.mcap"))] == ["turn-0001.mcap", "turn-0002.mcap"]
     # The turn's end meets its start, half a wobble before the last.
     assert (done.uptime, done.repetitions, len(done.falls)) == (pytest.approx(1.0, abs=1e-3), 1, 0)
-    with pytest.raises(InputError, match="holds a long run already; go on with it by --resume"):
+    with pytest.raises(InputError, match="already holds a long run; continue it with --resume"):
         run_night(plan, out, night)
-    with pytest.raises(InputError, match=r"is complete: .* ask for more --hours"):
+    with pytest.raises(InputError, match=r"is complete: .* raise --hours"):
         run_night(plan, out, night, resume=True)
     with pytest.raises(InputError, match="holds no long run to resume"):
         run_night(plan, tmp_path / "other.mcap", night, resume=True)

@@ -23,10 +23,10 @@ from dpcontrol.runs.preflight import (
     ASSUMED_MISMATCH,
     PreflightSettings,
     SceneChange,
-    as_known,
     falling,
     hazards,
     preflight,
+    with_known_errors,
 )
 
 HARD = {"mismatch": 0.2, "initial_error": 0.05, "lag": 0.005, "command_noise": 0.3, "controller": "tvlqr"}
@@ -124,7 +124,7 @@ def test_where_all_complete_nothing_is_tried_and_where_none_does_no_border_is_so
     made_up(monkeypatch, lambda loop, random: False)
     hopeless = preflight(turn, settings=SMALL)
     assert (hopeless.borders, hopeless.likely) == ((), False)
-    assert any("too few to seek borders" in note for note in hopeless.notes)
+    assert any("too few to find borders" in note for note in hopeless.notes)
     assert {c.gain for c in hopeless.changes} == {0.0}
 
 
@@ -174,19 +174,19 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
 
 def test_arms_are_drawn_from_what_is_known_of_them(turn: Plan) -> None:
     scene = turn.itinerary
-    assert as_known(scene, {})[0].loop.mismatch == scene.loop.mismatch
-    unknown, said = as_known(replace(scene, loop=replace(scene.loop, mismatch=0.0)), {})
+    assert with_known_errors(scene, {})[0].loop.mismatch == scene.loop.mismatch
+    unknown, listed = with_known_errors(replace(scene, loop=replace(scene.loop, mismatch=0.0)), {})
     assert unknown.loop.mismatch == ASSUMED_MISMATCH
-    assert said[0].source.startswith("assumed")
+    assert listed[0].source.startswith("assumed")
     # Asked for by name, no mismatch is none.
-    assert as_known(scene, {"mismatch": 0.0})[0].loop.mismatch == 0
+    assert with_known_errors(scene, {"mismatch": 0.0})[0].loop.mismatch == 0
     names = ratio_names(scene.model.arms)
     covariance = tuple((1e-4 * np.eye(len(names))).ravel().tolist())
     model = replace(scene.model, uncertainty=Uncertainty(names, covariance))
-    known, said = as_known(replace(scene, model=model), {})
+    known, listed = with_known_errors(replace(scene, model=model), {})
     assert (known.loop.model_uncertainty, known.loop.mismatch) == (1.0, 0.0)
-    assert said[0].source.startswith("identified")
-    assert as_known(replace(scene, model=model), {"mismatch": 0.1})[0].loop.model_uncertainty == 0
+    assert listed[0].source.startswith("identified")
+    assert with_known_errors(replace(scene, model=model), {"mismatch": 0.1})[0].loop.model_uncertainty == 0
 
 
 def test_the_falling_sequence_next_to_values_is_that_of_the_textbook() -> None:

@@ -119,7 +119,7 @@ def test_nothing_is_tried_for_a_run_that_was_completed(plan: Plan) -> None:
 
 def test_what_was_not_simulated_cannot_be_tried_again(failed: Run) -> None:
     log = failed.log
-    with pytest.raises(InputError, match="only what is simulated does the same twice"):
+    with pytest.raises(InputError, match="only simulated runs are repeatable"):
         Run(replace(log, metadata={**log.metadata, "rig": "udp://bench:5005"})).why()
 
 

@@ -97,7 +97,7 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
         report->used = (int)out[AT_USED];
         report->sensor = (int)out[AT_SENSOR];
         report->repeats = (long)out[AT_REPEATS];
-        report->doubted = (int)out[AT_DOUBTED];
+        report->untrusted = (int)out[AT_UNTRUSTED];
         for (i = 0; i < DPC_STATES; i++) {
             report->state[i] = out[AT_STATE + i];
             report->reference[i] = now[i];

@@ -25,7 +25,7 @@ typedef @REAL@ dpc_real;
 #define DPC_ARMS @ARMS@
 #define DPC_POSITIONS @POSITIONS@   /* the arms' angles, then the cart */
 #define DPC_STATES @STATES@         /* angles, rates, cart position, cart velocity */
-#define DPC_EXTRAS @EXTRAS@         /* what is estimated besides: @EXTRA_NAMES@ */
+#define DPC_EXTRAS @EXTRAS@         /* estimated in addition to the state: @EXTRA_NAMES@ */
 #define DPC_MEMORY @MEMORY@
 #define DPC_TICKS @TICKS@L          /* ticks of a run: 0 ... DPC_TICKS - 1; from then on its end is held */
 #define DPC_RATE @RATE@             /* Hz */
@@ -89,7 +89,7 @@ typedef struct {
     int used;                         /* positions that this step's estimate is of */
     int sensor;                       /* number of a stuck sensor, from 1: the arms' encoders, then the cart's scale */
     long repeats;                     /* steps for which it has given the same reading */
-    int doubted;                      /* number of an extra found beyond trust for the first time, from 1; else 0 */
+    int untrusted;                      /* number of an extra found beyond trust for the first time, from 1; else 0 */
     dpc_real state[DPC_STATES];       /* estimated at this tick: rad, rad/s, m, m/s */
     dpc_real sigmas[DPC_STATES + DPC_EXTRAS]; /* standard deviations of state and extra */
 #if DPC_EXTRAS > 0

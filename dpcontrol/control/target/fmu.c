@@ -87,7 +87,7 @@ static void show(unit *u, const dpc_report *report)
     const dpc_real numbers[9] = {report->command, report->wish, report->feedforward, report->feedback, report->acting,
                                  report->nis, report->mean_nis, report->error, report->silent};
     const fmi2Integer integers[8] = {report->outcome, report->stopped_by, report->mode, report->used, report->sensor,
-                                     report->repeats < INT_MAX ? (int)report->repeats : INT_MAX, report->doubted,
+                                     report->repeats < INT_MAX ? (int)report->repeats : INT_MAX, report->untrusted,
                                      dpc_status(&u->controller)};
     const fmi2Boolean booleans[4] = {report->stop, report->done, report->saturated, report->newly_cut};
     fmi2Real *to = put(u->reals + REAL_INPUTS, numbers, 9);

@@ -56,8 +56,8 @@ static struct {
     int socket;
     unsigned char key[LONGEST_KEY];
     size_t key_size;
-    uint64_t asked, session; /* of HELLO, and of what is said now */
-    uint32_t said, newest;   /* sequence numbers */
+    uint64_t request, session; /* of HELLO, and of this run */
+    uint32_t sequence, newest;   /* sequence numbers */
     double period, begin, last_packet;
     uint32_t ticks;
     int arms;
@@ -87,16 +87,16 @@ static void take_interrupt(int number)
     interrupted = number;
 }
 
-static char said[TEXT]; /* the last sentence that was said: at the end the bench is told it as well */
+static char last_text[TEXT]; /* the last message, which is also sent to the bench at the end */
 
 /* Says a sentence on stderr, and returns the exit code. */
 static int complain(int code, const char *format, ...)
 {
     va_list rest;
     va_start(rest, format);
-    vsnprintf(said, sizeof said, format, rest);
+    vsnprintf(last_text, sizeof last_text, format, rest);
     va_end(rest);
-    fprintf(stderr, "main_udp: %s\n", said);
+    fprintf(stderr, "main_udp: %s\n", last_text);
     return code;
 }
 
@@ -239,14 +239,14 @@ static double get_double(const unsigned char *from)
 }
 
 /* Sends a packet; one that cannot be sent is like one lost on the way. */
-static void say(int kind, int count, const unsigned char *body, size_t size)
+static void send_message(int kind, int count, const unsigned char *body, size_t size)
 {
     unsigned char data[LARGEST], digest[32], *to = data;
     memcpy(to, "dpcb\2", 5);
     to = put(to + 5, (uint64_t)kind, 1);
     to = put(to, (uint64_t)count, 2);
     to = put(to, rig.session, 8);
-    to = put(to, ++rig.said, 4);
+    to = put(to, ++rig.sequence, 4);
     memcpy(to, body, size);
     size += HEAD;
     if (rig.key_size) {
@@ -262,7 +262,7 @@ static void say_command(long tick, double acceleration)
 {
     unsigned char body[12];
     put_double(put(body, (uint64_t)tick, 4), acceleration);
-    say(COMMAND, 0, body, sizeof body);
+    send_message(COMMAND, 0, body, sizeof body);
 }
 
 static void say_start(void)
@@ -270,16 +270,16 @@ static void say_start(void)
     unsigned char body[8 * DPC_LEAD + 1], *to = body;
     for (long k = 0; k < DPC_LEAD; k++)
         to = put_double(to, (double)dpc_queued(k));
-    say(START, DPC_LEAD, body, (size_t)(to - body));
+    send_message(START, DPC_LEAD, body, (size_t)(to - body));
 }
 
 static void say_bye(void)
 {
-    size_t size = strlen(said);
+    size_t size = strlen(last_text);
     /* Where it was cut, perhaps within a letter. */
-    while (size > TEXT - 5 && said[size - 1] & 0x80)
+    while (size > TEXT - 5 && last_text[size - 1] & 0x80)
         size--;
-    say(BYE, (int)size, (const unsigned char *)said, size);
+    send_message(BYE, (int)size, (const unsigned char *)last_text, size);
 }
 
 /* Keeps a sentence of the bench, fit to be printed. */
@@ -374,7 +374,7 @@ static int hear(double until, bench_reading *reading)
         if (!is_ours(data, (size_t)size, &kind, &count, &body, &body_size)) {
             refused++;
             /* A second answer to a HELLO that was sent twice is no sign of strangers. */
-            kept.refused += rig.session == rig.asked || size < HEAD || get(data + 8, 8) != rig.asked;
+            kept.refused += rig.session == rig.request || size < HEAD || get(data + 8, 8) != rig.request;
             continue;
         }
         sequence = (uint32_t)get(data + 16, 4);
@@ -383,12 +383,12 @@ static int hear(double until, bench_reading *reading)
             kept.stale += kind == READING;
             continue;
         }
-        if (kind == WELCOME && body_size == 20 && rig.session == rig.asked) {
+        if (kind == WELCOME && body_size == 20 && rig.session == rig.request) {
             rig.arms = count;
             rig.period = get_double(body);
             rig.ticks = (uint32_t)get(body + 8, 4);
             rig.session = get(body + 12, 8);
-            rig.said = rig.newest = 0;
+            rig.sequence = rig.newest = 0;
             return WELCOME;
         }
         if (kind == READING && read_reading(body, body_size, count, reading)) {
@@ -414,10 +414,10 @@ static int introduce(const char *address)
     if (random < 0 || read(random, number, sizeof number) != (ssize_t)sizeof number)
         return complain(2, "/dev/urandom cannot be read: %s", strerror(errno));
     close(random);
-    rig.session = rig.asked = get(number, 8);
+    rig.session = rig.request = get(number, 8);
     while (now() < end && !interrupted) {
         double again = now() + ASK_EVERY;
-        say(HELLO, 0, number, 0);
+        send_message(HELLO, 0, number, 0);
         while (now() < again && !interrupted) {
             int kind = hear(again, &rig.reading);
             if (kind == BYE)
@@ -444,7 +444,7 @@ static int introduce(const char *address)
 }
 
 /* Waits for the reading of tick k. Returns 1 where it came, 0 where the tick must go on without it, -1 where the run
- * is over, which was said. */
+ * is over, which was reported. */
 static int next_reading(long k)
 {
     if (rig.waits) {
@@ -567,7 +567,7 @@ static int run(void)
             ended_at = k;
         }
         if (stopping_until > 0) {
-            say(STOP, 0, (const unsigned char *)"", 0);
+            send_message(STOP, 0, (const unsigned char *)"", 0);
             if (now() >= stopping_until || k + 1 >= (long)rig.ticks)
                 return complain(1, "interrupted at t = %.3f s: the cart was stopped", (double)ended_at * DPC_PERIOD);
             continue;
@@ -584,7 +584,7 @@ static int run(void)
             return complain(1, "the bench stopped the cart: %s", rig.text);
         dpc_step(&controller, &reading, &report);
         if (report.stop || !isfinite(report.command))
-            say(STOP, 0, (const unsigned char *)"", 0);
+            send_message(STOP, 0, (const unsigned char *)"", 0);
         else
             say_command(k, (double)report.command);
         if (came && rig.reading.condition == FAULT)
@@ -704,8 +704,8 @@ int main(int count, char **arguments)
     sigdelset(&while_waiting, SIGINT);
     sigdelset(&while_waiting, SIGTERM);
     if ((code = introduce(address))) {
-        /* A bench that has said welcome need not wait. */
-        if (rig.session != rig.asked)
+        /* A bench that has answered need not wait. */
+        if (rig.session != rig.request)
             say_bye();
         return code;
     }
@@ -713,7 +713,7 @@ int main(int count, char **arguments)
         take_priority();
     rig.begin = HUGE_VAL;
     code = run();
-    say(STOP, 0, (const unsigned char *)"", 0);
+    send_message(STOP, 0, (const unsigned char *)"", 0);
     say_bye();
     report_deadlines();
     return code;
