@@ -299,7 +299,9 @@ def score(log: RunLog) -> Score:
 
 
 def _hardest(log: RunLog) -> float | None:
-    """Return the greatest acceleration applied by the drive, m/s²; None if the true state is unknown.
+    """Return the greatest acceleration applied by the drive, m/s².
+
+    None if the true state is unknown.
 
     Logs of earlier versions lack it. In these, the loop's figure counts only if the cart's true velocity changed as
     much: blows change the velocity alone, and a wrong estimate changes the loop's figure alone.

@@ -122,7 +122,7 @@ class Digest:
             self._now_on = False
 
     def add_ticks(self, times: Array, period: float, state: Array, reference: Array, extras: Array | None) -> None:
-        """Add ticks.
+        """Count the next rows of the loop.
 
         Args:
             times: (K,) s.

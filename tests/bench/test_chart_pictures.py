@@ -85,7 +85,7 @@ def test_a_leading_diagram_is_alone_on_its_page_and_names_the_best_search() -> N
 
 
 @pytest.mark.parametrize("shares", [(0.0, 0.0), (0.0, 0.4), (0.0, 0.12)])
-def test_shares_are_shown_from_none_up_and_never_below(shares: tuple[float, float]) -> None:
+def test_axes_of_shares_start_at_zero(shares: tuple[float, float]) -> None:
     points = tuple(Point("m", f"{k}", 1.0 + k, share, default=k == 0) for k, share in enumerate(shares))
     (axes,) = drawn(Diagram("failures", "s", "share that fails", points, log_y=False))
     ticks = axes.get_yticks()

@@ -66,7 +66,7 @@ def test_the_arms_of_a_seed_are_those_that_its_run_draws() -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_plan_for_arms_that_are_known_completes_more(name: str) -> None:
+def test_a_plan_for_the_true_arms_completes_more(name: str) -> None:
     for mismatch in MISMATCHES:
         found = measured(name, mismatch)
         sys.stdout.write(f"\n{json.dumps(found)}\n")
