@@ -77,7 +77,10 @@ class Section:
         return replace(self, side=row, middle=middle, reach=reach)
 
     def height(self, states: Array) -> Array:
-        """Return n·x - offset for states (…, N): zero, or a multiple of the period, on the section."""
+        """Return n·x - offset for states (…, N).
+
+        Zero, or a multiple of the period, on the section.
+        """
         return np.asarray(states) @ np.asarray(self.normal) - self.offset
 
     def level(self, state: Array) -> float:
@@ -171,7 +174,9 @@ Near a singularity, steps would shrink without end.
 
 
 class CrossingFinder:
-    """Propagates trajectories of one set of equations to sections; compiled when made, not shared between threads.
+    """Propagates trajectories of one set of equations to sections.
+
+    Compiled when made, not shared between threads.
 
     A finished trajectory leaves its lane to the next one, so no trajectory is continued beyond the section. The
     section's normal and the two adjacent sheets are run-time values: one compilation covers every section of the

@@ -42,7 +42,9 @@ def prefixed(largest: float, unit: str) -> tuple[float, str]:
 
 
 def quantity(value: float, unit: str) -> str:
-    """Return a number with its unit and an SI prefix; squared units have none.
+    """Return a number with its unit and an SI prefix.
+
+    Squared units have none.
 
     >>> quantity(8.8e-05, "s")
     '88 µs'

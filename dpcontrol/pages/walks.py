@@ -174,8 +174,8 @@ class WalkStory:
                  style.saddle_colour(saddle))
             for saddle, curve in self.curves.items()
         )  # fmt: skip
-        title = "Distance from the periodic orbits (scaled)"
-        level = LevelLine("", "wobbles are counted below", NEAR, style.MARK, "named")
+        title = "Distance from the periodic orbits (scaled); wobbles are counted below the dashed line"
+        level = LevelLine("", "", NEAR, style.MARK, "named")
         return Chart("", title, "", lines, levels=(level,), log=True)
 
 

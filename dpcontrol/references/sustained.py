@@ -200,7 +200,10 @@ class SustainedOrbit(ByReference, Timed):
 
     @cached_property
     def multipliers(self) -> NDArray[np.complex128]:
-        """Multipliers (N,) of the period map with replayed input, largest first; NaN if not converged."""
+        """Multipliers (N,) of the period map with replayed input, largest first.
+
+        NaN if not converged.
+        """
         n = self.lyapunov.system.dimension
         if not self.converged:
             return np.full(n + 2, np.nan, dtype=complex)
@@ -217,7 +220,10 @@ class SustainedOrbit(ByReference, Timed):
         return self.reference.residual
 
     def state(self, times: ArrayLike) -> Array:
-        """Return states (…, N) at any `times` (…) s: angles, rates, cart position and velocity."""
+        """Return states (…, N) at any `times` (…) s.
+
+        Angles, rates, cart position and velocity.
+        """
         return self.reference.state(np.mod(times, self.period))
 
     def input(self, times: ArrayLike) -> Array:

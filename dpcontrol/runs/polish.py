@@ -105,7 +105,10 @@ class Side:
 
 @dataclass(frozen=True, repr=False)
 class Polished(Shown):
-    """A robust plan and the polished one with their figures; one side if the polished plan did not converge."""
+    """A robust plan and the polished one with their figures.
+
+    One side if the polished plan did not converge.
+    """
 
     robust: Plan
     polished: Plan
@@ -386,7 +389,10 @@ def _events(walk: list[SymbolNote], angles: Array) -> list[tuple[int, int, int]]
 
 
 def _noted(plan: Plan, motion: Reference) -> Reference:
-    """Return a polished motion with the notes of its plan: crossings of symbols and present transfers."""
+    """Return a polished motion with the notes of its plan.
+
+    Crossings of symbols and present transfers.
+    """
     robust = plan.reference
     crossed, notes = _crossed(robust, motion), {**robust.notes}
     n = plan.itinerary.model.arms.count
