@@ -67,7 +67,7 @@ OPTIONS = {"show_root_full_path": False, "docstring_section_style": "list", "mem
 
 @cache
 def module(file: str) -> griffe.Module:
-    """Return a module of the package with parsed docstrings; nothing is imported."""
+    """Return a module of the package with parsed docstrings, without an import."""
     path = ROOT / "dpcontrol" / file
     code = path.read_text(encoding="utf-8")
     return griffe.visit(f"dpcontrol.{path.stem}", filepath=path, code=code, docstring_parser="google")

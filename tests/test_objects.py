@@ -1,6 +1,10 @@
 """Results sample, draw, tabulate and print themselves."""
 
+import ast
 import json
+import pkgutil
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +13,7 @@ from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 import dpcontrol as dp
+from dpcontrol.foundation.shown import Shown, Timed
 from dpcontrol.orbits.family import lyapunov_family
 from tests.pages.test_night import night
 
@@ -40,26 +45,81 @@ def results() -> dict[str, Any]:
         "run": run,
         "log": run.log,
         "night": night(),
+        "rotating orbit": dp.rotating_orbits(lab, "outer", energy=0.3)[0],
+        "rotating family": dp.rotating_families(lab, "outer", energies=(0.29, 0.31))[0],
+        "bifurcations": dp.find_bifurcations(lab, "down-up", "down-up", energies=(-0.08, -0.06), samples=2),
+        "proof": dp.prove(orbit),
         "recording": dp.swings(lab, count=2, seconds=1.5),
     }
 
 
 @pytest.fixture(scope="module")
-def slow_results() -> dict[str, Any]:
+def slow_results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     loop, swings = dp.closed_loop("outer-turn"), dp.swings("lab", count=3, seconds=1.5)
+    folder = tmp_path_factory.mktemp("logs")
+    loop.campaign(runs=2, out=folder / "two.parquet")
+    logs = [loop.run(seed=seed, log=folder / f"{seed}.mcap").log.path for seed in (1, 2)]
     return {
         "campaign": loop.campaign(runs=2),
         "preflight": loop.preflight(runs=16, workers=1),
         "identification": dp.identify(swings, model="lab"),
+        "summary": dp.open_campaign(folder / "two.parquet"),
+        "comparison": dp.compare_logs(logs),
+        "polished": dp.polish("one-arm", runs=1),
+        "sustained orbit": dp.sustained_orbit(dp.orbit("lab", "down-up", energy=-0.07)),
+        "symmetric": dp.connections(dp.orbit("triple", "down-down-up", energy=-1.0), energies=(-1.02, -0.99)),
     }
 
 
 QUICK = (
     "orbit", "family", "tube", "cut", "search", "connection", "walk", "graph", "atlas", "plan", "loop", "run", "log",
-    "night", "recording",
+    "night", "recording", "rotating orbit", "rotating family", "bifurcations", "proof",
 )  # fmt: skip
-SLOW = ("campaign", "preflight", "identification")
-TIMED = ("orbit", "connection", "walk", "plan", "loop", "run", "recording")
+SLOW = (
+    "campaign", "preflight", "identification", "summary", "comparison", "polished", "sustained orbit", "symmetric",
+)  # fmt: skip
+TIMED = ("orbit", "rotating orbit", "connection", "walk", "plan", "loop", "run", "recording")
+SLOW_TIMED = ("sustained orbit",)
+CLASSES = {
+    "orbit": "LyapunovOrbit", "family": "LyapunovFamily", "tube": "Tube", "cut": "Cut", "search": "ConnectionSearch",
+    "connection": "Connection", "walk": "ShadowingOrbit", "graph": "Edges", "atlas": "Atlas", "plan": "Plan",
+    "loop": "ClosedLoop", "run": "Run", "log": "RunLog", "night": "Night", "recording": "Recording",
+    "rotating orbit": "RotatingOrbit", "rotating family": "RotatingFamily", "bifurcations": "BifurcationSearch",
+    "proof": "Proof", "campaign": "Campaign", "preflight": "Preflight", "identification": "Identification",
+    "summary": "CampaignSummary", "comparison": "RunComparison", "polished": "Polished",
+    "sustained orbit": "SustainedOrbit", "symmetric": "SymmetricSearch",
+}  # fmt: skip
+"""Class of each result above."""
+BASES = {"Shown", "Timed", "Family", "HyperbolicOrbit"}
+WITHOUT_PICTURE = {
+    "CacheContents", "CertificateCheck", "Commissioning", "Configured", "ControllerSource", "Design", "Drawn",
+    "DrawnChart", "Equilibrium", "ExtendedOrbit", "LogSummary", "Planner", "PrecisionChart", "Recovery", "Repeat",
+    "Replay", "RigLink", "SymbolChange", "UdpBench", "WalkRequest",
+}  # fmt: skip
+"""Tables, files, settings and servers. A chart (`PrecisionChart`, `Drawn`) is a picture already."""
+
+
+def subclasses(kind: type) -> set[type]:
+    return {kind}.union(*(subclasses(one) for one in kind.__subclasses__()))
+
+
+def test_no_type_of_result_is_forgotten_here() -> None:
+    """Each class that can draw itself is tried below, and so is each class that a function of `dp` returns."""
+    for module in pkgutil.walk_packages(dp.__path__, "dpcontrol."):
+        if module.name.rpartition(".")[2] != "__main__" and ".examples" not in module.name:
+            import_module(module.name)
+    shown = {one.__qualname__ for one in subclasses(Shown)} - BASES
+    assert set(CLASSES) == {*QUICK, *SLOW}
+    assert set(CLASSES.values()) == shown
+    timed = {one.__qualname__ for one in subclasses(Timed)} - BASES
+    assert {CLASSES[name] for name in (*TIMED, *SLOW_TIMED)} == timed
+    source = ast.parse((Path(dp.__file__).parent / "api.py").read_text(encoding="utf-8"))
+    functions = [one for one in source.body if isinstance(one, ast.FunctionDef) and one.name in dp.__all__]
+    written = [one.returns.value if isinstance(one.returns, ast.Constant) else ast.unparse(one.returns)
+               for one in functions if one.returns is not None]  # fmt: skip
+    returned = {node.id for text in written for node in ast.walk(ast.parse(str(text))) if isinstance(node, ast.Name)}
+    plain = {"Any", "Figure", "Path", "dict", "int", "str", "tuple"}
+    assert returned - plain - shown == WITHOUT_PICTURE
 
 
 def shows_itself(result: Any) -> None:
@@ -79,19 +139,30 @@ def shows_itself(result: Any) -> None:
 
 @pytest.mark.parametrize("name", QUICK)
 def test_a_result_prints_one_line_draws_onto_axes_and_gives_json(name: str, results: dict[str, Any]) -> None:
+    assert type(results[name]).__qualname__ == CLASSES[name]
     shows_itself(results[name])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SLOW)
 def test_a_result_of_many_runs_prints_one_line_and_draws(name: str, slow_results: dict[str, Any]) -> None:
+    assert type(slow_results[name]).__qualname__ == CLASSES[name]
     shows_itself(slow_results[name])
     assert slow_results[name].plot().axes
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SLOW_TIMED)
+def test_a_slow_motion_has_samples_at_times_and_a_table(name: str, slow_results: dict[str, Any]) -> None:
+    is_sampled(slow_results[name])
+
+
 @pytest.mark.parametrize("name", TIMED)
 def test_a_motion_has_samples_at_times_and_a_table(name: str, results: dict[str, Any]) -> None:
-    result = results[name]
+    is_sampled(results[name])
+
+
+def is_sampled(result: Any) -> None:
     first, last = result.time_range
     states = result.states(np.linspace(first, last, 5))
     assert result.sample(5) == pytest.approx(states)
@@ -168,6 +239,15 @@ def test_methods_of_results_refuse_wrong_arguments(call: Any, words: str, result
     with pytest.raises(dp.InputError) as refused:
         call(results["orbit"])
     assert words in str(refused.value)
+
+
+def test_a_night_is_a_table_of_its_files(results: dict[str, Any]) -> None:
+    """Two files with two and one falls before a gap, and a last one without any, 600 s each."""
+    table = results["night"].frame()
+    assert table.index.tolist() == [0.0, 600.0, 1800.0]
+    assert table["end"].tolist() == [600.0, 1200.0, 2400.0]
+    assert table["falls"].tolist() == [2, 1, 0]
+    assert table["zero_1"].tolist() == [0.0, 0.001, 0.003]
 
 
 def test_an_html_text_is_escaped(results: dict[str, Any]) -> None:

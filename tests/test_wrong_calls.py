@@ -168,7 +168,7 @@ GOOD: dict[str, dict[str, Any]] = {
 UNCHECKED = {
     "system.from_hamiltonian": "checks the energy and its options itself; see tests/systems",
     "system.from_lagrangian": "checks the energy and its options itself; see tests/systems",
-    "system.worded": "renders texts of pages",
+    **{f"{name}.{method}": "renders texts of pages" for name in ("lab", "system") for method in ("unit", "worded")},
     "tube.placed": "renders pieces of a cut",
 }
 """Methods that are not called here, and why."""

@@ -40,7 +40,7 @@ AGREES = 0.25
 """Tolerance between measured and predicted borders, as a share."""
 READING_LINES = 3
 LEADING = 3
-"""Diagrams on a chart's first page; its appendix has the others."""
+"""Diagrams on a chart's first page; its appendix has the others, twice as many a sheet."""
 _MOST_PROBES = 60
 _SHOWN = 90
 """Characters of a message shown in a table; the JSON holds all."""
@@ -535,10 +535,9 @@ class ChartPage:
     @property
     def pages(self) -> dict[str, tuple[Any, ...]]:
         """The diagrams of each picture, by the end of its file's name: the leading ones, then the appendix."""
-        pages = {"": self.parts[:LEADING], "-more": self.parts[LEADING:]}
-        if self.lead is not None:
-            pages = {"": (self.lead,), "-more": self.parts}
-        return {end: parts for end, parts in pages.items() if parts}
+        first, rest = (self.parts[:LEADING], self.parts[LEADING:]) if self.lead is None else ((self.lead,), self.parts)
+        sheets = [rest[k : k + 2 * LEADING] for k in range(0, len(rest), 2 * LEADING)]
+        return {"": first, **{f"-more{f'-{k + 1}' if k else ''}": sheet for k, sheet in enumerate(sheets)}}
 
     @property
     def complaints(self) -> tuple[str, ...]:

@@ -410,7 +410,7 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
     )  # fmt: skip
     stuck = EdgeMap(
         "A stuck encoder of the outer arm, on the orbit about Down-Up", "phase at which it sticks",
-        "seconds until it is reported", far="reported", near="goes on", log_x=False,
+        "time until it is reported, s", far="reported", near="goes on", log_x=False,
     )  # fmt: skip
     equilibrium = model.system.equilibrium(SADDLE)
     return EdgeChart(

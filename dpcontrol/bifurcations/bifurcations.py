@@ -62,7 +62,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.shown import Brief
+from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.cut import section_points, tube_cut
 from dpcontrol.orbits.lyapunov import equilibrium
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
@@ -645,7 +645,7 @@ class Bifurcation(Mark):
 
 
 @dataclass(frozen=True)
-class BifurcationSearch:
+class BifurcationSearch(Shown):
     """Bifurcations in order of energy, with the counts they explain.
 
     Above `scatters_from`, no search is complete, because trajectories of a tube scatter before they arrive and

@@ -72,7 +72,7 @@ def orbit_command(
         group=KIND,
         help="For --sustained: resets of the input clock per period.",
     ),
-    energy: float | None = option(help="Energy, J, zero at the height of the pivot."),
+    energy: float | None = option(help="Energy, J, zero at the height of the pivot; three bodies: own units."),
     energies: Range | None = option(metavar="LO HI", help="Energies between which the family is followed, J."),
     picture: Path | None = file_option(suffix=".png", help="Picture of the family or the sustained orbit (.png)."),
 ) -> Answer:
@@ -275,7 +275,7 @@ def connect_command(
     model: str = argument(),
     source: str = LEAVING,
     target: str = JOINING,
-    energy: Decimal | None = option(help="Energy, J, zero at the height of the pivot."),
+    energy: Decimal | None = option(help="Energy, J, zero at the height of the pivot; three bodies: own units."),
     energies: Range | None = option(
         metavar="LO HI", help="For three arms: range of energies for symmetric connections, J."
     ),

@@ -416,7 +416,7 @@ FILMS = (".gif", ".webp", ".mp4")
 """Formats of films."""
 YES = option(group=OUTPUT, help="Permission for work of more than an hour or 4 GB of memory.")
 """Option of verbs with work of any length."""
-ENERGY = option(help="Energy, J, zero at the height of the pivot.")
+ENERGY = option(help="Energy, J, zero at the height of the pivot; three bodies: own units.")
 LEAVING = option("--from", help="First saddle of the connections.")
 JOINING = option("--to", help="Last saddle of the connections.")
 """Options of several verbs: the energy, and the saddles of connections."""

@@ -224,7 +224,7 @@ def _changes(model: "Model", symbols: "Sequence[Symbol]", begin: float, end: flo
     span = model.system.worded(f"between {begin:g} and {end:g} J")
     status = f"{len(found)} changes of the selected connections {span}"
     document = {"symbol_changes": [one.document() for one in found], "energies": (begin, end), "status": status}
-    return Answer(document, [*(model.system.worded(one.sentence) for one in found), status])
+    return Answer(document, [*(one.sentence for one in found), status])
 
 
 def _graph(edges: "Edges") -> Answer:
@@ -310,7 +310,7 @@ def _answer_text(number: int, answer: "WalkAnswer", file: Path | None) -> Iterat
     least = "" if answer.least is None else f" (least {_listing(answer.least)})"
     yield (
         f"  {'periodic, ' if orbit.periodic else ''}wraps {_listing(orbit.wraps_realised)}{least}, "
-        f"{orbit.duration:.3f} s; {orbit.status}"
+        f"{orbit.duration:.3f}{orbit.system.unit('s')}; {orbit.status}"
     )
     estimate = orbit.estimate
     assert estimate is not None

@@ -78,7 +78,10 @@ def _sparse(matrix: Array) -> ca.SX:
 
 
 def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the inverse of a small positive definite matrix, and its factors: L⁻¹ and D of L D Lᵀ."""
+    """Return the inverse of a small positive definite matrix, and its factors.
+
+    L⁻¹ and D of L D Lᵀ.
+    """
     n = matrix.shape[0]
     lower, d = ca.SX.eye(n), ca.SX(n, 1)
     for j in range(n):
@@ -93,7 +96,10 @@ def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 class Timing(NamedTuple):
-    """Timing of a reading: age in s before its tick, and variance of the unknown part, s²."""
+    """Timing of a reading.
+
+    Age in s before its tick, and variance of the unknown part, s².
+    """
 
     age: ca.SX
     variance: ca.SX
@@ -315,7 +321,9 @@ class FilterEquations:
         return z, after, y, ca.sum1(white**2 / d), inverse @ ca.horzcat(y, moving)
 
     def function(self, *, predicts: bool) -> ca.Function:
-        """Return the step as a casadi function; without `predicts`, only the measurement update.
+        """Return the step as a casadi function.
+
+        Without `predicts`, only the measurement update.
 
         Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters,
         process (`FilterSettings.process`). Outputs: memory, standard deviations (N+E), innovation (n+1), NIS, number
@@ -378,7 +386,10 @@ def checked_noise(noise: Array, arms: int) -> Array:
 def _compiled(
     equations: Equations, period: float, augments: tuple[Augment, ...]
 ) -> tuple[FilterEquations, Compiled, Compiled, Compiled]:
-    """Return the filter's equations and its step, update and prediction; cached per process."""
+    """Return the filter's equations and its step, update and prediction.
+
+    Cached per process.
+    """
     made = FilterEquations(equations, period, augments)
     step, update = Compiled(made.function(predicts=True)), Compiled(made.function(predicts=False))
     return made, step, update, Compiled(made.prediction(with_jacobian=False))
@@ -463,7 +474,9 @@ class EkfProgram:
 
 
 class KalmanFilter(ABC):
-    """Common base of the filters: model, settings, measurement noise (n+1, n+1) and compiled equations.
+    """Common base of the filters.
+
+    Model, settings, measurement noise (n+1, n+1) and compiled equations.
 
     Raises:
         InputError: The noise has the wrong shape or is not a covariance.
@@ -476,7 +489,9 @@ class KalmanFilter(ABC):
         self.kind, self.extra_names = settings.kind, self.program.equations.extra_names
 
     def first(self, state: Array) -> Estimate:
-        """Return the estimate before any measurement: `state` (N,) with the settings' standard deviations.
+        """Return the estimate before any measurement.
+
+        `state` (N,) with the settings' standard deviations.
 
         Raises:
             InputError: the state has the wrong shape.
@@ -516,7 +531,9 @@ class CompiledEkf(KalmanFilter):
         return Estimate(memory[out["state"]], memory[out["extra"]], sigmas, still, float("nan"), 0, memory)
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,): angles in rad, cart in m.
+        """Return the estimate after the positions `measured` (n+1,).
+
+        Angles in rad, cart in m.
 
         Args:
             present: flags (n+1,) of the valid positions.

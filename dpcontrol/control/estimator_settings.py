@@ -207,7 +207,9 @@ class FilterSettings(Settings, table="estimator"):
         return replace(self, cart_noise=float(np.hypot(self.cart_noise, noise * period**0.5)))
 
     def _fading_drive(self, period: float) -> Array:
-        """Return the covariance that an unknown drive error adds within a period: pp, pv, vv, pd, vd.
+        """Return the covariance that an unknown drive error adds within a period.
+
+        Pp, pv, vv, pd, vd.
 
         Without it, a period as long as the error's duration would leave the cart's motion exact.
         """
@@ -357,7 +359,10 @@ _LESS = "set counts and noise under [sensors] to those of the encoders, or lower
 
 
 def nis_means(values: Array, freedom: int) -> NisMeans | None:
-    """Average the finite values (K,) of a NIS; None if there are too few for one mean."""
+    """Average the finite values (K,) of a NIS.
+
+    None if there are too few for one mean.
+    """
     known = values[np.isfinite(values)]
     if len(known) < MEANS_OF:
         return None

@@ -60,7 +60,10 @@ SAME_IN_SINGLE = (1e-5, 1e-7)
 
 
 class Figures(NamedTuple):
-    """Resources that a controller needs on its target, in bytes; None if gcc is missing."""
+    """Resources that a controller needs on its target, in bytes.
+
+    None if gcc is missing.
+    """
 
     operations: int
     code: int | None
@@ -295,7 +298,9 @@ def controller_source(
     readings: str,
     clock: float | None = None,
 ) -> ControllerSource:
-    """Return the C code of an initialised program and its schedule; see `checked_exportable`.
+    """Return the C code of an initialised program and its schedule.
+
+    See `checked_exportable`.
 
     Args:
         single: use single precision.
@@ -418,7 +423,10 @@ def _delay(program: TickProgram) -> float:
 
 
 def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
-    """Return the sizes of code and stack from gcc, in bytes; None if gcc is missing or fails."""
+    """Return the sizes of code and stack from gcc, in bytes.
+
+    None if gcc is missing or fails.
+    """
     with TemporaryDirectory(prefix="dpcontrol-") as name:
         folder = Path(name)
         for file, text in files.items():
@@ -592,7 +600,10 @@ _UNITS = {"rad": {"rad": 1}, "rad/s": {"rad": 1, "s": -1}, "m": {"m": 1}, "m/s":
 
 @dataclass(frozen=True)
 class Variable:
-    """An input or output; kind: Real, Integer or Boolean; start: of an input."""
+    """An input or output.
+
+    kind: Real, Integer or Boolean; start: of an input.
+    """
 
     name: str
     kind: str

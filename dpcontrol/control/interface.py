@@ -30,7 +30,10 @@ Present = NDArray[np.bool_] | None
 
 
 class Mode(IntEnum):
-    """Mode of the controller in a tick: the field `mode` of a log's /control."""
+    """Mode of the controller in a tick.
+
+    The field `mode` of a log's /control.
+    """
 
     IDLE = 0
     """Not started: the command is zero."""
@@ -93,12 +96,18 @@ def whole_turns(angles: Array) -> Array:
 
 
 def pendulum_scale(arms: int) -> Array:
-    """Return the scale (2n,) of the pendulum's state; distances ignore the cart, which has no effect on the phase."""
+    """Return the scale (2n,) of the pendulum's state.
+
+    Distances ignore the cart, which has no effect on the phase.
+    """
     return np.array([ANGLE_SCALE] * arms + [RATE_SCALE] * arms)
 
 
 def interpolated(states: Array, place: Any, lanes: Lanes) -> Array:
-    """Return interpolated states (N,) or (S, N) of a table (K, N); places beyond its ends are clipped."""
+    """Return interpolated states (N,) or (S, N) of a table (K, N).
+
+    Places beyond its ends are clipped.
+    """
     k = lanes.clip(lanes.below(place), 0, len(states) - 2)
     before = states[k]
     return before + lanes.column(lanes.clip(place - k, 0.0, 1.0)) * (states[k + 1] - before)
@@ -162,7 +171,9 @@ class Estimator(Protocol):
 
 
 class Action(NamedTuple):
-    """A controller's output for one tick: accelerations, m/s², and the reference state (N,).
+    """A controller's output for one tick.
+
+    Accelerations, m/s², and the reference state (N,).
 
     `event` is a sentence for the log on a decision in this tick, or "".
     """

@@ -155,7 +155,10 @@ class HoldSession:
 
 @dataclass(frozen=True, eq=False)
 class ExtraEffects(Brief):
-    """Extra quantities of an estimator: names (E,), effects E (N, E) per period, decay factors D (E,)."""
+    """Extra quantities of an estimator.
+
+    Names (E,), effects E (N, E) per period, decay factors D (E,).
+    """
 
     names: tuple[str, ...]
     effects: Array

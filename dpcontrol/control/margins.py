@@ -70,7 +70,10 @@ _BATCH = 32
 
 @dataclass(frozen=True, eq=False)
 class LinearLoop(Brief):
-    """Linear loop of K ticks, `period` s apart, in w: plant (N,), the tick's memory, a clock by phase."""
+    """Linear loop of K ticks, `period` s apart, in w.
+
+    Plant (N,), the tick's memory, a clock by phase.
+    """
 
     period: float
     delay: float
@@ -128,7 +131,10 @@ class LinearLoop(Brief):
     def growth(
         self, first: NDArray[np.int_], count: int, *, gain: Any = 1.0, delay: Any = 0.0, lag: Any = 0.0
     ) -> Array:
-        """Return the largest multiplier (W,) of each window; arguments as in `transitions`, or scalars."""
+        """Return the largest multiplier (W,) of each window.
+
+        Arguments as in `transitions`, or scalars.
+        """
         changes = {"gain": gain, "delay": delay, "lag": lag}
         each = {name: np.broadcast_to(np.asarray(value, dtype=float), first.shape) for name, value in changes.items()}
         with np.errstate(over="ignore", invalid="ignore"):
@@ -286,7 +292,9 @@ def law_margins(
 
 
 def _by_the_clock(law: Any, *, ticks: int, lags: bool) -> TimedController | PhaseController | HoldController:
-    """Return a law as tabulated gains for `ticks` periods; by phase if the orbit's law goes by phase.
+    """Return a law as tabulated gains for `ticks` periods.
+
+    By phase if the orbit's law goes by phase.
 
     Raises:
         InputError: the law acts by pulses, or has no gains.
@@ -483,7 +491,10 @@ def _margins(loop: LinearLoop, first: NDArray[np.int_], window: int, *, limits: 
     sound = growth <= limits
 
     def border(change: Callable[[Array], dict[str, Array]], start: float, factor: float, most: float) -> Array:
-        """Return the largest stable changes (W,): start · factor^k is tried, then the step is halved."""
+        """Return the largest stable changes (W,).
+
+        Start · factor^k is tried, then the step is halved.
+        """
         inside, outside = np.full(len(first), np.nan), np.full(len(first), np.nan)
         open_, value = np.flatnonzero(sound), start
         while len(open_):

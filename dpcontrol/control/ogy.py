@@ -115,7 +115,9 @@ def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
 
 
 def parameter_directions(equations: Equations, parameters: Array) -> Array:
-    """Return relative changes (m, p) of base parameters: inertia, weights with couplings, friction × 5.
+    """Return relative changes (m, p) of base parameters.
+
+    Inertia, weights with couplings, friction × 5.
 
     Weight G_i and coupling S_i = G_i/g change together, since gravity is constant.
     """
@@ -264,7 +266,10 @@ class OgyController(Brief):
 
     @property
     def first_state(self) -> Array:
-        """Return the initial state (N,): the orbit at its first section, so that a pulse comes at once."""
+        """Return the initial state (N,).
+
+        The orbit at its first section, so that a pulse comes at once.
+        """
         return self.states[0]
 
     @cached_property

@@ -50,7 +50,10 @@ COARSE = 8
 
 @dataclass(frozen=True, eq=False)
 class PhaseTable(Brief):
-    """One period of a motion in s: states (M+1, N) and inputs (M+1,) m/s² at even times, both ends included."""
+    """One period of a motion in s.
+
+    States (M+1, N) and inputs (M+1,) m/s² at even times, both ends included.
+    """
 
     period: float
     states: Array
@@ -201,7 +204,10 @@ class OrbitController(Brief):
 
 
 class OrbitSession(ClockedSession):
-    """An orbit's clock, or clocks (S,); lift (N,): whole turns between run and table."""
+    """An orbit's clock, or clocks (S,).
+
+    lift (N,): whole turns between run and table.
+    """
 
     def __init__(self, law: OrbitController, tick: int, time: Any, lift: Array, lanes: Lanes = ONE) -> None:
         self._law, self.lanes = law, lanes

@@ -21,7 +21,10 @@ from dpcontrol.references.reference import Reference
 
 
 class Wanted(NamedTuple):
-    """Target of a law: state (N,), and feedforward, the cart's acceleration along the reference, m/s²."""
+    """Target of a law.
+
+    State (N,), and feedforward, the cart's acceleration along the reference, m/s².
+    """
 
     state: Any
     feedforward: Any

@@ -349,7 +349,10 @@ class _Verdict(NamedTuple):
 
 
 class _Path(NamedTuple):
-    """Commands after the law: parts, wish and command, m/s², the acceleration, 1 if it was cut, and the memory."""
+    """Commands after the law.
+
+    Parts, wish and command, m/s², the acceleration, 1 if it was cut, and the memory.
+    """
 
     forward: ca.SX
     feedback: ca.SX
@@ -1052,14 +1055,19 @@ class TickEquations:
         return _function("sense", {"memory": memory, "reading": reading, "numbers": numbers}, out)
 
     def moved(self) -> ca.Function:
-        """Return one period of the prediction: (z, drive, command, numbers) -> the next z, then the next drive."""
+        """Return one period of the prediction.
+
+        (z, drive, command, numbers) -> the next z, then the next drive.
+        """
         z, drive, command = ca.SX.sym("z", self.filter.dimension), ca.SX.sym("drive"), ca.SX.sym("command")
         numbers, c = self.numbers.symbols("numbers")
         out = ca.vertcat(*self._moved(z, drive, command, c))
         return _function("moved", {"z": z, "drive": drive, "command": command, "numbers": numbers}, out)
 
     def finish(self, *, predicts: bool) -> ca.Function:
-        """Return the second part: (memory, reading, row, numbers, sensed, ahead, drive, back) -> memory and report.
+        """Return the second part.
+
+        (memory, reading, row, numbers, sensed, ahead, drive, back) -> memory and report.
 
         ahead (N,), drive m/s²: state for which the command is computed, and the cart's acceleration then. back m/s²:
         feedback in addition to the row's. coming m/s²: last input, the acceleration in the coming period, if the memory
@@ -1201,7 +1209,10 @@ class TickProgram:
         """The first row of each part of a report, by its name."""
 
     def machine(self, name: str) -> Compiled:
-        """Return one of the functions as machine code: tick, sense, moved, finish, or judge (finish without filter)."""
+        """Return one of the functions as machine code.
+
+        Tick, sense, moved, finish, or judge (finish without filter).
+        """
         if name not in self._made:
             equations = self.equations
             make = {
@@ -1247,7 +1258,9 @@ class TickProgram:
         )  # fmt: skip
 
     def take(self, positions: Array, present: Present, switch: Any, rate_error: Array | None, age: Any = None) -> None:
-        """Take a reading: positions (n+1, 1) or (n+1, lanes), present (n+1,) or (n+1, lanes), the limit switch.
+        """Take a reading.
+
+        Positions (n+1, 1) or (n+1, lanes), present (n+1,) or (n+1, lanes), the limit switch.
 
         age s: of the reading, if known.
         """
@@ -1337,7 +1350,10 @@ class TickProgram:
         return out[:-1], out[-1]
 
     def finish(self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True) -> None:
-        """Compute the rest of a tick with the row in `row`; back (lanes,) m/s²: additional feedback."""
+        """Compute the rest of a tick with the row in `row`.
+
+        back (lanes,) m/s²: additional feedback.
+        """
         made = self.machine("finish" if predicts else "judge")
         parts = [self._inputs, sensed, ahead, drive[None], np.broadcast_to(back, (1, self.lanes))]
         if not self.equations.unrolled:

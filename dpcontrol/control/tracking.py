@@ -83,7 +83,10 @@ MOST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ReferenceController(Brief):
-    """Controller along a reference: states (K+1, N), inputs (K,) m/s² and gains (K, N) at the ticks."""
+    """Controller along a reference.
+
+    States (K+1, N), inputs (K,) m/s² and gains (K, N) at the ticks.
+    """
 
     kind: str
     reference_states: Array
@@ -104,7 +107,9 @@ class ReferenceController(Brief):
 
 @dataclass(frozen=True, eq=False)
 class TimedController(ReferenceController):
-    """A controller with the loop's clock and gains (K, N) by time; without feedback if they are zero.
+    """A controller with the loop's clock and gains (K, N) by time.
+
+    Without feedback if they are zero.
 
     After the last tick, the last gain holds the end of the reference.
 
@@ -234,7 +239,10 @@ class TrackingSession:
         self._law, self._start = controller, start
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from `tick`; after the last, its gain holds the end."""
+        """Return the action for the period from `tick`.
+
+        After the last, its gain holds the end.
+        """
         law, tick = self._law, max(tick - self._start, 0)
         k = min(tick, law.ticks - 1)
         wanted = law.reference_states[min(tick, law.ticks)]
@@ -410,7 +418,9 @@ def _widened(weights: Array, model: SampledModel) -> Array:
 
 
 def _by_time(reference: Reference, model: SampledModel, commands: Array, drive: Array, gains: Array) -> dict[str, Any]:
-    """Return the fields of a law by time: feedforward, gains (K, N), and data of a lagging drive.
+    """Return the fields of a law by time.
+
+    Feedforward, gains (K, N), and data of a lagging drive.
 
     The drive's command leads so that its acceleration equals the reference's at the ticks.
     """

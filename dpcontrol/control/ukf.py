@@ -35,7 +35,10 @@ def _arithmetic() -> Iterator[None]:
 
 
 class FilterpyEstimator(KalmanFilter):
-    """An `Estimator` with memory (z (N+E,), P (N+E, N+E)); must not be shared between threads."""
+    """An `Estimator` with memory (z (N+E,), P (N+E, N+E)).
+
+    Must not be shared between threads.
+    """
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
         super().__init__(model, settings, noise=noise)

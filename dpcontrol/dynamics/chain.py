@@ -133,7 +133,9 @@ class ArmChainParameters(Settings):
         return out
 
     def base(self) -> Array:
-        """Return the base parameters (n(n+1)/2 + 3n + …,): M row by row for j >= i, then G, S, friction.
+        """Return the base parameters (n(n+1)/2 + 3n + …,).
+
+        M row by row for j >= i, then G, S, friction.
 
         The friction is viscous (n,), then coulomb (n,) and quadratic (n,) if these arms have them, then their smoothing
         rate.
@@ -171,7 +173,10 @@ class ArmChainParameters(Settings):
 
     @property
     def coulomb_acceleration(self) -> float:
-        """Largest eigenvalue of M⁻¹ Rᵀ c R with the arms in line: relative rates fade at this over the smoothing."""
+        """Largest eigenvalue of M⁻¹ Rᵀ c R with the arms in line.
+
+        Relative rates fade at this over the smoothing.
+        """
         if not self.coulomb:
             return 0.0
         n, base = self.count, self.base()
@@ -203,7 +208,9 @@ class ArmChainParameters(Settings):
         return replace(self, **{name: tuple(factor * v for v in getattr(self, name)) for name in _FRICTION})
 
     def mismatched(self, fraction: float, random: np.random.Generator) -> "ArmChainParameters":
-        """Return arms with random errors relative to these: a possible plant for this model.
+        """Return arms with random errors relative to these.
+
+        A possible plant for this model.
 
         Each mass, centre, length and inertia is multiplied by an independent uniform 1 ± fraction; each
         friction coefficient by 1 ± 5 fraction, but never below zero.
@@ -220,7 +227,10 @@ class ArmChainParameters(Settings):
 
 
 class Level(StrEnum):
-    """Modelled part of the bench; each level contains the one above it in this list."""
+    """Modelled part of the bench.
+
+    Each level contains the one above it in this list.
+    """
 
     CONSERVATIVE = "conservative"
     DISSIPATIVE = "dissipative"
@@ -319,7 +329,9 @@ def equations_of(arms: ArmChainParameters, level: Level) -> Equations:
 
 
 def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
-    """Return the frictionless pendulum on a fixed pivot as a system: level conservative.
+    """Return the frictionless pendulum on a fixed pivot as a system.
+
+    Level conservative.
 
     Saddles are named by the arms' directions, inner arm first. For two arms the sections are those of the paper. The
     turning arm passes straight down: "outer-down", θ₂ = 2πk, about Down-Up and "inner-down", θ₁ = 2πk, about Up-Down.
@@ -366,7 +378,10 @@ def unit_name(count: int) -> str:
 
 
 def ratio_names(arms: ArmChainParameters) -> tuple[str, ...]:
-    """Return the names of `base_ratios`, in order; names of friction begin with the law."""
+    """Return the names of `base_ratios`, in order.
+
+    Names of friction begin with the law.
+    """
     n, unit = arms.count, unit_name(arms.count)
     inertial = [f"M{i}{i}/{unit}" for i in range(1, n + 1) if n > 1] + [f"G{i}/{unit}" for i in range(1, n + 1)]
     lengths = [f"l{i}" for i in range(2, n)]
@@ -472,7 +487,10 @@ _TRIES = 20
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of arms: covariance (f, f) of the f ratios of `dpcontrol.dynamics.chain`, row by row."""
+    """Uncertainty of arms.
+
+    Covariance (f, f) of the f ratios of `dpcontrol.dynamics.chain`, row by row.
+    """
 
     names: tuple[str, ...]
     covariance: tuple[float, ...]

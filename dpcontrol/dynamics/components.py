@@ -79,7 +79,9 @@ class Terms(NamedTuple):
 
 @dataclass(frozen=True)
 class SymbolicPlant:
-    """One component, built in or a user's: a frozen dataclass of numbers whose class methods give the equations.
+    """One component, built in or a user's.
+
+    A frozen dataclass of numbers whose class methods give the equations.
 
     Plants whose components are of the same classes share one compiled step; `numbers` are its parameters. A class
     overrides what it needs; the defaults add nothing.
@@ -100,7 +102,10 @@ class SymbolicPlant:
 
     @classmethod
     def constrained(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Return the accelerations (N,) in these modes; mass (N, N) and acceleration (N,): without this component."""
+        """Return the accelerations (N,) in these modes.
+
+        Mass (N, N) and acceleration (N,): without this component.
+        """
         return acceleration
 
     @classmethod
@@ -123,11 +128,17 @@ class SymbolicPlant:
         return tuple(float(value) for one in fields(self) for value in np.atleast_1d(getattr(self, one.name)))
 
     def start(self, state: Array) -> Array:
-        """Return the first values of the component's states; state (2n+2,): of arms and cart."""
+        """Return the first values of the component's states.
+
+        state (2n+2,): of arms and cart.
+        """
         return np.zeros(0)
 
     def reads(self, arms: int) -> dict[int, int]:
-        """Return the component's states that sensors read: {sensor: state}; sensors 0 … n-1 are joints, n the cart."""
+        """Return the component's states that sensors read: {sensor: state}.
+
+        Sensors 0 … n-1 are joints, n the cart.
+        """
         return {}
 
     @property
@@ -142,7 +153,9 @@ _SHARE_OF_BELT = 0.2
 
 @dataclass(frozen=True)
 class Belt(SymbolicPlant):
-    """An elastic belt between motor and cart: frequency Hz of the cart on it with the motor held, damping ratio.
+    """An elastic belt between motor and cart.
+
+    Frequency Hz of the cart on it with the motor held, damping ratio.
 
     motor_scale: True if the cart's scale is on the motor. The drive holds its motor against the belt's force.
     """
@@ -212,7 +225,10 @@ class EncoderPlay(SymbolicPlant):
 
 @dataclass(frozen=True)
 class Cable(SymbolicPlant):
-    """A cable twisted by the inner arm: torque of the hanging arm, N m, and stiffness against turning, N m/rad."""
+    """A cable twisted by the inner arm.
+
+    Torque of the hanging arm, N m, and stiffness against turning, N m/rad.
+    """
 
     torque: float
     stiffness: float
@@ -237,7 +253,9 @@ _STICTION_STEP = 5e-4
 
 @dataclass(frozen=True)
 class Stiction(SymbolicPlant):
-    """Dry friction in each joint: break-away torques (n,) at rest and kinetic torques (n,) while it slides, N m.
+    """Dry friction in each joint.
+
+    Break-away torques (n,) at rest and kinetic torques (n,) while it slides, N m.
 
     A mode is the sign of the rate at which a joint slides, 0 for a joint at rest.
     """

@@ -24,7 +24,9 @@ from dpcontrol.foundation.shown import Brief
 
 @dataclass(frozen=True)
 class Mechanics(Brief):
-    """A mechanical system; all fields but the last two are casadi SX expressions.
+    """A mechanical system.
+
+    All fields but the last two are casadi SX expressions.
 
     Attributes:
         position, velocity: free coordinates, then m prescribed ones (n + m,).
@@ -106,7 +108,9 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
 
 @dataclass(frozen=True, eq=False)
 class Equations(Brief):
-    """One level's equations as casadi SX: state (N,), inputs (m,), parameters (p,), rate = f (N,).
+    """One level's equations as casadi SX.
+
+    State (N,), inputs (m,), parameters (p,), rate = f (N,).
 
     linear_parameters (p,): expressions of the parameters at which a sampled step is linearised, by default the
     parameters. They differ for dry friction, whose slope at a point does not represent motions of finite size.
@@ -208,7 +212,10 @@ def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:
 
 
 def hamiltonian_equations(energy: Energy, *, count: int, parameters: ca.SX) -> Equations:
-    """Return Hamilton's equations of H(q, p, parameters) with `count` coordinates; states are (q, p)."""
+    """Return Hamilton's equations of H(q, p, parameters) with `count` coordinates.
+
+    States are (q, p).
+    """
     q, p = ca.SX.sym("q", count), ca.SX.sym("p", count)
     value = energy(q, p, parameters)
     by_momenta = ca.gradient(value, p)
@@ -249,7 +256,9 @@ class _Buffered:
 
 @dataclass(frozen=True)
 class NumericEquations(Brief):
-    """Equations with numbers for parameters (p,): numpy in, numpy out, many states at once.
+    """Equations with numbers for parameters (p,).
+
+    Numpy in, numpy out, many states at once.
 
     States are (N,) or (K, N), and results have the same leading shape. Inputs are zero. Instances cannot be shared
     between threads because calls reuse memory.

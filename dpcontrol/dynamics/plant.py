@@ -110,12 +110,18 @@ class PlantParameters(Settings):
 
     @property
     def motor(self) -> int:
-        """Index in the state of the driven position: the cart, or a component's motor."""
+        """Index in the state of the driven position.
+
+        The cart, or a component's motor.
+        """
         return next((place for one, place in self.places if one.motor), 2 * self.arms.count)
 
     @property
     def reads(self) -> dict[int, int]:
-        """Indices of states that replace joints and cart as measured quantities: {sensor: index}."""
+        """Indices of states that replace joints and cart as measured quantities.
+
+        {sensor: index}.
+        """
         count = self.arms.count
         return {k: place + own for one, place in self.places for k, own in one.reads(count).items()}
 
@@ -124,7 +130,9 @@ class PlantParameters(Settings):
         return np.concatenate([np.zeros(0), *(one.start(state) for one in self.components)])
 
     def numbers(self) -> Array:
-        """Return the parameters (p,) of `equations`: base parameters, b, then τ, then M and k_c where they occur.
+        """Return the parameters (p,) of `equations`.
+
+        Base parameters, b, then τ, then M and k_c where they occur.
 
         The components' numbers follow.
         """
@@ -140,7 +148,10 @@ class PlantParameters(Settings):
 
 @cache
 def _symbols() -> SimpleNamespace:
-    """Return the symbols of all levels: u, b, τ, M, k_c and F."""
+    """Return the symbols of all levels.
+
+    U, b, τ, M, k_c and F.
+    """
     return SimpleNamespace(**{name: ca.SX.sym(name) for name in ("command", "pull", "lag", "mass", "drag", "force")})
 
 
@@ -351,7 +362,10 @@ _INPUTS = ["state", "inputs", "duration", "parameters"]
 def plant_modes(
     count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = (), components: Kinds = ()
 ) -> Compiled | None:
-    """Return the function of `plant_step`'s inputs that chooses the components' modes; None if they have none."""
+    """Return the function of `plant_step`'s inputs that chooses the components' modes.
+
+    None if they have none.
+    """
     modes = _motion(count, level, friction, components).modes
     if modes.is_empty():
         return None
@@ -374,7 +388,10 @@ def longest_step(plant: PlantParameters) -> float:
 def after_blow(
     plant: PlantParameters, state: Array, *, impulses: Array | None = None, jumps: Array | None = None, knock: float = 0
 ) -> Array:
-    """Return the state (N,) after a blow: a couple's impulses (n,) N m s, jumps (n,) rad/s, the cart's knock m/s."""
+    """Return the state (N,) after a blow.
+
+    A couple's impulses (n,) N m s, jumps (n,) rad/s, the cart's knock m/s.
+    """
     n, size = plant.arms.count, plant.plain_size
     function = blow(n, plant.level, friction=plant.arms.friction)
     none, numbers = np.zeros(n), plant.numbers()

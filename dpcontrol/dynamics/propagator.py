@@ -77,7 +77,10 @@ class Section:
         return replace(self, side=row, middle=middle, reach=reach)
 
     def height(self, states: Array) -> Array:
-        """Return n·x - offset for states (…, N): zero, or a multiple of the period, on the section."""
+        """Return n·x - offset for states (…, N).
+
+        Zero, or a multiple of the period, on the section.
+        """
         return np.asarray(states) @ np.asarray(self.normal) - self.offset
 
     def level(self, state: Array) -> float:
@@ -171,7 +174,9 @@ Near a singularity, steps would shrink without end.
 
 
 class CrossingFinder:
-    """Propagates trajectories of one set of equations to sections; compiled when made, not shared between threads.
+    """Propagates trajectories of one set of equations to sections.
+
+    Compiled when made, not shared between threads.
 
     A finished trajectory leaves its lane to the next one, so no trajectory is continued beyond the section. The
     section's normal and the two adjacent sheets are run-time values: one compilation covers every section of the
@@ -460,14 +465,13 @@ class Propagator:
     def flows_with_tangents(self, states: Array, durations: Array, tangents: Array) -> tuple[Array, Array]:
         """Return the states (K, N) of `flows` and the images of `tangents` (K, N) at their starts.
 
-        Raises:
-            ArithmeticError: a state became infinite or undefined.
+        Rows are NaN if a state or tangent became infinite or undefined, as it does close to a collision.
         """
         n = self.equations.dimension
-        out = self._flown(np.hstack([states, tangents]), durations, stm=False)
+        out = self._flown(np.hstack([states, tangents]), durations, stm=False, keep_lost=True)
         return out[:, :n], out[:, n:]
 
-    def _flown(self, states: Array, durations: Array, *, stm: bool) -> Array:
+    def _flown(self, states: Array, durations: Array, *, stm: bool, keep_lost: bool = False) -> Array:
         if not (np.isfinite(states).all() and np.isfinite(durations).all()):
             raise ArithmeticError("the start or the duration of a segment is not finite")
         n = states.shape[1]
@@ -477,9 +481,10 @@ class Propagator:
             which = np.minimum(np.arange(first, first + LANES), len(states) - 1)
             integrator = self._at_zero(states[which].T, stm=stm)
             integrator.propagate_until(durations[which])
-            if any(result[0] != hy.taylor_outcome.time_limit for result in integrator.propagate_res):
+            ended = np.array([result[0] == hy.taylor_outcome.time_limit for result in integrator.propagate_res])
+            if not (keep_lost or ended.all()):
                 raise ArithmeticError(f"a segment of {np.max(np.abs(durations[which])):g} s could not be propagated")
-            out[which] = integrator.state.T
+            out[which] = np.where(ended[:, None], integrator.state.T, np.nan)
         return out
 
 

@@ -40,6 +40,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
 from dpcontrol.foundation.settings import Settings, check_names, setting, suggest
 from dpcontrol.foundation.shown import Brief
+from dpcontrol.foundation.units import SUBSCRIPTS, InUnits
 
 EnergyFunction = Callable[[tuple[ca.SX, ...], tuple[ca.SX, ...], dict[str, ca.SX]], ca.SX]
 """(coordinates, their velocities or momenta, parameters by name) -> energy, casadi scalars throughout."""
@@ -78,7 +79,7 @@ class SystemOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class System(Brief):
+class System(Brief, InUnits):
     """A Hamiltonian system with N = 2n states.
 
     Attributes:
@@ -124,7 +125,9 @@ class System(Brief):
         parameters: Mapping[str, float] | None = None,
         **options: Unpack[SystemOptions],
     ) -> "System":
-        """Return a system of two coordinates from L(q, v, parameters); its states are coordinates and velocities.
+        """Return a system of two coordinates from L(q, v, parameters).
+
+        Its states are coordinates and velocities.
 
         equilibria: name -> guess of the coordinates (2,), refined by Newton's method; at least one is a saddle.
 
@@ -147,7 +150,9 @@ class System(Brief):
         parameters: Mapping[str, float] | None = None,
         **options: Unpack[SystemOptions],
     ) -> "System":
-        """Return a system of two coordinates from H(q, p, parameters); its states are coordinates and momenta.
+        """Return a system of two coordinates from H(q, p, parameters).
+
+        Its states are coordinates and momenta.
 
         equilibria: see `from_lagrangian`. Their momenta are computed.
 
@@ -168,20 +173,20 @@ class System(Brief):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the N entries of a state: coordinates, then their rates (v_x) or momenta (p_x)."""
+        """Names of the N entries of a state.
+
+        Coordinates, then their rates (v_x) or momenta (p_x).
+        """
         names, state = self.coordinates, np.linspace(0.1, 0.9, self.dimension)
         letter = "p" if np.allclose(self.numeric.momentum(state), state[len(names) :]) else "v"
         rates = (f"rate_{one[6:]}" if one.startswith("angle_") else f"{letter}_{one}" for one in names)
         return (*names, *rates)
 
-    @checked
-    def unit(self, name: str, form: str = " {}") -> str:
-        """Return an SI unit as a suffix of numbers, or "" for a dimensionless system."""
-        return form.format(name) if self.si else ""
-
-    def worded(self, text: str) -> str:
-        """Return a text with energies in J, without their unit for a dimensionless system."""
-        return text if self.si else re.sub(r"(?<=\d) J\b", "", text)
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Axis labels of the N entries of a state; those of arms have symbols and units."""
+        symbols = [f"{one[6:].translate(SUBSCRIPTS)} (rad" for one in self.coordinates if one.startswith("angle_")]
+        return (*(f"θ{one})" for one in symbols), *(f"ω{one}/s)" for one in symbols)) or self.columns
 
     @cached_property
     def turn_lengths(self) -> Array:
@@ -253,7 +258,10 @@ class System(Brief):
             raise InputError(f"the results are of different systems, {self.name} and {other.name}{numbers}; use one")
 
     def nearest_turns(self, difference: Array) -> Array:
-        """Return the whole periods (…, N) nearest to a difference of states: integers, zero off angles."""
+        """Return the whole periods (…, N) nearest to a difference of states.
+
+        Integers, zero off angles.
+        """
         return np.rint(checked_array("difference", difference, len(self.periods)) / self.periods)
 
     def scaled_distance(self, first: Array, second: Array) -> Array:
@@ -264,7 +272,10 @@ class System(Brief):
 
 
 def saddle_index(numeric: NumericEquations, state: Array) -> int:
-    """Return the number of unstable directions of an equilibrium (N,): the index of the saddle, zero for a centre."""
+    """Return the number of unstable directions of an equilibrium (N,).
+
+    The index of the saddle, zero for a centre.
+    """
     eigenvalues = np.asarray(np.linalg.eigvals(numeric.jacobian(state)), dtype=complex)
     # Eigenvalues are real or imaginary here, so a part a million times smaller is rounding.
     return int(np.sum(np.real(eigenvalues) > 1e-6 * np.abs(eigenvalues)))
@@ -398,7 +409,7 @@ def _equilibria(
     found: dict[str, Array] = {}
     for key, guess in guesses.items():
         if not isinstance(key, str) or not _NAME.fullmatch(key):
-            raise InputError(f"{key!r} is no name for an equilibrium of {name}: use letters, digits and dashes")
+            raise InputError(f"{key!r} is not a name for an equilibrium of {name}: use letters, digits and dashes")
         try:
             given = np.asarray(guess, dtype=float)
         except (TypeError, ValueError):
@@ -492,7 +503,9 @@ def _reversers(
     scale: Array,
     declared: Sequence[ArrayLike] | None,
 ) -> tuple[Array, ...]:
-    """Return at most two reversers (N, N) about every saddle: those declared, or sign changes that are found.
+    """Return at most two reversers (N, N) about every saddle.
+
+    Those declared, or sign changes that are found.
 
     The product of both advances each Lyapunov orbit by half a period.
     """

@@ -5,28 +5,38 @@
 # the two curves, a trajectory leaves the orbit and returns. It is a homoclinic orbit.
 
 # %%
-from matplotlib.figure import Figure
-
 import dpcontrol as dp
+from dpcontrol.pages import style
+from dpcontrol.pages.layout import Page, key, save_figure
+from dpcontrol.pages.panels import angle_axis, quiet
 
 atlas = dp.atlas(dp.load_model("lab"), energy=-0.07)
 cut = atlas.cuts[0]
 
-# %%
-figure = Figure(figsize=(11, 5), layout="constrained")
-tube, section = figure.subplots(1, 2)
-for strand in cut.strands:
-    tube.plot(strand[:, 1], strand[:, 3], color="#d4544b", linewidth=0.6)
-samples = atlas.orbits[0].samples
-tube.plot(samples[:, 1], samples[:, 3], color="black", linewidth=2)
-tube.set(xlabel="angle of the outer arm (rad)", ylabel="its rate (rad/s)", title="The unstable tube")
-for k, piece in enumerate(cut.pieces):
-    section.plot(*piece.points.T, color="#d4544b", label="unstable tube" if not k else None)
-    section.plot(*piece.stable_points.T, color="#3c9c5f", label="stable tube" if not k else None)
-for connection in atlas.connections:
-    section.plot(*connection.point, "ko", markersize=4)
-section.set(xlabel="inner arm (rad)", ylabel="its momentum, scaled", title=f"{len(atlas.connections)} connections")
-section.legend()
 
 # %%
-figure.savefig("tube.png", dpi=110)
+def tube(axes):
+    """Draw the trajectories that leave the orbit, and the orbit."""
+    quiet(axes, "Trajectories that leave the orbit form a tube", x="angle of the outer arm (rad)", y="its rate (rad/s)")
+    for strand in cut.strands:
+        axes.plot(strand[:, 1], strand[:, 3], color=style.UNSTABLE, linewidth=0.5, alpha=0.6)
+    samples = atlas.orbits[0].samples
+    axes.plot(samples[:, 1], samples[:, 3], color=style.INK, linewidth=2)
+    angle_axis(axes, "x", step=0.5)
+
+
+def section(axes):
+    """Draw the cuts of both tubes, and their connections."""
+    title = f"The cuts of both tubes meet in {len(atlas.connections)} connections"
+    quiet(axes, title, x="angle of the inner arm (rad)", y="its momentum, scaled")
+    for piece in cut.pieces:
+        axes.plot(*piece.points.T, color=style.UNSTABLE)
+        axes.plot(*piece.stable_points.T, color=style.STABLE)
+    for connection in atlas.connections:
+        axes.plot(*connection.point, "o", color=style.INK, markersize=5)
+    key(axes, [("tube that leaves", style.UNSTABLE), ("tube that arrives", style.STABLE)])
+
+
+# %%
+page = Page("The tubes that leave and reach an orbit meet in connections").row(tube, section, height=4.6)
+save_figure(page.figure(), "tube.png")

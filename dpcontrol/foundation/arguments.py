@@ -70,7 +70,9 @@ def place(name: str, value: Any) -> Path | None:
 
 
 def instance(name: str, value: Any, kinds: type | tuple[type, ...], what: str) -> Any:
-    """Return the value if it has one of these types; `what` describes them in the error.
+    """Return the value if it has one of these types.
+
+    `what` describes them in the error.
 
     Raises:
         InputError: the value has another type.

@@ -71,7 +71,10 @@ def cache_file(kind: str, name: str, key: str) -> Path:
 
 
 def kept(file: Path) -> bytes | None:
-    """Return the content stored under this name; None if it is missing or damaged."""
+    """Return the content stored under this name.
+
+    None if it is missing or damaged.
+    """
     try:
         content = file.read_bytes()
     except OSError:
@@ -80,7 +83,10 @@ def kept(file: Path) -> bytes | None:
 
 
 def keep(file: Path, content: bytes) -> None:
-    """Store content under a name of `cache_file`; if the cache is not writable, issue a remark."""
+    """Store content under a name of `cache_file`.
+
+    If the cache is not writable, issue a remark.
+    """
     try:
         write_whole(file, content + _seal(file, content))
     except InputError as error:

@@ -28,7 +28,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class Between:
-    """Bounds of an annotated number: at least `least`, at most `most`, greater than `above`."""
+    """Bounds of an annotated number.
+
+    At least `least`, at most `most`, greater than `above`.
+    """
 
     least: float = -math.inf
     most: float = math.inf

@@ -67,7 +67,7 @@ def _read(path: Path, given: tuple[tuple[str, str], ...]) -> tuple[Config, froze
 
 
 def configuration() -> Config:
-    """Return the configuration.
+    """Return the defaults from file and environment.
 
     Raises:
         InputError: a mistake in the file or in a variable.

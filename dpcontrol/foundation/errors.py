@@ -18,7 +18,10 @@ class InputErrors(InputError):
 
 
 class Mistakes:
-    """Collects the mistakes of one input: `with mistakes:` around each check, then `report`."""
+    """Collects the mistakes of one input.
+
+    `with mistakes:` around each check, then `report`.
+    """
 
     def __init__(self) -> None:
         self.sentences: list[str] = []
@@ -62,7 +65,9 @@ class Remark(UserWarning):
 
 
 def remark(text: str) -> None:
-    """Issue a remark once: a warning in Python, a line on stderr on the command line.
+    """Issue a remark once.
+
+    A warning in Python, a line on stderr on the command line.
 
     Worker processes issue none.
     """
@@ -78,7 +83,10 @@ _CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u
 
 
 def printable(text: str, *, json: bool = False) -> str:
-    """Return text with control characters escaped, as in \\x1b; in JSON, as in \\u001b."""
+    """Return text with control characters escaped, as in \\x1b.
+
+    In JSON, as in \\u001b.
+    """
 
     def written_out(found: re.Match[str]) -> str:
         return f"\\u{ord(found[0]):04x}" if json else found[0].encode("unicode_escape").decode()

@@ -41,7 +41,9 @@ class InTheWay(InputError):
 
 
 def checked_target(path: Path) -> Path:
-    """Return the place to write: `path`, or the file that it links to. A rename would otherwise replace the link.
+    """Return the place to write.
+
+    `path`, or the file that it links to. A rename would otherwise replace the link.
 
     Raises:
         InputError: `path` is not a regular file, is a link to itself, or its folder is not accessible.
@@ -185,7 +187,9 @@ def unwritable(path: Path, error: OSError) -> InputError:
 
 @contextmanager
 def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
-    """Yield a temporary path beside `path`; rename it to `path` when the block ends without an error.
+    """Yield a temporary path beside `path`.
+
+    Rename it to `path` when the block ends without an error.
 
     The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file is removed if the
     block raises. Files of killed processes are removed by the next process that writes the same file.
@@ -245,7 +249,10 @@ def _sweep(folder: Path, prefix: str, suffix: str) -> None:
 
 
 def _locked(handle: int) -> bool:
-    """Lock a file until it is closed; return False if it is locked, or the system has no locks."""
+    """Lock a file until it is closed.
+
+    Return False if it is locked, or the system has no locks.
+    """
     try:
         import fcntl
 
@@ -263,7 +270,9 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -> None:
-    """Write text files by their names to the folder `path`: all of them, or nothing.
+    """Write text files by their names to the folder `path`.
+
+    All of them, or nothing.
 
     A folder with identical files is not changed. force: replace files of these names in any folder, and keep its other
     files.
@@ -423,7 +432,9 @@ _ZIP = b"PK\x03\x04"
 def archive(
     path: Path | IO[bytes], *, what: str, make: str, again: str, format: str, versions: tuple[int, ...]
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield the header and the arrays of `path`; errors in the block mean damage.
+    """Yield the header and the arrays of `path`.
+
+    Errors in the block mean damage.
 
     Args:
         path: path, or an open binary file.

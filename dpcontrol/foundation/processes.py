@@ -103,7 +103,10 @@ def _exit_after(sentinel: int) -> None:
 
 @contextmanager
 def ignoring_interrupts() -> Iterator[None]:
-    """Delay Ctrl-C until the block ends; processes started in the block ignore it."""
+    """Delay Ctrl-C until the block ends.
+
+    Processes started in the block ignore it.
+    """
     noted: list[int] = []
     # Windows has no signal masks; there, the handler alone delays Ctrl-C.
     masks = hasattr(signal, "pthread_sigmask")
@@ -170,7 +173,10 @@ def on_cluster(function: Callable[[Job], Done], jobs: Sequence[Job], address: st
 
 
 def _client(address: str, *, again: bool) -> "Client":
-    """Return a client of the cluster; with `again`, wait for its scheduler to return."""
+    """Return a client of the cluster.
+
+    With `again`, wait for its scheduler to return.
+    """
     try:
         from distributed import Client
     except ImportError as error:

@@ -285,7 +285,10 @@ def _as_text(values: Mapping[str, Any]) -> str:
 
 
 def _toml(value: Any) -> str:
-    """Return a value as TOML; a list of several texts has a line for each."""
+    """Return a value as TOML.
+
+    A list of several texts has a line for each.
+    """
     if isinstance(value, list | tuple) and len(value) > 1 and all(isinstance(one, str) for one in value):
         return "[\n" + "".join(f"  {_toml(one)},\n" for one in value) + "]"
     return json.dumps(value, ensure_ascii=False)
@@ -393,7 +396,9 @@ class Bounds:
 
 
 def setting(default: Any = MISSING, /, *, help: str = "", **bounds: Any) -> Any:
-    """Declare a setting: a dataclass field with its default, its `Bounds` and its help.
+    """Declare a setting.
+
+    A dataclass field with its default, its `Bounds` and its help.
 
     Args:
         default: required if there is none. None passes the bounds.
@@ -404,7 +409,10 @@ def setting(default: Any = MISSING, /, *, help: str = "", **bounds: Any) -> Any:
 
 
 class Settings:
-    """Base of settings: checks the fields' bounds on construction; `table` names the settings in messages."""
+    """Base of settings: checks the fields' bounds on construction.
+
+    `table` names the settings in messages.
+    """
 
     TABLE: ClassVar[str] = ""
     __pydantic_config__: ClassVar[Mapping[str, Any]] = {
@@ -450,7 +458,10 @@ class Settings:
 
 @cache
 def bounds_of(kind: type) -> dict[str, Bounds]:
-    """Return {field: bounds}; a field with another default in a subclass keeps its bounds."""
+    """Return {field: bounds}.
+
+    A field with another default in a subclass keeps its bounds.
+    """
     return {name: found["bounds"] for name, found in _declared(kind).items()}
 
 
@@ -571,7 +582,10 @@ _TYPES = {
 def _mistake(
     kind: type, key: str, wrong: Mapping[str, Any], place: Place, keys: tuple[Any, Sequence[str]]
 ) -> InputError:
-    """Return the error of one key; keys: the file's values, and the known keys."""
+    """Return the error of one key.
+
+    keys: the file's values, and the known keys.
+    """
     values, known = keys
     if wrong["type"] in ("missing", "missing_argument"):
         close = nearest(key, [one for one in values if one not in known])

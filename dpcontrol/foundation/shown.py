@@ -46,8 +46,8 @@ def _in_json(document: Callable[..., Any]) -> Callable[..., Any]:
     """Return a method `document` whose values are those of JSON."""
 
     @wraps(document)
-    def call(self: Any) -> Any:
-        return plain(document(self))
+    def call(self: Any, *arguments: Any) -> Any:
+        return plain(document(self, *arguments))
 
     return call
 

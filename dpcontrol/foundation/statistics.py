@@ -43,7 +43,10 @@ def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Two controllers on the same seeds: successes of only one of them, and McNemar's p."""
+    """Two controllers on the same seeds.
+
+    Successes of only one of them, and McNemar's p.
+    """
 
     pairs: int
     only_first: int

@@ -1,6 +1,7 @@
 """Detection of numbers in the wrong unit: unusual values cause a remark, impossible ones an error."""
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ _IMPOSSIBLE = 1000.0
 """Multiple of the largest usual value beyond which a number is rejected."""
 
 
+SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 
 
@@ -40,7 +42,9 @@ def prefixed(largest: float, unit: str) -> tuple[float, str]:
 
 
 def quantity(value: float, unit: str) -> str:
-    """Return a number with its unit and an SI prefix; squared units have none.
+    """Return a number with its unit and an SI prefix.
+
+    Squared units have none.
 
     >>> quantity(8.8e-05, "s")
     '88 µs'
@@ -48,6 +52,20 @@ def quantity(value: float, unit: str) -> str:
     plain = not unit or "²" in unit or not unit[0].isalpha()
     factor, shown = (1.0, unit) if plain else prefixed(abs(value), unit)
     return f"{value * factor:.3g} {shown}".rstrip()
+
+
+class InUnits:
+    """Base of systems and results that state whether their units are those of SI."""
+
+    si: bool
+
+    def unit(self, name: str, form: str = " {}") -> str:
+        """Return a unit of SI as it follows a number, or "" if the system has its own units."""
+        return form.format(name) if self.si else ""
+
+    def worded(self, text: str) -> str:
+        """Return a text on energies in J, without this unit if the system has its own units."""
+        return text if self.si else re.sub(r"(?<=[\d\]]) J\b", "", text)
 
 
 class Usual(NamedTuple):

@@ -298,7 +298,7 @@ _HALVINGS = 8
 
 @dataclass(frozen=True)
 class FitSettings(Settings, table="fit"):
-    """Settings of the fit."""
+    """Windows, robust loss and convergence of the fit."""
 
     window: float = setting(0.5, above=0, unit="s")
     """Length of a shooting window, s."""
@@ -446,7 +446,10 @@ def _threshold(now: Linearised, settings: FitSettings) -> float:
 
 @dataclass(eq=False)
 class _Normal:
-    """Normal equations with the starts eliminated: reduced (f, f), right (f,); of each swing what gives its start."""
+    """Normal equations with the starts eliminated: reduced (f, f), right (f,).
+
+    Of each swing what gives its start.
+    """
 
     reduced: Array
     right: Array
@@ -460,7 +463,10 @@ class _Normal:
 
     @property
     def scaled(self) -> Array:
-        """The reduced matrix (f, f) with a unit diagonal; not finite if rounding dominates it."""
+        """The reduced matrix (f, f) with a unit diagonal.
+
+        Not finite if rounding dominates it.
+        """
         with np.errstate(over="ignore", invalid="ignore"):
             vectors = self.reduced * self.scale[:, None] * self.scale
             return (vectors + vectors.T) / 2

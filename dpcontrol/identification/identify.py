@@ -64,7 +64,10 @@ _NEAR = 20
 
 @dataclass(frozen=True)
 class Segment:
-    """A segment as used: running index, log, first time s, length s, used or held out, rms rad."""
+    """A segment as used.
+
+    Running index, log, first time s, length s, used or held out, rms rad.
+    """
 
     index: int
     log: str
@@ -193,7 +196,10 @@ def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array
 
 
 def _covariance(fit: SwingFit, among: NDArray[np.bool_]) -> Array:
-    """Return the covariance of the unknowns in `among` with the others fixed; infinite if undetermined."""
+    """Return the covariance of the unknowns in `among` with the others fixed.
+
+    Infinite if undetermined.
+    """
     information, f = fit.information[np.ix_(among, among)], int(among.sum())
     lengths = [len(s) for s in fit.scores]
     block = max(int(_BLOCK_TIMES * correlation_time(fit.residuals)), _LEAST_BLOCK)
@@ -514,7 +520,10 @@ _AT = (-3.0, -1.5, 1.5, 3.0)
 
 @dataclass(frozen=True, eq=False)
 class LossProfile(Brief):
-    """Profile of one unknown: values (K,), relative rise of the loss (K,), and its linearised prediction."""
+    """Profile of one unknown.
+
+    Values (K,), relative rise of the loss (K,), and its linearised prediction.
+    """
 
     name: str
     best: float

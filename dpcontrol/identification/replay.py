@@ -139,7 +139,10 @@ def first_guess(angles: Array, period: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FittedPath(Brief):
-    """Motion nearest to a stretch: states (K, 2n), residual (n,) rad rms per angle, and status."""
+    """Motion nearest to a stretch.
+
+    States (K, 2n), residual (n,) rad rms per angle, and status.
+    """
 
     states: Array
     residual: Array
@@ -240,7 +243,10 @@ _INDEPENDENT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class RecordedEstimate(Brief):
-    """States (K, 2n) and standard deviations at each sample; nis (K,), NaN except at the end of a mean."""
+    """States (K, 2n) and standard deviations at each sample.
+
+    Nis (K,), NaN except at the end of a mean.
+    """
 
     states: Array
     sigmas: Array
@@ -449,7 +455,10 @@ class Replay(Brief):
 
     @property
     def stretch_errors(self) -> list[dict[str, Any]]:
-        """Prediction error of each stretch: rms in rad, of each angle and of all."""
+        """Prediction error of each stretch.
+
+        Rms in rad, of each angle and of all.
+        """
         rows: list[dict[str, Any]] = []
         for (index, first, _), fit in zip(self.stretches, self.fits, strict=True):
             own = {f"rms_angle_{i + 1}": float(value) for i, value in enumerate(fit.residual)}
@@ -605,7 +614,10 @@ def _ahead(
     velocity: Array,
     acceleration: Array,
 ) -> Array:
-    """Return the rms error (n,) rad of angles predicted `samples` ahead; NaN if no interval fits."""
+    """Return the rms error (n,) rad of angles predicted `samples` ahead.
+
+    NaN if no interval fits.
+    """
     inside = np.zeros(len(settled), dtype=bool)
     for first, end in recording.segments:
         inside[first : max(first, end - samples)] = True
@@ -623,7 +635,9 @@ def _ahead(
 
 
 def write_replay(result: Replay, path: Path | str, *, model: str, model_text: str, force: bool = False) -> Path:
-    """Write measured angles, the estimate, and the prediction as reference; return the log's path.
+    """Write measured angles, the estimate, and the prediction as reference.
+
+    Return the log's path.
 
     If the cart moved, its motion is the input of both estimate and prediction.
 

@@ -7,8 +7,11 @@ at its start. The comparison's status reports the method used for each run.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.shown import Shown
 from dpcontrol.judge.run_view import RunView
 
 MOST = 6
@@ -33,7 +36,7 @@ class ComparedRun:
 
 
 @dataclass(frozen=True)
-class RunComparison:
+class RunComparison(Shown):
     """Runs on one clock, aligned at a symbol.
 
     The symbol counts from 1; its time is in s.
@@ -42,6 +45,10 @@ class RunComparison:
     runs: tuple[ComparedRun, ...]
     symbol: int
     moment: float
+
+    def document(self) -> dict[str, Any]:
+        """Return the alignment for JSON."""
+        return {**picked(self, "symbol", "moment", "status"), "runs": [run.name for run in self.runs]}
 
     @property
     def status(self) -> str:

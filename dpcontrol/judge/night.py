@@ -13,19 +13,23 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.settings import check_names
-from dpcontrol.foundation.shown import Shown
+from dpcontrol.foundation.shown import Shown, pandas_classes
 from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import CATCH, LAP, REST, RESUME, RETURN, START
 from dpcontrol.logs.reader import read_log
 from dpcontrol.logs.rolling import Digest, digest_of_log
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 ITINERARY, CALMING, STARTING = "on the itinerary", "arms calmed", "rising"
 BETWEEN, UNKNOWN = "between repetitions", "no log"
@@ -252,6 +256,27 @@ class Night(Shown):
             "drift": [asdict(drift) for drift in self.drifts],
             "memory_growth": self.memory_growth, "deadlines": self.deadlines, "partials": list(self.partials),
         }  # fmt: skip
+
+    def frame(self) -> "DataFrame":
+        """Return a pandas table, one row for each file.
+
+        The index `time` is the start of the file since the start of the night, s. The columns are the end (s), the
+        session, ticks, repetitions, falls, the cart's greatest distance from the centre (m), and the means of the
+        estimated parameters.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        data_frame, index = pandas_classes()
+        rows = [
+            {
+                **picked(digest, "end", "session", "ticks", "repetitions", "cart"),
+                "falls": sum(digest.first <= fall.time < digest.end for fall in self.falls),
+                **{name: mean for name, (mean, _) in digest.extras.items()},
+            }
+            for digest in self.digests
+        ]
+        return data_frame(rows, index=index([digest.first for digest in self.digests], name="time"))
 
     def lines(self) -> Iterator[str]:
         """Yield the lines of the report."""

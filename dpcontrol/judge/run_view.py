@@ -330,7 +330,10 @@ def _repeats_measurement(state: Array, measured: Array, arms: int) -> bool:
 
 
 def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
-    """Return measured positions in state order; missing rates are differences within each segment."""
+    """Return measured positions in state order.
+
+    Missing rates are differences within each segment.
+    """
     n, size = len(log.arm_lengths), log.measured.shape[1]
     positions = clean(log.measured)
     rates = log.rates

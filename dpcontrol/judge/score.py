@@ -299,7 +299,9 @@ def score(log: RunLog) -> Score:
 
 
 def _hardest(log: RunLog) -> float | None:
-    """Return the greatest acceleration applied by the drive, m/s²; None if the true state is unknown.
+    """Return the greatest acceleration applied by the drive, m/s².
+
+    None if the true state is unknown.
 
     Logs of earlier versions lack it. In these, the loop's figure counts only if the cart's true velocity changed as
     much: blows change the velocity alone, and a wrong estimate changes the loop's figure alone.
@@ -362,7 +364,7 @@ def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | No
     try:
         return None if text is None else kind(text)
     except ValueError as error:
-        raise InputError(f"{log.path}: its {name} = {text!r:.80} is no number; make the log again") from error
+        raise InputError(f"{log.path}: its {name} = {text!r:.80} is not a number; make the log again") from error
 
 
 def recovered_note(log: RunLog) -> str:

@@ -96,7 +96,10 @@ def _bytes_of(record: McapRecord) -> bytes:
 
 
 def _chunk_index_bytes(index: ChunkIndex) -> bytes:
-    """Return the record, ten times faster than the mcap package does: every chunk has one."""
+    """Return the record, ten times faster than the mcap package does.
+
+    Every chunk has one.
+    """
     places = index.message_index_offsets
     flat = [number for place in places.items() for number in place]
     name = index.compression.encode()

@@ -395,7 +395,10 @@ def open_verified(path: Path) -> VerifiedFile:
 
 
 def _open(path: Path) -> VerifiedFile:
-    """Read `path`, of any contents, and compare its checksums; errors as in `open_verified`."""
+    """Read `path`, of any contents, and compare its checksums.
+
+    Errors as in `open_verified`.
+    """
     data = recorded_bytes(path)
     if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
         raise InputError(f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`")
@@ -811,7 +814,10 @@ def _decode(file: VerifiedFile) -> RunLog:
 
 
 def _extras(names: tuple[str, ...], rows: list[Array]) -> Extras | None:
-    """Return the extras in rows (time, standard deviations, values); None if there are no rows."""
+    """Return the extras in rows (time, standard deviations, values).
+
+    None if there are no rows.
+    """
     if not sum(map(len, rows)):
         return None
     whole = _frozen(np.concatenate(rows))

@@ -130,7 +130,10 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
 
 
 def _accept(found: Salvage, opcode: int, body: memoryview) -> bool:
-    """Add a record if its checksum agrees; return True if it was added."""
+    """Add a record if its checksum agrees.
+
+    Return True if it was added.
+    """
     try:
         if opcode == Opcode.CHUNK:
             found.chunks.append(_chunk(body))
@@ -256,7 +259,10 @@ def recover(
 
 
 def _check_declared(path: Path, tick: TickLayout, chunks: Sequence[SoundChunk]) -> None:
-    """Reject a log that another program has rewritten; a log without declarations is rebuilt without them."""
+    """Reject a log that another program has rewritten.
+
+    A log without declarations is rebuilt without them.
+    """
     schemas = {number: schema for chunk in chunks for number, schema in chunk.schemas.items()}
     channels = {number: channel for chunk in chunks for number, channel in chunk.channels.items()}
     if channels:
@@ -264,7 +270,10 @@ def _check_declared(path: Path, tick: TickLayout, chunks: Sequence[SoundChunk]) 
 
 
 def _free_name(path: Path) -> Path:
-    """Return the default target: the log's name if it is free, or a similar free name."""
+    """Return the default target.
+
+    The log's name if it is free, or a similar free name.
+    """
     named = re.sub(r"(\.\d+-\d+)?\.partial$", "", path.name)
     if path.suffix == SUFFIX and not path.with_name(named).exists():
         return path.with_name(named)

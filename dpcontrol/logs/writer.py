@@ -298,7 +298,10 @@ class ChunkEncoder:
         return self._block[:count]
 
     def _robot(self, rows: Mapping[str, Row]) -> Row:
-        """Return the states for /tf: truth, estimate or measured positions, in that order of preference."""
+        """Return the states for /tf.
+
+        Truth, estimate or measured positions, in that order of preference.
+        """
         for part in ("truth", "estimate"):
             if part in rows:
                 return rows[part]
@@ -528,7 +531,10 @@ class LogWriter:
         sync_folder(self.path.parent)
 
     def _give_up(self, error: BaseException) -> None:
-        """Keep the written part and note its path; no chunk follows one that was cut short."""
+        """Keep the written part and note its path.
+
+        No chunk follows one that was cut short.
+        """
         if self._encoder is None and not self._buffer.filled:
             # A run that failed before its first tick leaves nothing to keep.
             self.partial.unlink(missing_ok=True)

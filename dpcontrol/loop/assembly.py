@@ -73,7 +73,10 @@ class Assembly:
 
     @property
     def limits(self) -> Limits:
-        """The cart's limits: those of the reference, with the travel of the settings if given."""
+        """The cart's limits.
+
+        Those of the reference, with the travel of the settings if given.
+        """
         return self.settings.limits(self.reference)
 
     @property
@@ -119,7 +122,9 @@ class Assembly:
 
     @cached_property
     def recovery(self) -> RecoveryPlan | None:
-        """The recovery from falls, using the reference's starts; None if falls end runs.
+        """The recovery from falls, using the reference's starts.
+
+        None if falls end runs.
 
         Raises:
             InputError: the reference has no starts, or the controller has no time-indexed gains.

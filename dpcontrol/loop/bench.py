@@ -91,7 +91,9 @@ class SensorSettings(Settings, table="sensors"):
     stuck_sensor: int = setting(
         0, least=0, help="Sensor that sticks: 0 the inner arm's encoder, then outwards, last the cart's scale."
     )
-    stuck_for: float = setting(math.inf, above=0, infinite="for good", unit="s", help="Duration for which it sticks.")
+    stuck_for: float = setting(
+        math.inf, above=0, infinite="the rest of the run", unit="s", help="Duration for which it sticks."
+    )
     jitter: float = setting(0.0, least=0, most=1, unit="s", help="Largest age of a reading.")
     ages: str = setting("unknown", choices=AGES, help="Whether the bench reports the ages of its readings.")
     rate_noise: float = setting(
@@ -115,7 +117,9 @@ class SensorSettings(Settings, table="sensors"):
         return (2 * np.pi / self.counts if self.counts else 0.0), self.cart_resolution
 
     def covariance(self, arms: int) -> Array:
-        """Return the covariance (n+1, n+1) of the measured positions: rounding of q²/12 plus noise.
+        """Return the covariance (n+1, n+1) of the measured positions.
+
+        Rounding of q²/12 plus noise.
 
         cov(angle_i, angle_j) = (min(i, j) + 1)(q²/12 + noise²). Ideal sensors get the steps `_FINEST_ANGLE` and
         `_FINEST_CART`, because a filter needs a positive covariance.
@@ -184,7 +188,10 @@ class DriveSettings(Settings, table="drive"):
         )
 
     def within(self, limits: Limits, period: float, *, clip: Clip = clip_number) -> "DriveLimits":
-        """Return the drive's bounds for demands `period` s apart; clip: `clip_lanes` for several runs."""
+        """Return the drive's bounds for demands `period` s apart.
+
+        clip: `clip_lanes` for several runs.
+        """
         own = self.limits(limits)
         step = self.jerk * period if math.isfinite(self.jerk) else math.inf
         return DriveLimits(float(own.acceleration), float(own.velocity), step, self.response, clip)
@@ -344,7 +351,10 @@ class MechanicsSettings(Settings, table="mechanics"):
         return values
 
     def components(self, arms: int, offsets: Array) -> tuple[SymbolicPlant, ...]:
-        """Return the components of a plant; offsets (n,): encoder positions in their play, -0.5 to 0.5."""
+        """Return the components of a plant.
+
+        offsets (n,): encoder positions in their play, -0.5 to 0.5.
+        """
         found: list[SymbolicPlant] = []
         play, stiction = self.of_each("play", arms), self.of_each("stiction", arms)
         if self.belt:
@@ -391,7 +401,10 @@ _STREAMS = ("plant", "initial_error", "zero_errors", "command_noise", "ages", "d
 
 @dataclass(frozen=True, eq=False)
 class Blow:
-    """Blow at one tick: impulses (n,) N m s, jumps (n,) rad/s, knock m/s."""
+    """Blow at one tick.
+
+    Impulses (n,) N m s, jumps (n,) rad/s, knock m/s.
+    """
 
     impulses: Array
     jumps: Array
@@ -404,7 +417,9 @@ _BLOCK = 1 << 14
 
 @dataclass(frozen=True, eq=False)
 class Stream(Brief):
-    """Random numbers for each tick of a run: `make` turns a generator and a count into an array (count, …).
+    """Random numbers for each tick of a run.
+
+    `make` turns a generator and a count into an array (count, …).
 
     Successive blocks hold the numbers of one long draw.
     """
@@ -424,7 +439,10 @@ class Stream(Brief):
 
 
 class StreamReader:
-    """Returns a stream tick by tick, `reader[k]`, in order and without end; it stores one block."""
+    """Returns a stream tick by tick, `reader[k]`, in order and without end.
+
+    It stores one block.
+    """
 
     def __init__(self, stream: Stream, rows: Callable[[NDArray[Any]], Any], *, block: int) -> None:
         self._random, self._make, self._rows = np.random.default_rng(stream.seed), stream.make, rows
@@ -444,7 +462,10 @@ class StreamReader:
 
 
 def _drawn(name: str) -> Any:
-    """Return a property of a `BenchDraw`: the first of its ticks of a stream, or None."""
+    """Return a property of a `BenchDraw`.
+
+    The first of its ticks of a stream, or None.
+    """
 
     def first(draw: "BenchDraw") -> NDArray[Any] | None:
         stream = draw.streams.get(name)

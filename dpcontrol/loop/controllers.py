@@ -52,7 +52,9 @@ if TYPE_CHECKING:
 
 
 class Filter(NamedTuple):
-    """A kind of estimator: its settings, its defaults for the adaptive law, and its factory.
+    """A kind of estimator.
+
+    Its settings, its defaults for the adaptive law, and its factory.
 
     A symbolic estimator is compiled into the tick and can be exported to C.
     """
@@ -99,7 +101,9 @@ def estimators_of(law: "ControllerSettings") -> dict[str, type[EstimatorSettings
 
 
 def make_estimator(settings: EstimatorSettings | OwnEstimator, model: SampledModel, *, noise: Array) -> Estimator:
-    """Return the estimator of `settings` for `model`; noise (n+1, n+1): covariance of the measured positions.
+    """Return the estimator of `settings` for `model`.
+
+    noise (n+1, n+1): covariance of the measured positions.
 
     Raises:
         InputError: the noise has the wrong shape or is no covariance.
@@ -164,7 +168,9 @@ def _part(reference: Reference, entry: Mapping[str, Any]) -> Reference:
 
 
 def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmChainParameters) -> "SustainedOrbit":
-    """Return the sustained orbit of an entry: keep (the saddle), energy, family, lyapunov_period, rows, turns.
+    """Return the sustained orbit of an entry.
+
+    Keep (the saddle), energy, family, lyapunov_period, rows, turns.
 
     Raises:
         InputError: it is of other arms.

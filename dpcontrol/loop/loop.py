@@ -64,7 +64,9 @@ _REPORT_INTERVAL = 1.0
 
 
 class ControlLoop:
-    """One run of a controller and an estimator on a rig; `run` can be called once.
+    """One run of a controller and an estimator on a rig.
+
+    `run` can be called once.
 
     Attributes:
         rate_noise: noise (n, 1) on the controller's rates by tick, rad/s. It simulates measured rates (Wiebe et al.,
@@ -383,14 +385,20 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def known_belt(self) -> float:
-        """Belt frequency in the loop's model, Hz; 0 without a belt or if the rate is too low for shaping."""
+        """Belt frequency in the loop's model, Hz.
+
+        0 without a belt or if the rate is too low for shaping.
+        """
         own = self.mechanics
         belt = own.belt if np.isinf(own.known_belt) else own.known_belt
         return belt if belt < _SHAPED * self.rate else 0.0
 
     @property
     def known_lag(self) -> float:
-        """Lag in the model of filter, prediction and gains, s: of the drive, and of a belt with its shaping."""
+        """Lag in the model of filter, prediction and gains, s.
+
+        Of the drive, and of a belt with its shaping.
+        """
         return self.drive_lag + KnownMechanics((), self.known_belt, self.mechanics.belt_damping).lag
 
     def draw(
@@ -441,7 +449,10 @@ class LoopSettings(Settings, table="run"):
         return tuple(one for one in made if isinstance(one, OwnObject) and not one.source)
 
     def limits(self, reference: Reference) -> Limits:
-        """Return the cart's limits in this run: the reference's, with the travel of the settings if given."""
+        """Return the cart's limits in this run.
+
+        The reference's, with the travel of the settings if given.
+        """
         return replace(reference.limits, position=self.travel) if self.travel else reference.limits
 
 

@@ -55,11 +55,17 @@ _SHOWN = 60
 
 
 class OwnFailure(ArithmeticError):
-    """A user's object failed; the message has the object, the method and the value."""
+    """A user's object failed.
+
+    The message has the object, the method and the value.
+    """
 
 
 class _TooLong(BaseException):
-    """Interrupt of a call that exceeds its limit; objects cannot catch it as an Exception."""
+    """Interrupt of a call that exceeds its limit.
+
+    Objects cannot catch it as an Exception.
+    """
 
 
 def _timed(function: Callable[..., Any], arguments: Sequence[Any], longest: float) -> Any:
@@ -124,7 +130,10 @@ class OwnObject:
 
     @cached_property
     def _fingerprint(self) -> str:
-        """Return a hash of code and state; unique if these cannot be read."""
+        """Return a hash of code and state.
+
+        Unique if these cannot be read.
+        """
         try:
             code = self.thing.function if isinstance(self.thing, SymbolicLaw) else type(self.thing)
             return content_hash(inspect.getsource(code), pickle.dumps(self.thing))
@@ -201,7 +210,10 @@ class OwnObject:
 
 
 def wrong_command(law: str, value: float) -> OwnFailure | None:
-    """Return the error for a symbolic law's command in m/s²; None if it is valid."""
+    """Return the error for a symbolic law's command in m/s².
+
+    None if it is valid.
+    """
     if abs(value) <= LARGEST:
         return None
     return OwnFailure(f"{law} returned {value}: it must return a number from -{LARGEST:g} to {LARGEST:g} m/s²")
@@ -317,7 +329,10 @@ class OwnController:
 
 
 class OwnSession:
-    """A user's law during a run; `failure` is the error that ended it."""
+    """A user's law during a run.
+
+    `failure` is the error that ended it.
+    """
 
     def __init__(self, law: OwnController, lead: int) -> None:
         self._law, self._lead, self._begun = law, lead, False

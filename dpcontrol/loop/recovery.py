@@ -133,7 +133,10 @@ def started(before: GainSchedule, main: GainSchedule, *, lead_in: int, place: in
 
 @dataclass(frozen=True, eq=False)
 class Reach(Brief):
-    """Places of a reference, `every` ticks apart: states (M, N) and cost-to-go matrices P (M, N, N)."""
+    """Places of a reference, `every` ticks apart.
+
+    States (M, N) and cost-to-go matrices P (M, N, N).
+    """
 
     every: int
     states: Array
@@ -167,7 +170,10 @@ class Reach(Brief):
 
 @dataclass(frozen=True, eq=False)
 class RecoveryPlan(Brief):
-    """Data shared by all recoveries of an itinerary; starts may be appended during a run."""
+    """Data shared by all recoveries of an itinerary.
+
+    Starts may be appended during a run.
+    """
 
     calming: CalmingController
     starts: list[StartController]
@@ -265,7 +271,10 @@ class FallRecovery:
         return f"{when}: the cart moves at {speed:.3g} m/s, the reference at {planned:.3g} m/s"
 
     def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Sequence[Choice] | None:
-        """Begin a return after a fall at tick k; None if no attempt is left."""
+        """Begin a return after a fall at tick k.
+
+        None if no attempt is left.
+        """
         plan = self._plan
         if self.motion is not Motion.RETURN:
             self.falls += 1
@@ -299,7 +308,10 @@ class FallRecovery:
         return f"symbol {number} of {total} is repeated" if number <= total else "the run returns to the last stop"
 
     def _calm(self, k: int, ticker: Ticker, *, still: bool = False) -> None:
-        """Calm the arms from the tick after k onward; with `still`, brake and hold the cart first."""
+        """Calm the arms from the tick after k onward.
+
+        With `still`, brake and hold the cart first.
+        """
         self._calms, self._rested, self._quiet, self._fresh = not still, k, k, False
         ticker.follow(
             k + 1, self._plan.calming, lift=np.zeros(self._arms),
@@ -445,7 +457,10 @@ class FallRecovery:
         return self.fell(k, Outcome.TRACKING_LOST, why, ticker, ticker.program.period) or ()
 
     def ended(self, k: int, ticker: Ticker) -> Sequence[Choice]:
-        """Continue after the reference ends with tick k; return no events if the run ends."""
+        """Continue after the reference ends with tick k.
+
+        Return no events if the run ends.
+        """
         if self.motion is not Motion.ITINERARY:
             return ()
         if not self.until:

@@ -312,7 +312,10 @@ class LoopSink(Protocol):
         ...
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Receive one event: level info, warn or error, its name and its text."""
+        """Receive one event.
+
+        Level info, warn or error, its name and its text.
+        """
         ...
 
 
@@ -458,7 +461,10 @@ class JudgedTicks:
         self._freedom = arms + 1
 
     def take(self, k: int, report: Array, at: Mapping[str, int], truth: Array) -> None:
-        """Store tick k: its report (size, S), see `TickEquations.report`, and the true states (N, S)."""
+        """Store tick k.
+
+        Its report (size, S), see `TickEquations.report`, and the true states (N, S).
+        """
         turn = k % _TURN
         self._latest[turn] = truth
         self._done = k + 1
@@ -485,7 +491,10 @@ class JudgedTicks:
         ending: Ending,
         reason: str,
     ) -> BatchRun:
-        """Return one run of `count` ticks; references (K, n) are constant from the tick of a stop on."""
+        """Return one run of `count` ticks.
+
+        References (K, n) are constant from the tick of a stop on.
+        """
         rest, count = self._done % _TURN, min(count, self._done)
         self._truth[lane, self._done - rest : self._done] = self._latest[:rest, :, lane]
         wanted = references[:count].copy()

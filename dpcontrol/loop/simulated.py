@@ -104,7 +104,10 @@ class Encoders:
         return np.array(readings)
 
     def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
-        """Lose counts against the motion of each joint; a joint at rest loses none."""
+        """Lose counts against the motion of each joint.
+
+        A joint at rest loses none.
+        """
         inner = 0.0
         for k, lost in enumerate(missed):
             outer = state[self._arms + k]
@@ -199,7 +202,10 @@ class SimulatedPlant:
 
     @property
     def loop_velocity(self) -> Any:
-        """The velocity reference w of the drive's loop, m/s; without lag, the velocity of cart or motor."""
+        """The velocity reference w of the drive's loop, m/s.
+
+        Without lag, the velocity of cart or motor.
+        """
         v = self.values[self._motor + 1]
         return v + self._lag * self.values[self._cart + 2] if self._lag else v
 
@@ -260,7 +266,10 @@ class SimulatedPlant:
         return self._following
 
     def _meet_stop(self, acceleration: float, duration: float, time: float) -> None:
-        """Move one run to a hard stop within `duration` s; the cart stops and is held there."""
+        """Move one run to a hard stop within `duration` s.
+
+        The cart stops and is held there.
+        """
         cart, track = self._cart, self.track
         free, met = 0.0, duration
         for _ in range(60):
@@ -403,7 +412,10 @@ class SimulatedBench:
         return self._ages[k] if self._reports and k else None
 
     def _demand(self, k: int, acceleration: Any) -> None:
-        """Store the command of tick k, m/s²; a second one in the same period replaces the first."""
+        """Store the command of tick k, m/s².
+
+        A second one in the same period replaces the first.
+        """
         demands, place = self._demands, self._sent_before + k - self._past
         if len(demands) > place:
             del demands[place:]
@@ -484,7 +496,10 @@ class SimulatedRig(SimulatedBench):
 
     @property
     def state(self) -> Array:
-        """The plant's full state (N,): the true state, then the demand of a lagging drive."""
+        """The plant's full state (N,).
+
+        The true state, then the demand of a lagging drive.
+        """
         return self._plant.state
 
     @property
@@ -517,7 +532,9 @@ class SimulatedRig(SimulatedBench):
         return Reading(now, measured, None, switch, age=self._age(k))
 
     def command(self, acceleration: float) -> None:
-        """Send the demanded acceleration of the cart; a second command in one period replaces the first.
+        """Send the demanded acceleration of the cart.
+
+        A second command in one period replaces the first.
 
         Args:
             acceleration: demand, m/s².
@@ -539,7 +556,10 @@ class BatchBench(SimulatedBench):
 
     @property
     def failed(self) -> NDArray[np.bool_] | None:
-        """True for each state (S,) that is not finite; None if all are finite."""
+        """True for each state (S,) that is not finite.
+
+        None if all are finite.
+        """
         # One sum detects the rare failure; only then is each run checked.
         if math.isfinite(np.add.reduce(self._plant.state, axis=None)):
             return None
@@ -552,7 +572,10 @@ class BatchBench(SimulatedBench):
         return self._plant.faults
 
     def read(self) -> Reading:
-        """Advance one period, except in the first call; return positions (n+1, S) and switches."""
+        """Advance one period, except in the first call.
+
+        Return positions (n+1, S) and switches.
+        """
         self._tick = k = self._tick + 1
         if k:
             self._pass(k - 1)

@@ -327,7 +327,10 @@ class Ticker:
         self.program.memory[self.program.equations.memory.slices["velocity"]] = velocity
 
     def rehearse(self) -> None:
-        """Run ticks and discard them, to load everything before the first deadline; not with users' objects."""
+        """Run ticks and discard them, to load everything before the first deadline.
+
+        Not with users' objects.
+        """
         if self._has_own:
             return
         state = self.controller.first_state

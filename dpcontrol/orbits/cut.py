@@ -335,7 +335,8 @@ def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
             f"{second:.3g}); they pass near another orbit or were not refined further"
         )
         return OpenEnd(sampler.branch, interval, reason, hides=True)
-    reason = f"grazes the section: crossing {hit} jumps where the normal rate falls to {slow:.1e} rad/s"
+    falls = f"{slow:.1e}{sampler.manifold.orbit.system.unit('rad/s')}"
+    reason = f"grazes the section: crossing {hit} jumps where the normal rate falls to {falls}"
     return OpenEnd(sampler.branch, interval, reason, hides=False)
 
 

@@ -181,7 +181,7 @@ class CurveEvent:
 
 @dataclass(frozen=True)
 class FamilyEnd:
-    """An end of a family.
+    """First or last orbit of a family, with the reason for the end.
 
     Attributes:
         energy: J.
@@ -404,7 +404,9 @@ class Family(Shown, Generic[Member]):
         return self.column("floquet_multipliers")
 
     def frame(self) -> "DataFrame":
-        """Return a pandas table, one row per member: energy, period and the largest multiplier's modulus.
+        """Return a pandas table, one row per member.
+
+        Energy, period and the largest multiplier's modulus.
 
         Raises:
             InputError: pandas is not installed.

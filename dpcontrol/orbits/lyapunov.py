@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Equilibrium(Brief):
-    """An equilibrium.
+    """A point of rest with its energy and linear stability.
 
     Attributes:
         state (N,): rad and rad/s for arms.

@@ -62,7 +62,7 @@ def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array
     found = []
     for stable, saddle, hit in ((False, kind.source, kind.hits[0]), (True, kind.target, kind.hits[1])):
         cut = atlas.cut(saddle, kind.section, hit)
-        _, period = section_axes(cut.section, atlas.periods)
+        _, period = section_axes(cut.section, atlas)
         for piece in cut.pieces:
             points = piece.stable_points if stable else piece.points
             closed = np.vstack([points, points[:1]]) if piece.closed else points
@@ -77,7 +77,7 @@ def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
 
     The angle q is within a period.
     """
-    _, period = section_axes(connection.section, atlas.periods)
+    _, period = section_axes(connection.section, atlas)
     q, p = connection.point
     return np.array([q - (np.rint(q / period) * period if period else 0.0), p])
 
@@ -157,7 +157,7 @@ def draw_cuts(
     `sense` selects the crossings to draw; None draws both.
     """
     section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
-    coordinate, period = section_axes(section, atlas.periods)
+    coordinate, period = section_axes(section, atlas)
     for is_stable, direction, points in section_curves(atlas, kind):
         if sense not in (None, direction):
             continue
@@ -253,13 +253,13 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
         axes.plot(centre[0], centre[1], "+", color=style.INK, markersize=7, zorder=1)
     axes.plot(connection.states[:, 0], connection.states[:, 1], color=colour, linewidth=1.3, zorder=3)
     axes.plot(*connection.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=4)
-    angular = bool(np.isfinite(atlas.periods).any())
     quiet(axes)
-    axes.set_xlabel("θ₁" if angular else "", fontsize=style.SMALL)
-    axes.set_ylabel("θ₂" if angular and labelled else "", fontsize=style.SMALL)
-    if angular:
-        angle_axis(axes, "x", step=1.0)
-        angle_axis(axes, "y", step=1.0)
+    x, y = (label.partition(" ")[0] for label in atlas.labels[:2])
+    axes.set_xlabel(x, fontsize=style.SMALL)
+    axes.set_ylabel(y if labelled else "", fontsize=style.SMALL)
+    for which, period in zip("xy", atlas.periods, strict=False):
+        if np.isfinite(period):
+            angle_axis(axes, which, step=1.0)
     # Turns of the inner arm alone are wide and flat, so their panels are lower.
     flat = connection.source == connection.target and not connection.winding[-1]
     axes.set_aspect("equal", adjustable="box" if flat else "datalim", anchor="W")
@@ -315,7 +315,7 @@ def draw_space(
         axes.plot(*placed(atlas, orbit)[:, picked].T, color=colour, linewidth=2.5, zorder=10)
         for winding in (w for saddle, w in ends if saddle == orbit.saddle and orbit.family == 0):
             axes.plot(*placed(atlas, orbit, winding)[:, picked].T, color=colour, linewidth=1.6, alpha=0.6, zorder=9)
-    quiet_space(axes, angular=bool(np.isfinite(atlas.periods).any()), steps=steps)
+    quiet_space(axes, atlas, steps=steps)
 
 
 def draw_atlas(atlas: Atlas) -> Figure:
@@ -325,7 +325,7 @@ def draw_atlas(atlas: Atlas) -> Figure:
     """
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
     orbits = "1 orbit" if len(atlas.orbits) == 1 else f"{len(atlas.orbits)} orbits"
-    title = f"{atlas.title} at {atlas.energy:g} J: {orbits}, {len(atlas.connections)} connections"
+    title = f"{atlas.title} at {atlas.energy:g}{atlas.unit('J')}: {orbits}, {len(atlas.connections)} connections"
     page = Page(title)
     spaces: list[Panel | Stack] = [Panel(partial(_draw_whole, atlas=atlas), space=True)]
     panels = [partial(_draw_kind, atlas=atlas, kind=kind) for kind in kinds]
@@ -369,7 +369,7 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
         InputError: the recording cannot be written.
     """
     shown = _Shown(atlas)
-    name = f"{atlas.model} at {atlas.energy:g} J"
+    name = f"{atlas.model} at {atlas.energy:g}{atlas.unit('J')}"
     with recording_to(path, name, _blueprint(atlas, shown), _summary(atlas)) as recording:
         for cut in atlas.cuts:
             for tube in tubes_of_cut(atlas, cut):
@@ -449,7 +449,7 @@ def _section(recording: rr.RecordingStream, atlas: Atlas, kind: AtlasKind) -> No
     home = f"sections/{_key(kind)}"
     height, box = _frame(atlas, kind)
     cut = atlas.cut(kind.source, kind.section, kind.hits[0])
-    turning = section_axes(cut.section, atlas.periods)[1] is not None
+    turning = section_axes(cut.section, atlas)[1] is not None
     reading_lines(recording, home, box, scale=height, turning=turning, dark=True)
     for stable in (False, True):
         runs = [(sign, points) for which, sign, points in section_curves(atlas, kind) if which == stable]
@@ -485,7 +485,7 @@ def _frame(atlas: Atlas, kind: AtlasKind) -> tuple[float, Box]:
 
 def _section_title(atlas: Atlas, kind: AtlasKind) -> str:
     section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
-    coordinate, period = section_axes(section, atlas.periods)
+    coordinate, period = section_axes(section, atlas)
     where = re.sub(r"angle_(\d)", lambda found: f"θ{chr(ord('₀') + int(found[1]))}", kind.section)
     where = where.replace("2 pi k", "2πk")
     hits = "" if kind.hits == (1, 1) else f", hits {kind.hits[0]} and {kind.hits[1]}"
@@ -502,7 +502,7 @@ def _summary(atlas: Atlas) -> str:
         for kind in atlas.kinds
         for k, c in enumerate(connections_of(atlas, kind))
     )
-    return f"""# {atlas.title}, {atlas.energy:g} J
+    return f"""# {atlas.title}, {atlas.energy:g}{atlas.unit("J")}
 
 {atlas.status}
 
@@ -519,7 +519,7 @@ Connections carry their numbers in this list; a dot moves along each flight.
 
 
 def _blueprint(atlas: Atlas, shown: _Shown) -> rrb.Blueprint:
-    axes = "θ₁, θ₂, ω₁" if np.isfinite(atlas.periods).any() else "x, y, x rate"
+    axes = ", ".join(atlas.labels[k].partition(" ")[0] for k in (0, 1, len(atlas.labels) // 2))
     eye = shown.centre + np.array([-0.9, -1.3, 0.75]) * shown.size * 1.1
     # Only each saddle's tubes to one section are visible at first; all together would hide everything.
     own = {(k.source, k.section, k.hits[0]) for k in atlas.kinds if k.source == k.target}

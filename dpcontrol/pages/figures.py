@@ -372,7 +372,7 @@ def branches_page(gallery: Gallery) -> PaperFigure:
         size=style.TEXT,
     )
     page.row(*(partial(_angle_branches, diagram=diagram) for diagram in diagrams), height=3.1)
-    page.row(*(partial(_momentum_branches, diagram=diagram) for diagram in diagrams), height=3.1)
+    page.row(*(partial(draw_momentum_branches, diagram=diagram) for diagram in diagrams), height=3.1)
     return PaperFigure(page.figure(), _caption(diagrams), _differs(diagrams))
 
 
@@ -383,7 +383,8 @@ def _angle_branches(axes: Axes, diagram: BranchDiagram) -> None:
     angle_axis(axes, "y")
 
 
-def _momentum_branches(axes: Axes, diagram: BranchDiagram) -> None:
+def draw_momentum_branches(axes: Axes, diagram: BranchDiagram) -> None:
+    """Draw connections by momentum and energy, with their bifurcations and counts."""
     quiet(axes, x="energy (J)", y="p / p₀")
     _branches(axes, diagram, 1)
     _counts(axes, diagram)

@@ -30,12 +30,11 @@ def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
     """
     energies = np.concatenate([family.energies for family in families])
     scale = Normalize(float(energies.min()), float(energies.max()))
-    angular = bool(np.isfinite(families[0].system.periods).any())
     page = Page(title)
-    shapes = [partial(_shapes, family=family, scale=scale, angular=angular) for family in families]
+    shapes = [partial(_shapes, family=family, scale=scale) for family in families]
     for first in range(0, len(shapes), 3):
         page.row(*shapes[first : first + 3], height=3.3)
-    curves = [partial(_against_energy, families=families, multipliers=some, angular=angular) for some in (False, True)]
+    curves = [partial(_against_energy, families=families, multipliers=some) for some in (False, True)]
     page.row(*curves, height=2.9)
     for family in families:
         first, last = family.ends
@@ -44,10 +43,11 @@ def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
     return page.figure()
 
 
-def _against_energy(axes: Axes, families: Sequence[LyapunovFamily], *, multipliers: bool, angular: bool) -> None:
+def _against_energy(axes: Axes, families: Sequence[LyapunovFamily], *, multipliers: bool) -> None:
     """Draw the periods or the unstable multipliers of families against energy."""
-    name = "Unstable Floquet multiplier" if multipliers else f"Period{' (s)' if angular else ''}"
-    quiet(axes, name, x="energy (J)" if angular else "energy")
+    unit = families[0].system.unit
+    name = "Unstable Floquet multiplier" if multipliers else f"Period{unit('s', ' ({})')}"
+    quiet(axes, name, x=f"energy{unit('J', ' ({})')}")
     ends = []
     for family in families:
         colour = style.saddle_colour(family.saddle)
@@ -67,7 +67,7 @@ def _against_energy(axes: Axes, families: Sequence[LyapunovFamily], *, multiplie
     name_curves(axes, ends)
 
 
-def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize, *, angular: bool) -> None:
+def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize) -> None:
     """Draw orbits in the phase plane of the most active arm.
 
     Without angles they are drawn in the plane of positions.
@@ -79,19 +79,18 @@ def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize, *, angular: bo
     wanted = np.linspace(amplitude.min(), amplitude.max(), _SHAPES)
     chosen = [family.members[k] for k in dict.fromkeys(int(np.argmin(np.abs(amplitude - a))) for a in wanted)]
     curves = [system.propagator.sample(o.state, np.linspace(0.0, o.period, _SAMPLES)) for o in chosen]
-    arm = int(np.argmax(np.ptp(curves[-1][:, :n], axis=0))) if angular else 0
-    columns = [arm, n + arm] if angular else [0, 1]
+    arm = int(np.argmax(np.ptp(curves[-1][:, :n], axis=0)))
+    columns = [arm, n + arm] if system.si else [0, 1]
     # Small orbits are drawn on top, because they lie within the large ones.
     for orbit, curve in zip(chosen[::-1], curves[::-1], strict=True):
         axes.plot(*curve[:, columns].T, color=_SHADES(scale(orbit.energy)), linewidth=1.3)
     axes.plot(*system.equilibrium(family.saddle)[columns], "+", color=style.LIMIT, markersize=9, zorder=5)
-    x, y = (f"θ{style.number(arm)} (rad)", f"ω{style.number(arm)} (rad/s)") if angular else ("x", "y")
-    quiet(axes, f"Orbits about {family.saddle}", x=x, y=y)
-    if angular:
+    quiet(axes, f"Orbits about {family.saddle}", x=system.labels[columns[0]], y=system.labels[columns[1]])
+    if np.isfinite(system.periods[columns[0]]):
         angle_axis(axes, "x")
     bar = axes.figure.colorbar(ScalarMappable(scale, _SHADES), ax=axes, fraction=0.05, pad=0.03)
     bar.ax.tick_params(labelsize=style.SMALL)
-    bar.ax.set_title("J" if angular else "energy", fontsize=style.SMALL)
+    bar.ax.set_title(system.unit("J", "{}") or "energy", fontsize=style.SMALL)
 
 
 KINDS = {

@@ -95,14 +95,14 @@ def _plane(axes: Axes, view: RunView, arm: int) -> None:
 def _lists(view: RunView) -> list[Panel]:
     """Return tables of symbols with their times, and of events."""
     symbols = [
-        (str(k + 1), cropped(name, style.TEXT, 1.5), f"{at:.2f}", "" if done is None else f"{done:.2f}")
+        (str(k + 1), cropped(name, style.TEXT, 1.4), f"{at:.2f}", "" if done is None else f"{done:.2f}")
         for k, (name, at, done) in enumerate(view.symbols)
     ]
     events = [(f"{event.time:.2f}", cropped(event.text, style.TEXT, 2.7)) for event in view.events]
     found = []
     if symbols:
-        heading = ("", "symbol", "planned (s)", "done (s)")
-        found.append(list_panel(_some(symbols), heading=heading, title="Itinerary"))
+        heading = ("", "symbol", "planned", "done")
+        found.append(list_panel(_some(symbols), heading=heading, title="Itinerary (s)"))
     if events:
         found.append(list_panel(_some(events), heading=("at (s)", "event"), title="Events"))
     return found

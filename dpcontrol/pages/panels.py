@@ -6,8 +6,10 @@ from matplotlib.axis import Axis
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
+from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.pages import style
+from dpcontrol.walks.atlas import Atlas
 
 
 def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "") -> None:
@@ -37,16 +39,16 @@ def empty(axes: Axes, title: str, text: str) -> None:
     axes.text(0.0, 0.9, text, transform=axes.transAxes, va="top", fontsize=style.TEXT, color=style.NOTE)
 
 
-def quiet_space(axes: Axes, *, angular: bool, steps: tuple[float, float] = (1.0, 1.0)) -> None:
+def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float, float] = (1.0, 1.0)) -> None:
     """Label the axes of a panel in space.
 
     They are (first coordinate, second, first rate), with ticks every `steps` half turns.
     """
-    for which, label, step in zip("xy", ("θ₁ (rad)", "θ₂ (rad)") if angular else ("x", "y"), steps, strict=True):
-        getattr(axes, f"set_{which}label")(label, fontsize=style.SMALL)
-        if angular:
+    for k, (which, step) in enumerate(zip("xy", steps, strict=True)):
+        getattr(axes, f"set_{which}label")(of.labels[k], fontsize=style.SMALL)
+        if np.isfinite(of.periods[k]):
             angle_axis(axes, which, step=step)
-    axes.set_zlabel("ω₁ (rad/s)" if angular else "x rate", fontsize=style.SMALL)  # type: ignore[attr-defined]
+    axes.set_zlabel(of.labels[len(of.labels) // 2], fontsize=style.SMALL)  # type: ignore[attr-defined]
     axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
     axes.tick_params(labelsize=style.SMALL, colors=style.CART)
 

@@ -537,7 +537,7 @@ def returning_page(gallery: Gallery) -> PaperFigure:
         times = np.linspace(float(c.orbit.times[0]), float(c.orbit.times[-1]), 900)
         curves.append((shades[c.name], c.orbit.sample(times)))
     page.row(
-        Panel(partial(_returning_space, curves=curves, closed=closed), 1.5, space=True),
+        Panel(partial(_returning_space, system=system, curves=curves, closed=closed), 1.5, space=True),
         partial(_returning_plane, curves=curves, closed=closed),
         partial(_returning_cuts, search=search, back=back, shades=shades),
         height=4.8,
@@ -559,11 +559,11 @@ Curves = list[tuple[str, Array]]
 """Colours and states of flights."""
 
 
-def _returning_space(axes: Axes, curves: Curves, closed: Array) -> None:
+def _returning_space(axes: Axes, system: System, curves: Curves, closed: Array) -> None:
     for colour, states in curves:
         axes.plot(*states[:, :3].T, color=colour, linewidth=1.0)
     axes.plot(*closed[:, :3].T, color=style.saddle_colour("down-up"), linewidth=2.6, zorder=10)
-    quiet_space(axes, angular=True)
+    quiet_space(axes, system)
     axes.set_title("a  in (θ₁, θ₂, ω₁)", loc="left")
 
 

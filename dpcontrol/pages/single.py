@@ -1,17 +1,21 @@
 """One chart of each result, drawn in given axes: the chart that says most about it."""
 
+from typing import Any
+
 import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dpcontrol.bifurcations.bifurcations import BifurcationSearch, branch_diagram
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.identification.identify import Identification
 from dpcontrol.judge.campaign import CampaignSummary, summary_of
+from dpcontrol.judge.comparison import RunComparison
 from dpcontrol.judge.night import Night
-from dpcontrol.judge.of_log import reference_view, run_view
+from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
 from dpcontrol.judge.preflight import Preflight
 from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import RunLog
@@ -23,6 +27,7 @@ from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import campaign, night, orbits, style
 from dpcontrol.pages.atlas import BRANCHES, draw_cuts
 from dpcontrol.pages.charts import draw_chart
+from dpcontrol.pages.figures import draw_momentum_branches
 from dpcontrol.pages.identification import draw_candidates, draw_identification
 from dpcontrol.pages.page import draw
 from dpcontrol.pages.panels import angle_axis, quiet
@@ -33,8 +38,10 @@ from dpcontrol.plans.model import ModelSystem
 from dpcontrol.plans.plan import Plan
 from dpcontrol.recordings.recording import Recording
 from dpcontrol.references.reference import summarised
+from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.runs.campaign import Campaign
 from dpcontrol.runs.closed_loop import ClosedLoop
+from dpcontrol.runs.polish import Polished
 from dpcontrol.runs.run import Run
 from dpcontrol.tubes.connections import Connection, ConnectionSearch
 from dpcontrol.tubes.symmetric import SymmetricSearch
@@ -45,12 +52,7 @@ from dpcontrol.walks.shadowing import ShadowingOrbit
 
 def _plane(axes: Axes, system: System, columns: tuple[int, int], title: str) -> None:
     """Label axes that show two entries of a system's states."""
-    n = system.dimension // 2
-    names = [
-        (f"{'θω'[k >= n]}{style.number(k % n)} ({'rad' if k < n else 'rad/s'})" if system.si else system.columns[k])
-        for k in columns
-    ]
-    quiet(axes, title, x=names[0], y=names[1])
+    quiet(axes, title, x=system.labels[columns[0]], y=system.labels[columns[1]])
     for k, which in zip(columns, "xy", strict=True):
         if np.isfinite(system.periods[k]):
             angle_axis(axes, which)
@@ -71,13 +73,17 @@ def orbit(axes: Axes, found: LyapunovOrbit | RotatingOrbit) -> None:
     _plane(axes, found.system, columns, f"{found.name} at {energy}, period {found.period:.4g}{found.system.unit('s')}")
 
 
+def sustained(axes: Axes, found: SustainedOrbit) -> None:
+    """Draw the angles of a sustained orbit over one period."""
+    _angles(axes, sustained_view(found, found.arms.length))
+
+
 def family(axes: Axes, found: LyapunovFamily | RotatingFamily) -> None:
     """Draw the periods of a family over the energy."""
     system = found.members[0].system
     axes.plot(found.energies, found.periods, color=style.INK, linewidth=1.6)
-    units = (" (J)", " (s)") if system.si else ("", "")
-    quiet(axes, f"{len(found.members)} orbits about {found.members[0].name}", x=f"energy{units[0]}",
-          y=f"period{units[1]}")  # fmt: skip
+    energy, period = (f"{name}{system.unit(unit, ' ({})')}" for name, unit in (("energy", "J"), ("period", "s")))
+    quiet(axes, f"{len(found.members)} orbits about {found.members[0].name}", x=energy, y=period)
 
 
 def family_page(found: LyapunovFamily) -> Figure:
@@ -137,6 +143,36 @@ def symmetric(axes: Axes, found: SymmetricSearch) -> None:
         _plane(axes, one.source.system, (0, 1), f"{found.saddle}: {len(found.connections)} connections")
 
 
+def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
+    """Draw the section's momentum of each connection over the energy, with the bifurcations and the counts."""
+    draw_momentum_branches(axes, branch_diagram(found))
+    title = f"{found.source} → {found.target}: {len(found.events)} bifurcations on {found.section.name}"
+    quiet(axes, title, x=f"energy{found.system.unit('J', ' ({})')}", y="p / p₀")
+
+
+def proof(axes: Axes, found: Any) -> None:
+    """Draw the bounds of a proof that are small numbers, such as the radii of its balls."""
+    bounds = {name.replace("_", " "): size for name, value in found.figures.items() if 0 < (size := _size(value)) < 1}
+    axes.barh(list(bounds), list(bounds.values()), color=style.GOOD if found.proved else style.LIMIT, height=0.6)
+    axes.set_xscale("log")
+    axes.invert_yaxis()
+    quiet(axes, f"{found.kind}: {'proved' if found.proved else 'not proved'}")
+
+
+def _size(value: object) -> float:
+    """Return a number of a proof's figures, or 0 for an enclosure or a list."""
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return 0.0
+
+
+def polished(axes: Axes, found: Polished) -> None:
+    """Draw the effort of the robust plan and of the polished one."""
+    axes.bar([side.name for side in found.sides], [side.effort for side in found.sides], color=style.ARMS[0], width=0.5)
+    quiet(axes, found.status, y="effort (m²/s³)")
+
+
 def walk(axes: Axes, found: ShadowingOrbit) -> None:
     """Draw the angles of a walk over time, or its orbit in the plane of positions."""
     story = _story(found)
@@ -192,6 +228,14 @@ def plan(axes: Axes, found: Plan) -> None:
 def plan_page(found: Plan) -> Figure:
     """Return the page of a plan."""
     return draw(plan_view(found))
+
+
+def comparison(axes: Axes, found: RunComparison) -> None:
+    """Draw the angles of all runs on one clock."""
+    for run in found.runs:
+        for arm in range(run.view.arms):
+            axes.plot(run.view.time, run.view.state[:, arm], color=style.arm_colour(arm), linewidth=0.9)
+    quiet(axes, found.title, x="time (s)", y="angles (rad)")
 
 
 def closed_loop(axes: Axes, found: ClosedLoop) -> None:

@@ -90,8 +90,8 @@ class WalkStory:
 
     @property
     def has_angles(self) -> bool:
-        """True if the coordinates are angles."""
-        return bool(np.isfinite(self.orbit.connections[0].source.system.periods).any())
+        """True if a coordinate is an angle."""
+        return bool(np.isfinite(self.orbit.system.periods).any())
 
     def wobbles(self) -> list[Wobble]:
         """Return the periods whose wraps are counted.
@@ -121,7 +121,7 @@ class WalkStory:
         """
         orbit, count = self.orbit, len(self.orbit.symbol_times)
         kind = "A periodic orbit" if orbit.periodic else "An orbit"
-        energy = f"{orbit.connections[0].source.energy:g}{' J' if self.has_angles else ''}"
+        energy = f"{orbit.connections[0].source.energy:g}{orbit.system.unit('J')}"
         symbols = zip(orbit.symbol_times.tolist(), map(symbol_text, orbit.connections), strict=True)
         stays = (
             Stay(w.start, w.end, w.saddle, f"{w.saddle} {w.wraps}×{' ↻' if w.closing else ''}")
@@ -143,8 +143,7 @@ class WalkStory:
 
     def _verdict(self) -> str:
         orbit, estimate = self.orbit, self.orbit.estimate
-        unit = " s" if self.has_angles else ""
-        parts = [f"{'period' if orbit.periodic else 'lasts'} {orbit.duration:.3f}{unit}"]
+        parts = [f"{'period' if orbit.periodic else 'lasts'} {orbit.duration:.3f}{orbit.system.unit('s')}"]
         parts.append(f"largest gap at a node {orbit.residual:.1e}")
         if estimate is not None and estimate.radius is not None:
             parts.append(f"estimated distance from the true orbit {estimate.radius:.1e}")
@@ -160,13 +159,13 @@ class WalkStory:
 
         A system without angles has positions.
         """
-        names = ("θ₁ inner arm", "θ₂ outer arm") if self.has_angles else ("x", "y")
+        names = self.orbit.system.coordinates if self.arm_lengths is None else ("θ₁ inner arm", "θ₂ outer arm")
         lines = tuple(
             Line(name, name, name, self.times, self.states[:, k], style.arm_colour(k))
             for k, name in zip(range(self.states.shape[1] // 2), names, strict=False)
         )
-        title = "Angles from hanging, whole turns counted" if self.has_angles else "Position"
-        return Chart("", title, "", lines, half_turns=self.has_angles)
+        title = "Position" if self.arm_lengths is None else "Angles from hanging, whole turns counted"
+        return Chart("", title, "", lines, half_turns=self.arm_lengths is not None)
 
     def nearness(self) -> Chart:
         """Return the distances between the orbit and the periodic orbits."""
@@ -175,8 +174,8 @@ class WalkStory:
                  style.saddle_colour(saddle))
             for saddle, curve in self.curves.items()
         )  # fmt: skip
-        title = "Distance from the periodic orbits (scaled)"
-        level = LevelLine("", "wobbles are counted below", NEAR, style.MARK, "named")
+        title = "Distance from the periodic orbits (scaled); wobbles are counted below the dashed line"
+        level = LevelLine("", "", NEAR, style.MARK, "named")
         return Chart("", title, "", lines, levels=(level,), log=True)
 
 
@@ -244,7 +243,7 @@ def space(axes: Axes, story: WalkStory) -> None:
         points = points - np.rint((points - start[:3]) / np.where(lengths, lengths, np.inf)) * lengths
     for point, time in zip(points, story.orbit.symbol_times, strict=True):
         axes.plot(*point[:, None], "o", color=TIME(time / story.orbit.duration), markersize=5, markeredgecolor="white")
-    quiet_space(axes, angular=story.has_angles)
+    quiet_space(axes, story.orbit.system)
     axes.set_box_aspect((1, 1, 0.85), zoom=1.06)  # type: ignore[attr-defined]
     if len(points) <= NAMED:
         # Points that are near each other on the page share a label.
@@ -331,7 +330,8 @@ def plane(axes: Axes, story: WalkStory) -> None:
     for k, state in enumerate(story.crossings):
         badge(axes, k + 1, float(state[0]), float(state[1]))
     axes.set_aspect("equal", adjustable="datalim")
-    quiet(axes, "The orbit in the plane; dark to light: time", x="x", y="y")
+    x, y, *_ = story.orbit.system.labels
+    quiet(axes, "The orbit in the plane; dark to light: time", x=x, y=y)
 
 
 _LISTED = 16
@@ -358,7 +358,7 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     plain = [] if walk.arm_lengths is not None else [Panel(partial(plane, story=walk), share=2.6)]
     shown = Stack([Panel(partial(space, story=walk), share=3.9, space=True), *plain], share=0.75)
     page.row(Stack(charts), shown, height=4.4 + 2.6 * len(plain))
-    heading = ("", "symbol", "at (s)" if walk.has_angles else "at", "connection")
+    heading = ("", "symbol", f"at{orbit.system.unit('s', ' ({})')}", "connection")
     return page.table(_list(walk, view), heading=heading).figure()
 
 

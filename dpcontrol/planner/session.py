@@ -82,7 +82,10 @@ class PageSession:
         }
 
     def command(self, text: str) -> None:
-        """Execute a page's command (JSON) and send the new state; errors become messages."""
+        """Execute a page's command (JSON) and send the new state.
+
+        Errors become messages.
+        """
         try:
             given = dict(json.loads(text))
             self._acknowledged = int(given.pop("n", 0))

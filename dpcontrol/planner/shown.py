@@ -104,7 +104,7 @@ def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
         if not connections and any(k is not kind and (k.source, k.target) == (kind.source, kind.target)
                                    for k in atlas.kinds):  # fmt: skip
             continue
-        coordinate, period = section_axes(atlas.cut(kind.source, kind.section, kind.hits[0]).section, atlas.periods)
+        coordinate, period = section_axes(atlas.cut(kind.source, kind.section, kind.hits[0]).section, atlas)
         curves = [
             {"stable": stable, "forward": sign > 0, "points": np.round(points, 4).tolist()}
             for stable, sign, points in section_curves(atlas, kind)

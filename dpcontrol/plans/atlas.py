@@ -238,6 +238,8 @@ def compute_atlas(
         connections=connections,
         seconds=seconds,
         status=_status(orbits, absent, kinds, system),
+        labels=system.labels,
+        si=system.si,
     )
 
 
@@ -401,7 +403,9 @@ def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
 
 
 def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -> dict[str, Any]:
-    """Return a record's entry in the header; its arrays go into `arrays` under `prefix` and their names.
+    """Return a record's entry in the header.
+
+    Its arrays go into `arrays` under `prefix` and their names.
 
     Entries of a list "orbits" have the prefix "orbit_0_" and so on. A single state or point is in the header.
     """

@@ -213,7 +213,9 @@ def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, pl
 
 
 def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
-    """Return a run's settings with those at the given paths replaced; see `dpcontrol.plans.overrides`.
+    """Return a run's settings with those at the given paths replaced.
+
+    See `dpcontrol.plans.overrides`.
 
     `plant` is a file and stays unchanged; see `Itinerary.with_run`. A controller that cannot hand over to a keeper of
     stops follows the whole reference.
@@ -261,7 +263,10 @@ def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
 
 
 def _followed(law: Any) -> dict[str, Any]:
-    """Return the change of `keep` that goes with a law: only TVLQR hands over to a keeper of stops."""
+    """Return the change of `keep` that goes with a law.
+
+    Only TVLQR hands over to a keeper of stops.
+    """
     return {} if isinstance(law, TvlqrSettings) else {"keep": "none"}
 
 
@@ -282,7 +287,10 @@ def _of_kind(role: str, value: Any, now: Any) -> Any:
 
 
 def setting_of(loop: LoopSettings, name: str) -> Any:
-    """Return the value of a setting of a run; of controller and estimator it is the kind."""
+    """Return the value of a setting of a run.
+
+    Of controller and estimator it is the kind.
+    """
     path = resolved(name)
     if path in ("controller", "estimator"):
         return getattr(loop, path).kind
@@ -391,7 +399,9 @@ class Itinerary:
 
 
 def load_itinerary(name: str) -> Itinerary:
-    """Load an itinerary, and its model, by name or path: of a TOML file, or of a plan (.npz) that was made of one.
+    """Load an itinerary, and its model, by name or path.
+
+    Of a TOML file, or of a plan (.npz) that was made of one.
 
     A relative model path is taken from the itinerary's folder.
 
@@ -432,7 +442,9 @@ def itinerary_of(
     limits: Limits,
     reference: ReferenceSettings,
 ) -> Itinerary:
-    """Return the itinerary of walks, one after the other; its text is a file that gives the same one.
+    """Return the itinerary of walks, one after the other.
+
+    Its text is a file that gives the same one.
 
     Raises:
         InputError: the model has no arms, a saddle of a walk has no orbit at its energy, or an end is none of `ENDS`.
@@ -450,7 +462,9 @@ def itinerary_of(
 
 
 def itinerary_from(text: str, name: str, model: Model, *, folder: Path = Path()) -> Itinerary:
-    """Return the itinerary of a file's text, under a name; folder: of the files that it names, such as a plant's.
+    """Return the itinerary of a file's text, under a name.
+
+    folder: of the files that it names, such as a plant's.
 
     Raises:
         InputError: a mistake in it.

@@ -25,7 +25,10 @@ ENDS = ("orbit", "rest", "hold")
 
 @dataclass(frozen=True)
 class WalkPart(Settings):
-    """A walk at one energy; walk and wraps are those of the file done `repeat` times."""
+    """A walk at one energy.
+
+    Walk and wraps are those of the file done `repeat` times.
+    """
 
     energy: float = setting(unit="J", help="Energy, zero at the pivot's height.")
     walk: tuple[str, ...] = setting(help="Symbols of the walk.")

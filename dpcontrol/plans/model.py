@@ -43,7 +43,9 @@ _ZEROS = Usual(0.0, 2 * np.pi, "rad")
 
 @dataclass(frozen=True)
 class Model:
-    """A model as its file gives it: title, parameters, the source of each table, and the text.
+    """A model as its file gives it.
+
+    Title, parameters, the source of each table, and the text.
 
     Attributes:
         encoder_zeros: recorded absolute angles (n,) at true zero, rad, if the file gives them.
@@ -66,7 +68,10 @@ class Model:
 
     @cached_property
     def system(self) -> "ModelSystem":
-        """The conservative system of orbits and tubes: for arms, without friction, on a fixed pivot."""
+        """The conservative system of orbits and tubes.
+
+        For arms, without friction, on a fixed pivot.
+        """
         if isinstance(self.parameters, ThreeBodyParameters):
             own = three_body_system(self.name, self.parameters)
         else:
@@ -153,7 +158,7 @@ def model_of(system: System) -> Model:
 
 @checked
 def load_model(name: str | Path) -> Model:
-    """Load a model.
+    """Read and check a model of arms or of three bodies.
 
     Args:
         name: name of a shipped model or of one in ./models, or path of a TOML file.

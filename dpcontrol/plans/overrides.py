@@ -96,7 +96,9 @@ def resolved(name: str) -> str:
 
 
 def canonical(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings by their paths, each value of the setting's type; None keeps the itinerary's value.
+    """Return settings by their paths, each value of the setting's type.
+
+    None keeps the itinerary's value.
 
     Raises:
         InputError: an unknown or ambiguous name, a setting that is given twice, or a value of another type.

@@ -38,7 +38,9 @@ WOBBLES = 2
 
 @dataclass(frozen=True)
 class Goal(Brief):
-    """Goal of a piece: a walk's shadowing orbit, or a stay of `seconds` at an equilibrium.
+    """Goal of a piece.
+
+    A walk's shadowing orbit, or a stay of `seconds` at an equilibrium.
 
     Attributes:
         first, last: angles (n,) of the saddles or equilibria at start and end, including turns.
@@ -68,7 +70,7 @@ class Goal(Brief):
 
 @dataclass(frozen=True)
 class SolvedPiece(Brief):
-    """A solved piece. goal: None for a transfer; lift (n,): radians added to its angles."""
+    """Reference of a goal or of a transfer. goal: None for a transfer; lift (n,): radians added to its angles."""
 
     text: str
     goal: Goal | None
@@ -175,7 +177,10 @@ def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndC
 
 
 def lifted(state: Array, lift: Array) -> Array:
-    """Return a state (2n + 2,): a pendulum's (2n,), `lift` (n,) added to its angles, on a cart at rest, centred."""
+    """Return a state (2n + 2,).
+
+    A pendulum's (2n,), `lift` (n,) added to its angles, on a cart at rest, centred.
+    """
     n = len(lift)
     return np.concatenate([state[:n] + lift, state[n:], [0.0, 0.0]])
 
@@ -200,7 +205,10 @@ With friction, no orbit can be kept exactly, and the cheapest end is not the nea
 
 
 def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, judged: bool) -> SolvedPiece:
-    """Return the piece of a goal; judged: True if the itinerary ends on its last orbit, which judges it."""
+    """Return the piece of a goal.
+
+    judged: True if the itinerary ends on its last orbit, which judges it.
+    """
     settings = itinerary.reference
     if goal.shadowing is None:
         method, interval = method_named(settings.method), max(settings.interval, 0.05)
@@ -240,7 +248,10 @@ def _off_last_orbit(goal: Goal, found: Reference, lift: Array) -> float:
 
 @dataclass(frozen=True)
 class _Way:
-    """A transfer between two goals; turns (n,): candidates of whole turns of its ends."""
+    """A transfer between two goals.
+
+    turns (n,): candidates of whole turns of its ends.
+    """
 
     transfer: Transfer
     turns: list[Array]

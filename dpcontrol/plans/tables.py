@@ -52,7 +52,10 @@ def settings_page() -> str:
 
 
 def _table(prefix: str, kinds: Mapping[str, type], without: set[str]) -> str:
-    """Return a table in Markdown; with several kinds, each has its own default."""
+    """Return a table in Markdown.
+
+    With several kinds, each has its own default.
+    """
     rows: dict[str, list[str]] = {}
     for kind, declared in kinds.items():
         bounds, helps = bounds_of(declared), help_of(declared)

@@ -227,7 +227,10 @@ def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:
 
 
 def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, commands: Array) -> Array:
-    """Return E (K, N, p): change of a period's step per relative error of each number of each arm."""
+    """Return E (K, N, p).
+
+    Change of a period's step per relative error of each number of each arm.
+    """
     nominal = model.parameters.copy()
 
     def steps(base: Array) -> Array:

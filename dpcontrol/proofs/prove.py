@@ -18,6 +18,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.plans.model import ModelSystem
 from dpcontrol.proofs.balls import NotClosed, ball, bound, decimal, flint, located, symmetric, working
@@ -67,7 +68,7 @@ class ProofSettings:
 
 
 @dataclass(frozen=True)
-class Proof:
+class Proof(Shown):
     """A statement with its verdict, enclosures and certificate, if any."""
 
     kind: str

@@ -488,7 +488,10 @@ def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str)
 
 
 def _encoder_steps(angles: Array) -> Array:
-    """Return the smallest change of each angle (n,) between samples; zero for a constant angle."""
+    """Return the smallest change of each angle (n,) between samples.
+
+    Zero for a constant angle.
+    """
     changes = np.abs(np.diff(angles, axis=0))
     smallest = np.min(changes, axis=0, where=changes > 1e-12, initial=np.inf)
     return np.where(np.isfinite(smallest), smallest, 0.0)

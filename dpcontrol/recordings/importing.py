@@ -608,7 +608,10 @@ def _csv(path: Path, columns: Sequence[str]) -> dict[str, list[str | None]]:
 
 
 def _numbers(cells: Array | list[str | None], name: str, path: Path) -> Array:
-    """Return a column's numbers; markers of missing values become nan, other text is reported by row."""
+    """Return a column's numbers.
+
+    Markers of missing values become nan, other text is reported by row.
+    """
     if isinstance(cells, np.ndarray):
         return cells
     try:

@@ -136,7 +136,10 @@ def has_authority(problem: ReferenceProblem, times: Array) -> bool:
 
 
 def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> str:
-    """Describe the limits that an unconstrained motion exceeds, with value and time; empty if none."""
+    """Describe the limits that an unconstrained motion exceeds, with value and time.
+
+    Empty if none.
+    """
     largest = largest_values(trajectory, problem.limits)
     passed = [
         f"cart {name} of {largest[name]:.4g} {LIMIT_UNITS[name]} where {bound:.4g} is allowed (at t = "
@@ -153,7 +156,10 @@ def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> str:
 
 
 def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSettings) -> str:
-    """Describe the cause of a failed solution: the cart's authority, limits or the guess."""
+    """Describe the cause of a failed solution.
+
+    The cart's authority, limits or the guess.
+    """
     if not has_authority(problem, first.mesh):
         return "the cart's acceleration moves no arm, so friction cannot be compensated; check the arms' parameters"
     free = solve(problem, first, settings=settings, limits=_UNLIMITED)
@@ -181,7 +187,10 @@ def friction_text(share: float) -> str:
 
 
 def guess_misses_its_ends(problem: ReferenceProblem) -> str:
-    """Describe a guess that starts or ends far from the required states; empty if it does not."""
+    """Describe a guess that starts or ends far from the required states.
+
+    Empty if it does not.
+    """
     nz, ends = problem.pendulum_dimension, problem.ends
     scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
     first, last = problem.guess_at(np.array([0.0, problem.duration]))
@@ -272,7 +281,10 @@ _NODE = 1e-3
 
 
 def _tightened(limits: Limits, required: Limits, largest: dict[str, float]) -> Limits | None:
-    """Return node limits that pull the polynomials inside `required`; None if they are inside."""
+    """Return node limits that pull the polynomials inside `required`.
+
+    None if they are inside.
+    """
     changes = {}
     for name, bound in required.named().items():
         over = largest[name] - bound
@@ -283,7 +295,10 @@ def _tightened(limits: Limits, required: Limits, largest: dict[str, float]) -> L
 
 
 def _is_another_motion(problem: ReferenceProblem, solved: Solved, settings: ReferenceSettings) -> bool:
-    """True if a weighted solution is far from the guess; without a weight, always false."""
+    """True if a weighted solution is far from the guess.
+
+    Without a weight, always false.
+    """
     followed = settings.pendulum_weight > 0
     return followed and away_from_guess(problem, solved.trajectory)[0] > FARTHEST
 
@@ -291,7 +306,10 @@ def _is_another_motion(problem: ReferenceProblem, solved: Solved, settings: Refe
 def _near_guess(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits
 ) -> Solved | None:
-    """Solve with a heavy weight on the guess; None without a solution near it."""
+    """Solve with a heavy weight on the guess.
+
+    None without a solution near it.
+    """
     if settings.pendulum_weight == 0:
         return None
     solved = solve(problem, first, settings=settings, limits=limits)
@@ -301,7 +319,10 @@ def _near_guess(
 def _once_more(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits, failed: Solved
 ) -> tuple[Solved | None, str]:
-    """Solve by raising the friction; return the solution, or None and the reason."""
+    """Solve by raising the friction.
+
+    Return the solution, or None and the reason.
+    """
     head = f"no reference: the solver stopped with {failed.outcome!r}"
     if failed.succeeded:
         head = another_motion(*away_from_guess(problem, failed.trajectory))

@@ -78,7 +78,10 @@ def interpolation_matrix(points: Array, at: ArrayLike) -> Array:
 
 
 def differentiation_matrix(points: Array) -> Array:
-    """Return the matrix (K, K) from values at `points` to derivatives there; op. cit. eqs. 9.4 and 9.5."""
+    """Return the matrix (K, K) from values at `points` to derivatives there.
+
+    Op. cit. eqs. 9.4 and 9.5.
+    """
     weights = barycentric_weights(points)
     gaps = points[:, None] - points[None, :]
     np.fill_diagonal(gaps, 1.0)
@@ -114,7 +117,10 @@ def radau(count: int) -> Method:
 
 @cache
 def gauss(count: int) -> Method:
-    """Return the Legendre–Gauss method with `count` points inside the interval; order 2 `count`."""
+    """Return the Legendre–Gauss method with `count` points inside the interval.
+
+    Order 2 `count`.
+    """
     return collocation_method(f"gauss-{count}", _roots(_LEGENDRE(count)), order=2 * count)
 
 

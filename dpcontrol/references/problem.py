@@ -39,7 +39,9 @@ CART_VELOCITY_SCALE = 3.0
 
 @dataclass(frozen=True)
 class Limits(Settings, table="limits"):
-    """Symmetric bounds of the cart: position m (half the stroke), velocity m/s, acceleration m/s²; jerk m/s³.
+    """Symmetric bounds of the cart.
+
+    Position m (half the stroke), velocity m/s, acceleration m/s²; jerk m/s³.
 
     jerk: zero for none; a bound makes the acceleration continuous.
     """
@@ -87,7 +89,7 @@ def state_scale(dimension: int, limits: Limits) -> Array:
 
 @dataclass(frozen=True)
 class ReferenceProblem(Brief):
-    """Problem of a reference.
+    """Equations, guess, limits and ends of a reference to find.
 
     Attributes:
         equations: cart-level equations with states (N,) of angles, rates, cart position and velocity, and one input.

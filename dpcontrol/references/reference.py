@@ -70,7 +70,10 @@ class Reference(Trajectory):
 
     @classmethod
     def of(cls, trajectory: Trajectory, limits: Limits, **about: Any) -> "Reference":
-        """Return a trajectory as a reference; about: the fields after `limits`, by name."""
+        """Return a trajectory as a reference.
+
+        about: the fields after `limits`, by name.
+        """
         return cls(trajectory.method, trajectory.mesh, trajectory.states, trajectory.inputs, limits, **about)
 
     def __repr__(self) -> str:
@@ -237,7 +240,10 @@ def save_reference(path: Path | BytesIO, reference: Reference) -> None:
 
 
 def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
-    """Build a reference from a file's parts; any of the raised errors means an invalid file."""
+    """Build a reference from a file's parts.
+
+    Any of the raised errors means an invalid file.
+    """
     method = method_named(header["method"])
     mesh, states, inputs = (np.asarray(arrays[k], dtype=float) for k in ("mesh", "states", "inputs"))
     intervals, count = len(mesh) - 1, len(method.points)
@@ -259,9 +265,9 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
         found[k] = value = np.inf if header["numbers"][k] is None else header["numbers"][k]
         # JSON has integers of any length.
         if not isinstance(value, int | float) or not (abs(value) <= 1e300 or value == np.inf):
-            raise ValueError(f"its {k} is no number")
+            raise ValueError(f"its {k} is not a number")
     if not all(isinstance(bound, int | float) for bound in header["limits"].values()):
-        raise ValueError("its limits are no numbers")
+        raise ValueError("its limits are not numbers")
     return Reference(
         method, mesh, states, inputs, Limits(**header["limits"]),
         status=str(header["status"]), converged=bool(header["converged"]), **found,
@@ -283,7 +289,10 @@ def load_reference(path: Path | IO[bytes]) -> Reference:
 
 @dataclass(frozen=True)
 class LimitUse:
-    """Use of one of the cart's limits: bound and largest size in `unit`, and the time of the latter, s."""
+    """Use of one of the cart's limits.
+
+    Bound and largest size in `unit`, and the time of the latter, s.
+    """
 
     name: str
     unit: str
@@ -420,7 +429,10 @@ class StopNote(TypedDict):
 
 
 class SectionNote(TypedDict):
-    """Section of a connection: normal · state = value, at these angles, rad."""
+    """Section of a connection.
+
+    Normal · state = value, at these angles, rad.
+    """
 
     normal: list[float]
     value: float
@@ -428,7 +440,9 @@ class SectionNote(TypedDict):
 
 
 class SymbolNote(TypedDict):
-    """Motion between two stops: a connection, or a transfer, which has neither name nor section.
+    """Motion between two stops.
+
+    A connection, or a transfer, which has neither name nor section.
 
     Attributes:
         time: of the section's crossing, or the middle of a transfer, s.
@@ -466,7 +480,10 @@ class SaddleNote(TypedDict):
 
 
 class ShadowingNote(TypedDict):
-    """Search for the walks' orbits: largest residual, or None without a walk, and total time in s."""
+    """Search for the walks' orbits.
+
+    Largest residual, or None without a walk, and total time in s.
+    """
 
     residual: float | None
     duration: float
@@ -475,7 +492,10 @@ class ShadowingNote(TypedDict):
 
 
 class OriginNote(TypedDict):
-    """Inputs that reproduce the plan: itinerary and model with their hashes, arms, program."""
+    """Inputs that reproduce the plan.
+
+    Itinerary and model with their hashes, arms, program.
+    """
 
     program: str
     scene: str
@@ -487,7 +507,10 @@ class OriginNote(TypedDict):
 
 
 class StayNote(TypedDict):
-    """Stay of an itinerary without transfers: the equilibrium, or the orbit and the inputs of its search."""
+    """Stay of an itinerary without transfers.
+
+    The equilibrium, or the orbit and the inputs of its search.
+    """
 
     kind: Literal["hold", "orbit"]
     hold: NotRequired[str]
@@ -499,7 +522,10 @@ class StayNote(TypedDict):
 
 
 class ApproachNote(TypedDict):
-    """Closest approach of a transfer to a family: scaled `distance` from the orbit at `energy` J, at `time` s."""
+    """Closest approach of a transfer to a family.
+
+    Scaled `distance` from the orbit at `energy` J, at `time` s.
+    """
 
     orbit: str
     distance: float
@@ -508,7 +534,10 @@ class ApproachNote(TypedDict):
 
 
 class TransferNote(TypedDict):
-    """Cost of a transfer: duration in s, ∫u² dt in m²/s³, stroke in m, and approaches by family of orbits."""
+    """Cost of a transfer.
+
+    Duration in s, ∫u² dt in m²/s³, stroke in m, and approaches by family of orbits.
+    """
 
     text: str
     begin: float
@@ -548,7 +577,7 @@ class StartNote(TypedDict):
 
 
 class PlanNotes(TypedDict):
-    """Notes of a plan.
+    """Symbols, stops, orbits and costs stored with a reference.
 
     Attributes:
         wraps: one for each interior stop, None beside a transfer.

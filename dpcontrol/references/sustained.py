@@ -39,7 +39,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.shown import Brief
+from dpcontrol.foundation.shown import Brief, Timed, checked_times
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.references.find import find_reference
@@ -129,7 +129,7 @@ class SectionMap(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class SustainedOrbit(ByReference):
+class SustainedOrbit(ByReference, Timed):
     """A periodic orbit of pendulum and cart with the input that sustains it; time 0 is its phase 0.
 
     lyapunov: the conservative orbit that it continues. arms: with friction. reference: one period.
@@ -138,6 +138,33 @@ class SustainedOrbit(ByReference):
     lyapunov: LyapunovOrbit
     arms: ArmChainParameters
     reference: Reference
+
+    def __repr__(self) -> str:
+        return f"<sustained orbit about {self.lyapunov.saddle} at {self.energy:g}: {self.status}>"
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time of a period, s."""
+        return 0.0, self.period
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the N entries of a state."""
+        return (*self.lyapunov.columns, "cart_position", "cart_velocity")
+
+    def states(self, times: Any = None) -> Array:
+        """Return the states of arms and cart at given times.
+
+        Args:
+            times: times (K,) from phase 0, s; by default 200 over one period.
+
+        Returns:
+            States (K, N): angles, rates, and the cart's position and velocity.
+
+        Raises:
+            InputError: the times are not finite numbers.
+        """
+        return self.sample() if times is None else self.state(checked_times(times))
 
     @property
     def energy(self) -> float:
@@ -173,7 +200,10 @@ class SustainedOrbit(ByReference):
 
     @cached_property
     def multipliers(self) -> NDArray[np.complex128]:
-        """Multipliers (N,) of the period map with replayed input, largest first; NaN if not converged."""
+        """Multipliers (N,) of the period map with replayed input, largest first.
+
+        NaN if not converged.
+        """
         n = self.lyapunov.system.dimension
         if not self.converged:
             return np.full(n + 2, np.nan, dtype=complex)
@@ -190,7 +220,10 @@ class SustainedOrbit(ByReference):
         return self.reference.residual
 
     def state(self, times: ArrayLike) -> Array:
-        """Return states (…, N) at any `times` (…) s: angles, rates, cart position and velocity."""
+        """Return states (…, N) at any `times` (…) s.
+
+        Angles, rates, cart position and velocity.
+        """
         return self.reference.state(np.mod(times, self.period))
 
     def input(self, times: ArrayLike) -> Array:
@@ -306,7 +339,7 @@ class SustainedOrbit(ByReference):
         ]
         return _multipliers(np.array(parts))
 
-    def document(self, sections: int) -> dict[str, Any]:
+    def document(self, sections: int = 1) -> dict[str, Any]:
         """Return the JSON output of `dpcontrol orbit --sustained`, with the multipliers of `sections` sections."""
         reference, there = self.reference, self.converged
         return {

@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory(Brief):
-    """Values on a mesh: mesh (N+1,) s, states (N, K+1, nx) at the method's support, inputs (N, K, nu) at its points."""
+    """Values on a mesh.
+
+    Mesh (N+1,) s, states (N, K+1, nx) at the method's support, inputs (N, K, nu) at its points.
+    """
 
     method: Method
     mesh: Array
@@ -59,11 +62,17 @@ class Trajectory(Brief):
         return np.einsum("mk,mkn->mn", rows, values[index]).reshape(*at.shape, values.shape[-1])
 
     def state(self, times: ArrayLike) -> Array:
-        """Return states (…, nx) at `times` (…) s; times outside count as the nearest end."""
+        """Return states (…, nx) at `times` (…) s.
+
+        Times outside count as the nearest end.
+        """
         return self._evaluate(times, self.method.support, self.states)
 
     def input(self, times: ArrayLike) -> Array:
-        """Return inputs (…, nu) at `times` (…) s; times outside count as the nearest end."""
+        """Return inputs (…, nu) at `times` (…) s.
+
+        Times outside count as the nearest end.
+        """
         return self._evaluate(times, self.method.points, self.inputs)
 
 
@@ -79,7 +88,10 @@ def times_on(mesh: Array, places: Array) -> Array:
 
 @dataclass(frozen=True)
 class Solved:
-    """Result of the solver: a trajectory, its scaled constraint violation and the solver's outcome."""
+    """Result of the solver.
+
+    A trajectory, its scaled constraint violation and the solver's outcome.
+    """
 
     trajectory: Trajectory
     violation: float
@@ -118,7 +130,10 @@ def power_coefficients(points: Array, values: Array) -> Array:
 
 
 def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Array:
-    """Return the largest scaled error in each interval, (N,); infinite if the propagation fails."""
+    """Return the largest scaled error in each interval, (N,).
+
+    Infinite if the propagation fails.
+    """
     method, propagator = trajectory.method, interval_propagator(problem, trajectory.method)
     scale = state_scale(problem.equations.dimension, problem.limits)
     tau = np.linspace(0.0, 1.0, DENSE)

@@ -164,7 +164,9 @@ def interval_function(problem: ReferenceProblem, method: Method, settings: Refer
 
 
 class _Program:
-    """The nonlinear program of one mesh: its expressions, bounds and the indices of its variables.
+    """The nonlinear program of one mesh.
+
+    Its expressions, bounds and the indices of its variables.
 
     Variables, by column: an interval's start, its support values and its inputs. A support value that is the next
     interval's start is left out, unless the solver requires separate stages. Then follow the last state and, if it is
@@ -270,7 +272,10 @@ class _Program:
         self.high_g.append(values)
 
     def _join_ends(self, rows: list[ca.MX], first: ca.MX, last: ca.MX, matrix: ca.MX) -> None:
-        """Add conditions at the ends beyond bounds: closing and energy, or all of them if stages have no bounds."""
+        """Add conditions at the ends beyond bounds.
+
+        Closing and energy, or all of them if stages have no bounds.
+        """
         ends, e = self.problem.ends, self.problem.equations
         if ends.closing is not None:
             self._equal(rows, last - first, np.asarray(ends.closing) / self.scale)

@@ -81,7 +81,7 @@ _REMEMBERED = 1024
 
 @dataclass(frozen=True)
 class BenchServerSettings(Settings, table="bench"):
-    """Settings of the bench server.
+    """Watchdog and priority of a bench in real time.
 
     Attributes:
         watchdog: silence of the loop after which the cart is stopped, s.
@@ -129,7 +129,10 @@ class BenchRecord:
             self.truth[k] = truth
 
     def answered(self, k: int, command: float | None) -> None:
-        """Store the command for the reading of tick k; None if the cart had to stop."""
+        """Store the command for the reading of tick k.
+
+        None if the cart had to stop.
+        """
         if k >= len(self.commands):
             return
         self.last = max(self.last, k)
@@ -138,7 +141,10 @@ class BenchRecord:
 
     @property
     def still_from(self) -> float:
-        """Time from which the cart stood still until the end, s; NaN if it did not."""
+        """Time from which the cart stood still until the end, s.
+
+        NaN if it did not.
+        """
         moving = np.flatnonzero(~(np.abs(self.truth[: self.ticks, -1]) <= _STILL))
         first = int(moving[-1]) + 1 if len(moving) else 0
         return first * self.period if first < self.ticks else math.nan
@@ -281,7 +287,10 @@ class UdpBench:
             served += self._served(data, sender)
 
     def _served(self, data: bytes, sender: Any) -> bool:
-        """Handle a packet between runs; return True if it led to a run that has ended."""
+        """Handle a packet between runs.
+
+        Return True if it led to a run that has ended.
+        """
         try:
             heard = packets.unpacked(data, Role.LOOP, key=self._key)
         except ValueError as error:
@@ -364,7 +373,10 @@ class UdpBench:
 
 
 def _connected_socket(shared: socket.socket, client: Any) -> socket.socket | None:
-    """Return a socket at the same address for `client` only; None if not supported."""
+    """Return a socket at the same address for `client` only.
+
+    None if not supported.
+    """
     own = socket.socket(shared.family, socket.SOCK_DGRAM)
     try:
         # Only set after the bind of the other one, which has checked that the port is free.
@@ -569,7 +581,10 @@ def checked_faults(faults: Sequence[str], arms: int) -> tuple[str, ...]:
 
 
 class FaultyRig:
-    """A rig with wiring faults, for practice; zeros (n,) rad are the readings of its hanging arms."""
+    """A rig with wiring faults, for practice.
+
+    Zeros (n,) rad are the readings of its hanging arms.
+    """
 
     truth: None = None
 

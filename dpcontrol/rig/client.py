@@ -56,7 +56,9 @@ def without_collecting() -> Iterator[None]:
 
 @contextmanager
 def real_time_priority() -> Iterator[bool]:
-    """Run with real-time priority (SCHED_FIFO) in the block; yield whether the system allowed it.
+    """Run with real-time priority (SCHED_FIFO) in the block.
+
+    Yield whether the system allowed it.
 
     Only for processes that sleep most of the time, because others would block their core.
     """
@@ -405,7 +407,10 @@ class UdpRig:
         return None
 
     def _accepted(self, data: bytes) -> ReceivedPacket | None:
-        """Return a valid, new packet of this run's bench, or None; invalid ones are counted."""
+        """Return a valid, new packet of this run's bench, or None.
+
+        Invalid ones are counted.
+        """
         try:
             heard = self._talk.unpack(data)
         except ValueError as error:

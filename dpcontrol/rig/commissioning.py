@@ -68,7 +68,10 @@ class Grade(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """Finding of one step: sentence, remedy, numbers by name; mended: the scene's [run] can fix it."""
+    """Finding of one step: sentence, remedy, numbers by name.
+
+    mended: the scene's [run] can fix it.
+    """
 
     step: str
     verdict: Grade
@@ -504,7 +507,10 @@ def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
 
 
 def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
-    """Raise the cause of an invisible shift; the arms reveal motion of the cart."""
+    """Raise the cause of an invisible shift.
+
+    The arms reveal motion of the cart.
+    """
     wandered = float(np.ptp(session.carts()))
     if wandered > _SEEN:
         raise session.halted(
@@ -569,7 +575,10 @@ def _chirp(arms: ArmChainParameters, period: float, options: CommissioningSettin
 
 
 class DriveFit(NamedTuple):
-    """Fitted drive: delay and lag, s, gain, standard errors; misfit: unexplained fraction of the motion."""
+    """Fitted drive: delay and lag, s, gain, standard errors.
+
+    misfit: unexplained fraction of the motion.
+    """
 
     delay: float
     lag: float
@@ -712,7 +721,9 @@ def _sandwich(jacobian: Array, residual: Array, weights: Array | None = None) ->
 
 
 class Modes(NamedTuple):
-    """Normal modes of hanging arms: frequencies (n,) rad/s, dampings (n,), shapes W_0 (n, n) by column.
+    """Normal modes of hanging arms.
+
+    Frequencies (n,) rad/s, dampings (n,), shapes W_0 (n, n) by column.
 
     `vectors` (n, n) are the modes of unit mass, by column.
     """
@@ -724,7 +735,10 @@ class Modes(NamedTuple):
 
 
 def modes(arms: ArmChainParameters) -> Modes:
-    """Return the normal modes of hanging arms on an accelerated cart: θ = shapes · y."""
+    """Return the normal modes of hanging arms on an accelerated cart.
+
+    Θ = shapes · y.
+    """
     n, base = arms.count, arms.base()
     upper = np.zeros((n, n))
     upper[np.triu_indices(n)] = base[: n * (n + 1) // 2]
@@ -744,7 +758,9 @@ def _sums(n: int) -> Array:
 
 
 class CommissioningSwing(NamedTuple):
-    """Modes as the readings show them: frequencies, dampings, shapes W (n, n), rms strengths of y.
+    """Modes as the readings show them.
+
+    Frequencies, dampings, shapes W (n, n), rms strengths of y.
 
     `zeros` (n,) rad have standard errors. `ratios` (n,) are frequencies relative to the model, `misfit` (n,) the rms
     residual of each reading, rad, and `swing` (n,) its rms value.
@@ -867,7 +883,9 @@ _LEFT_OVER = 0.3
 
 
 def _signs(gain: float, factors: Array) -> list[tuple[str, ...]]:
-    """Return the fewest reversals that explain the signs: drive, cart's scale, arms' encoders.
+    """Return the fewest reversals that explain the signs.
+
+    Drive, cart's scale, arms' encoders.
 
     There are two solutions if the rig and its mirror image need equally many.
     """
@@ -1013,7 +1031,10 @@ def _zeros(
 
 
 def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, ...]], gain: float) -> list[Finding]:
-    """Judge order, form, signs and counts of the encoders; one finding for each fault."""
+    """Judge order, form, signs and counts of the encoders.
+
+    One finding for each fault.
+    """
     n, factors = len(wiring.factors), wiring.factors
     figures = {
         "form": wiring.form.value, "order": [k + 1 for k in wiring.order], "factors": factors.tolist(),
@@ -1257,7 +1278,10 @@ _ACCELERATE, _STOPPING = 0.3, 1.0
 
 
 def _tried_switches(session: _Session, most: float, limits: Limits, options: CommissioningSettings) -> list[Finding]:
-    """Creep to each side until the switch responds, and return; one finding for each side."""
+    """Creep to each side until the switch responds, and return.
+
+    One finding for each side.
+    """
     session.reach = most + REACH
     return [_tried_switch(session, side, name, most, limits, options) for side, name in ((1, "right"), (-1, "left"))]
 

@@ -161,7 +161,10 @@ Content = Start | Welcome | ReadingPacket | CommandPacket | str | None
 
 
 class ReceivedPacket(NamedTuple):
-    """A received packet; new: True if its sequence number is above all earlier ones."""
+    """A received packet.
+
+    new: True if its sequence number is above all earlier ones.
+    """
 
     kind: Kind
     session: int
@@ -305,7 +308,10 @@ def refusal(data: bytes, why: str) -> bytes:
 
 
 class Talk:
-    """One end of a session: numbers and seals its packets, and checks those received."""
+    """One end of a session.
+
+    Numbers and seals its packets, and checks those received.
+    """
 
     def __init__(self, role: Role, session: int, *, key: bytes = b"") -> None:
         self._role, self._session, self._key = role, session, key
@@ -365,7 +371,9 @@ def _beginning(file: Path) -> bytes:
 
 
 def resolved(host: str, port: int, *, name: str, family: int = 0) -> tuple[int, tuple]:
-    """Return address family and socket address of a host; `name` identifies it in messages.
+    """Return address family and socket address of a host.
+
+    `name` identifies it in messages.
 
     Raises:
         InputError: the host does not exist.

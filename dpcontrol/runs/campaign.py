@@ -117,8 +117,11 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True)
-class Case:
-    """One combination of varied values: its label, the values by name, and the loop's settings."""
+class Case(Brief):
+    """One combination of varied values.
+
+    Its label, the values by name, and the loop's settings.
+    """
 
     label: str
     values: tuple[tuple[str, float | str], ...]
@@ -346,7 +349,10 @@ class CampaignSettings(Settings, table="campaign"):
 
 @dataclass(frozen=True)
 class CaseResult(Brief):
-    """Runs of one case: the number completed and the rows of the others."""
+    """Runs of one case.
+
+    The number completed and the rows of the others.
+    """
 
     case: Case
     completed: Share
@@ -360,7 +366,9 @@ class CaseResult(Brief):
 
 @dataclass(frozen=True)
 class Transition:
-    """Runs of one transition in one case: the number completed and the causes of the other endings.
+    """Runs of one transition in one case.
+
+    The number completed and the causes of the other endings.
 
     Attributes:
         duration: without the rests before and after it, s.
@@ -492,7 +500,9 @@ def share_document(share: Share) -> dict[str, Any]:
 
 
 def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[str, Any]) -> tuple[Case, ...]:
-    """Return the cases: every combination of the values in `over`, on top of `fixed`.
+    """Return the cases.
+
+    Every combination of the values in `over`, on top of `fixed`.
 
     Names are paths of a run's settings. A value that is not a list counts as a single value.
 
@@ -518,7 +528,10 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
 
 
 def _shown(values: Sequence[Any]) -> list[Any]:
-    """Return the values for display: objects by name, repeated names numbered from the second on."""
+    """Return the values for display.
+
+    Objects by name, repeated names numbered from the second on.
+    """
     out: list[Any] = []
     for value in values:
         plain = isinstance(value, int | float | str)
@@ -767,7 +780,9 @@ LEVELS = 21
 
 @dataclass(frozen=True)
 class Trouble:
-    """One kind of trouble: the setting it raises, its values by level, and accompanying settings.
+    """One kind of trouble.
+
+    The setting it raises, its values by level, and accompanying settings.
 
     in_periods: True if the values are in s and the setting in periods.
     """

@@ -259,7 +259,9 @@ class ClosedLoop(Timed):
         yes: bool = False,
         progress: Reporting = None,
     ) -> tuple[StandardScore, ...]:
-        """Return the robustness score: shares of completed runs under nine kinds of trouble.
+        """Return the robustness score.
+
+        Shares of completed runs under nine kinds of trouble.
 
         Args:
             controllers: kinds of laws to compare (default: this loop's).

@@ -103,7 +103,9 @@ def night_folder(out: Path) -> Path:
 
 
 def night_itinerary(itinerary: Itinerary, *, given: Mapping[str, object]) -> Itinerary:
-    """Return an itinerary with the defaults of long runs: after a fall they continue, without limit.
+    """Return an itinerary with the defaults of long runs.
+
+    After a fall they continue, without limit.
 
     Settings in `given` override these defaults. A keeper of stops with internal timing is replaced by gains by time.
     """
@@ -270,7 +272,10 @@ def _gigabytes(size: float) -> str:
 
 @dataclass(frozen=True)
 class _Resumption:
-    """Start of a night or of its next session: session and number of the first file, from 1, and time, s."""
+    """Start of a night or of its next session.
+
+    Session and number of the first file, from 1, and time, s.
+    """
 
     session: int = 1
     number: int = 1
@@ -462,7 +467,7 @@ def _place(
     """Return the start of the next session, after closing the logs of an interrupted one.
 
     Raises:
-        InputError: a night is there that is not to be resumed, is complete or is another one, or there is none.
+        InputError: the folder holds another, a complete or no night, or one that must not be resumed.
     """
     name = folder.resolve().name
     there = check_folder(folder, resume=resume, force=force)

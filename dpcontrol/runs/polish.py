@@ -31,6 +31,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
 from dpcontrol.judge.decoding import FOLLOWS, orbit_distance, orbit_index, shortfall
 from dpcontrol.orbits.lyapunov import resting_place
@@ -103,8 +104,11 @@ class Side:
 
 
 @dataclass(frozen=True, repr=False)
-class Polished:
-    """A robust plan and the polished one with their figures; one side if the polished plan did not converge."""
+class Polished(Shown):
+    """A robust plan and the polished one with their figures.
+
+    One side if the polished plan did not converge.
+    """
 
     robust: Plan
     polished: Plan
@@ -385,7 +389,10 @@ def _events(walk: list[SymbolNote], angles: Array) -> list[tuple[int, int, int]]
 
 
 def _noted(plan: Plan, motion: Reference) -> Reference:
-    """Return a polished motion with the notes of its plan: crossings of symbols and present transfers."""
+    """Return a polished motion with the notes of its plan.
+
+    Crossings of symbols and present transfers.
+    """
     robust = plan.reference
     crossed, notes = _crossed(robust, motion), {**robust.notes}
     n = plan.itinerary.model.arms.count

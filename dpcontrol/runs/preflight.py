@@ -233,7 +233,9 @@ class Hazard:
 
 @dataclass(frozen=True)
 class _Search:
-    """Search for a border: job of the present bench, with the seeds and their endings.
+    """Search for a border.
+
+    Job of the present bench, with the seeds and their endings.
 
     block: seeds of the first block. most: largest number at once.
     """
@@ -247,7 +249,10 @@ class _Search:
 
 @dataclass(frozen=True)
 class _Trial:
-    """Trial of a change: job of the changed bench, with the seeds, their former endings and the most at once."""
+    """Trial of a change.
+
+    Job of the changed bench, with the seeds, their former endings and the most at once.
+    """
 
     change: SceneChange
     job: Job
@@ -266,7 +271,10 @@ def _do(task: _Task) -> "tuple[RunEnd, ...] | HazardBorder | Improvement":
 
 
 def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
-    """Return the endings of a job's seeds, cached if possible; most: seeds at once, for memory."""
+    """Return the endings of a job's seeds, cached if possible.
+
+    most: seeds at once, for memory.
+    """
     if len(job.seeds) > most:
         parts = (replace(job, seeds=job.seeds[k : k + most]) for k in range(0, len(job.seeds), most))
         return tuple(row for part in parts for row in outcomes(part, most))
@@ -290,7 +298,10 @@ _MOST_VALUES = 8
 
 
 def _border(search: _Search) -> HazardBorder:
-    """Return the border of a hazard: the value that halves the present number of completed runs."""
+    """Return the border of a hazard.
+
+    The value that halves the present number of completed runs.
+    """
     hazard = search.hazard
     points: dict[float, ShareAt] = {}
 
@@ -609,7 +620,10 @@ def _notes(scene: Itinerary, loop: LoopSettings) -> list[str]:
 def _searches(
     kinds: Sequence[Hazard], job: Job, completed: Sequence[bool], amounts: _Amounts, most: int, notes: list[str]
 ) -> list[_Search]:
-    """Return the searches for borders; notes receives the reasons if there are none."""
+    """Return the searches for borders.
+
+    Notes receives the reasons if there are none.
+    """
     done = sum(completed)
     if done < _FEWEST:
         notes.append(f"only {done} of {len(completed)} runs complete: too few to find borders; see the useful changes")

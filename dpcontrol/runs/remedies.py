@@ -243,7 +243,10 @@ def _judged(
     before: Sequence[bool],
     typed: Callable[[Mapping[str, Any]], Plan],
 ) -> TriedChange:
-    """Return a change with its verdict; one that beats the null group is typed."""
+    """Return a change with its verdict.
+
+    One that beats the null group is typed.
+    """
     half = len(before) // 2
     counts = Completed(sum(done[:half]), sum(done[half:]), half) if len(done) == len(before) else None
     tried = partial(TriedChange, change.text, typed_options(change.options), counts=counts)

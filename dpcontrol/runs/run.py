@@ -102,7 +102,10 @@ def default_log(itinerary: Itinerary) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Run(Timed):
-    """A run or a recording of a bench, read from its log; see `RunLog` for the arrays."""
+    """A run or a recording of a bench, read from its log.
+
+    See `RunLog` for the arrays.
+    """
 
     log: RunLog
 
@@ -298,7 +301,10 @@ def run_plan(
 
 
 def _made_by(itinerary: Itinerary, rig: str | None, library: Path | None = None) -> dict[str, str]:
-    """Return the metadata of a run that depend on the bench: the drawn plant or the rig's name, and the library."""
+    """Return the metadata of a run that depend on the bench.
+
+    The drawn plant or the rig's name, and the library.
+    """
     made_by = drawn_metadata(itinerary) if rig is None else {"rig": rig}
     if library is not None:
         check_exportable(itinerary)
@@ -337,7 +343,10 @@ def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[Lo
 
 
 def outcome(result: LoopResult) -> dict[str, str]:
-    """Return the result of a run as metadata: pace, ending, computing time of ticks, hardest drive."""
+    """Return the result of a run as metadata.
+
+    Pace, ending, computing time of ticks, hardest drive.
+    """
     noted = {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
     if result.hardest is not None:
         noted[HARDEST_METADATA] = repr(result.hardest)
@@ -446,7 +455,10 @@ def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
 
 @dataclass(frozen=True)
 class Repeat:
-    """A repeated run: its score, the comparison with the original log, and a remark on another version."""
+    """A repeated run.
+
+    Its score, the comparison with the original log, and a remark on another version.
+    """
 
     score: Score
     comparison: Comparison
@@ -550,7 +562,9 @@ def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinera
 
 
 def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
-    """Return a run's settings from the JSON of a log; settings of later versions have their defaults.
+    """Return a run's settings from the JSON of a log.
+
+    Settings of later versions have their defaults.
 
     Raises:
         InputError: an unknown setting or an impossible value.

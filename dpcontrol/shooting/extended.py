@@ -86,7 +86,10 @@ class ExtendedOrbit(Brief):
 
     @property
     def duration(self) -> Any:
-        """Time from the first node to the last, s: the period of a periodic orbit."""
+        """Time from the first node to the last, s.
+
+        The period of a periodic orbit.
+        """
         return self.times[-1] - self.times[0]
 
     def at(self, phase: Any) -> Extended:
@@ -150,7 +153,10 @@ def refine(
 
 
 def exact_position(system: System, state: Array) -> Extended:
-    """Return a resting state (N,) in extended precision: angles as whole multiples of π, the rest as doubles."""
+    """Return a resting state (N,) in extended precision.
+
+    Angles as whole multiples of π, the rest as doubles.
+    """
     halves = np.where(np.isfinite(system.periods), state / np.pi, 0.0)
     whole = np.rint(halves)
     angular = np.isfinite(system.periods) & (np.abs(halves - whole) < 1e-12)
@@ -158,7 +164,10 @@ def exact_position(system: System, state: Array) -> Extended:
 
 
 def _exact_level(system: System, level: float) -> Any:
-    """Return the value of normal · x on a section; multiples of π are exact."""
+    """Return the value of normal · x on a section.
+
+    Multiples of π are exact.
+    """
     whole = np.rint(level / np.pi)
     if np.isfinite(system.periods).any() and abs(level / np.pi - whole) < 1e-12:
         return pi_times(whole)[()]

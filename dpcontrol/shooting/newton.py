@@ -72,7 +72,10 @@ class ManifoldEnd(Brief):
         return (0.0 if fixed else 0.5) - self.phase
 
     def _periods(self, seconds: Any) -> Any:
-        """Return the change of the manifold's phase over a time, in periods; negative on a stable manifold."""
+        """Return the change of the manifold's phase over a time, in periods.
+
+        Negative on a stable manifold.
+        """
         return seconds / self.manifold.orbit.period * (-1.0 if self.stable else 1.0)
 
     def point(self) -> tuple[Array, Array]:
@@ -138,7 +141,10 @@ class ShootingOrbit(Brief):
 
     @property
     def duration(self) -> float:
-        """Time from the first node to the last, s: the period of a closed orbit."""
+        """Time from the first node to the last, s.
+
+        The period of a closed orbit.
+        """
         return float(self.times[-1] - self.times[0])
 
     def sample(self, times: Array) -> Array:
@@ -200,7 +206,10 @@ class Guess(Brief):
 
 @dataclass(frozen=True)
 class Unknowns(Brief):
-    """The unknowns of Newton's method: states (K + 1, N), durations (K,) s, amplitudes (2,) or (0,), and ε."""
+    """The unknowns of Newton's method.
+
+    States (K + 1, N), durations (K,) s, amplitudes (2,) or (0,), and ε.
+    """
 
     states: Array
     durations: Array
@@ -267,7 +276,10 @@ class ShootingEquations:
         self._scaling = self.rows[self._row] * self.columns[self._col]
 
     def normals(self, states: Array) -> Array:
-        """Return the normals (nodes, N) of inner nodes: those of a section at marked nodes, else of the flow."""
+        """Return the normals (nodes, N) of inner nodes.
+
+        Those of a section at marked nodes, else of the flow.
+        """
         rates = self.system.numeric.rate(states[self.inner])
         normals = rates / self.system.scale**2
         normals /= np.sum(normals * rates, axis=1, keepdims=True)
@@ -276,7 +288,10 @@ class ShootingEquations:
         return normals
 
     def matrix(self, states: Array, stms: Array, arrived: Array) -> csc_array:
-        """Return the scaled Jacobian from doubles; arrived (K, N): ends of the segments."""
+        """Return the scaled Jacobian from doubles.
+
+        arrived (K, N): ends of the segments.
+        """
         numeric = self.system.numeric
         minus = np.tile(-np.eye(self.n).ravel(), len(self.arriving))
         values = [stms[self.starting].ravel(), minus, numeric.rate(arrived).ravel(), self.normals(states).ravel()]
@@ -386,7 +401,10 @@ class Shot(Brief):
 
 @dataclass(frozen=True)
 class _Linear:
-    """The linearised equations: the Newton step, its length, and the symbol with the largest change."""
+    """The linearised equations.
+
+    The Newton step, its length, and the symbol with the largest change.
+    """
 
     factors: Any
     matrix: csc_array
@@ -399,7 +417,10 @@ class _Linear:
 
 @dataclass(frozen=True)
 class _Step:
-    """An accepted step: its end, damping and simplified step, and ω if it was long."""
+    """An accepted step.
+
+    Its end, damping and simplified step, and ω if it was long.
+    """
 
     unknowns: Unknowns
     damping: float
@@ -619,7 +640,10 @@ class ErrorEstimate(Brief):
 
 
 def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
-    """Return the error estimate of a converged shot; stops: the periodic orbits after its marked nodes."""
+    """Return the error estimate of a converged shot.
+
+    stops: the periodic orbits after its marked nodes.
+    """
     guess, orbit = shot.guess, shot.orbit
     h = None if shot.lipschitz is None else shot.lipschitz * shot.correction
     # Without ω, and below rounding errors, the last step estimates the distance.

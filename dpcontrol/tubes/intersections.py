@@ -525,7 +525,7 @@ class _Approach:
 
 
 def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array) -> list[_Approach | None]:
-    """Return candidates at phase pairs (K, 2), or None without an arrival."""
+    """Return candidates at phase pairs (K, 2), or None without an arrival or without derivatives."""
     section = sides[0].section
     position, along = np.asarray(section.position), np.asarray(section.momentum) / momentum_scale(system, section)
     found: list[_Approach | None] = [None] * len(phases)
@@ -545,6 +545,8 @@ def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array)
     miss = section_points(system, section, states[0]) - section_points(system, section, states[0] - gaps)
     ways = [np.sign(system.numeric.rate(arrived) @ np.asarray(section.normal)) for arrived in states]
     for j, k in enumerate(both):
+        if not np.isfinite([tangents[0][j], tangents[1][j]]).all():
+            continue
         crossing = Intersection(
             sides=sides,
             phases=phases[k].copy(),

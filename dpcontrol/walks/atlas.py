@@ -23,6 +23,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown
+from dpcontrol.foundation.units import InUnits
 from dpcontrol.orbits.cut import Piece
 from dpcontrol.orbits.lyapunov import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingRecord
@@ -186,7 +187,7 @@ class AtlasKind(Brief):
 
 
 @dataclass(frozen=True)
-class Atlas(Shown):
+class Atlas(Shown, InUnits):
     """The atlas of one model at one energy.
 
     Attributes:
@@ -194,6 +195,8 @@ class Atlas(Shown):
         reverser (N, N): maps unstable to stable tubes.
         absent: (saddle, reason) for missing orbits.
         seconds: computing time by stage, s.
+        labels: axis labels of the N entries of a state.
+        si: True if units are those of SI.
 
     The rotating orbits are those of both arms, forward.
     """
@@ -212,6 +215,8 @@ class Atlas(Shown):
     connections: tuple[AtlasConnection, ...]
     seconds: Mapping[str, float]
     status: str
+    labels: tuple[str, ...] = ("θ₁ (rad)", "θ₂ (rad)", "ω₁ (rad/s)", "ω₂ (rad/s)")
+    si: bool = True
 
     def __repr__(self) -> str:
         return f"<atlas of {self.model} at {self.energy:g}: {self.status}>"
@@ -302,10 +307,8 @@ class Atlas(Shown):
         }
 
 
-def section_axes(section: Section, periods: Array) -> tuple[str, float | None]:
+def section_axes(section: Section, atlas: Atlas) -> tuple[str, float | None]:
     """Return the name and period (or None) of a section's coordinate."""
     coordinate = int(np.argmax(np.abs(section.position)))
-    angular = np.isfinite(periods).any()
-    name = f"θ{'₁₂₃₄₅₆'[coordinate]}" if angular else "xyz"[coordinate]
-    period = float(periods[coordinate])
-    return name, period if np.isfinite(period) else None
+    period = float(atlas.periods[coordinate])
+    return atlas.labels[coordinate].partition(" ")[0], period if np.isfinite(period) else None

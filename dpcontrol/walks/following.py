@@ -40,6 +40,7 @@ class SymbolChange:
         within: error bound of the energy, J.
         before, after: connection names.
         ends: True if the first connection ends there, False if another one has a larger angle.
+        unit: unit of the energy, "" in a system with its own units.
     """
 
     symbol: str
@@ -48,19 +49,20 @@ class SymbolChange:
     before: str
     after: str
     ends: bool
+    unit: str = " J"
 
     @property
     def sentence(self) -> str:
         """A sentence describing the change."""
         why = "the previous one ends there" if self.ends else "another one has a larger angle there"
         return (
-            f'"{self.symbol}" selects another connection beyond {self.energy:.6g} J (±{self.within:.1g}), because '
-            f"{why}: {self.before} before, {self.after} after"
+            f'"{self.symbol}" selects another connection beyond {self.energy:.6g}{self.unit} (±{self.within:.1g}), '
+            f"because {why}: {self.before} before, {self.after} after"
         )
 
     def document(self) -> dict[str, Any]:
         """Return the change in the format of `dpcontrol walk --compare --json`."""
-        return fields_of(SymbolChange, self)
+        return {key: value for key, value in fields_of(SymbolChange, self).items() if key != "unit"}
 
 
 class SymbolBranches:
@@ -146,6 +148,7 @@ class SymbolBranches:
                     here.name,
                     there.name if other is None else other.name,
                     known is None,
+                    self.system.unit("J"),
                 )
             )
         progress(self.symbol.text, 1.0)

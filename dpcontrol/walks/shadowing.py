@@ -521,10 +521,8 @@ def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, le
                 raise InputError(f"{name} = {value}: must be at most {MOST_WRAPS:,}")
     energies = {c.source.energy for c in chain}
     if len(energies) > 1:
-        raise InputError(
-            f"the walk mixes energies {sorted(energies)} J: an orbit has constant energy; join references of different "
-            "energies instead"
-        )
+        text = f"the walk mixes energies {sorted(energies)} J: an orbit has constant energy; "
+        raise InputError(chain[0].source.system.worded(f"{text}join references of different energies instead"))
 
 
 MOST = 12

@@ -179,7 +179,7 @@ def test_more_points_on_the_same_intervals_are_nearer_and_cost_the_same():
     assert error["radau-7"] < 0.1 * error["radau-5"]
 
 
-def test_a_build_without_extended_reals_is_told(system, monkeypatch):
+def test_a_build_without_extended_reals_is_reported(system, monkeypatch):
     def refused(*_):
         raise GoalMissed("no 113-bit reals")
 
@@ -207,5 +207,5 @@ def test_no_default_of_a_quick_chart_errs_by_more_than_it_did(name, monkeypatch)
     assert less_accurate(before, after) == ()
 
 
-def test_points_may_be_at_zero_error_but_not_undefined():
+def test_points_can_have_zero_error_but_not_an_undefined_one():
     assert Point("a", "", 1.0, 0.0).error == 0.0

@@ -64,6 +64,13 @@ def test_a_fourth_diagram_is_on_the_appendix() -> None:
     assert page.pages == {"": panels[:3], "-more": panels[3:]}
 
 
+def test_a_long_appendix_has_several_sheets_that_fit_on_paper() -> None:
+    panels = tuple(Diagram(f"{k}", "s", "error", (Point("m", "", 1.0, 1.0, default=True),)) for k in range(12))
+    page = PrecisionChart("x", "title", ("1", "2", "3"), "", panels)
+    assert page.pages == {"": panels[:3], "-more": panels[3:9], "-more-2": panels[9:]}
+    assert figure(page, page.pages["-more"]).get_figheight() < 16.5
+
+
 def test_a_leading_diagram_is_alone_on_its_page_and_names_the_best_search() -> None:
     searches = (Search("ours", 5, 5, 5, 5.0, default=True), Search("a", 10, 9, 1, 50.0), Search("b", 10, 2, 2, 60.0))
     lead = Searches("flights", searches, "as cheap as ours")
@@ -78,7 +85,7 @@ def test_a_leading_diagram_is_alone_on_its_page_and_names_the_best_search() -> N
 
 
 @pytest.mark.parametrize("shares", [(0.0, 0.0), (0.0, 0.4), (0.0, 0.12)])
-def test_shares_are_shown_from_none_up_and_never_below(shares: tuple[float, float]) -> None:
+def test_axes_of_shares_start_at_zero(shares: tuple[float, float]) -> None:
     points = tuple(Point("m", f"{k}", 1.0 + k, share, default=k == 0) for k, share in enumerate(shares))
     (axes,) = drawn(Diagram("failures", "s", "share that fails", points, log_y=False))
     ticks = axes.get_yticks()

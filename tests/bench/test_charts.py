@@ -43,7 +43,7 @@ def test_a_default_on_the_front_raises_no_complaint_and_needs_no_reason():
 
 
 @pytest.mark.parametrize("slower", [ALLOWED * 0.9, ALLOWED * 1.1])
-def test_a_default_may_be_a_fifth_slower_with_a_reason_and_no_more(slower):
+def test_a_default_can_be_at_most_a_fifth_slower_with_a_reason(slower):
     points = points_of([(1.0, 1e-6), (1.0 + slower, 1.1e-6)], default={1})
     unexplained, explained = panel(*points), panel(*points, why="it needs no compiler")
     assert unexplained.off_front(points[1]) == pytest.approx(min(slower, 0.1))
@@ -54,7 +54,7 @@ def test_a_default_may_be_a_fifth_slower_with_a_reason_and_no_more(slower):
     assert bool(panel(*far, why="a reason").complaints()) == (slower > ALLOWED)
 
 
-def test_a_second_view_of_the_same_work_shows_where_its_default_stands_but_raises_no_complaint():
+def test_a_second_view_of_the_same_work_shows_its_default_without_a_complaint():
     points = points_of([(1.0, 1e-6), (9.0, 1e-6)], default={1})
     assert panel(*points).complaints() != ()
     view = panel(*points, judged=False)
@@ -155,7 +155,7 @@ def test_an_unknown_chart_is_refused_with_the_known_ones(tmp_path):
 
 
 @pytest.mark.benchmark
-def test_maps_are_drawn_at_once_and_come_back_in_the_order_they_were_asked_for(tmp_path):
+def test_maps_are_computed_together_and_returned_in_the_requested_order(tmp_path):
     asked = ["edges-ogy", "edges-moving"]
     drawn = draw_charts(asked, tmp_path, quick=True)
     assert [d.chart.name for d in drawn] == asked

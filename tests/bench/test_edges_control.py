@@ -35,7 +35,7 @@ def predicted_delay(acceleration: float) -> float:
     return longest_delay(stand, error, acceleration=acceleration)
 
 
-def test_authority_over_a_known_delay_ends_where_it_is_predicted_and_the_loop_says_so():
+def test_authority_over_a_known_delay_ends_at_the_predicted_and_reported_border():
     stand, predicted = held_at_rest(RATE), predicted_delay(WEAK)
     assert stand.run(acceleration=WEAK, error=0.05, delay=0.75 * predicted).works
     far = stand.run(acceleration=WEAK, error=0.05, delay=1.25 * predicted)
@@ -95,7 +95,7 @@ def test_lockstep_and_loop_queue_the_same_commands():
     assert np.abs(together.truth[:40] - alone.ticks.truth[:40]).max() < 1e-9
 
 
-def test_a_moving_reference_tolerates_a_known_delay_up_to_a_border_that_the_loop_reports():
+def test_a_moving_reference_tolerates_a_known_delay_up_to_a_reported_border():
     found = delay_border(moving(RATE), error=0.02, ratio=1.2)
     assert found.measured == pytest.approx(0.27, rel=0.15)  # as measured when this was written
     assert "tracking lost" in found.says

@@ -42,7 +42,7 @@ def test_whole_units_are_tried_down_to_neighbours():
     assert all(y / 1e-3 == pytest.approx(round(y / 1e-3), abs=1e-9) for y in tried)
 
 
-def test_a_side_that_is_not_found_is_none_and_no_number_is_made_up():
+def test_a_missing_side_is_none_without_an_invented_number():
     nothing, everything = (
         find_border(below(b), x=1.0, line="", near=0.1, far=1.0, predicted=0.3) for b in (0.0, math.inf)
     )
@@ -62,12 +62,12 @@ def test_a_prediction_is_judged_by_how_far_it_is_from_the_border(share):
         assert bool(one_map(found).complaints()) == (complains and abs(share) == AGREES)
 
 
-def test_a_far_side_that_nobody_reports_is_a_complaint():
+def test_an_unreported_far_side_is_a_complaint():
     found = find_border(below(says=""), x=1.0, line="l", near=0.01, far=5.0)
     assert "is not reported" in one_map(found).complaints()[0]
 
 
-def test_half_of_the_answers_decide_and_one_that_says_something_speaks_for_the_rest():
+def test_half_of_the_answers_decide_and_one_answer_with_a_text_explains_the_rest():
     silent, works, says = Attempt(False), Attempt(True), Attempt(False, "tracking lost")
     assert half_of([works, silent], "runs lost").works
     assert half_of([works, silent, says], "runs lost") == Attempt(False, "2 of 3 runs lost; tracking lost")
@@ -88,7 +88,7 @@ def test_a_chart_of_maps_is_json_and_a_picture(tmp_path):
     assert len(chart.parts[0].table().rows) == 2
 
 
-def test_edges_stand_for_all_maps_of_failure():
+def test_edges_represent_all_maps_of_failure():
     assert check_names(("edges",)) == GROUPS["edges"]
     assert len(GROUPS["edges"]) > 3
     assert check_names(("edges-control", "edges"))[0] == "edges-control"

@@ -43,7 +43,7 @@ def test_fine_encoders_hold_and_coarse_ones_lose_the_orbit(sections: int, enough
 
 
 @pytest.mark.slow
-def test_one_section_a_period_is_lost_at_any_real_resolution_and_the_loop_says_so():
+def test_one_section_per_period_is_lost_at_any_real_resolution_with_a_reason():
     for border_of in (limit_border, counts_border):
         border = border_of(orbit(), law_of(1), seeds=2, ratio=1.6)
         assert border.near is None

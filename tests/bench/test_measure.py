@@ -36,14 +36,14 @@ class Machine:
         return call
 
 
-def test_start_up_is_told_apart_from_repeated_time():
+def test_start_up_is_separated_from_repeated_time():
     # The first call compiles for 5 s; each takes 1 s, one in between 9 s.
     machine = Machine(lambda call: {1: 6.0, 3: 9.0}.get(call, 1.0))
     found = timed(machine.work("a", 1.0), 5, most=100.0, clock=machine.clock, beside=lambda: 1e-3)
     assert (found.seconds, found.start_up, found.result) == (1.0, 5.0, "a")
 
 
-def test_slow_work_is_not_repeated_beyond_the_time_it_may_take():
+def test_slow_work_is_not_repeated_beyond_its_time_limit():
     machine = Machine()
     assert timed(machine.work("a", 3.0), 50, most=5.0, **machine.own).seconds == 3.0
     assert len(machine.calls) == 3
@@ -64,7 +64,7 @@ def slow_in_the_second_half(call):
     return 1.0 if call <= 12 else 2.0
 
 
-def test_what_is_compared_takes_turns():
+def test_compared_methods_alternate():
     machine = Machine(slow_in_the_second_half)
     works = {"a": machine.work("a", 1.0), "b": machine.work("b", 0.8)}
     found = timed_in_turns(works, 11, starts_up=False, clock=machine.clock, beside=lambda: 1e-3)
@@ -83,7 +83,7 @@ def test_short_work_measured_while_the_machine_is_slow_counts_as_what_it_takes_o
     )
 
 
-def test_long_work_stands_as_the_clock_has_it():
+def test_long_work_has_the_time_of_the_clock():
     # A yardstick tells only of how quick the machine was at its ends.
     machine = Machine()
     found = timed(machine.work("a", 1.0), 5, most=100.0, clock=machine.clock, beside=iter(range(1, 1000)).__next__)
@@ -100,7 +100,7 @@ def test_slow_work_leaves_the_turns_early_but_not_before_its_least():
     assert machine.calls.count("quick") == 6
 
 
-def test_what_is_of_no_interest_is_called_once():
+def test_uninteresting_work_is_called_once():
     machine = Machine()
     found = timed_in_turns(
         {"fails": machine.work("fails", 2.0), "works": machine.work("works", 1.0)}, 4,

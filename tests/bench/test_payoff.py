@@ -90,7 +90,7 @@ def test_a_motion_is_recognised_with_its_effort() -> None:
     assert found.peak == pytest.approx(1.0, abs=1e-6)
 
 
-def test_what_is_no_motion_or_misses_its_end_or_passes_a_limit_does_not_fly() -> None:
+def test_invalid_motions_missed_ends_and_exceeded_limits_are_rejected() -> None:
     motion = free_fall()
     ends = motion.states[0, 0], motion.states[-1, -1]
     bent = replace(motion, states=motion.states.copy())
@@ -152,7 +152,7 @@ def charted(method: str, effort: float, duration: float = 1.0) -> Charted:
     return Charted(method, duration, Recomputed(effort, 1.0, 0.0, 0.0, 0.1, 0.1, (0, 1)))
 
 
-def test_the_verdict_counts_tries_as_cheap_and_tells_where_none_is_cheaper() -> None:
+def test_the_verdict_counts_cheap_tries_and_reports_if_none_is_cheaper() -> None:
     inf = float("inf")
     tries = ((TUBES, 1.0, 2.0), (STRAIGHT, 1.0, 2.1), (STRAIGHT, 1.0, 3.0), (STRAIGHT, 1.0, inf))
     one = Compared("a turn", tries, {TUBES: charted(TUBES, 2.0)})
@@ -227,7 +227,7 @@ def scene(*parts: str, start: str = "orbit") -> Itinerary:
     return itinerary_from(text, "test", load_model("lab"))
 
 
-def test_plan_says_where_a_flight_off_the_tubes_is_cheaper_and_only_for_those_ends() -> None:
+def test_a_plan_reports_cheaper_flights_off_the_tubes_for_their_ends_only() -> None:
     hold, turn = 'hold = "down-up"\nseconds = 1.0', 'energy = {}\nwalk = ["down-up {}"]\nwraps = []'
     for sense in "+-":
         (said,) = off_tubes_remarks(scene(hold, turn.format(-0.07, sense), hold, start="rest"))
@@ -236,6 +236,6 @@ def test_plan_says_where_a_flight_off_the_tubes_is_cheaper_and_only_for_those_en
     assert off_tubes_remarks(scene(hold, turn.format(-0.05, "+"), hold, start="rest")) == ()
 
 
-def test_what_is_known_off_the_tubes_is_cheaper_than_along_them() -> None:
+def test_known_flights_off_the_tubes_are_cheaper_than_along_them() -> None:
     assert known_flights()
     assert all(0 < one.effort < one.along for one in known_flights())

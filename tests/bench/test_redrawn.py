@@ -19,13 +19,13 @@ def test_noise_of_a_few_per_cent_changes_nothing():
     assert changes([FIRST], [panel((1.05, 1e-3), (1.92, 1e-6), (4.2, 1e-9), (4.0, 1e-8))]) == ()
 
 
-def test_a_method_that_became_slower_than_another_is_told():
+def test_a_method_that_became_slower_than_another_is_reported():
     # The second is now slower than the third, which is nearer: off the front by 5 / 4.
     (text,) = changes([FIRST], [panel((1.0, 1e-3), (5.0, 1e-6), (4.0, 1e-9), (4.1, 1e-8))])
     assert text == "panel: m1 was on the front, and is 25% off it"
 
 
-def test_a_method_that_was_beaten_and_is_on_the_front_is_told():
+def test_a_method_that_moved_onto_the_front_is_reported():
     before = panel((1.0, 1e-3), (2.0, 1e-2))
     (text,) = changes([before], [panel((1.0, 1e-3), (0.5, 1e-2))])
     assert text == "panel: m1 was 100% off the front, and is on it"
@@ -45,7 +45,7 @@ def test_a_tie_is_a_fifth(slower, told):
     assert len(changes([before], [after])) == told
 
 
-def test_what_was_measured_in_one_drawing_only_has_no_order():
+def test_points_of_one_drawing_only_have_no_order():
     assert changes([panel((1.0, 1e-3))], [panel((1.0, 1e-3), (0.1, 1e-9))]) == ()
     assert changes([], [FIRST]) == ("panel: not in the earlier drawing",)
 
@@ -55,7 +55,7 @@ def default(seconds, error, *, yardstick=1.0, **more):
     return (Diagram("panel", "time, s", "error", points, **more),)
 
 
-def test_a_default_that_became_slower_or_less_accurate_is_told():
+def test_a_default_that_became_slower_or_less_accurate_is_reported():
     before = default(1.0, 1e-9)
     assert losses(before, default(1.9, 2.9e-9)) == ()
     assert losses(before, default(2.1, 1e-9)) == ("panel: ours takes 2.1 times the earlier cost (time, s)",)
@@ -76,7 +76,7 @@ def test_a_machine_on_which_all_work_takes_longer_makes_nothing_slower_but_what_
     )
 
 
-def test_an_earlier_drawing_that_is_none_is_refused_before_any_work(tmp_path):
+def test_an_invalid_earlier_drawing_is_rejected_before_any_work(tmp_path):
     for text in (None, "{}", '{"panels": [{"points": [{}]}]}', "no JSON"):
         if text is not None:
             (tmp_path / "propagation.json").write_text(text)

@@ -43,7 +43,7 @@ def compare(seed: int, found: Comparison) -> str:
         return plan.status
 
 
-def test_of_five_thousand_drawn_runs_no_verdict_is_false() -> None:
+def test_all_verdicts_on_five_thousand_drawn_runs_are_true() -> None:
     found, seed = Comparison(), 0
     while found.runs < RUNS:
         compare(seed, found)

@@ -9,11 +9,16 @@ takes without limits, by moving the cart more quickly to and fro; of the acceler
 import os
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+from matplotlib.ticker import FuncFormatter
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.pages import style
+from dpcontrol.pages.layout import Page, key, save_figure
+from dpcontrol.pages.panels import quiet
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.planning import shadowing_orbit
 from dpcontrol.references.find import find_reference
@@ -59,26 +64,34 @@ def edges_of(name):
     return rows, takes
 
 
-def drawn(path, edges):
-    from matplotlib.figure import Figure
+def drawn(edges):
+    """Return the picture: effort against friction, track and acceleration."""
+    labels = {
+        "friction": ("friction, × the arms' own", "Effort grows in proportion to friction", 1.0),
+        "position": ("track, ± mm", "Tracks can shrink to a tenth of the free motion's", 1e3),
+        "acceleration": ("greatest acceleration, m/s²", "Accelerations can shrink to six to eight tenths", 1.0),
+    }
+    colours = dict(zip(edges, style.SERIES, strict=False))
 
-    figure = Figure(figsize=(11, 3.6), layout="constrained")
-    axes = figure.subplots(1, 3)
-    labels = {"friction": "friction, × the arms' own", "position": "track, ± m", "acceleration": "acceleration, m/s²"}
-    for axis, (kind, label) in zip(axes, labels.items(), strict=True):
-        for k, (name, (rows, takes)) in enumerate(edges.items()):
+    def draw(axes, kind):
+        label, title, scale = labels[kind]
+        quiet(axes, title, x=label, y="effort, m/s² rms" if kind == "friction" else "")
+        for name, (rows, takes) in edges.items():
             values, good, rms = (np.array(column) for column in zip(*rows[kind], strict=True))
-            axis.plot(values[good], rms[good], "o-", color=f"C{k}", label=name)
-            bad = values[~good]
-            axis.plot(bad, np.zeros(len(bad)), "x", color=f"C{k}")
+            axes.plot(scale * values[good], rms[good], "o-", color=colours[name], markersize=5)
+            axes.plot(scale * values[~good], np.zeros(np.sum(~good)), "x", color=colours[name])
             if kind in takes:
-                axis.axvline(takes[kind], color=f"C{k}", linestyle=":", linewidth=1)
-        axis.set_xlabel(label)
-        axis.set_ylabel("effort, m/s² rms (×: none found)")
+                axes.axvline(scale * takes[kind], color=colours[name], linestyle=style.DOTTED, linewidth=1.2)
         if kind == "position":
-            axis.set_xscale("log")
-        axis.legend()
-    figure.savefig(path, dpi=110)
+            axes.set_xscale("log")
+            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        if kind == "friction":
+            look = {"color": style.MARK, "linestyle": "none"}
+            key(axes, [*colours.items(), ("none found", {"marker": "x", **look})])
+
+    page = Page("References need more effort with friction, and little more on a short track")
+    page.row(*(partial(draw, kind=kind) for kind in labels), height=3.3)
+    return page.text("Dotted: what the motion takes without limits. Crosses: no reference within the limit.").figure()
 
 
 @pytest.mark.benchmark
@@ -92,7 +105,7 @@ def test_the_edges_of_references(capsys):
                 for value, good, rms in row:
                     sys.stdout.write(f"  {value:8.4g}  {f'{rms:.4f} m/s² rms' if good else 'none'}\n")
     if "DPCONTROL_EDGES_PICTURE" in os.environ:
-        drawn(os.environ["DPCONTROL_EDGES_PICTURE"], edges)
+        save_figure(drawn(edges), os.environ["DPCONTROL_EDGES_PICTURE"])
     for rows, takes in edges.values():
         # Without friction, the motion needs no effort. With friction, the effort grows.
         frictions = [rms for value, good, rms in rows["friction"] if good and value <= 2.0]

@@ -70,7 +70,7 @@ def test_the_default_controller_completes_a_shipped_itinerary(name: str) -> None
 
 
 @pytest.mark.parametrize("trouble", TROUBLES)
-def test_trouble_is_borne_by_the_controller_as_it_comes(trouble: str) -> None:
+def test_the_default_controller_tolerates_trouble(trouble: str) -> None:
     shares: list[Share] = []
     for name in TROUBLED:
         fixed = {**BENCH, "mismatch": 0.05, **TROUBLES[trouble]}

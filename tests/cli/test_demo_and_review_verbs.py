@@ -111,7 +111,7 @@ def test_the_viewer_that_takes_a_picture_listens_to_this_computer_only(tmp_path:
     assert said.stdout == "--bind 127.0.0.1 --headless\n"
 
 
-def test_two_logs_are_reviewed_side_by_side_with_their_alignment(demo: tuple[Path, Ended], tmp_path: Path) -> None:
+def test_two_logs_are_reviewed_together_with_their_alignment(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     log = demo[0] / "logs/outer-turn-0.mcap"
     ended = dpcontrol("review", log, log, "--save", tmp_path / "two.rrd", "--picture", tmp_path / "two.png", "--json")
     assert ended.code == 0

@@ -83,7 +83,7 @@ def test_logs_of_a_rig_are_always_kept() -> None:
         check_replaced(LOG, {"seed": "0", "rig": "udp"})
 
 
-def test_a_campaign_goes_on_in_its_own_table_and_leaves_every_other() -> None:
+def test_a_campaign_continues_in_its_own_table_and_keeps_other_tables() -> None:
     table = Path("logs/still.parquet")
     line = f"campaign {STILL} --workers 1 --out {table} --runs"
     assert dpcontrol(*line.split(), "1").code == 0

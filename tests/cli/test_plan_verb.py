@@ -61,7 +61,7 @@ def test_the_name_that_a_plan_records_is_one_that_connect_lists() -> None:
     assert chosen["transversality_angle_deg"] == best
 
 
-def test_a_plan_is_kept_in_the_cache_and_made_again_only_on_demand() -> None:
+def test_a_plan_is_cached_and_computed_again_only_on_demand() -> None:
     made = dpcontrol("plan", "outer-turn", "--fresh", "--json").document
     assert made["cached"] is False
     assert Path(made["file"]).is_relative_to(os.environ["DPCONTROL_CACHE"])

@@ -41,7 +41,7 @@ def writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[subproc
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", ["swing.mcap", "link.mcap"])
-def test_of_two_commands_that_write_one_file_the_first_wins(writing: subprocess.Popen[str], file: str) -> None:
+def test_the_first_of_two_commands_that_write_one_file_wins(writing: subprocess.Popen[str], file: str) -> None:
     Path("link.mcap").symlink_to("swing.mcap")
     ended = dpcontrol(*SWINGS[:-1], file, "--seed", "1", "--force")
     writing.communicate("\n")

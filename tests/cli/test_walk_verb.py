@@ -186,7 +186,7 @@ def test_extended_precision_gives_people_the_period_of_a_closed_walk() -> None:
 
 
 @pytest.mark.slow
-def test_a_walk_may_name_grown_edges_and_rotating_orbits() -> None:
+def test_a_walk_can_name_grown_edges_and_rotating_orbits() -> None:
     ended = dpcontrol(*LOW, "-s", "(down-up +)·1·(down-up -)", *TURN, "--wraps", "2", "--solve", "--json")
     plain = dpcontrol(*LOW, *TURN, *BACK, *TURN, "--wraps", "1,2", "--solve", "--json")
     (grown,), (other,) = ended.document["walks"], plain.document["walks"]

@@ -1,4 +1,4 @@
-"""A small bench for tests of controllers: encoders, filter, one tick of delay, a plant with parameters of its own."""
+"""A small bench for tests of controllers: encoders, filter, one tick of delay, and a plant with other parameters."""
 
 from dataclasses import dataclass
 
@@ -46,7 +46,7 @@ class Flight:
 
 
 def read(state: Array) -> Array:
-    """What relative encoders and the cart's scale make of a state."""
+    """Return the readings of relative encoders and the cart's scale."""
     inner, outer = np.rint(state[0] / COUNT) * COUNT, np.rint((state[1] - state[0]) / COUNT) * COUNT
     return np.array([inner, inner + outer, np.rint(state[4] * 1e6) / 1e6])
 

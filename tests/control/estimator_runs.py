@@ -1,4 +1,4 @@
-"""Swings with parameters, zeros, lag and disturbance of their own, seen through encoders; for tests of estimators."""
+"""Swings with separate parameters, zeros, lag and disturbance, read by encoders, for tests of estimators."""
 
 from dataclasses import dataclass
 

@@ -1,8 +1,8 @@
 """NIS and NEES of many simulated runs at once: is the filter consistent with what it assumes?
 
-The truth obeys the filter's own equations, its process noise and its prior, so that nothing but linearisation (and
-rounding to encoder counts, if asked for) parts the filter from its assumptions. A truth without process noise would
-not do: the filter then expects more error than there is, and too many values fall inside.
+The truth obeys the filter's own equations, its process noise and its prior, so only linearisation, and optional
+rounding to encoder counts, violates the filter's assumptions. A truth without process noise would not do: the filter
+then expects more error than there is, and too many values fall inside.
 
     z⁺ = F(z, u) + w,  w ~ N(0, Q(z));    m = H z + v,  v ~ N(0, R), or relative angles rounded to counts
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.2.
@@ -20,7 +20,7 @@ from dpcontrol.dynamics.compiled import Compiled
 Array = NDArray[np.float64]
 
 _SETTLING = 0.2
-"""s left out at the start, where the prior, not the filter, is judged."""
+"""Initial time without evaluation, s, because it depends on the prior."""
 
 
 @dataclass(frozen=True, eq=False)

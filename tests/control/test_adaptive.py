@@ -107,7 +107,7 @@ def test_the_effect_of_a_wrong_parameter_is_that_of_other_arms(name: str, base: 
 def test_on_the_state_it_has_the_gains_of_tvlqr_with_the_same_weights(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
-    # What closes a reference is asked of it, not of the feedback.
+    # The closing constraint applies to the reference, not to the feedback.
     weights = {"angle": 1000.0, "rate": 100.0, "position": 100.0, "closing": 1.0}
     adaptive = adaptive_controller(turn[1], model, AdaptiveSettings(**weights), estimator=ESTIMATOR)
     plain = tracking_controller(turn[1], model, TvlqrSettings(**weights))
@@ -208,7 +208,7 @@ def test_a_known_error_of_the_model_costs_less_when_foreseen(law: AdaptiveContro
 
 
 @pytest.mark.slow
-def test_what_a_known_error_does_by_its_square_is_leant_against(law: AdaptiveController, model: SampledModel) -> None:
+def test_the_quadratic_effect_of_a_known_error_is_compensated(law: AdaptiveController, model: SampledModel) -> None:
     diagonal, _ = SETTINGS.weights(2, PERIOD)
     costs = {}
     for name, controller in (("foreseen", law), ("blind", replace(law, pair_gains=np.zeros_like(law.pair_gains)))):

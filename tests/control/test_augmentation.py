@@ -44,7 +44,7 @@ def test_parameters_wrong_by_a_tenth_are_found_while_swinging(seed: int) -> None
             assert abs(found[name] - true[6 + int(name[-1])]) < 4 * sigmas[i]
 
 
-def test_what_rest_does_not_show_stays_as_unknown_as_it_was() -> None:
+def test_unobservable_errors_keep_their_uncertainty_at_rest() -> None:
     hanging = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     still = run(2, amplitude=0.0, start=hanging)
     still.relative[:] = 0.0
@@ -73,7 +73,7 @@ def test_a_lumped_disturbance_is_followed() -> None:
     assert np.abs(errors[1].mean()) < 0.5 * np.abs(errors[0].mean())
 
 
-def test_what_the_drive_gives_beyond_the_command_is_followed() -> None:
+def test_errors_of_the_drive_are_estimated() -> None:
     flown = run(3, lag=0.005, frequency=40.0, amplitude=10.0)
     sure = {"cart_noise": 1e-3, "drive_error": 2.0}
     plain = estimated(CompiledEkf(MODEL, EkfSettings(augment=(), **sure), noise=NOISE), flown)

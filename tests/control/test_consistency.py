@@ -48,7 +48,7 @@ def test_nis_and_nees_of_a_nominal_plant_lie_in_their_bands(augment: tuple[str, 
 
 
 def test_noise_covers_the_squares_of_the_parameters_errors() -> None:
-    # Parameters off by a seventh, as of arms off by ±20 %, and nothing else wrong: only the linearisation errs.
+    # Parameters with errors of a seventh, as for arms off by ±20 %: only the linearisation is wrong.
     commands, size = 0.5 * np.sin(2.5e-3 * np.arange(700)), 6 + 4
     found = {}
     for nonlinearity in (0.0, AdaptiveEkfSettings().nonlinearity):

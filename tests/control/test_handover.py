@@ -19,7 +19,7 @@ from dpcontrol.references.reference import Reference
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 
 ON_ORBIT = 0.1  # rad: what a completed period asks for.
-JOIN = 0.06  # Scaled: where a flight with a plant 3 % off may be from the orbit that it comes to.
+JOIN = 0.06  # Largest scaled distance of a flight from its final orbit, with a plant 3 % off.
 NONE = np.zeros(0)
 
 
@@ -76,7 +76,7 @@ def test_ogy_keeps_the_wobbles_and_tvlqr_flies_the_turns_there_and_back(there_an
         assert wobble().distance(done.states[k]) < JOIN
 
 
-def test_a_stay_lasts_as_many_periods_as_asked_to_half_a_one(done: Flight) -> None:
+def test_a_stay_lasts_the_requested_periods_to_within_half_a_period(done: Flight) -> None:
     begins = spans(done.actions)
     periods = np.array([begins[0], begins[2] - begins[1]]) * PERIOD / orbit().period
     assert np.abs(periods - [6, 8]).max() <= 0.52
@@ -104,7 +104,7 @@ def test_feedback_at_every_tick_hands_over_as_well(turn: tuple[StandIn, Referenc
     assert keeper.distance(result.states[-1]) < JOIN
 
 
-def test_what_does_not_meet_is_refused_by_name(turn: tuple[StandIn, Reference]) -> None:
+def test_stays_and_flights_that_do_not_meet_are_rejected_by_name(turn: tuple[StandIn, Reference]) -> None:
     away = flight(turn[1])
     other = ogy_controller(orbit(0.2), model_of(), OgySettings(), seconds=60.0)
     with pytest.raises(GoalMissed, match=r"turn begins .* away from high: they do not meet"):

@@ -50,7 +50,7 @@ def test_assumed_damping_is_viscous_friction_that_grows_with_gravity_and_inertia
     assert assumed == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_is_estimated_is_compensated_at_the_cost_that_a_long_recursion_finds() -> None:
+def test_estimated_disturbances_are_compensated_at_the_cost_of_a_long_recursion() -> None:
     model, settings = model_of(), HoldSettings()
     rough = sampled_model(replace(LAB, viscous=(0.004, 0.002)), 1 / PERIOD)
     effects = np.zeros((6, 2))
@@ -103,7 +103,7 @@ def test_a_kick_is_caught_within_the_track_up_to_where_the_cart_meets_its_stop(k
 
 
 @pytest.mark.parametrize(("name", "margin"), [("down-up", 35), ("up-up", 25)])
-def test_a_delay_that_nobody_knows_of_is_tolerated_up_to_the_margin_of_the_eigenvalues(name: str, margin: int) -> None:
+def test_an_unmodelled_delay_is_tolerated_up_to_the_margin_of_the_eigenvalues(name: str, margin: int) -> None:
     # Ticks: the most for which all eigenvalues of state and commands on their way lie within the unit circle.
     controller, model = hold(name), model_of()
 
@@ -133,7 +133,7 @@ def test_a_turned_arm_is_held_where_it_is() -> None:
     assert session.resynchronise(100, turned) == ""
 
 
-def test_the_loops_rows_say_what_a_session_does() -> None:
+def test_the_loops_rows_equal_the_actions_of_a_session() -> None:
     controller, where = hold("up-down"), TickEquations(FilterEquations(model_of().equations, 1e-3, ()), 1, 1).row.slices
     schedule = controller.schedule(1)
     assert schedule.queued.tolist() == [0.0]
@@ -147,7 +147,7 @@ def test_the_loops_rows_say_what_a_session_does() -> None:
         assert row[where["wanted"]] == pytest.approx(controller.state[:2])
 
 
-def test_what_is_no_equilibrium_is_refused() -> None:
+def test_states_other_than_equilibria_are_rejected() -> None:
     with pytest.raises(InputError, match="is not an equilibrium"):
         hold_controller([0.3, np.pi, 0.0, 0.0], model_of(), HoldSettings(), seconds=1.0)
     with pytest.raises(InputError, match="effort = -1"):

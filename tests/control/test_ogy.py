@@ -98,7 +98,7 @@ def test_a_classic_pulse_takes_the_unstable_direction_to_zero_and_leaves_the_car
     assert values[2] < 0.99
 
 
-def test_what_cannot_be_reached_has_no_periodic_gains() -> None:
+def test_uncontrollable_systems_have_no_periodic_gains() -> None:
     with pytest.raises(GoalMissed, match="cannot influence a motion that grows by 2 per period"):
         periodic_gains(np.diag([2.0, 0.5])[None], np.array([[0.0, 1.0]]), weights=np.ones(2), effort=1.0)
 
@@ -166,7 +166,7 @@ def test_sixteen_sections_hold_the_orbit_of_a_plant_with_other_parameters(seed: 
 
 
 @pytest.mark.slow
-def test_what_is_learnt_about_the_plant_spares_most_of_the_pulses() -> None:
+def test_estimates_of_the_plant_save_most_of_the_pulses() -> None:
     efforts = []
     for controller in (ogy(16), ogy(16, parameter_error=0.0)):
         runs = [fly(controller.begin(), plant_of(seed, 0.05), controller.first_state, 8.0) for seed in (0, 1)]
@@ -185,7 +185,7 @@ def test_pulses_cost_no_more_than_feedback_at_every_tick() -> None:
 
 def test_one_section_a_period_fails_even_on_an_exact_plant() -> None:
     for controller in (ogy(1), classic(1)):
-        # Nothing is wrong but rounding: by the encoders, and by an input that is held for a tick.
+        # The only errors are rounding by the encoders and an input that is constant for a tick.
         flight = fly(controller.begin(), model_of(), controller.first_state, 20.0)
         assert len(flight.states) < 20_000 or away(flight.states) > ON_ORBIT
     # One count becomes this much in a period, in rad.

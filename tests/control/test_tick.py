@@ -28,7 +28,7 @@ NOISE = SensorSettings().covariance(2)
 
 
 class Ticked:
-    """A program of one run that is told what to send, and whose readings are made up."""
+    """A program of one run with prescribed commands and readings."""
 
     def __init__(self, delay: float = 1.0, limits: Limits = WIDE, *, state: np.ndarray = HANGING, **bounds: float):
         known = {
@@ -87,7 +87,7 @@ def superposed(commands: np.ndarray, delay: float, first: int, last: int) -> np.
 
 
 @pytest.mark.parametrize("delay", DELAYS)
-def test_what_acts_is_the_superposition_of_the_commands(delay: float) -> None:
+def test_the_acceleration_is_the_superposition_of_the_commands(delay: float) -> None:
     commands, tick = np.random.default_rng(1).normal(0, 10, 40), Ticked(delay)
     acting = [tick(float(command))["acting"] for command in commands]
     # After command k has been sent, tick k's period begins.
@@ -95,7 +95,7 @@ def test_what_acts_is_the_superposition_of_the_commands(delay: float) -> None:
 
 
 @pytest.mark.parametrize("delay", DELAYS)
-def test_what_is_on_its_way_is_what_will_act_until_the_next_command_can(delay: float) -> None:
+def test_pending_commands_act_until_the_next_command_can(delay: float) -> None:
     commands, tick = np.random.default_rng(2).normal(0, 10, 40), Ticked(delay)
     for k, command in enumerate(commands):
         coming = [float(one[0]) for one in tick.program.on_their_way()]
@@ -205,7 +205,7 @@ def test_the_law_answers_for_the_state_that_is_expected_when_the_command_acts(de
     assert report["wish"] == pytest.approx(1.5 + report["feedback"], abs=EXACT)
 
 
-def test_a_delay_too_long_to_unroll_is_looked_ahead_alike() -> None:
+def test_a_delay_too_long_to_unroll_has_the_same_prediction() -> None:
     tick = Ticked(UNROLLED, state=np.array([0.4, 0.1, 1.0, -1.0, 0.02, 0.3]))
     tick.begin(np.linspace(-3, 3, UNROLLED))
     before = tick.program.memory.copy()
@@ -219,7 +219,7 @@ def test_a_delay_too_long_to_unroll_is_looked_ahead_alike() -> None:
     assert tick.program.memory == pytest.approx(memory, rel=1e-9, abs=1e-13)
 
 
-def test_what_was_fallen_back_to_is_given_up_only_where_no_feedback_returns() -> None:
+def test_a_fallback_is_abandoned_only_if_feedback_cannot_return() -> None:
     tick = Ticked(lost_tracking=0.05, can_hold=1.0)
 
     def outcome(error: float, ticks: int) -> float:
@@ -253,7 +253,7 @@ def test_a_joint_that_repeats_itself_while_its_reference_moves_is_stuck() -> Non
     assert 15 <= report["repeats"] == k - 5 < 40
 
 
-def test_a_joint_that_pauses_as_its_model_lets_it_is_not_stuck_though_its_reference_goes_on() -> None:
+def test_a_joint_that_pauses_with_its_model_is_not_stuck() -> None:
     tick = Ticked()
     random = np.random.default_rng(3)
     for k in range(100):
@@ -333,7 +333,7 @@ def test_a_filter_that_has_slipped_a_turn_is_restarted_from_the_encoders() -> No
     assert tick.told("state")[:2] == pytest.approx([0.0, 0.0], abs=1e-3)
 
 
-def test_an_encoder_with_one_turn_may_jump_and_one_set_a_turn_off_stays_so() -> None:
+def test_an_encoder_with_one_turn_can_jump_and_an_offset_of_a_turn_stays() -> None:
     tick = Ticked()
     for k in range(100):
         turned = 0.0 if k < 50 else -2 * math.pi
@@ -346,7 +346,7 @@ def test_a_blow_on_the_cart_does_not_cost_the_estimate() -> None:
         assert tick(0.0, positions=np.array([0.0, 0.0, 0.0 if k < 25 else 0.01]))["outcome"] == Outcome.GO_ON
 
 
-def test_an_estimator_may_be_restarted_again_once_it_was_right_for_a_second() -> None:
+def test_an_estimator_can_restart_again_after_a_consistent_second() -> None:
     tick = Ticked(restarts=1.0)
     triangle = tick.program.equations.memory.slices["covariance"]
     for wait, expected in ((0, Outcome.RESTART), (1200, Outcome.RESTART), (100, Outcome.ESTIMATE_LOST)):
@@ -362,7 +362,7 @@ def test_a_cart_that_runs_after_fallen_arms_is_not_what_ended_the_run(away: floa
     assert tick(0.0, wanted=HANGING[:2] + away)["outcome"] == expected
 
 
-def test_a_filter_that_fails_keeps_its_prediction_and_begins_anew() -> None:
+def test_a_failing_filter_keeps_its_prediction_and_restarts() -> None:
     tick = Ticked(restarts=1.0)
     tick(0.0)
     triangle = tick.program.equations.memory.slices["covariance"]
@@ -378,7 +378,7 @@ def test_a_filter_that_fails_keeps_its_prediction_and_begins_anew() -> None:
             assert tick.told("sigmas")[2] == pytest.approx(10.0, rel=0.01)
 
 
-def test_silence_is_borne_for_so_long_and_no_longer() -> None:
+def test_missing_readings_are_tolerated_up_to_the_time_limit() -> None:
     tick = Ticked(missing=0.03)
     nothing = np.zeros(3, dtype=bool)
     outcomes = [tick(0.0, positions=np.full(3, np.nan), present=nothing)["outcome"] for _ in range(40)]

@@ -116,7 +116,7 @@ def test_after_the_last_tick_the_last_command_holds(turn: tuple[StandIn, Referen
     assert asked(controller, last + 50, np.zeros(6)) == asked(controller, last + 1, np.zeros(6))
 
 
-def test_what_cannot_be_tracked_is_refused(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
+def test_untrackable_references_are_rejected(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
     with pytest.raises(InputError, match="cannot be tracked: it failed"):
         tracking_controller(replace(turn[1], converged=False, status="it failed"), model, TvlqrSettings())
     single = replace(
@@ -151,7 +151,7 @@ def test_by_phase_a_run_that_is_early_is_left_its_lead_and_by_time_it_is_pulled_
     assert max(by_phase[1][60:]) < 0.5 * max(by_time[1][60:])
 
 
-def test_by_phase_the_clock_goes_on_where_the_reference_stands_still(
+def test_by_phase_the_clock_continues_while_the_reference_rests(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
     states = np.repeat(turn[1].state(0.0)[None, :], 301, axis=0)
@@ -164,7 +164,7 @@ def test_by_phase_the_clock_goes_on_where_the_reference_stands_still(
     assert session.place == pytest.approx(249, abs=1)
 
 
-def test_by_phase_the_clock_is_found_anew_and_many_runs_agree_with_one(
+def test_by_phase_the_clock_is_estimated_and_many_runs_agree_with_one(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
     controller = tracking_controller(turn[1], model, TvlqrSettings(schedule="phase"))
@@ -196,7 +196,7 @@ def test_by_time_the_clock_stays_and_a_late_join_begins_at_the_start(
     assert session.command(103, turn[1].state(0.0), np.zeros(0)).reference == pytest.approx(turn[1].state(6e-3))
 
 
-def test_the_loops_rows_say_what_a_session_does_so_many_ticks_ahead(
+def test_the_loops_rows_equal_the_actions_of_a_session_several_ticks_ahead(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
     controller = tracking_controller(turn[1], model, TvlqrSettings())

@@ -86,7 +86,7 @@ def test_a_missing_position_is_left_out_by_every_kind(kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_turns_restarts_and_mistakes_are_treated_alike(kind) -> None:
+def test_turns_restarts_and_mistakes_have_the_same_treatment(kind) -> None:
     estimator = make_estimator(kind(augment=()), MODEL, noise=NOISE)
     first, measured = estimator.first(np.array(SWING)), np.array([0.41, 2.79, 0.0])
     wound = estimator.update(first, measured + 2 * np.pi * np.array([2, -1, 0]))

@@ -10,7 +10,7 @@ from dpcontrol.control.interface import SampledModel
 
 
 def cart_noise(model: SampledModel, state: np.ndarray, command: float, density: float) -> np.ndarray:
-    """Return what white acceleration of the cart, m/s²/√Hz, adds to the covariance in a period; arms feel it too.
+    """Return the covariance per period due to white acceleration of the cart, m/s²/√Hz, arms included.
 
     By the mean over the stages of Runge-Kutta of the rates' slopes by the command.
     """

@@ -190,7 +190,7 @@ def test_decisions_of_the_supervisor_bring_the_cart_to_rest(
     assert stopped < len(told) - still
 
 
-def test_after_the_last_tick_the_last_row_goes_on_holding(plan: Plan, double: Exported) -> None:
+def test_after_the_last_tick_the_last_row_keeps_holding(plan: Plan, double: Exported) -> None:
     both = SideBySide(plan, library(double[0]), told=False)
     rows = Assembly(plan.reference, plan.itinerary.model.arms, plan.itinerary.loop).controller.schedule(1).rows
     # Its clock is set to just before the end, so only the rows decide.
@@ -304,7 +304,7 @@ def test_a_law_that_cannot_be_exported_is_rejected_without_files(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_reference_followed_by_phase_cannot_leave(tmp_path: Path) -> None:
+def test_a_law_by_phase_cannot_be_exported(tmp_path: Path) -> None:
     text = Path("itineraries/outer-turn.toml").read_text() if Path("itineraries").is_dir() else ""
     scene = tmp_path / "phase.toml"
     scene.write_text(re.sub(r'kind = "adaptive"[^\n]*', 'kind = "tvlqr"\nschedule = "phase"', text, count=1))
@@ -314,7 +314,7 @@ def test_a_reference_followed_by_phase_cannot_leave(tmp_path: Path) -> None:
     assert not (tmp_path / "controller").exists()
 
 
-def test_a_folder_that_holds_something_else_is_kept(tmp_path: Path) -> None:
+def test_a_folder_with_other_files_is_kept(tmp_path: Path) -> None:
     folder, files = tmp_path / "controller", {"a.c": "int a;\n", "b.c": "int b;\n"}
     write_folder(folder, files)
     before = (folder / "a.c").stat().st_mtime_ns
@@ -352,7 +352,7 @@ def test_a_title_of_any_signs_stays_within_its_comment(
         assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_columns_that_never_change_stand_in_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_constant_columns_are_in_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))
     ended = dpcontrol("export", "hold-up-up", "--float", "--clock", "168", "--out", tmp_path / "hold", "--json")
     assert ended.code == 0, ended.message

@@ -111,6 +111,6 @@ def test_one_option_value_needs_no_list():
     assert one.rows == listed.rows
 
 
-def test_option_values_may_be_an_array():
+def test_option_values_can_be_an_array():
     campaign = dp.campaign("outer-turn", runs=1, over={"lag": np.array([0.0, 0.002])}, workers=1)
     assert campaign.completed.runs == 2

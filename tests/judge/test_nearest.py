@@ -1,4 +1,4 @@
-"""What a run's page says first: its largest values against their limits, and whether its filter can be believed."""
+"""First lines of a run's page: its largest values against their limits, and the consistency of its filter."""
 
 import sys
 from dataclasses import replace

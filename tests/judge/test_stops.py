@@ -139,7 +139,7 @@ def test_a_turn_back_at_the_same_angles_is_distinguished_by_its_direction() -> N
     assert found.crossings == pytest.approx((FIRST, SECOND), abs=1e-3)
 
 
-def test_a_run_may_wobble_on_after_the_plans_end() -> None:
+def test_a_run_can_wobble_after_the_plans_end() -> None:
     times = np.arange(0.0, END + 2.3 * PERIOD, 1e-3)
     found = decode_run(times, motion(times, FIRST, SECOND), plan())
     assert (found.matched, found.lost) == (3, None)

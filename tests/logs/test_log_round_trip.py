@@ -170,7 +170,7 @@ def test_a_state_that_is_no_number_is_logged_but_not_as_a_transform(tmp_path: Pa
     assert stamps == [0]
 
 
-def test_attachments_and_metadata_stand_before_the_first_message(tmp_path: Path) -> None:
+def test_attachments_and_metadata_precede_the_first_message(tmp_path: Path) -> None:
     path = write_sample(tmp_path / "run.mcap", sample())
     with path.open("rb") as stream:
         summary = make_reader(stream, validate_crcs=True).get_summary()

@@ -81,7 +81,7 @@ def test_a_part_that_appears_only_sometimes_is_rejected(tmp_path: Path) -> None:
             log.ticks([0.001], measured=np.zeros((1, 1)), control=np.zeros((1, 9)))
 
 
-def test_metadata_may_not_take_the_checksums_place(tmp_path: Path) -> None:
+def test_metadata_cannot_replace_the_checksum(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="crc32"):
         LogWriter(tmp_path / "run.mcap", arm_lengths=(0.2,), rate_hz=RATE, metadata={"crc32": "0"})
 

@@ -88,7 +88,7 @@ def test_older_files_are_thinned_and_their_digests_stay(tmp_path: Path) -> None:
     assert len([*(tmp_path / "turn-7").glob("*.json")]) == 6
 
 
-def test_a_night_that_is_resumed_goes_on_in_time_and_number(tmp_path: Path) -> None:
+def test_a_resumed_night_continues_in_time_and_number(tmp_path: Path) -> None:
     written(tmp_path / "turn-7")
     with rolling(tmp_path / "turn-7", session=2, number=7, begin=5.2) as log:
         feed(log, 0, 100)

@@ -131,7 +131,7 @@ def test_plotjuggler_makes_a_series_of_every_joint(messages: Messages) -> None:
 
 
 @pytest.mark.parametrize("ghost", [False, True])
-def test_joint_states_and_transforms_place_the_urdf_alike(messages: Messages, ghost: bool) -> None:
+def test_joint_states_and_transforms_agree_on_the_urdf(messages: Messages, ghost: bool) -> None:
     prefix = "reference/" if ghost else ""
     # The links are those of the plant, if it is known.
     states = messages["/reference/joint_states" if ghost else "/truth/joint_states"]

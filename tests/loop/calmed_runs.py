@@ -27,7 +27,7 @@ FASTEST = 15.0
 ANGLE, RATE = 0.05, 0.1
 """rad and rad/s: what counts as at rest, by the true state."""
 CENTRE = 0.02
-"""m and m/s: likewise, of the cart."""
+"""The same for the cart, m and m/s."""
 
 
 @dataclass(frozen=True)

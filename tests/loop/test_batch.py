@@ -17,10 +17,13 @@ from dpcontrol.loop.result import BatchRun, Ending, SupervisorSettings
 from dpcontrol.references.reference import Reference
 
 BY_ITSELF = 1e-9
-"""Of the states, in rad, rad/s, m and m/s, and a thousand times more of commands: a law with a clock of its own adds up
-its products in another order for one run than for many, and the arms' instability makes more of the round-off."""
+"""Tolerance of the states, in rad, rad/s, m and m/s; of commands a thousand times more.
+
+A law with internal timing sums its products in another order for one run than for many. The arms' instability amplifies
+the rounding.
+"""
 SMOOTH = SensorSettings(counts=0, cart_resolution=0.0, noise=5e-5, cart_noise=1e-6)
-"""Nothing is rounded: rounding would make a count of 1e-4 rad out of a difference of 1e-16."""
+"""Readings are not rounded, because rounding would turn a difference of 1e-16 into a count of 1e-4 rad."""
 BASE = LoopSettings(seed=0, mismatch=0.05, initial_error=0.03)
 SEEDS = (3, 4)
 
@@ -129,7 +132,7 @@ def test_a_seed_alone_is_the_seed_among_others(turn: tuple[StandIn, Reference], 
     assert np.abs(together[0].truth - together[1].truth).max() > 1e-3
 
 
-def test_a_filter_told_of_the_lag_is_nearer_to_the_truth(turn: tuple[StandIn, Reference]) -> None:
+def test_a_filter_with_the_lag_in_its_model_is_nearer_to_the_truth(turn: tuple[StandIn, Reference]) -> None:
     wrong = []
     # One that trusts its model: readings alone would not tell the two apart.
     trusting = EkfSettings(augment=(), parameter_error=0.0, rate_noise=1e-3, cart_noise=1e-3)
@@ -177,7 +180,7 @@ def test_a_seed_runs_the_same_in_any_company(turn: tuple[StandIn, Reference]) ->
         replace(BASE, supervisor=SupervisorSettings(resynchronise=0.5)),
     ],
 )
-def test_what_only_the_loop_can_do_is_left_to_it(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
+def test_settings_without_lockstep_are_rejected(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
     assembly = Assembly(turn[1], LAB, BASE)
     assert assembly.lockstep
     other = assembly.under(settings)

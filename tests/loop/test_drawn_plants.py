@@ -27,7 +27,7 @@ from dpcontrol.runs.campaign import Case, Job
 
 LAB = load_model("lab").arms
 RATIOS = base_ratios(LAB)
-# 0.2 % of each ratio, the first two alike; at ten times that most ratios drawn are of no arms.
+# 0.2 % of each ratio, equal errors of the first two. At ten times that, most drawn ratios belong to no arms.
 CORRELATION = np.eye(len(RATIOS))
 CORRELATION[0, 1] = CORRELATION[1, 0] = 0.8
 SHARE = 2e-3
@@ -53,7 +53,7 @@ def _draw(
 
 
 @pytest.mark.parametrize("scale", [0.5, pytest.param(2.0, marks=pytest.mark.slow)])
-def test_plants_spread_as_the_covariance_says_times_the_scale(scale: float) -> None:
+def test_plants_have_the_covariance_times_the_scale(scale: float) -> None:
     away = np.stack([base_ratios(_draw(scale, seed).plant.arms) / RATIOS - 1 for seed in range(DRAWS)])
     assert away.std(axis=0) == pytest.approx(np.full(len(RATIOS), scale * SHARE), rel=SPREAD)
     alike = np.asarray(np.corrcoef(away[:, :4].T))
@@ -83,7 +83,7 @@ def test_a_seed_draws_the_same_plant_again_and_another_seed_another() -> None:
     assert _draw(1.0, 5).plant.arms != _draw(1.0, 6).plant.arms
 
 
-def test_asking_for_what_is_not_known_is_refused() -> None:
+def test_a_draw_without_an_uncertainty_is_rejected() -> None:
     with pytest.raises(InputError, match=r"model_uncertainty = 1.0: the model has no \[uncertainty\]"):
         _draw(1.0, uncertainty=None)
     with pytest.raises(InputError, match="model_uncertainty = -1"):
@@ -92,7 +92,7 @@ def test_asking_for_what_is_not_known_is_refused() -> None:
         load_itinerary("outer-turn").with_run({"model_uncertainty": 1.0})
 
 
-def test_an_itinerary_may_ask_for_it_where_its_model_tells(tmp_path: Path) -> None:
+def test_an_itinerary_can_draw_from_the_uncertainty_of_its_model(tmp_path: Path) -> None:
     text = load_itinerary("outer-turn").text.replace('model  = "lab"', 'model  = "lab-identified"')
     file = tmp_path / "mine.toml"
     file.write_text(text.replace("[run]\n", "[run]\nmodel_uncertainty = 2.0\n"))
@@ -102,7 +102,7 @@ def test_an_itinerary_may_ask_for_it_where_its_model_tells(tmp_path: Path) -> No
     assert scene.with_run({"model_uncertainty": 0.0}).uncertainty is None
 
 
-def test_rows_of_a_campaign_are_told_apart_by_what_their_plants_are_drawn_from() -> None:
+def test_rows_of_a_campaign_are_distinguished_by_the_source_of_their_plants() -> None:
     job = Job("turn", b"", LAB, Case("as the scene", (), LoopSettings(seed=0, model_uncertainty=1.0)), (0,), "ticks")
     assert len({job.key, replace(job, uncertainty=KNOWN_TO).key}) == 2
 

@@ -28,7 +28,7 @@ def test_acceleration_and_velocity_stay_inside() -> None:
     assert drive.acting(-30.0, -3.5, PERIOD) == 30.0
 
 
-def test_a_weaker_drive_than_the_scene_believes_gives_less() -> None:
+def test_a_weaker_drive_than_the_itinerarys_gives_less() -> None:
     weak = DriveSettings(acceleration=4.0, velocity=0.5, response=0.8).within(LIMITS, PERIOD)
     assert weak.demanded(3.0, 0.1, 0.0) == pytest.approx(2.5)
     assert weak.demanded(20.0, 0.0, 0.0) == 4.0

@@ -1,4 +1,4 @@
-"""What a push takes from OGY is held by TVLQR: the supervisor falls back to the nearest orbit, and the log says so."""
+"""After a push that OGY cannot hold, the supervisor falls back to TVLQR on the nearest orbit, and logs it."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from dpcontrol.plans.plan import make_plan
 
 TRAVEL = 0.4
 NEAR_ORBIT = 0.2
-"""rad over the last period: a plant 2 % off has an orbit of its own some 0.1 rad away."""
+"""rad over the last period: the orbit of a plant 2 % off is about 0.1 rad away."""
 PUSHED = """
 energy = 0.2
 walk = ["down-up +"]
@@ -79,7 +79,7 @@ def test_without_it_the_same_push_ends_the_run_with_the_cart_at_rest(tmp_path: P
     assert abs(log.truth[-1, 5]) < 1e-3
 
 
-def test_what_cannot_be_held_is_refused() -> None:
+def test_orbits_that_cannot_be_held_are_rejected() -> None:
     with pytest.raises(InputError, match="did you mean 'nearest'"):
         SupervisorSettings(hold="nearst")
 

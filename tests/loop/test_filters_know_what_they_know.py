@@ -1,7 +1,7 @@
 """Errors over standard deviations of the default filter in closed loops, by the truth of the plants drawn.
 
-A consistent filter has an rms of 1. The bars leave room for what a sample of runs scatters by, and for what is left:
-rounding errors of arms at rest are not white, and at ±20 % squares of the errors outweigh what the noise covers.
+A consistent filter has an rms of 1. The bounds allow for the scatter of a sample of runs and for two remaining errors.
+Rounding errors of arms at rest are not white, and at ±20 % squares of the errors exceed the modelled noise.
 """
 
 import sys
@@ -90,7 +90,7 @@ def test_parameters_are_as_uncertain_as_they_are_wrong_at_any_mismatch(flown) ->
 
 
 @pytest.mark.slow
-def test_states_err_by_what_the_filter_expects_on_a_bench_as_it_is_told(flown) -> None:
+def test_states_have_the_expected_errors_on_a_bench_that_fits_the_model(flown) -> None:
     found = flown(SAME_BENCH, 0.05)
     for kind in ("angle", "rate", "cart", "velocity"):
         over = of_kind(found, kind)

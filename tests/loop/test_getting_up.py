@@ -64,10 +64,10 @@ def ready():
     return run
 
 
-def test_a_run_that_falls_goes_on_from_rest_to_its_end(ready) -> None:
+def test_a_fallen_run_continues_from_rest_to_its_end(ready) -> None:
     result, told = ready(*FALLS)
     assert result.ending is Ending.FINISHED
-    # A return may be begun anew before the arms hang still.
+    # A return can restart before the arms hang still.
     assert (told.names[:2], told.names[-3:]) == (["resume", "return"], ["at rest", "start", "resume"])
     assert set(told.names[2:-3]) <= {"return"}
     assert result.falls >= 1
@@ -81,7 +81,7 @@ def test_between_motions_time_and_commands_go_on_without_a_gap(ready) -> None:
     steps = np.diff(result.ticks.times)
     assert steps.min() > 0.5e-3
     assert steps.max() < 1.5e-3
-    # What acts on the cart stays within its limit, at every joint of two motions.
+    # The cart's acceleration stays within its limit at every joint of two motions.
     assert np.abs(np.diff(result.ticks.truth[:, 5])).max() < 0.032
 
 
@@ -94,7 +94,7 @@ def test_a_run_that_does_not_fall_is_the_one_that_could_not_recover(ready) -> No
     np.testing.assert_array_equal(result.ticks.truth, alone.ticks.truth)
 
 
-def test_a_run_that_restarts_begins_its_itinerary_anew(ready) -> None:
+def test_a_restarting_run_repeats_its_itinerary_from_the_start(ready) -> None:
     result, told = ready(Push(4.2, 0, 0.03), Push(4.3, 1, 0.03), restarts=True)
     assert result.ending is Ending.FINISHED
     assert "restarts from rest" in next(text for _, name, text in told.events if name == "return")
@@ -145,7 +145,7 @@ def test_a_return_begins_with_the_cart_at_rest_where_the_estimate_is_lost(ready)
     assert np.abs(away[:2]).max() < 0.2
 
 
-def test_laps_go_on_from_rest_to_the_time_that_is_asked_for(ready, monkeypatch) -> None:
+def test_laps_continue_from_rest_to_the_requested_time(ready, monkeypatch) -> None:
     # As if the turn's end met its start nowhere.
     monkeypatch.setattr("dpcontrol.loop.recovery._MEETS", 1e-6)
     result, told = ready(until=16_000, keep=False)

@@ -82,7 +82,7 @@ def test_at_any_moment_all_but_the_last_twenty_five_milliseconds_are_in_the_file
         done = recover(tmp_path / f"at-{moment}.mcap.partial")
         assert 0 <= moment - done.ticks <= max(LOST_SECONDS * rate, 1)
         assert read_log(done.log).attachments == ATTACHMENTS
-    # Interrupted, not killed: nothing is lost.
+    # An interrupt, unlike a kill, loses no rows.
     assert recover(tmp_path / "run.mcap.partial").ticks == max(moments)
 
 

@@ -87,7 +87,7 @@ def test_real_runs_follow_to_the_end_and_show_the_orbit(tracked: tuple[StandIn, 
         assert 0.9 < result.nis_inside_95 <= 1.0
 
 
-def test_feedforward_alone_is_lost_and_says_so(tracked: tuple[StandIn, Reference]) -> None:
+def test_feedforward_alone_is_lost_with_a_reason(tracked: tuple[StandIn, Reference]) -> None:
     settings = replace(REAL, controller=FeedforwardSettings())
     result = Assembly(tracked[1], LAB, settings).simulate()
     assert result.ending is Ending.TRACKING_LOST
@@ -128,9 +128,7 @@ def test_a_command_acts_after_the_delay_and_not_before(turn: tuple[StandIn, Refe
 
 
 @pytest.mark.slow
-def test_a_late_command_that_nobody_expects_is_worse(
-    turn: tuple[StandIn, Reference], controller: TrackingController
-) -> None:
+def test_an_unmodelled_delay_is_worse(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
     # Beyond the margin: the unstable direction grows by half in that time.
     slow = replace(REAL, drive=DriveSettings(delay=50.0))
     expected = Assembly(turn[1], LAB, slow).simulate()

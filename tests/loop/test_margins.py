@@ -19,7 +19,7 @@ from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.references.problem import Limits
 
 NEAR = 0.07
-"""Share of a margin: near it the nonlinear loop takes long to show what it does."""
+"""Share of a margin: close to it, the nonlinear loop diverges slowly."""
 FREE = Limits(position=1e6, velocity=1e6, acceleration=1e6)
 PERTURBED = 1e-7
 """rad: small, so that the difference of two runs is linear, and large against rounding."""
@@ -98,7 +98,7 @@ def test_a_held_equilibrium_is_lost_where_its_margins_end() -> None:
     arms = plan.itinerary.model.arms
     law = replace(Assembly(plan.reference, arms, settings).controller, ticks=1600)
     margins = Assembly(plan.reference, arms, settings, law=law).margins()
-    # What nothing excites, a zero of hanging arms, stays at 1 to rounding.
+    # An eigenvalue without excitation, a zero of hanging arms, stays at 1 to rounding.
     assert margins.growth.max() < 1 + 1e-6
     check_borders(plan, settings, margins, law, settled=4.0)
 
@@ -123,13 +123,13 @@ def test_a_flight_has_on_an_orbit_the_margins_of_the_orbit() -> None:
     # The walk's own orbit, which it wobbles on, away from both ends of its stay.
     on_orbit = (flight.times > 4.0) & (flight.times < 7.0)
     assert on_orbit.sum() > 4
-    # What grows slowly, as at too little gain, tells the two limits apart.
+    # Slow growth, as at too little gain, distinguishes the two limits.
     for name, key, near in (("gain_low", "low", 0.25), ("gain_high", "high", 0.1), ("lag", "lag", 0.1)):
         values = getattr(flight, key)[on_orbit]
         assert np.median(values) == pytest.approx(kept[name], rel=near), name
 
 
-def test_a_law_without_margins_says_so() -> None:
+def test_a_law_without_margins_is_rejected() -> None:
     plan = plan_of("keep-down-up")
     arms = plan.itinerary.model.arms
     with pytest.raises(InputError, match="pulses"):

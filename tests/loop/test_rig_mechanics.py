@@ -47,7 +47,7 @@ def test_play_and_stiction_are_one_number_for_all_arms_or_one_for_each() -> None
         read("play = [0.1, 0.2]").of_each("play", 3)
 
 
-def test_the_loop_knows_of_play_and_belt_unless_it_is_told_something_else() -> None:
+def test_the_loop_models_the_true_play_and_belt_by_default() -> None:
     settings = LoopSettings(seed=0, mechanics=MechanicsSettings(play=0.01, belt=20.0, belt_damping=0.1))
     known = settings.known_mechanics(2)
     assert known == KnownMechanics((0.01, 0.01), 20.0, 0.1)

@@ -73,7 +73,7 @@ def test_a_stuck_sensor_repeats_itself_while_the_others_go_on(which: int) -> Non
     assert before[2] == pytest.approx(0.18, abs=1e-6)
 
 
-def test_noise_has_the_covariance_that_the_settings_tell() -> None:
+def test_noise_has_the_covariance_of_the_settings() -> None:
     settings = SensorSettings(counts=2000, cart_resolution=1e-3, noise=2e-3, cart_noise=5e-4)
     encoders, random = Encoders(2, settings), np.random.default_rng(1)
     sigmas = np.array([2e-3, 2e-3, 5e-4])
@@ -86,7 +86,7 @@ def test_noise_has_the_covariance_that_the_settings_tell() -> None:
     assert np.var(np.array(errors)[:, 2]) == pytest.approx(expected[2, 2], rel=0.06)
 
 
-def test_of_sensors_without_any_noise_an_estimator_still_believes_a_little() -> None:
+def test_an_estimator_assumes_a_small_noise_of_ideal_sensors() -> None:
     perfect = SensorSettings(counts=0, cart_resolution=0.0).covariance(2)
     assert np.linalg.eigvalsh(perfect).min() > 0
     assert np.sqrt(np.diag(perfect)).max() < 1e-5
@@ -124,7 +124,7 @@ def test_a_sensor_that_sticks_for_a_while_comes_back() -> None:
         assert np.array_equal(encoders.measure(state, time), free.measure(state, time)) == same, time
 
 
-def test_zeros_drift_from_where_they_were_at_the_rate_asked_for() -> None:
+def test_zeros_drift_from_their_initial_values_at_the_requested_rate() -> None:
     state = np.array([0.3, 0.9, 0.0, 0.0, 0.2, 0.0])
     settings = SensorSettings(counts=0, zero_drift=0.01)
     encoders = Encoders(2, settings, zeros=np.array([0.002, 0.0]), drift=np.array([0.01, -0.01]) / 3600)

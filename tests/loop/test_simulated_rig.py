@@ -110,7 +110,7 @@ def test_a_lagging_drive_answers_a_step_by_the_exact_exponential() -> None:
         assert rig.state[6] == pytest.approx(10 * (1 - math.exp(-t / lag)), abs=1e-11)
 
 
-def test_the_cart_stops_dead_at_the_end_of_its_track_and_the_bench_says_so() -> None:
+def test_the_cart_stops_at_the_end_of_its_track_and_the_bench_reports_it() -> None:
     settings = BenchSettings(drive=DriveSettings(delay=0.0, switch_margin=0.05))
     start = np.array([0.3, -0.4, 1.0, 2.0, 0.3, 1.5])
     rig = rig_of(settings, start=start, ticks=400)
@@ -234,7 +234,7 @@ def test_blows_strike_at_their_tick_right_after_its_reading() -> None:
         drawn(BenchSettings(disturbances=DisturbanceSettings(explicit=(Push(0.0, arm=2),))))
 
 
-def test_seeded_blows_are_as_many_and_as_strong_as_was_asked_for() -> None:
+def test_seeded_blows_have_the_requested_number_and_strength() -> None:
     disturbances = DisturbanceSettings(pushes=400, push_impulse=0.02, knocks=200, knock_velocity=0.1)
     blows = drawn(BenchSettings(disturbances=disturbances), ticks=100_000).blows
     impulses = np.array([b.impulses for b in blows.values() if b.impulses.any()])
@@ -333,7 +333,7 @@ def test_a_run_of_any_length_is_drawn_in_blocks_as_it_would_be_at_once() -> None
             reader[3]
 
 
-def test_command_noise_and_missed_counts_have_the_size_that_was_asked_for() -> None:
+def test_command_noise_and_missed_counts_have_the_requested_size() -> None:
     draw = drawn(BenchSettings(SensorSettings(missed_counts=250.0), DriveSettings(command_noise=0.3)), ticks=20_000)
     assert draw.command_noise is not None
     assert draw.missed is not None
@@ -341,7 +341,7 @@ def test_command_noise_and_missed_counts_have_the_size_that_was_asked_for() -> N
     assert draw.missed.mean() == pytest.approx(0.25, rel=0.05)
 
 
-def test_what_is_not_finite_or_beyond_the_draw_is_named() -> None:
+def test_states_that_are_not_finite_or_beyond_the_draw_are_named() -> None:
     rig = rig_of(BenchSettings(), ticks=3)
     rig.read()
     with pytest.raises(ArithmeticError, match="command = nan"):

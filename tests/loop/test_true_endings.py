@@ -38,13 +38,13 @@ def flown(plan: Plan, *, seed: int = 0, **options: Any) -> Flight:
         ({"dropout": 0.99}, "no measurement"),
     ],
 )
-def test_an_ending_says_what_was_true(plan: Plan, options: dict[str, Any], kind: str) -> None:
+def test_the_reason_of_an_ending_is_true(plan: Plan, options: dict[str, Any], kind: str) -> None:
     flight = flown(plan, **options)
     assert class_of(flight) == kind, flight.run.reason
     assert untrue(flight) == untrue_score(flight) == ""
 
 
-def test_the_carts_velocity_is_told_where_its_scale_bears_it_out(plan: Plan) -> None:
+def test_the_carts_velocity_is_reported_if_its_scale_confirms_it(plan: Plan) -> None:
     with_and_without = []
     for knocks in (0, 5):
         options = {**BENCH, "travel": 0.25, "rate": 200.0, "knocks": knocks, "knock_velocity": 1.5, "mismatch": 0.25}
@@ -73,7 +73,7 @@ def test_a_lost_estimate_is_one_that_was_wrong(plan: Plan) -> None:
     assert [untrue(flight) for flight in lost] == [""] * len(lost)
 
 
-def test_a_limit_switch_is_where_it_is_said_to_be(plan: Plan) -> None:
+def test_a_limit_switch_is_at_its_nominal_place(plan: Plan) -> None:
     scene = plan.itinerary.with_run({**BENCH, "mismatch": 0.1})
     short = replace(scene.loop, drive=replace(scene.loop.drive, track=0.02))
     (flight,) = flights(replace(scene, loop=short), plan.reference, range(1))

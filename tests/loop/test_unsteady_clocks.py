@@ -88,7 +88,7 @@ def test_a_reported_age_leaves_the_rates_as_good_as_without_jitter(turn: tuple[S
     assert unknown > 1.5 * known
 
 
-def test_readings_that_fail_to_come_are_borne_in_silence(turn: tuple[StandIn, Reference]) -> None:
+def test_missing_readings_are_tolerated_without_events(turn: tuple[StandIn, Reference]) -> None:
     result, _, told = flown(turn[1], SensorSettings(dropout=0.03), Bursts)
     assert result.ending is Ending.FINISHED
     assert told.alarms == []

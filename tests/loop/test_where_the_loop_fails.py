@@ -1,4 +1,4 @@
-"""Where the loop fails: every run ends with a name and a reason that helps, the cart inside its limits, the log whole.
+"""Failures of the loop: every run ends with a name and a useful reason, the cart inside its limits, the log complete.
 
 The cart is watched for a second after the run as well, on a track without hard stops that would keep it.
 """
@@ -200,7 +200,7 @@ class Still:
         return ""
 
 
-def test_with_something_to_hold_the_run_goes_on_and_says_so(
+def test_with_a_fallback_the_run_continues_and_reports_it(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
     weak = replace(controller, gains=0.0 * controller.gains)
@@ -249,7 +249,7 @@ def inside_its_limits(turn: tuple[StandIn, Reference], controller: TrackingContr
 
 
 @pytest.mark.slow
-def test_whatever_goes_wrong_the_cart_stays_inside_its_limits(
+def test_the_cart_stays_inside_its_limits_in_all_failures(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
     inside_its_limits(turn, controller, range(24))

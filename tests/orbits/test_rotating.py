@@ -128,7 +128,7 @@ def test_a_finer_scan_finds_the_same_orbits(system, found):
         assert np.abs(a.state - b.state).max() < STATE
 
 
-def test_the_other_arm_may_be_upright_on_the_symmetry_line(system):
+def test_the_other_arm_can_be_upright_on_the_symmetry_line(system):
     upright = [o for o in rotating_orbits(system, 1, 0.6) if o.state[1] > 3]
     assert upright
     assert all(o.state[1] == np.pi for o in upright)

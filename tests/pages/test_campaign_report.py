@@ -84,7 +84,7 @@ def test_shares_by_mismatch_add_up_to_the_groups(tmp_path: Path) -> None:
         assert sum(level.share.successes for level in levels) == group.share.successes
 
 
-def test_many_mismatches_are_gathered_and_none_is_lost(tmp_path: Path) -> None:
+def test_many_mismatches_are_grouped_without_loss(tmp_path: Path) -> None:
     content = [{"completed": k % 3 > 0, "mismatch": k / 1000} for k in range(200)]
     summary = campaign_summary(table(tmp_path / "runs.parquet", content))
     assert len(summary.levels) == 6

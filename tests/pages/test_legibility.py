@@ -64,7 +64,7 @@ def run(folder: Path) -> Figure:
 
 def run_of_many_symbols(folder: Path) -> Figure:
     view = view_of(folder / "run.mcap", synthetic_run())
-    steps = tuple((0.2 + 0.2 * k, f"symbol {k + 1}") for k in range(24))
+    steps = tuple((0.2 + 0.2 * k, f"symbol {k + 1} of a long walk") for k in range(24))
     return draw(replace(view, plan=replace(view.plan, symbols=steps), verdict="stopped: " + "why " * 70, good=False))
 
 

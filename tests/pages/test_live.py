@@ -92,7 +92,7 @@ def test_a_run_is_the_same_with_a_live_view_and_without(plan, watched, tmp_path:
     assert len(watched) == 1
 
 
-def test_a_view_that_is_killed_ends_and_the_run_goes_on(plan, watched, monkeypatch) -> None:
+def test_a_run_continues_after_its_view_is_killed(plan, watched, monkeypatch) -> None:
     begun = LiveView.__enter__
 
     def killed(self):

@@ -93,7 +93,7 @@ def test_data_before_a_lost_estimate_stay_visible(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("span", [1e-4, 1e-2, 0.5, 20.0])
-def test_labels_of_an_angle_tell_its_ticks_apart(tmp_path: Path, span: float) -> None:
+def test_labels_of_an_angle_distinguish_its_ticks(tmp_path: Path, span: float) -> None:
     run = synthetic_run()
     held = np.pi + span * (run.truth[:, :2] - run.truth[:, :2].min()) / np.ptp(run.truth[:, :2])
     still = replace(run, truth=np.column_stack([held, run.truth[:, 2:]]))

@@ -88,7 +88,7 @@ def test_rotating_orbits_of_both_arms_are_there_with_their_stability(model, high
     assert np.abs(elliptic.samples[quarter] - flown).max() < FLIGHT
 
 
-def test_below_up_downs_energy_there_are_only_down_ups_homoclinics_and_the_reason_is_said(low):
+def test_below_up_downs_energy_there_are_only_down_ups_homoclinics_with_the_reason(low):
     assert [(k.source, k.target) for k in low.kinds] == [("down-up", "down-up")]
     assert len(low.connections) == 8
     assert low.complete
@@ -118,7 +118,7 @@ def test_strands_of_a_tube_end_on_its_cut(high):
         points = np.concatenate([piece.states for piece in cut.pieces])
         for strand in cut.strands:
             assert abs(np.sin(strand[-1] @ np.asarray(cut.section.normal) / 2)) < STATE
-            # Strands are flown anew from recomputed seeds, whose rounding the tube magnifies.
+            # Strands are computed again from new seeds, whose rounding the tube magnifies.
             assert min(np.abs(points - strand[-1]).max(axis=1)) < 1e-7
 
 
@@ -176,7 +176,7 @@ def test_reversed_orbits_satisfy_their_own_boundary_conditions(model):
 
 
 @pytest.mark.slow
-def test_where_first_hits_are_empty_the_next_are_searched_and_both_are_reported():
+def test_if_first_hits_are_empty_the_next_are_searched_and_both_reported():
     """L1 → L2 on x = 1 - μ: both tubes pass it once before they can meet."""
     found = compute_atlas(load_model("three-body"), -1.5175)
     hits = [(k.hits, k.count) for k in found.kinds if (k.source, k.target) == ("L1", "L2")]
@@ -189,7 +189,7 @@ def test_where_first_hits_are_empty_the_next_are_searched_and_both_are_reported(
 
 
 @pytest.mark.slow
-def test_hits_asked_for_are_those_searched(model):
+def test_the_requested_hits_are_searched(model):
     found = compute_atlas(model, -0.07, settings=AtlasSettings(hits=(1, 2)))
     assert {k.hits for k in found.kinds} == {(1, 2)}
     assert found.connections
@@ -225,7 +225,7 @@ def test_an_atlas_comes_back_from_its_file_bit_for_bit(high, tmp_path):
         assert same(getattr(back, field.name), getattr(high, field.name)), field.name
 
 
-def test_what_is_not_finite_comes_back(low, tmp_path):
+def test_infinite_numbers_are_restored(low, tmp_path):
     lost = replace(low, connections=(replace(low.connections[0], time_out=float("nan")),))
     save_atlas(tmp_path / "a.npz", lost)
     assert np.isnan(load_atlas(tmp_path / "a.npz").connections[0].time_out)
@@ -282,7 +282,7 @@ def test_files_that_are_cut_short_or_no_archives_are_refused(saved, tmp_path):
         load_atlas(tmp_path / "none.npz")
 
 
-def test_an_atlas_is_made_once_and_made_again_when_damaged_or_asked(model, tmp_path, monkeypatch):
+def test_an_atlas_is_computed_once_and_again_if_damaged_or_requested(model, tmp_path, monkeypatch):
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
     first = make_atlas(model, -0.07)
     assert not first.cached

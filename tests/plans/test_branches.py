@@ -1,4 +1,4 @@
-"""Diagrams of connections against energy: kept by content, read back as they were made, and made anew if damaged."""
+"""Diagrams of connections against energy are cached by content, read back unchanged, and computed again if damaged."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_a_kept_diagram_is_read_back_and_not_swept_again(made, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("content", ["", "{}", '{"runs": 3}', "[1"])
-def test_a_damaged_diagram_is_made_anew(made, tmp_path, content):
+def test_a_damaged_diagram_is_computed_again(made, tmp_path, content):
     (file,) = tmp_path.glob("branches/*.json")
     file.write_text(content)
     assert again().marks == made.marks

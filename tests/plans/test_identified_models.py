@@ -47,7 +47,7 @@ def test_a_written_model_loads_as_it_was_found(found: Identification, file: Path
 
 
 @pytest.mark.slow
-def test_drawn_arms_spread_as_the_covariance_says_and_a_seed_repeats_them(found: Identification, file: Path) -> None:
+def test_drawn_arms_have_the_covariance_and_a_seed_repeats_them(found: Identification, file: Path) -> None:
     model = load_model(str(file))
     random = np.random.default_rng(1)
     drawn = np.array([base_ratios(model.identified_uncertainty.drawn(model.arms, random)) for _ in range(DRAWS)])

@@ -50,7 +50,7 @@ def test_a_shipped_itinerary_is_followed_by_an_orbit_with_its_stops_turns_and_wr
     assert len(itinerary.walk) == len(stops) - 1
     system = itinerary.model.system
     first, last = orbit.states(np.array([0.0, orbit.duration]))
-    # Both ends are the orbit's own phase, but for whole turns: so whole turns are what lies between them.
+    # Both ends have the same phase of the orbit, so they differ by whole turns.
     if turns is not None:
         change = (last - first)[:2] / (2 * np.pi)
         assert np.rint(change).tolist() == turns.tolist()
@@ -77,7 +77,7 @@ def test_a_repeated_walk_is_done_so_often_with_the_last_wrap_between_rounds(tmp_
     assert (len(dance.walk), len(dance.wraps), dance.walks[0].repeat) == (12, 11, 3)
 
 
-def test_one_round_is_the_walk_as_it_stands(tmp_path: Path) -> None:
+def test_one_round_is_the_unchanged_walk(tmp_path: Path) -> None:
     plain, once = load_itinerary(str(scene(tmp_path))), load_itinerary(str(scene(tmp_path, repeat="1")))
     assert (once.walk, once.wraps, once.walks[0].repeat) == (plain.walk, plain.wraps, 1)
     assert plan_key(once) == plan_key(plain)
@@ -134,7 +134,7 @@ def test_two_turns_are_planned_and_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ukf", "ekf-filterpy"])
-def test_another_estimator_asks_for_what_the_adaptive_law_counts_on(kind: str) -> None:
+def test_another_estimator_gets_the_defaults_of_the_adaptive_law(kind: str) -> None:
     loop = load_itinerary("outer-turn").with_run({"estimator": kind}).loop
     assert loop.controller.kind == "adaptive"
     assert loop.estimator.kind == kind

@@ -70,7 +70,7 @@ def planned_wraps(plan: Plan) -> tuple[int | None, ...]:
 
 
 @pytest.mark.slow
-def test_the_reference_does_the_wraps_asked_for(linger: Plan) -> None:
+def test_the_reference_has_the_requested_wraps(linger: Plan) -> None:
     assert planned_wraps(linger) == linger.itinerary.wraps == (8, 6)
     assert len(stays(linger)) == 4
     assert stays(linger)[1] >= 6
@@ -231,7 +231,7 @@ def test_a_mistaken_option_is_one_sentence(option: tuple[str, ...], naming: str,
     assert len(ended.stderr.strip().splitlines()) == 1
 
 
-def test_a_walk_whose_stops_are_kept_cannot_get_up_and_says_so_before_it_is_planned() -> None:
+def test_a_walk_with_kept_stops_and_recovery_is_rejected_before_planning() -> None:
     with pytest.raises(InputError, match=r"keep = 'tvlqr'.* run with --set keep=none"):
         load_itinerary("linger").with_run({"on_fall": "resume"})
     assert load_itinerary("linger").with_run({"on_fall": "resume", "keep": "none"}).loop.keep == "none"

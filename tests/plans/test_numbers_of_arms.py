@@ -26,7 +26,7 @@ def document(*arguments: str | Path) -> Any:
     return ended.document
 
 
-def test_fifty_six_goes_once_from_each_equilibrium_of_three_arms_to_each_other() -> None:
+def test_fifty_six_connects_each_pair_of_equilibria_of_three_arms_once() -> None:
     itinerary = load_itinerary("fifty-six")
     holds = [part for part in itinerary.parts if isinstance(part, HoldPart)]
     assert len(holds) == len(itinerary.parts) == 57

@@ -1,4 +1,4 @@
-"""A plant with arms and laws of friction of its own, which the controller's model does not have."""
+"""A plant with other arms and laws of friction than the controller's model."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -64,7 +64,7 @@ def test_both_energies_are_there_while_their_walks_last(two_energies):
 
 
 @pytest.mark.slow
-def test_stops_and_symbols_tell_the_whole_story(two_energies):
+def test_stops_and_symbols_describe_the_whole_motion(two_energies):
     notes = two_energies.notes
     saddles = [stop["saddle"] for stop in notes["stops"]]
     assert saddles == ["down-down", "down-up", "down-up", "up-down", "up-up", "down-down"]

@@ -31,7 +31,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache"
 
 
-def test_a_plan_under_anothers_name_is_made_anew(cache: Path) -> None:
+def test_a_plan_under_another_plans_name_is_computed_again(cache: Path) -> None:
     turn, cross = load_itinerary("outer-turn"), load_itinerary("cross")
     made = make_plan(cross)
     assert not made.cached
@@ -88,7 +88,7 @@ def test_a_plan_is_made_and_run_where_the_cache_cannot_be_written(
     assert call("plan", "outer-turn", "--json").document["file"] is None
 
 
-def test_a_changed_title_or_limit_asks_for_another_plan() -> None:
+def test_a_changed_title_or_limit_requires_another_plan() -> None:
     scene = load_itinerary("outer-turn")
     assert plan_key(replace(scene, title="Another")) != plan_key(scene)
     assert plan_key(replace(scene, limits=replace(scene.limits, position=0.3))) != plan_key(scene)
@@ -108,7 +108,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("package", MADE_BY)
-def test_an_edit_to_a_package_that_makes_atlases_asks_for_new_atlases(package: str, copy: Path) -> None:
+def test_an_edit_to_a_package_that_makes_atlases_requires_new_atlases(package: str, copy: Path) -> None:
     names = [name for name in module_sources(ATLAS) if name.rsplit(".", 1)[0] == package]
     file = copy.joinpath(*names[-1].split(".")[1:]).with_suffix(".py")
     text = file.read_text()
@@ -123,7 +123,7 @@ def test_an_edit_to_a_package_that_makes_atlases_asks_for_new_atlases(package: s
 
 
 def test_all_code_that_an_atlas_runs_through_counts(tmp_path: Path) -> None:
-    """What an interpreter imports of this package by an atlas is among what is hashed, but for empty packages."""
+    """All modules of this package that an atlas imports are hashed, except empty packages."""
     script = f"import sys, {ATLAS}; print(*(n for n in sys.modules if n.startswith('dpcontrol.')))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     hashed = module_sources(ATLAS)
@@ -140,7 +140,7 @@ def test_an_edit_to_the_command_line_keeps_the_atlases(copy: Path) -> None:
 
 @pytest.fixture(scope="module")
 def flown() -> RunLog:
-    """What the log of a run says."""
+    """Content of a run's log."""
     run = run_plan(make_plan(load_itinerary("outer-turn")))
     assert run.score().completed
     return run.log

@@ -85,13 +85,13 @@ def test_a_stop_that_cannot_be_reached_on_the_track_that_is_left_is_passed_over(
 
 
 @pytest.mark.slow
-def test_what_gets_up_after_a_fall_cannot_leave_as_c(plan) -> None:
+def test_recovery_from_falls_cannot_be_exported_to_c(plan) -> None:
     with pytest.raises(InputError, match=r'on_fall = "resume".*export with on_fall = "stop"'):
         check_exportable(plan.itinerary)
 
 
 @pytest.mark.slow
-def test_a_law_with_a_clock_of_its_own_cannot_be_taken_up_anywhere(plan) -> None:
+def test_a_law_with_internal_timing_cannot_resume(plan) -> None:
     scene = plan.itinerary
     loop = replace(scene.loop, controller=TvlqrSettings(schedule="phase"))
     controller = Assembly(plan.reference, scene.model.arms, loop).controller

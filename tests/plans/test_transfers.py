@@ -47,7 +47,7 @@ def there_and_back(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 
 
 def flown_again(plan: Plan, number: int) -> Reference:
-    """Return one of a plan's transfers by itself, at the turns that its start is named at."""
+    """Return one of a plan's transfers, at the turns of its start's name."""
     reference, (begin, end) = plan.reference, plan.notes["transfers"][number]
     first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
     states = reference.states[first:last]
@@ -68,7 +68,7 @@ def test_a_hold_where_arms_rest_is_the_rest_at_an_end(there_and_back: Plan) -> N
     assert there_and_back.reference.duration - end == pytest.approx(0.5)
 
 
-def test_what_a_transfer_takes_is_what_its_reference_does(there_and_back: Plan) -> None:
+def test_the_cost_of_a_transfer_is_that_of_its_reference(there_and_back: Plan) -> None:
     reference, document = there_and_back.reference, there_and_back.document()
     assert len(document["transfers"]) == 2
     for note, (begin, end) in zip(document["transfers"], there_and_back.notes["transfers"], strict=True):
@@ -127,7 +127,7 @@ def test_the_table_of_transfers_is_printed(tmp_path: Path) -> None:
         assert text in shown
 
 
-def test_planning_that_was_interrupted_goes_on_with_the_transfers_it_had(
+def test_interrupted_planning_continues_with_its_cached_transfers(
     tmp_path: Path, there_and_back: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
@@ -151,7 +151,7 @@ def test_planning_that_was_interrupted_goes_on_with_the_transfers_it_had(
     assert len(sought) == 5, "--fresh searches for both"
 
 
-def test_of_two_ways_between_equilibria_that_mirror_each_other_one_is_tried(
+def test_only_one_of_two_mirrored_transfers_between_equilibria_is_tried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
@@ -205,7 +205,7 @@ def test_arms_rest_where_all_of_them_hang(name: str) -> None:
     assert not system.equilibrium(resting_place(system)).any()
 
 
-def test_twelve_goes_once_from_each_equilibrium_to_each_other() -> None:
+def test_twelve_connects_each_pair_of_equilibria_once() -> None:
     itinerary = load_itinerary("twelve")
     holds = [part for part in itinerary.parts if isinstance(part, HoldPart)]
     assert len(holds) == len(itinerary.parts) == 13

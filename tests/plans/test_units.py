@@ -104,7 +104,7 @@ def test_a_unit_slip_in_a_rig_is_remarked_on_with_the_key_and_the_likely_unit(
         ("limits", "position = 40000", "[limits] position = 40000 m"),
     ],
 )
-def test_what_no_rig_has_is_refused(tmp_path: Path, table: str, line: str, said: str) -> None:
+def test_impossible_numbers_of_a_rig_are_rejected(tmp_path: Path, table: str, line: str, said: str) -> None:
     with pytest.raises(InputError, match=re.escape(said)):
         remarks_on_rig(tmp_path, table, line)
 

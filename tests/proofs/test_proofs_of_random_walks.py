@@ -9,7 +9,7 @@ pytest.importorskip("flint")
 
 
 def verdict(seed: int, folder: Path) -> bool:
-    """Return whether a walk is proved; a refusal must have a reason."""
+    """True if a walk is proved; a refusal must have a reason."""
     found = proved(seed, folder / "walks.jsonl")
     assert found["code"] in (0, 1, 2), found
     assert len(found["status"]) > 20, found

@@ -65,7 +65,7 @@ def test_parts_kept_for_validation_follow_those_for_identification(tmp_path: Pat
     assert parts.segments == whole.segments
 
 
-def test_segments_whose_times_start_again_are_laid_end_to_end_and_say_so(tmp_path: Path) -> None:
+def test_segments_with_restarting_times_are_joined_with_a_remark(tmp_path: Path) -> None:
     given = rig_variables(segments=2)
     given["Time_id"][1, 0] = given["Time_id"][0, 0]
     recording = import_recording(write_mat(tmp_path / "anew.mat", given))

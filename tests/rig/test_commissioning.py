@@ -130,9 +130,9 @@ ROUGH = {"sensors": {"counts": 2000, "noise": 0.001}, "drive": {"command_noise":
 
 @pytest.mark.parametrize("fault", WIRED_WRONGLY)
 @pytest.mark.parametrize("trouble", [{}, pytest.param(ROUGH, marks=pytest.mark.slow)])
-def test_what_is_wired_wrongly_is_found_and_nothing_measured_is_kept(fault: str, trouble: dict[str, Any]) -> None:
+def test_wrong_wiring_is_detected_and_no_measurement_is_kept(fault: str, trouble: dict[str, Any]) -> None:
     rig = bench(fault, seed=3, **trouble)
-    # What is said of the counts is not at issue here.
+    # This test ignores the finding on counts.
     said = LoopSettings(seed=0, rate=RATE)
     said = replace(said, sensors=replace(said.sensors, counts=trouble["sensors"]["counts"] if trouble else 40_000))
     found = commissioned(rig, said=said)
@@ -201,9 +201,7 @@ def test_counts_are_seen_in_the_readings() -> None:
         ({"bent": 0.5}, "still", "the arms still swing by ±0.", "hold them until they hang still"),
     ],
 )
-def test_what_does_not_work_is_one_true_sentence(
-    trouble: dict[str, Any], step: str, sentence: str, remedy: str
-) -> None:
+def test_each_failure_is_one_true_sentence(trouble: dict[str, Any], step: str, sentence: str, remedy: str) -> None:
     rig = bench(**trouble)
     found = commissioned(rig)
     told = only_wrong(found, step)
@@ -274,7 +272,7 @@ def test_friction_is_remarked_on_and_hides_no_wiring() -> None:
     assert "swapped" in only_wrong(commissioned(bench("encoders-swapped", plant=rusty)), "encoders")
 
 
-def test_noise_on_the_command_is_held_within_the_reach_and_told_in_the_errors() -> None:
+def test_noise_on_the_command_stays_within_the_reach_and_is_part_of_the_errors() -> None:
     rig = bench(drive={"command_noise": 0.3, "delay": 2.0}, sensors={"noise": 0.002}, seed=1)
     found = commissioned(rig)
     (delay,) = [f.figures for f in found.findings if f.step == "delay"]
@@ -292,7 +290,7 @@ def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: i
     assert finding.mended
     assert found.changes["play"] == pytest.approx(play, rel=0.15, abs=1e-3)
     assert [value == 0 for value in found.changes["play"]] == [value == 0 for value in play]
-    # Told of it, the rig is as [run] says.
+    # With this setting, the rig agrees with [run].
     said = LoopSettings(seed=0, rate=RATE, mechanics=MechanicsSettings(play=tuple(found.changes["play"])))
     rig = bench(mechanics={"play": play}, seed=seed + 10)
     assert next(f for f in commissioned(rig, said=said).findings if f.step == "play").verdict is Grade.OK
@@ -306,7 +304,7 @@ def test_dry_friction_is_measured_to_a_half(torque: float, play: float, seed: in
     assert finding.figures["torque"] == pytest.approx(torque, rel=0.5)
 
 
-def test_stiction_that_holds_the_arms_still_is_not_measured_but_said() -> None:
+def test_stiction_that_holds_the_arms_still_is_reported_without_a_value() -> None:
     found = commissioned(bench(mechanics={"stiction": 0.006}, seed=2))
     finding = next(f for f in found.findings if f.step == "friction")
     assert finding.verdict is Grade.UNSURE

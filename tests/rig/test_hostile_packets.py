@@ -1,7 +1,7 @@
 """A bench that is attacked while a run goes on: only the run's own loop drives the cart, and what else came is counted.
 
-Spoofed packets are made by a raw socket, with the loop's own address as their sender; where the system forbids that
-(only root may), they come from other sockets.
+A raw socket makes spoofed packets with the loop's address as their sender. If the system reserves that for root, other
+sockets send them.
 """
 
 import math
@@ -34,7 +34,7 @@ Address = tuple[str, int]
 
 
 def spoofs() -> bool:
-    """Tell whether the system lets us make packets that seem to come from elsewhere."""
+    """True if the system permits packets with a forged sender."""
     try:
         socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_UDP).close()
     except PermissionError:
@@ -100,7 +100,7 @@ def test_packets_from_anyone_but_the_runs_own_loop_are_ignored_and_counted(key: 
     assert toy.stopped_at is None or toy.stopped_at >= reading.tick
 
 
-def test_the_loop_believes_its_own_bench_only_and_counts_the_rest() -> None:
+def test_the_loop_accepts_its_bench_only_and_counts_other_packets() -> None:
     toy, rng = Toy(period=0.005), random.Random(2)
     with served(toy) as bench, UdpRig(bench.address, settings=LONG) as rig:
         own = rig._socket.getsockname()
@@ -143,7 +143,7 @@ def test_a_run_that_was_recorded_cannot_be_played_again() -> None:
             assert ended.wait(30)
             for data in recorded * 3:
                 client.socket.send(data)
-            # It still serves whoever asks anew.
+            # It still serves new loops.
             with UdpRig(bench.address, settings=LONG, key=KEY) as rig:
                 rig.read()
         thread.join(30)
@@ -161,7 +161,7 @@ def test_repeated_packets_do_not_keep_a_dead_loops_cart_moving() -> None:
     assert toy.stopped_at is not None
 
 
-def test_a_loop_that_never_starts_locks_nobody_out() -> None:
+def test_a_loop_that_never_starts_does_not_block_others() -> None:
     with served(Toy()) as bench, ExitStack() as stack:
         for _ in range(50):
             client = Raw(bench.address)
@@ -188,7 +188,7 @@ def test_commands_on_their_way_that_are_not_finite_begin_nothing(value: float) -
             rig.read()
 
 
-def test_a_bench_beyond_loopback_asks_for_a_key_or_insecure(tmp_path: Path) -> None:
+def test_a_bench_beyond_loopback_requires_a_key_or_insecure(tmp_path: Path) -> None:
     for host in ("0.0.0.0", "192.0.2.1"):
         ended = dpcontrol("rig", "outer-turn", "--host", host)
         assert (ended.code, host in ended.message, "--key-file" in ended.message) == (2, True, True)
@@ -201,7 +201,7 @@ def test_a_bench_beyond_loopback_asks_for_a_key_or_insecure(tmp_path: Path) -> N
         UdpRig(("192.0.2.1", 9))
 
 
-def test_a_bench_on_all_interfaces_serves_who_has_its_key_and_tells_a_second_that_it_is_busy() -> None:
+def test_a_bench_on_all_interfaces_serves_one_loop_with_its_key_and_rejects_a_second_as_busy() -> None:
     toy = Toy()
     bench = UdpBench(lambda queued: toy, arms=2, ticks=10_000, period=0.002, host="0.0.0.0", key=KEY, settings=PATIENT)
     with bench:
@@ -236,7 +236,7 @@ def test_an_empty_host_does_not_mean_all_interfaces() -> None:
     ],
     ids=["loop has none", "another", "bench has none"],
 )
-def test_ends_without_the_same_key_say_so(benchs: bytes, loops: bytes, said: str) -> None:
+def test_ends_without_the_same_key_report_it(benchs: bytes, loops: bytes, said: str) -> None:
     with served(Toy(), key=benchs) as bench:
         with pytest.raises(InputError, match=said):
             UdpRig(bench.address, key=loops, settings=LinkSettings(answer=0.3))
@@ -264,7 +264,7 @@ def test_the_key_comes_from_a_file_or_the_environment(tmp_path: Path, monkeypatc
     assert dpcontrol("run", "outer-turn", "--insecure").code == 2
 
 
-def test_a_loop_of_version_1_is_told_to_update() -> None:
+def test_a_loop_of_version_1_is_rejected_with_the_remedy() -> None:
     with served(Toy()) as bench, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as old:
         old.settimeout(30)
         old.sendto(b"dpcb\x01\x01\x00\x00", bench.address)
@@ -288,7 +288,7 @@ def test_a_welcome_with_an_impossible_period_is_one_sentence(period: float) -> N
         thread.join()
 
 
-def test_readings_that_do_not_fit_the_welcome_are_refused_and_numbers_that_are_none_are_absent() -> None:
+def test_readings_that_do_not_fit_the_welcome_are_rejected_and_invalid_numbers_are_absent() -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as bench:
         bench.bind(("127.0.0.1", 0))
         bench.settimeout(30)
@@ -352,7 +352,7 @@ def test_no_bytes_whatever_break_the_parser() -> None:
             packets.refusal(bytes(data), "no")
 
 
-def test_what_the_log_says_names_the_packets_that_were_ignored() -> None:
+def test_the_log_names_the_ignored_packets() -> None:
     quiet = Deadlines(9, 0, *[0.0] * 3, 0, 0, 0, *[0.0] * 3)
     assert quiet.strangers == ""
     assert "ignored" not in quiet.sentence
@@ -376,7 +376,7 @@ def _flood(to: Address, known: list[bytes], over: threading.Event, sent: list[in
 
 
 @pytest.mark.benchmark  # A whole run in real time, and a hundred thousand packets beside it.
-def test_a_run_under_a_hundred_thousand_packets_is_the_loops_alone_and_its_log_says_so(tmp_path: Path) -> None:
+def test_a_run_under_a_hundred_thousand_packets_obeys_its_loop_only_and_logs_the_flood(tmp_path: Path) -> None:
     command = [PROGRAM, "rig", "outer-turn", "--runs", "1", "--real-time"]
     over, sent = threading.Event(), [0]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as bench:
@@ -387,7 +387,7 @@ def test_a_run_under_a_hundred_thousand_packets_is_the_loops_alone_and_its_log_s
         flood.start()
         log = tmp_path / "run.mcap"
         try:
-            # In a process of its own, as the flood would keep the interpreter from the loop.
+            # In a separate process, because the flood would keep the interpreter from the loop.
             asked = ("run", "outer-turn", "--rig", address, "--real-time", "--out", log, "--json")
             ended = dpcontrol_program(*asked, folder=tmp_path)
         finally:
@@ -403,5 +403,5 @@ def test_a_run_under_a_hundred_thousand_packets_is_the_loops_alone_and_its_log_s
     assert info["metadata"]["deadlines_ignored"] == str(deadlines["ignored"])
     run = read_log(log)
     assert any(f"{deadlines['ignored']} by the bench" in event.text for event in run.events)
-    # A forged command would have asked for a million m/s²; a computer that stalls may lose the arms, and says so.
+    # A forged command would request a million m/s². A stalled computer can lose the arms and reports it.
     assert ended.document["ending"] == "finished" or deadlines["missed"] > 0

@@ -41,7 +41,7 @@ def test_a_run_on_the_example_bench_falls_and_resumes_by_itself(tmp_path) -> Non
     assert names[-1] == "finished"
 
 
-def test_a_night_on_the_example_bench_rolls_its_logs_and_goes_on_after_a_fall(tmp_path) -> None:
+def test_a_night_on_the_example_bench_rolls_its_logs_and_continues_after_a_fall(tmp_path) -> None:
     plan = falling()
     night = NightSettings(hours=22 / 3600, file_minutes=0.1)
     done = run_night(plan, tmp_path / "rig.mcap", night, link=RigLink("udp", real_time=True))
@@ -89,7 +89,7 @@ def fly(address: tuple[str, int], key: bytes) -> None:
         loop.run(rig)
 
 
-def test_a_controller_that_dies_in_mid_fall_leaves_a_cart_that_stands() -> None:
+def test_after_a_controller_dies_during_a_fall_the_cart_stops() -> None:
     with BenchProcess(bench_recipe(falling()), BenchServerSettings()) as bench:
         loop = multiprocessing.get_context("spawn").Process(target=fly, args=(bench.address, bench.key))
         loop.start()

@@ -1,6 +1,6 @@
 """A bench at the other end of a UDP socket: what is lost, late, silent or damaged is counted and survived.
 
-No time is asserted: a busy computer may be late, and must then say so.
+No time is asserted: a busy computer can be late, and must then report it.
 """
 
 import hmac
@@ -66,7 +66,7 @@ def test_packets_are_laid_out_as_described() -> None:
     assert packets.unpacked(sealed, Role.LOOP, key=KEY).content == packets.CommandPacket(7, -1.5)
 
 
-def test_what_is_no_packet_is_refused_by_name() -> None:
+def test_invalid_packets_are_rejected_by_name() -> None:
     content = packets.reading(packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so"))
     whole = packets.packed(content, Role.BENCH, session=1, sequence=1)
     for data, said in (
@@ -154,7 +154,7 @@ def test_lost_packets_are_counted_and_the_ticks_stay_the_benchs() -> None:
             else:
                 absent += 1
                 assert not reading.present.any()
-                # What is not new holds its last value.
+                # Missing entries repeat their last value.
                 assert (reading.positions < k).all() or k == 0
             rig.command(float(k))
     assert dropped[Kind.READING] > 20
@@ -189,7 +189,7 @@ def test_readings_that_come_after_their_tick_are_counted_and_dropped() -> None:
     assert (rig.deadlines.lost, rig.deadlines.stale) == (1, 1)
 
 
-def test_a_loop_that_falls_silent_has_its_cart_stopped_and_is_told() -> None:
+def test_a_silent_loop_has_its_cart_stopped_and_is_notified() -> None:
     toy = Toy()
     with served(toy, settings=BenchServerSettings(watchdog=0.05)) as bench, UdpRig(bench.address) as rig:
         for _ in range(5):
@@ -268,7 +268,7 @@ def test_a_bench_that_is_gone_ends_the_run_by_name() -> None:
         read_on(rig)
 
 
-def test_where_no_bench_is_or_it_is_busy_a_sentence_says_so() -> None:
+def test_a_missing_or_busy_bench_is_reported_in_one_sentence() -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as nobody:
         nobody.bind(("127.0.0.1", 0))
         with pytest.raises(InputError, match=r"no bench responded for 0\.3 s; start one with `dpcontrol rig`"):
@@ -287,7 +287,7 @@ def test_where_no_bench_is_or_it_is_busy_a_sentence_says_so() -> None:
 @pytest.mark.parametrize(
     "text", ["", "udp", "127.0.0.1:5", "udp://", "udp://x", "udp://x:0", "udp://x:99999", "tcp://x:5"]
 )
-def test_what_is_no_address_is_refused(text: str) -> None:
+def test_invalid_addresses_are_rejected(text: str) -> None:
     with pytest.raises(InputError, match=r"must be udp://HOST:PORT"):
         parse_address(text)
 
@@ -304,7 +304,7 @@ def test_impossible_waits_are_refused(wrong: dict[str, float]) -> None:
 
 # Slow: it lasts as long as the run.
 @pytest.mark.slow
-def test_the_loop_follows_its_reference_on_a_bench_in_a_process_of_its_own(turn: tuple[StandIn, Reference]) -> None:
+def test_the_loop_follows_its_reference_on_a_bench_in_another_process(turn: tuple[StandIn, Reference]) -> None:
     settings = LoopSettings(seed=0, mismatch=0.02, initial_error=0.02)
     whole = tracking_controller(turn[1], sampled_model(LAB, settings.rate), settings.controller)
     ticks = 2000

@@ -135,7 +135,7 @@ def test_lockstep_and_loop_come_to_the_same_outcome(turn: Itinerary, tmp_path: P
     assert {row["path"] for row in read_rows(ticks)[0]} == {"ticks"}
 
 
-def test_an_interrupted_campaign_goes_on_where_it_was(
+def test_an_interrupted_campaign_continues(
     turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "stopped.parquet"
@@ -239,7 +239,7 @@ def test_the_parents_memory_grows_by_less_than_half_a_kilobyte_a_run(
 
     def simulated(jobs: Sequence[campaign_jobs.Job], workers: int) -> Iterator[tuple[campaign_jobs.Job, list[Any]]]:
         for job in jobs:
-            # As they come from a process: nothing is shared with other jobs.
+            # As from another process, without objects shared with other jobs.
             yield job, pickle.loads(pickle.dumps([simulated_row(job, seed) for seed in job.seeds]))
 
     monkeypatch.setattr(workers, "run_locally", simulated)
@@ -257,7 +257,7 @@ def test_the_parents_memory_grows_by_less_than_half_a_kilobyte_a_run(
 
 
 def simulated_row(job: campaign_jobs.Job, seed: int) -> dict[str, Any]:
-    """Return a run's row as a worker might; every third run fails, with a reason of its own."""
+    """Return a run's row as a worker would. Every third run fails, with a separate reason."""
     done = seed % 3 > 0
     return {
         **dict.fromkeys(campaign_jobs.COLUMNS, seed / 7),
@@ -305,7 +305,7 @@ def test_jobs_left_by_a_lost_scheduler_go_to_the_one_that_answers_next(
 
 
 class Cluster:
-    """A Dask scheduler and two workers, programs of their own as a lab starts them; a context manager."""
+    """A Dask scheduler and two workers in separate processes, as in a lab; a context manager."""
 
     def __init__(self, folder: Path) -> None:
         pytest.importorskip("distributed", reason="the package distributed is not installed")
@@ -397,9 +397,7 @@ def test_threads_of_one_worker_do_not_disturb_each_other(turn: Itinerary, undist
     assert rows == undisturbed[:12]
 
 
-def test_nobody_answers_at_the_schedulers_address(
-    turn: Itinerary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_scheduler_is_reported(turn: Itinerary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="the package distributed is not installed")
     monkeypatch.setattr(processes, "RESPONSE_TIME", "1s")
     with pytest.raises(InputError, match="no Dask scheduler responds"):

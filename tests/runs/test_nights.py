@@ -1,4 +1,4 @@
-"""Long runs: what they will take, where they begin and go on, and a short one from end to end."""
+"""Long runs: their cost, start and resumption, and a short one from start to end."""
 
 import json
 import multiprocessing
@@ -38,14 +38,14 @@ TURN = load_itinerary("outer-turn")
 BENCH = {"mismatch": 0.02, "initial_error": 0.01, "travel": 0.8}
 
 
-def test_a_night_goes_on_after_falls_unless_it_is_told_not_to() -> None:
+def test_a_night_continues_after_falls_by_default() -> None:
     as_given = night_itinerary(TURN, given={}).loop.supervisor
     assert (as_given.on_fall, as_given.attempts) == ("resume", 0)
     stops = night_itinerary(TURN, given={"on_fall": "stop", "attempts": 10}).loop.supervisor
     assert (stops.on_fall, stops.attempts) == ("stop", 10)
 
 
-def test_what_keeps_stops_by_its_own_clock_is_left_out_of_a_night_and_that_is_said() -> None:
+def test_a_keeper_of_stops_with_internal_timing_is_replaced_in_a_night_with_a_remark() -> None:
     linger = load_itinerary("linger")
     with pytest.warns(Remark, match=r'linger.toml: \[controller\] keep = "tvlqr" has internal timing'):
         loop = night_itinerary(linger, given={}).loop
@@ -102,7 +102,7 @@ def test_a_night_is_expected_to_wait_only_if_it_needs_a_way_from_rest() -> None:
     assert _waits(calm, references, hour) == _START_TICKS - 5000
 
 
-def test_what_sticks_comes_back_also_in_a_night_that_is_resumed() -> None:
+def test_stuck_sensors_recover_in_a_resumed_night() -> None:
     loop = replace(TURN.loop, sensors=SensorSettings(stuck_at=100.0, stuck_for=10.0))
     assert _since(loop, 0.0) == loop
     assert _since(loop, 40.0).sensors == SensorSettings(stuck_at=60.0, stuck_for=10.0)
@@ -166,7 +166,7 @@ def test_arms_rest_until_there_is_a_way_to_start_again(patient: bool) -> None:
     ended = fly()
     assert ended.ending is Ending.FINISHED
     assert ended.falls == 1
-    # They rest for two seconds more than a start needs, while it is asked for once a tick.
+    # They rest two seconds longer than a start needs, with a request in each tick.
     assert asked == [0] * 2000
     assert ended.ticks.truth is not None
     angles, rates = ended.ticks.truth[:, :2], ended.ticks.truth[:, 2:4]
@@ -176,7 +176,7 @@ def test_arms_rest_until_there_is_a_way_to_start_again(patient: bool) -> None:
 
 
 @pytest.mark.slow
-def test_a_short_night_is_repeated_interrupted_resumed_and_told(tmp_path: Path) -> None:
+def test_a_short_night_is_repeated_interrupted_resumed_and_reported(tmp_path: Path) -> None:
     scene = night_itinerary(TURN.with_run(BENCH, seed=5), given={})
     plan, out = make_plan(scene), tmp_path / "turn.mcap"
     night = NightSettings(hours=6 / 3600, file_minutes=0.05)

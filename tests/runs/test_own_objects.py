@@ -26,13 +26,13 @@ def test_the_gains_of_tvlqr_as_an_own_law_fly_as_tvlqr_does() -> None:
     built_in = dp.closed_loop("outer-turn", controller="tvlqr").run(seed=3)
     assert own.converged
     assert np.abs(own.log.states["truth"] - built_in.log.states["truth"])[:BEGINNING].max() < SAME
-    # Delay: the first command is the reference's own. Nothing is asked of the law before.
+    # Delay: the first command is the reference's own. The law is not called before.
     assert (law.resets, law.asked) == (1, len(own.log.time))
     assert own.log.events[0].text.startswith("Gains, ekf")
     assert json.loads(own.log.metadata["run_settings"])["controller"]["kind"] == "Gains"
 
 
-def test_an_own_estimator_flies_and_the_log_says_what_is_off() -> None:
+def test_an_own_estimator_flies_and_the_log_lists_disabled_checks() -> None:
     run = dp.closed_loop("outer-turn", controller="tvlqr", estimator=Filter()).run(seed=3)
     assert run.converged
     assert np.isnan(run.log.controls["nis"]).all()
@@ -56,7 +56,7 @@ def test_an_own_plant_of_the_same_equations_moves_as_the_benchs_own() -> None:
     assert own.plant is None
 
 
-def test_an_own_rig_is_flown_logged_and_scored_by_the_truth_it_knows(tmp_path: Path) -> None:
+def test_an_own_rig_is_run_logged_and_scored_by_its_true_states(tmp_path: Path) -> None:
     rig = Rig()
     run = dp.closed_loop("outer-turn", controller="tvlqr").run(rig=rig, log=tmp_path / "rig.mcap")
     assert run.converged
@@ -80,7 +80,7 @@ def test_a_command_that_is_no_sensible_number_ends_the_run_by_name(value: object
 
 
 @pytest.mark.parametrize("where", ["control", "reset"])
-def test_what_an_object_raises_is_named_and_no_traceback(where: str) -> None:
+def test_errors_of_an_object_are_named_without_a_traceback(where: str) -> None:
     class Law:
         def reset(self):
             assert where != "reset", "not\n ready"
@@ -143,7 +143,7 @@ def test_a_missing_method_is_an_input_error_before_anything_runs(role: str) -> N
         dp.closed_loop("outer-turn").run(rig=Mute())
 
 
-def test_a_campaign_compares_laws_counts_failures_and_goes_on() -> None:
+def test_a_campaign_compares_laws_counts_failures_and_continues() -> None:
     found = dp.closed_loop("outer-turn").campaign(runs=2, over={"controller": ["tvlqr", Gains(), Wrong()]})
     assert [one.completed.successes for one in found.results] == [2, 2, 0]
     assert [one.case.label for one in found.results][1:] == ["controller=Gains", "controller=Wrong"]

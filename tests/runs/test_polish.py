@@ -71,7 +71,7 @@ def test_wraps_of_a_polished_plan_are_those_that_were_counted(turns: Plan) -> No
 
 
 @pytest.mark.parametrize("itinerary", ["outer-turn", "hold-up-up"])
-def test_what_does_not_lead_from_rest_to_rest_is_refused_in_a_sentence(itinerary: str) -> None:
+def test_plans_that_do_not_lead_from_rest_to_rest_are_rejected_in_a_sentence(itinerary: str) -> None:
     ended = dpcontrol("plan", itinerary, "--polish")
     assert ended.code == 2
     assert "--polish needs a motion from rest to rest" in ended.message

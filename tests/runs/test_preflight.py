@@ -42,7 +42,7 @@ def turn() -> Plan:
 
 
 def made_up(monkeypatch: pytest.MonkeyPatch, threshold: Any) -> list[Job]:
-    """Let a seed complete as long as its settings are below its own threshold; return the jobs that were asked for."""
+    """Complete each seed whose settings are below its threshold, and return the requested jobs."""
     asked: list[Job] = []
 
     def run_job(job: Job) -> list[dict[str, Any]]:
@@ -90,14 +90,14 @@ def test_borders_where_less_is_worse_are_sought_downward(turn: Plan, monkeypatch
     assert counts.border == pytest.approx(300, rel=0.3)
     assert counts.margin == pytest.approx(40_000 / counts.border)
     assert travel.border == pytest.approx(210, rel=0.05)
-    # What nothing disturbs has no border where it is sought.
+    # A run without disturbances has no border in the searched range.
     assert border(found, "lag").border is None
     assert border(found, "lag").sentence.startswith("beyond")
     assert (border(found, "belt").own, border(found, "counts").own) == ("none", "40,000 a turn")
 
 
 def test_a_change_is_worth_what_it_rescues_less_what_it_loses(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half the mismatch saves all; other laws lose all; the rest changes nothing."""
+    """Half the mismatch saves all runs, other laws lose all, and the rest has no effect."""
     made_up(
         monkeypatch,
         lambda loop, random: (loop.mismatch <= 0.1 or random.uniform() < 0.75) and loop.controller.kind == "tvlqr",
@@ -114,9 +114,7 @@ def test_a_change_is_worth_what_it_rescues_less_what_it_loses(turn: Plan, monkey
     assert sum(e.runs for e in found.endings) == found.share.runs - found.share.successes
 
 
-def test_where_all_complete_nothing_is_tried_and_where_none_does_no_border_is_sought(
-    turn: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_changes_need_failures_and_borders_need_completed_runs(turn: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     made_up(monkeypatch, lambda loop, random: True)
     fine = preflight(turn, settings=SMALL)
     assert (fine.changes, fine.endings, fine.likely) == ((), (), None)
@@ -128,7 +126,7 @@ def test_where_all_complete_nothing_is_tried_and_where_none_does_no_border_is_so
     assert {c.gain for c in hopeless.changes} == {0.0}
 
 
-def test_a_plan_tells_it_in_python_and_runs_that_cannot_go_side_by_side_are_few(
+def test_a_preflight_runs_in_python_and_without_lockstep_uses_few_runs(
     turn: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made_up(monkeypatch, lambda loop, random: random.uniform() < 0.9)
@@ -137,7 +135,7 @@ def test_a_plan_tells_it_in_python_and_runs_that_cannot_go_side_by_side_are_few(
     assert any("one after the other" in note for note in found.notes)
     assert 32 <= found.share.runs < preflight(turn, settings=PreflightSettings(workers=1)).share.runs
     assert len(repr(found)) < 300
-    # More that are asked for by number are run.
+    # A larger requested number is run.
     assert preflight(turn, {"missed_counts": 1.0}, settings=PreflightSettings(runs=16, workers=1)).borders
 
 
@@ -158,7 +156,7 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
     assert found.share.successes == campaign.completed.successes
     assert found.share.low == wilson(found.share.successes, 16, confidence=0.99).low
     assert {e.seed for e in found.endings} <= {row["seed"] for row in campaign.results[0].failures}
-    # A second time nothing is run, and the document is the same but for what it took.
+    # A second preflight runs no job, and its document differs only in time.
     monkeypatch.setattr(module, "run_job", lambda job: pytest.fail("run again"))
     first, second = ({**one.document(), "seconds": 0} for one in (found, preflight(turn, HARD, settings=SMALL)))
     assert first == second
@@ -172,13 +170,13 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
     json.dumps(first)
 
 
-def test_arms_are_drawn_from_what_is_known_of_them(turn: Plan) -> None:
+def test_arms_are_drawn_from_their_known_errors(turn: Plan) -> None:
     scene = turn.itinerary
     assert with_known_errors(scene, {})[0].loop.mismatch == scene.loop.mismatch
     unknown, listed = with_known_errors(replace(scene, loop=replace(scene.loop, mismatch=0.0)), {})
     assert unknown.loop.mismatch == ASSUMED_MISMATCH
     assert listed[0].source.startswith("assumed")
-    # Asked for by name, no mismatch is none.
+    # A mismatch of zero by name means none.
     assert with_known_errors(scene, {"mismatch": 0.0})[0].loop.mismatch == 0
     names = ratio_names(scene.model.arms)
     covariance = tuple((1e-4 * np.eye(len(names))).ravel().tolist())
@@ -212,7 +210,7 @@ def test_points_without_completing_seeds_have_no_share() -> None:
     assert math.isnan(ShareAt(1.0, 32, 0, 0).share)
 
 
-def test_borders_of_belt_play_and_stiction_are_sought_and_what_the_loop_knows_stays(turn: Plan) -> None:
+def test_borders_of_belt_play_and_stiction_are_found_with_an_unchanged_model_of_the_loop(turn: Plan) -> None:
     rough = {"belt": 60.0, "play": 0.004, "cable_torque": -0.001}
     scene = turn.followed().itinerary.with_run(rough)
     found = {one.name: one for one in hazards(turn, scene, most_delay=10)}

@@ -62,7 +62,7 @@ def test_lockstep_flies_what_single_runs_do() -> None:
         assert np.array_equal(run.truth, alone.log.states["truth"])
 
 
-def test_the_memory_begins_at_first_and_goes_on_from_tick_to_tick() -> None:
+def test_the_memory_starts_at_first_and_continues_from_tick_to_tick() -> None:
     def counts(state, reference, memory, parameters):
         return memory[0] + memory[1], ca.vertcat(memory[0] + 0.001, memory[1])
 
@@ -131,7 +131,7 @@ def test_another_expression_is_another_controller() -> None:
         (lambda s, r, m, p: (ca.SX.sym("free"), m), "free"),
     ],
 )
-def test_what_is_no_law_is_refused_before_the_run(function, said: str) -> None:
+def test_invalid_laws_are_rejected_before_the_run(function, said: str) -> None:
     with pytest.raises(dp.InputError, match=f"(?s)controller = <lambda>: .*{said}"):
         dp.closed_loop(PLAN, controller=dp.SymbolicLaw(function, memory=1)).run()
 

@@ -107,7 +107,7 @@ def test_the_examples_run_and_count(
     assert made["shares"][0] == 16
     first, *_, last = made["runs"].values()
     assert first.converged
-    # What the model lacks costs feedback.
+    # Unmodelled effects cost feedback.
     assert np.abs(last.log.controls["feedback"]).mean() > 1.2 * np.abs(first.log.controls["feedback"]).mean()
 
 

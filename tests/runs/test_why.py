@@ -101,7 +101,7 @@ def test_a_change_beats_harmless_ones_by_an_exact_test_of_pairs(
     assert _beats(done, before) is beats
 
 
-def test_a_run_that_chance_completes_has_no_remedy_and_the_sentence_says_so() -> None:
+def test_a_run_that_chance_completes_has_no_remedy_and_the_sentence_gives_the_reason() -> None:
     tried = TriedChange("half the lag", "--lag 0.01", completed=True, verdict="", counts=Completed(10, 16, 16))
     found = Why("log", 1, "lost", (tried,), Completed(9, 16, 16))
     assert found.saves == ()
@@ -117,7 +117,7 @@ def test_nothing_is_tried_for_a_run_that_was_completed(plan: Plan) -> None:
     assert done.sentence == "the run was completed, so no change was tried"
 
 
-def test_what_was_not_simulated_cannot_be_tried_again(failed: Run) -> None:
+def test_only_simulated_runs_can_be_tried_again(failed: Run) -> None:
     log = failed.log
     with pytest.raises(InputError, match="only simulated runs are repeatable"):
         Run(replace(log, metadata={**log.metadata, "rig": "udp://bench:5005"})).why()

@@ -67,13 +67,13 @@ def test_a_short_symbol_selects_the_same_motion_at_nearby_energies():
     ],
     ids=lambda arguments: " ".join(arguments[:2]),
 )
-def test_a_search_that_may_be_incomplete_exits_with_one(arguments):
+def test_a_possibly_incomplete_search_exits_with_one(arguments):
     shown = dpcontrol(*arguments, "--json")
     assert not shown.document["complete"]
     assert shown.code == 1
 
 
-def test_a_search_may_be_complete_with_open_cuts():
+def test_a_search_can_be_complete_with_open_cuts():
     shown = dpcontrol("connect", "lab", "--from", "down-up", "--to", "up-down", "--energy", "0.2", "--json")
     assert shown.document["open_cuts"]
     assert shown.document["complete"]

@@ -159,7 +159,7 @@ def test_each_turn_flips_the_sign_of_a_periodic_dance(into, out):
     assert signs[0] == -signs[1] == signs[2]
 
 
-def test_a_walk_may_start_and_end_at_the_rotating_orbit(rotating, into, out):
+def test_a_walk_can_start_and_end_at_the_rotating_orbit(rotating, into, out):
     orbit = shadow([out.connections[0], into.connections[0]], wraps=[2])
     assert orbit.converged
     assert orbit.wraps_realised == (2,)
