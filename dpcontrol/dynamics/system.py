@@ -404,7 +404,7 @@ def _equilibria(
     found: dict[str, Array] = {}
     for key, guess in guesses.items():
         if not isinstance(key, str) or not _NAME.fullmatch(key):
-            raise InputError(f"{key!r} is no name for an equilibrium of {name}: use letters, digits and dashes")
+            raise InputError(f"{key!r} is not a name for an equilibrium of {name}: use letters, digits and dashes")
         try:
             given = np.asarray(guess, dtype=float)
         except (TypeError, ValueError):

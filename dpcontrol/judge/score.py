@@ -364,7 +364,7 @@ def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | No
     try:
         return None if text is None else kind(text)
     except ValueError as error:
-        raise InputError(f"{log.path}: its {name} = {text!r:.80} is no number; make the log again") from error
+        raise InputError(f"{log.path}: its {name} = {text!r:.80} is not a number; make the log again") from error
 
 
 def recovered_note(log: RunLog) -> str:

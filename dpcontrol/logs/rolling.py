@@ -190,9 +190,9 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
         place = json.loads(log.metadata[NIGHT_METADATA])
         digest = Digest(int(place["number"]), int(place["session"]), on=bool(place["on"]))
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{log.path} is no file of a long run; give a folder that `dpcontrol run --hours` made") from (
-            error
-        )
+        raise InputError(
+            f"{log.path} is not a log of a long run; give a folder that `dpcontrol run --hours` made"
+        ) from (error)
     digest.limit = 0.0 if log.limits is None else log.limits[0]
     state, period, done = log.truth if log.truth is not None else log.estimate, 1 / log.rate_hz, 0
     both = None if log.extras is None else np.concatenate([log.extras.sigmas, log.extras.values], axis=1)

@@ -91,7 +91,9 @@ class SensorSettings(Settings, table="sensors"):
     stuck_sensor: int = setting(
         0, least=0, help="Sensor that sticks: 0 the inner arm's encoder, then outwards, last the cart's scale."
     )
-    stuck_for: float = setting(math.inf, above=0, infinite="for good", unit="s", help="Duration for which it sticks.")
+    stuck_for: float = setting(
+        math.inf, above=0, infinite="the rest of the run", unit="s", help="Duration for which it sticks."
+    )
     jitter: float = setting(0.0, least=0, most=1, unit="s", help="Largest age of a reading.")
     ages: str = setting("unknown", choices=AGES, help="Whether the bench reports the ages of its readings.")
     rate_noise: float = setting(

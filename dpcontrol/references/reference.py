@@ -265,9 +265,9 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
         found[k] = value = np.inf if header["numbers"][k] is None else header["numbers"][k]
         # JSON has integers of any length.
         if not isinstance(value, int | float) or not (abs(value) <= 1e300 or value == np.inf):
-            raise ValueError(f"its {k} is no number")
+            raise ValueError(f"its {k} is not a number")
     if not all(isinstance(bound, int | float) for bound in header["limits"].values()):
-        raise ValueError("its limits are no numbers")
+        raise ValueError("its limits are not numbers")
     return Reference(
         method, mesh, states, inputs, Limits(**header["limits"]),
         status=str(header["status"]), converged=bool(header["converged"]), **found,

@@ -467,7 +467,7 @@ def _place(
     """Return the start of the next session, after closing the logs of an interrupted one.
 
     Raises:
-        InputError: a night is there that is not to be resumed, is complete or is another one, or there is none.
+        InputError: the folder holds another, a complete or no night, or one that must not be resumed.
     """
     name = folder.resolve().name
     there = check_folder(folder, resume=resume, force=force)

@@ -223,7 +223,7 @@ def test_a_reference_with_invalid_figures_is_refused(value: object) -> None:
     for call in ("reference odd.npz", "review odd.npz --save new.rrd"):
         ended = dpcontrol(*call.split())
         assert ended.code == 2
-        assert "its max_error_between_nodes is no number" in ended.message
+        assert "its max_error_between_nodes is not a number" in ended.message
 
 
 def test_a_reference_with_invalid_limits_is_refused() -> None:
@@ -236,7 +236,7 @@ def test_a_reference_with_invalid_limits_is_refused() -> None:
     for call in ("reference odd.npz", "review odd.npz --save new.rrd"):
         ended = dpcontrol(*call.split())
         assert ended.code == 2
-        assert "its limits are no numbers" in ended.message
+        assert "its limits are not numbers" in ended.message
 
 
 def test_a_log_with_extremely_slow_samples_is_refused() -> None:

@@ -48,7 +48,7 @@ BAD = {
     "one coordinate": ({"coordinates": ("x",)}, "has two"),
     "three numbers": ({"equilibria": {"top": (0, 0, 0)}}, "give 2 finite coordinates"),
     "a guess at infinity": ({"equilibria": {"top": (0, np.inf)}}, "give 2 finite coordinates"),
-    "a name with a space": ({"equilibria": {"the top": (0, 0)}}, "is no name"),
+    "a name with a space": ({"equilibria": {"the top": (0, 0)}}, "is not a name"),
     "a singularity": ({"energy": with_(lambda q, p, c: 1 / ca.sqrt(q[0] ** 2 + q[1] ** 2))}, "not finite"),
     "no kinetic energy": (
         {"energy": lambda q, v, c: -(q[0] ** 2) + q[1] ** 2, "make": System.from_lagrangian},

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import dpcontrol as dp
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
@@ -149,3 +150,12 @@ def test_a_second_hit_search_finds_double_turns():
     assert double
     assert sorted(c.winding for c in search.connections) == sorted((0, -c.winding[1]) for c in search.connections)
     assert max(c.residual for c in search.connections) < 1e-11
+
+
+@pytest.mark.slow
+def test_a_search_whose_flights_nearly_collide_ends_with_a_status() -> None:
+    """Derivatives along flights close to the smaller primary exceed double precision."""
+    search = dp.connections(dp.orbit("three-body", "L2", energy=-1.515), seconds=30)
+    assert len(search.connections) > 0
+    assert not search.complete
+    assert search.status
