@@ -90,7 +90,7 @@ def test_lockstep_and_loop_run_the_same_plant_and_a_log_repeats_it(turn: Itinera
         ({"plant": "nowhere.toml"}, "plant = 'nowhere.toml': there is no file nowhere.toml"),
         ({"plant": "triple"}, "the plant has 3 arms, the itinerary's model 2"),
         ({"plant": "three-body"}, "has no arms and no cart"),
-        ({"plant": "lab-identified", "model_uncertainty": 1.0}, "model_uncertainty = 1.0: the plant has arms"),
+        ({"plant": "lab-identified", "model_uncertainty": 1.0}, "model_uncertainty = 1.0: the plant's arms differ"),
         ({"friction": -1.0}, "friction = -1.0"),
     ],
 )
