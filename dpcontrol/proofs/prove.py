@@ -299,7 +299,7 @@ def claims_of(walk: ShadowingOrbit, rivals: Sequence[Connection]) -> list[dict[s
                 "states": [[repr(float(v)) for v in one.state] for one in (own, *others)],
                 "stop": [repr(float(v)) for v in own.target.centre],
                 "stop_turns": [int(v) for v in walk.offsets[k + 1]],
-                "wraps": walk.wraps[k],
+                "wraps": int(walk.wraps[k]),
                 "period": repr(float(period)),
                 "rest": repr(float(own.time_in + after.time_out + phase_gap(own, after) * period)),
             }
@@ -333,7 +333,7 @@ def prove_walk(
     system, orbit = walk.orbit.system, walk.orbit
     statement = (
         f"{system.name} has a closed orbit at the energy {decimal(energy)} that follows {', '.join(walk.walk)} "
-        f"with wraps {list(walk.wraps)}"
+        f"with wraps {[int(n) for n in walk.wraps]}"
     )
 
     def work() -> Proof:
