@@ -5,6 +5,8 @@
 # the two curves, a trajectory leaves the orbit and returns. It is a homoclinic orbit.
 
 # %%
+from matplotlib.axes import Axes
+
 import dpcontrol as dp
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, key, save_figure
@@ -15,7 +17,7 @@ cut = atlas.cuts[0]
 
 
 # %%
-def tube(axes):
+def tube(axes: Axes) -> None:
     """Draw the trajectories that leave the orbit, and the orbit."""
     quiet(axes, "Trajectories that leave the orbit form a tube", x="angle of the outer arm (rad)", y="its rate (rad/s)")
     for strand in cut.strands:
@@ -25,7 +27,7 @@ def tube(axes):
     angle_axis(axes, "x", step=0.5)
 
 
-def section(axes):
+def section(axes: Axes) -> None:
     """Draw the cuts of both tubes, and their connections."""
     title = f"The cuts of both tubes meet in {len(atlas.connections)} connections"
     quiet(axes, title, x="angle of the inner arm (rad)", y="its momentum, scaled")
