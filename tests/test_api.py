@@ -54,6 +54,7 @@ def test_a_plan_of_a_walk_is_that_of_the_file_it_writes(example: dict[str, Any])
     assert figures[0] == figures[1]
 
 
+@pytest.mark.slow
 def test_runs_plans_and_atlases_draw_themselves(example: dict[str, Any], tmp_path: Path) -> None:
     assert len(example["run"].plot().axes) > 5
     for name, result in (

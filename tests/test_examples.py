@@ -20,6 +20,7 @@ SLOW = {
     "air_drag",
     "eddy_brake",
     "mujoco_rig",
+    "typed",
 }
 """Examples that take more than a few seconds."""
 NEEDS = {"mujoco_rig": "mujoco", "gym_env": "gymnasium"}

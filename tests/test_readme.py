@@ -207,6 +207,7 @@ def test_the_toml_shown_is_that_of_a_model_an_itinerary_or_a_part_of_one(text: s
         assert {"models": load_model, "itineraries": load_itinerary}[kind](str(shown))
 
 
+@pytest.mark.slow
 def test_the_commands_that_show_the_numbers_run() -> None:
     assert len(commands_in_text()) >= 4
     for command in commands_in_text():
@@ -287,6 +288,7 @@ def test_a_page_with_a_picture_names_a_command_that_draws_it() -> None:
         assert "![" not in text or drawn.search(text), page.name
 
 
+@pytest.mark.slow
 def test_the_guide_lists_each_of_its_pages_once_and_shows_it() -> None:
     listed = [one["topic"] for one in dpcontrol("guide", "--json").document["topics"]]
     assert sorted(listed) == sorted(page.stem for page in PAGES if page.parent == GUIDE and page.stem != "README")

@@ -64,6 +64,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_stored_plan_is_shown_and_run_and_its_log_scored(bench: Path) -> None:
     lines = ("model lab", "plan outer-turn", "reference turn.npz", "run turn.npz --out quick.mcap", "info quick.mcap")
     for line, ended in zip(lines, without_heyoka(bench, *lines), strict=True):
@@ -112,6 +113,7 @@ def test_a_recording_of_the_bench_is_imported_replayed_and_identified(tmp_path: 
         assert ended.code == 0, ended.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("json_asked", [False, True])
 def test_a_request_for_an_orbit_or_a_plan_names_the_package_to_install(
     json_asked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -52,6 +52,7 @@ def test_the_demos_log_scores_as_completed(demo: tuple[Path, Ended]) -> None:
     assert scored.document["completed"] is True
 
 
+@pytest.mark.slow
 def test_review_saves_recording_and_picture_and_names_the_renderer(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     log, recording, picture = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.rrd", tmp_path / "turn.png"
     ended = dpcontrol("review", log, "--save", recording, "--picture", picture, "--json")
@@ -111,6 +112,7 @@ def test_the_viewer_that_takes_a_picture_listens_to_this_computer_only(tmp_path:
     assert said.stdout == "--bind 127.0.0.1 --headless\n"
 
 
+@pytest.mark.slow
 def test_two_logs_are_reviewed_together_with_their_alignment(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     log = demo[0] / "logs/outer-turn-0.mcap"
     ended = dpcontrol("review", log, log, "--save", tmp_path / "two.rrd", "--picture", tmp_path / "two.png", "--json")
@@ -123,6 +125,7 @@ def test_two_logs_are_reviewed_together_with_their_alignment(demo: tuple[Path, E
     assert not (tmp_path / "none.rrd").exists()
 
 
+@pytest.mark.slow
 def test_a_reference_is_reviewed_too_but_not_beside_a_log(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     log, reference = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.npz"
     reference.write_bytes(read_log(log).attachments["reference.npz"])

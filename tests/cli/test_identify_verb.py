@@ -27,6 +27,7 @@ def a_log(path: str, swings: int = 3, arms: str = "lab") -> str:
     return path
 
 
+@pytest.mark.slow
 def test_a_model_with_uncertainty_and_a_picture_are_written() -> None:
     ended = dpcontrol("identify", a_log("logs/swing.mcap"), "--no-zeros", "--picture", "found.png", "--json")
     assert ended.code == 0, ended.stderr

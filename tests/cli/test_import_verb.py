@@ -95,6 +95,7 @@ def test_impossible_simulated_swings_are_rejected(arguments: list[str], said: st
     assert not Path("logs").exists()
 
 
+@pytest.mark.slow
 def test_replay_reports_the_error_of_each_segment_and_writes_a_log_for_review() -> None:
     write_mat(Path("swing.mat"), rig_variables(segments=2, samples=600))
     dpcontrol("import", "swing.mat")

@@ -95,6 +95,7 @@ def test_recover_reports_the_losses_and_keeps_a_complete_log(logged: Path, tmp_p
     assert dpcontrol("recover", tmp_path / "none.mcap").code == 2
 
 
+@pytest.mark.slow
 def test_a_run_repeated_from_its_log_has_the_same_bytes_in_every_message(
     logged: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,6 +158,7 @@ def test_repeating_takes_no_other_options_and_needs_a_log_of_a_run(logged: Path,
     assert "lacks scene.toml" in lacking.message
 
 
+@pytest.mark.slow
 def test_the_log_of_a_run_identifies_its_plant(logged: Path, tmp_path: Path) -> None:
     done = dpcontrol("identify", logged, "--model", "lab", "--out", tmp_path / "plant.toml", "--json")
     assert done.code == 0, done.stderr

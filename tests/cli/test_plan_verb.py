@@ -91,6 +91,7 @@ def test_a_tighter_track_gives_a_reference_that_stays_on_it(tmp_path: Path, ship
     assert shown.document["reference"]["max_error_between_nodes"] <= ERROR_BETWEEN_NODES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["plan", "run"])
 def test_a_solver_that_fails_ends_with_1_and_its_reason_and_leaves_no_file(
     verb: str, tmp_path: Path, shipped_text: dict[str, str], monkeypatch: pytest.MonkeyPatch
@@ -106,6 +107,7 @@ def test_a_solver_that_fails_ends_with_1_and_its_reason_and_leaves_no_file(
     assert [file.name for file in tmp_path.rglob("*") if file.is_file()] == ["hasty.toml"]
 
 
+@pytest.mark.slow
 def test_requested_margins_are_those_of_the_plan(tmp_path: Path, shipped_text: dict[str, str]) -> None:
     scene = tmp_path / "held.toml"
     scene.write_text(shipped_text["hold-up-up"].replace("[run]", "[run]\nrate = 200").replace("60.0", "4.0"))

@@ -111,6 +111,7 @@ def test_the_scene_and_model_in_the_file_plan_to_the_same_reference(
         np.testing.assert_array_equal(again[name], held[name])
 
 
+@pytest.mark.slow
 def test_people_read_symbols_limits_effort_and_origin(file: Path, tmp_path: Path) -> None:
     picture = tmp_path / "turn.png"
     ended = dpcontrol("reference", file, "--picture", picture)
@@ -120,6 +121,7 @@ def test_people_read_symbols_limits_effort_and_origin(file: Path, tmp_path: Path
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_limit_is_drawn_if_the_reference_comes_near_it(file: Path) -> None:
     reference = load_reference(file)
     near = Limits(position=1.02 * reference.max_cart_position)

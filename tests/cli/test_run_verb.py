@@ -121,6 +121,7 @@ def test_several_logs_score_in_order_and_one_missed_goal_ends_with_1(tmp_path: P
     assert "1 of 2 not completed" in scored.message
 
 
+@pytest.mark.slow
 def test_mismatch_and_initial_error_of_the_file_act_and_can_be_overridden(
     tmp_path: Path, shipped_text: dict[str, str]
 ) -> None:

@@ -35,6 +35,7 @@ def test_a_sustained_orbit_is_near_its_lyapunov_orbit_at_the_known_effort(saddle
         assert sum(abs(v - 1) < 1e-9 for v in values) == 2
 
 
+@pytest.mark.slow
 def test_the_text_has_period_effort_and_both_kinds_of_multipliers_and_the_picture_is_drawn(
     tmp_path: Path,
 ) -> None:

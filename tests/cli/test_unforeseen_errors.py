@@ -157,6 +157,7 @@ def test_wraps_beyond_all_bounds_and_symbols_nested_two_hundred_deep_are_rejecte
     assert "may be nested at most 20 deep" in nested.message
 
 
+@pytest.mark.slow
 def test_names_as_long_as_the_system_allows_are_written_and_cached(shipped_text: dict[str, str]) -> None:
     name = 240 * "n"
     Path(f"{name}.toml").write_text(shipped_text["hold-down-down"])

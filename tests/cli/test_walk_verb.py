@@ -62,6 +62,7 @@ def refused(*arguments: str | Path, naming: str) -> None:
     assert "Traceback" not in ended.stderr
 
 
+@pytest.mark.slow
 def test_walks_that_are_drawn_and_solved_have_the_keys_that_are_promised(graphs: dict[Any, Any]) -> None:
     drawing = ("--random", "4", "--lengths", "1", "5", "--extra-wraps", "0", "4", "--seed", "7", "--solve", "--json")
     first = dpcontrol(*HIGH, *drawing)

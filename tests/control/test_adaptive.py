@@ -261,6 +261,7 @@ def _settings(kind: AdaptiveSettings | TvlqrSettings, mismatch: float, *, seed: 
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_arms_wrong_by_a_fifth_end_on_the_orbit_where_tvlqr_alone_loses_half(
     turn: tuple[StandIn, Reference], model: SampledModel, law: AdaptiveController
 ) -> None:

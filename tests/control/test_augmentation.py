@@ -26,6 +26,7 @@ def test_encoder_zeros_are_found_while_swinging(zeros: tuple[float, float]) -> N
     assert np.abs(blind.state[:2] - flown.states[-1][:2]).max() > 10 * ZERO
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_parameters_wrong_by_a_tenth_are_found_while_swinging(seed: int) -> None:
     plant = LAB.mismatched(0.1, np.random.default_rng(seed)).base()
@@ -44,6 +45,7 @@ def test_parameters_wrong_by_a_tenth_are_found_while_swinging(seed: int) -> None
             assert abs(found[name] - true[6 + int(name[-1])]) < 4 * sigmas[i]
 
 
+@pytest.mark.slow
 def test_unobservable_errors_keep_their_uncertainty_at_rest() -> None:
     hanging = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     still = run(2, amplitude=0.0, start=hanging)

@@ -36,6 +36,7 @@ def test_nees_is_the_squared_error_in_units_of_the_covariance() -> None:
     assert nees(white @ root.T, np.broadcast_to(root @ root.T, (50, 4, 4))) == pytest.approx((white**2).sum(1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("augment", [(), ("zeros",), ("friction", "parameters")])
 def test_nis_and_nees_of_a_nominal_plant_lie_in_their_bands(augment: tuple[str, ...]) -> None:
     program = EkfProgram(MODEL, EkfSettings(augment=augment))
@@ -47,6 +48,7 @@ def test_nis_and_nees_of_a_nominal_plant_lie_in_their_bands(augment: tuple[str, 
     assert found.mean_nees == pytest.approx(program.equations.dimension, rel=0.05)
 
 
+@pytest.mark.slow
 def test_noise_covers_the_squares_of_the_parameters_errors() -> None:
     # Parameters with errors of a seventh, as for arms off by ±20 %: only the linearisation is wrong.
     commands, size = 0.5 * np.sin(2.5e-3 * np.arange(700)), 6 + 4

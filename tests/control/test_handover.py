@@ -76,6 +76,7 @@ def test_ogy_keeps_the_wobbles_and_tvlqr_flies_the_turns_there_and_back(there_an
         assert wobble().distance(done.states[k]) < JOIN
 
 
+@pytest.mark.slow
 def test_a_stay_lasts_the_requested_periods_to_within_half_a_period(done: Flight) -> None:
     begins = spans(done.actions)
     periods = np.array([begins[0], begins[2] - begins[1]]) * PERIOD / orbit().period

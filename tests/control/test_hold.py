@@ -85,6 +85,7 @@ def test_each_equilibrium_is_held_by_encoders_with_other_parameters(name: str, s
     assert np.abs(flight.states[:, 4]).max() < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kick", "caught"), [(2.02, True), (2.06, False)])
 def test_a_kick_is_caught_within_the_track_up_to_where_the_cart_meets_its_stop(kick: float, caught: bool) -> None:
     # rad/s of the outer arm at Up-Up: the border lies at 2.041, by bisection of the same loop in lockstep.

@@ -153,6 +153,7 @@ def test_known_disturbances_are_met_by_the_least_cost_of_all_periodic_motions() 
     assert shifts[:, 0] == pytest.approx(expected, rel=1e-4, abs=1e-5 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_sixteen_sections_hold_the_orbit_of_a_plant_with_other_parameters(seed: int) -> None:
     controller = ogy(16)

@@ -205,6 +205,7 @@ def test_the_law_answers_for_the_state_that_is_expected_when_the_command_acts(de
     assert report["wish"] == pytest.approx(1.5 + report["feedback"], abs=EXACT)
 
 
+@pytest.mark.slow
 def test_a_delay_too_long_to_unroll_has_the_same_prediction() -> None:
     tick = Ticked(UNROLLED, state=np.array([0.4, 0.1, 1.0, -1.0, 0.02, 0.3]))
     tick.begin(np.linspace(-3, 3, UNROLLED))
@@ -300,6 +301,7 @@ def _travelled(velocity: Callable[[float], float], begin: float, end: float) -> 
     return float(np.trapezoid([velocity(t) for t in times], times))
 
 
+@pytest.mark.slow
 def test_a_cart_that_rests_or_creeps_within_a_count_has_no_frozen_scale() -> None:
     assert watched_scale(lambda _: 0.0, step=2e-4, seconds=60.0) == math.inf
     assert watched_scale(lambda time: 1e-3 * math.sin(10 * time), step=2e-4, seconds=20.0) == math.inf

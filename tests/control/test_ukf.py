@@ -19,6 +19,7 @@ def apart(one: Estimate, other: Estimate) -> float:
     return float(np.abs(away / other.sigmas).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("augment", [(), ("zeros",), ("zeros", "parameters")])
 def test_filterpys_arithmetic_gives_the_compiled_filters_numbers(augment: tuple[str, ...]) -> None:
     flown = run(0.6, zeros=(0.01, -0.01))
@@ -39,6 +40,7 @@ def test_the_unscented_filter_agrees_with_the_extended_one_in_a_swing() -> None:
             assert one.sigmas == pytest.approx(other.sigmas, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_unscented_filter_sees_what_a_jacobian_at_the_mean_does_not() -> None:
     # Standing arms, unsure by half a radian, unseen for 0.2 s: they fall either way, farther than linearly and bounded.
     standing, blind = np.array([np.pi, np.pi, 0, 0, 0, 0]), np.zeros(3, dtype=bool)

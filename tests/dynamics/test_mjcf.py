@@ -85,6 +85,7 @@ def test_mujoco_loads_the_file_of_the_verb(tmp_path: Path) -> None:
     assert model.body_mass[-2:] == pytest.approx(LAB.mass)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["outer-turn", "cross"])
 def test_the_rig_of_the_example_runs(name: str) -> None:
     from dpcontrol.examples.mujoco_rig import flown

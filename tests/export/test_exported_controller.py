@@ -41,6 +41,7 @@ def set_clock(program: LibraryProgram, tick: int) -> None:
     ctypes.c_long.from_address(program.controller_address + place).value = tick
 
 
+@pytest.mark.slow
 def test_the_folder_is_complete_and_states_its_requirements(exported: Exported) -> None:
     folder, source = exported
     assert {file.name for file in folder.iterdir()} >= {
@@ -83,6 +84,7 @@ def test_nothing_is_allocated_and_no_other_name_is_taken(exported: Exported) -> 
         assert not re.search(r"\b(sin|cos|sqrt|atan2|exp|pow)\(", source.files["dpc_controller.c"])
 
 
+@pytest.mark.slow
 def test_a_replayed_run_gets_the_loops_commands(exported: Exported) -> None:
     folder = exported[0]
     program = compiled("gcc", "-O1", folder=folder, out="replay", sources=[*SOURCES, "main_replay.c"])
@@ -124,6 +126,7 @@ def test_a_law_with_a_known_lag_is_exported_with_it(
     assert "4000 ticks, commands differ by" in done.stderr
 
 
+@pytest.mark.slow
 def test_every_number_of_the_report_is_the_loops(plan: Plan, exported: Exported) -> None:
     both, rows = SideBySide(plan, library(exported[0])), readings(exported)[:300, :3]
     loose = precision(exported) == "float"
@@ -140,6 +143,7 @@ def test_every_number_of_the_report_is_the_loops(plan: Plan, exported: Exported)
     assert both.c.status == RUNNING
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", [1, 2, 3])
 def test_a_stuck_sensor_brakes_the_cart_at_the_same_tick(plan: Plan, exported: Exported, sensor: int) -> None:
     both, rows = SideBySide(plan, library(exported[0])), readings(exported)[:, :3].copy()
@@ -154,6 +158,7 @@ def test_a_stuck_sensor_brakes_the_cart_at_the_same_tick(plan: Plan, exported: E
     assert decided == [(Outcome.STUCK, Outcome.STUCK, sensor)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("trouble", "outcome"),
     [("switch", Outcome.SWITCH), ("silence", Outcome.SILENT), ("far", Outcome.CART), ("nan", Outcome.ESTIMATE_LOST)],
@@ -190,6 +195,7 @@ def test_decisions_of_the_supervisor_bring_the_cart_to_rest(
     assert stopped < len(told) - still
 
 
+@pytest.mark.slow
 def test_after_the_last_tick_the_last_row_keeps_holding(plan: Plan, double: Exported) -> None:
     both = SideBySide(plan, library(double[0]), told=False)
     rows = Assembly(plan.reference, plan.itinerary.model.arms, plan.itinerary.loop).controller.schedule(1).rows
@@ -262,6 +268,7 @@ def test_a_library_for_another_bench_runs_with_any_mismatch_and_seed(double: Exp
     assert run_plan(replace(plan, itinerary=scene), library=library(double[0])).converged
 
 
+@pytest.mark.slow
 def test_a_file_that_is_not_a_library_is_rejected(tmp_path: Path, double: Exported) -> None:
     log, text = tmp_path / "run.mcap", tmp_path / "text.so"
     text.write_text("no library")
@@ -340,6 +347,7 @@ def test_a_folder_that_cannot_be_written_whole_is_not_begun(tmp_path: Path) -> N
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_title_of_any_signs_stays_within_its_comment(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

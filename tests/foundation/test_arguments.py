@@ -106,11 +106,13 @@ def test_objects_of_the_wrong_type_are_refused_by_name(call, words):
     assert str(refused.value).startswith(words)
 
 
+@pytest.mark.slow
 def test_one_option_value_needs_no_list():
     one, listed = (dp.campaign("outer-turn", runs=1, over={"lag": lag}, workers=1) for lag in (0.002, [0.002]))
     assert one.rows == listed.rows
 
 
+@pytest.mark.slow
 def test_option_values_can_be_an_array():
     campaign = dp.campaign("outer-turn", runs=1, over={"lag": np.array([0.0, 0.002])}, workers=1)
     assert campaign.completed.runs == 2

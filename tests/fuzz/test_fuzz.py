@@ -58,7 +58,7 @@ def tried(trials: st.SearchStrategy[Trial], laboratory: Laboratory, *, count: in
     check()
 
 
-LONG = {"demo", "atlas", "export", "identify", "prove"}
+LONG = {"demo", "atlas", "export", "identify", "plan", "prove", "report"}
 """Verbs that take seconds, reserved for the slow tests."""
 
 

@@ -131,6 +131,7 @@ def rig() -> Identification:
     return identify([import_recording(rig_file())], LAB)
 
 
+@pytest.mark.slow
 def test_the_rigs_held_out_segments_are_predicted_within_tolerance(rig: Identification) -> None:
     left_out = np.array([s.rms for s in rig.segments if not s.used])
     assert [s.index for s in rig.segments if not s.used] == [2, 5, 8, 11, 14]

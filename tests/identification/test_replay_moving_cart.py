@@ -95,6 +95,7 @@ def test_a_path_on_a_moving_cart_agrees_with_an_independent_integrator(driven: t
     assert np.abs(path[:, :2] - states[:, :2]).max() <= STEP
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
 def test_a_command_that_the_cart_follows_is_the_input(driven: tuple[Array, Array], kind: str) -> None:
     result = replay_recording(recorded(driven, command=told(driven[0])), ARMS, filter_settings(kind))

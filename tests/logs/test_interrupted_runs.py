@@ -176,6 +176,7 @@ def test_an_interrupt_within_a_chunk_leaves_no_tick_twice(tmp_path: Path, monkey
     assert (done.ticks, done.ticks_lost, done.chunks_repeated) == (60, 0, 0)
 
 
+@pytest.mark.slow
 @posix
 def test_ctrl_c_in_the_program_names_the_file_and_the_remedy(tmp_path: Path) -> None:
     program = Path(sys.executable).parent / "dpcontrol"

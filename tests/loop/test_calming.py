@@ -15,6 +15,7 @@ def runs():
     return calmed(list(range(8)), seconds=8.0)
 
 
+@pytest.mark.slow
 def test_arms_left_by_a_fall_come_to_rest(runs) -> None:
     assert np.isfinite(runs.times).all()
 

@@ -69,6 +69,7 @@ def test_the_nearest_orbit_is_held_to_the_end_of_the_run(tmp_path: Path) -> None
     assert gaps.max() < NEAR_ORBIT
 
 
+@pytest.mark.slow
 def test_without_it_the_same_push_ends_the_run_with_the_cart_at_rest(tmp_path: Path) -> None:
     ended, log = pushed(tmp_path, "--set", "hold=none")
     assert ended.code == 1

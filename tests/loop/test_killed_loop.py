@@ -70,6 +70,7 @@ class CopyingRig:
         return self.rig.read()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [100.0, 900.0, 1000.0, 10_000.0])
 def test_at_any_moment_all_but_the_last_twenty_five_milliseconds_are_in_the_file(tmp_path: Path, rate: float) -> None:
     rng = np.random.default_rng(7)

@@ -75,6 +75,7 @@ def distance_to_orbit(result: LoopResult, orbit: StandIn, period: float) -> floa
     return float(np.abs(orbit.final[None, :, :2] - last[:, None]).max(2).min(1).max())
 
 
+@pytest.mark.slow
 def test_real_runs_follow_to_the_end_and_show_the_orbit(tracked: tuple[StandIn, Reference]) -> None:
     orbit, reference = tracked
     period = DOWN_UP_LOW.period if reference.duration < 8 else UP_DOWN_HIGH.period
@@ -110,6 +111,7 @@ def test_the_right_model_tracks_to_encoder_counts(
         assert rms(result.ticks.control[:, FIELDS["applied"]]) < 2 * most / COUNT * turn[1].rms_cart_acceleration
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1, 3, 0.5, 1.25])
 def test_a_command_acts_after_the_delay_and_not_before(turn: tuple[StandIn, Reference], delay: float) -> None:
     first = turn[1].state(0.0)

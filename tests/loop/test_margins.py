@@ -92,6 +92,7 @@ def check_borders(
         assert works < 0.97 < fails, f"{name} = {value}: {works} inside, {fails} outside"
 
 
+@pytest.mark.slow
 def test_a_held_equilibrium_is_lost_where_its_margins_end() -> None:
     plan = plan_of("hold-up-up")
     settings = LoopSettings(seed=0, rate=200.0, controller=HoldSettings())

@@ -44,6 +44,7 @@ def test_the_reason_of_an_ending_is_true(plan: Plan, options: dict[str, Any], ki
     assert untrue(flight) == untrue_score(flight) == ""
 
 
+@pytest.mark.slow
 def test_the_carts_velocity_is_reported_if_its_scale_confirms_it(plan: Plan) -> None:
     with_and_without = []
     for knocks in (0, 5):

@@ -69,6 +69,7 @@ def rate_errors(result: LoopResult) -> float:
     return float(np.sqrt(np.mean((result.ticks.estimates - truth)[500:, 2:4] ** 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.0, 5e-4, 1e-3])
 def test_the_spread_of_the_readings_ages_is_found(turn: tuple[StandIn, Reference], jitter: float) -> None:
     result, loop, _ = flown(turn[1], SensorSettings(jitter=jitter))
@@ -78,6 +79,7 @@ def test_the_spread_of_the_readings_ages_is_found(turn: tuple[StandIn, Reference
     assert deviation(loop) == pytest.approx(uniform, rel=FOUND, abs=0.02 * PERIOD)
 
 
+@pytest.mark.slow
 def test_a_reported_age_leaves_the_rates_as_good_as_without_jitter(turn: tuple[StandIn, Reference]) -> None:
     jitter = SensorSettings(jitter=PERIOD)
     steady, unknown, known = (
@@ -88,6 +90,7 @@ def test_a_reported_age_leaves_the_rates_as_good_as_without_jitter(turn: tuple[S
     assert unknown > 1.5 * known
 
 
+@pytest.mark.slow
 def test_missing_readings_are_tolerated_without_events(turn: tuple[StandIn, Reference]) -> None:
     result, _, told = flown(turn[1], SensorSettings(dropout=0.03), Bursts)
     assert result.ending is Ending.FINISHED

@@ -262,6 +262,7 @@ def test_in_two_hundred_runs_of_all_that_can_go_wrong_the_cart_stays_inside_its_
     inside_its_limits(turn, controller, range(200))
 
 
+@pytest.mark.slow
 def test_sensors_that_work_are_never_called_stuck(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:

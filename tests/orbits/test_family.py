@@ -47,6 +47,7 @@ def test_both_families_end_in_homoclinics_of_up_up(families, system, saddle):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("saddle", ["down-up", "up-down"])
 def test_the_period_grows_at_the_slow_rate_of_up_up(system, saddle):
     """With two passages of Up-Up per period, energy - limit ~ exp(-μ T/2), μ from the linearised equations."""

@@ -139,6 +139,7 @@ def test_runs_without_a_verdict_are_counted_apart(tmp_path: Path) -> None:
     assert "1 without a verdict" in summary.status
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "content",
     [rows(), rows(controllers=("tvlqr",), each=8), [{"completed": False}], standard_rows(("a", "b", "c"))],

@@ -62,6 +62,7 @@ def test_a_run_in_memory_has_the_extras_of_its_log(adaptive: Run) -> None:
     assert memory.plant == adaptive.plant
 
 
+@pytest.mark.slow
 def test_the_page_has_a_chart_for_each_kind_with_the_truth_in_it(adaptive: Run) -> None:
     view = run_view(adaptive.log)
     shown = {chart.key: chart for chart in extra_charts(view)}
@@ -81,6 +82,7 @@ def test_the_zeros_found_are_those_that_were_drawn() -> None:
         assert away <= SIGMAS * view.extras.sigmas[-1, k] + 2e-3, name
 
 
+@pytest.mark.slow
 def test_other_laws_of_friction_leave_its_error_unknown(tmp_path: Path) -> None:
     model = load_itinerary("outer-turn").model
     rusty = tmp_path / "rusty.toml"

@@ -126,6 +126,7 @@ def test_an_unknown_figure_is_rejected_before_anything_is_drawn(gallery, tmp_pat
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_verb_prints_the_captions_and_accepts_every_name(tmp_path):
     done = dpcontrol("figures", "energy-landscape", "--out", tmp_path, "--json")
     assert done.code == 0

@@ -83,6 +83,7 @@ def test_sent_data_arrive_as_rows_at_fifty_hertz_and_are_drawn(plan, tmp_path: P
         assert f"{entity}:" in stats
 
 
+@pytest.mark.slow
 def test_a_run_is_the_same_with_a_live_view_and_without(plan, watched, tmp_path: Path) -> None:
     for name, shown in (("plain", False), ("live", True)):
         runs.run_plan(plan, tmp_path / f"{name}.mcap", live=live_view if shown else None)

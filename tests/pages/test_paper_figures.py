@@ -118,6 +118,7 @@ def test_cuts_at_six_energies_have_the_connections_of_their_searches(shown):
         assert lowest <= energy
 
 
+@pytest.mark.slow
 def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay(shown):
     """An independent check of staying: three laps of a periodic orbit end where it began."""
     page = wheels.wheels_page(shown, saddle="down-up")

@@ -36,6 +36,7 @@ def _share_set(path: Path) -> float:
     return float((np.abs(pixels - pixels[0, 0]).max(axis=-1) > 0.1).mean())
 
 
+@pytest.mark.slow
 def test_a_drawn_picture_is_not_empty_and_gives_the_reason_for_matplotlib(
     run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -58,6 +59,7 @@ def test_texts_in_the_drawn_picture_do_not_overlap(run: RunView) -> None:
         assert problems(draw(shown)) == []
 
 
+@pytest.mark.slow
 def test_without_a_driver_the_picture_is_drawn(run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(viewer, "missing_renderer", lambda: "no Vulkan driver is installed")
     made = write_picture(run, tmp_path / "run.png")
@@ -99,6 +101,7 @@ def _mark(process: psutil.Process) -> str | None:
         return None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
 def test_other_shapes_are_drawn_too(tmp_path: Path, arms: int, has_cart: bool, ticks: int) -> None:
     log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)

@@ -92,6 +92,7 @@ def test_data_before_a_lost_estimate_stay_visible(tmp_path: Path) -> None:
         assert (top < box.y1) == (case is lost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("span", [1e-4, 1e-2, 0.5, 20.0])
 def test_labels_of_an_angle_distinguish_its_ticks(tmp_path: Path, span: float) -> None:
     run = synthetic_run()

@@ -175,6 +175,7 @@ def test_the_film_shows_every_symbol_in_few_rows(count: int, rows: int) -> None:
     assert film[1] * film[2] <= 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [1, 16, 21])
 def test_walks_of_any_length_are_drawn(length: int, tmp_path: Path) -> None:
     chain = random_walk(edges(LOW), length, np.random.default_rng(4))

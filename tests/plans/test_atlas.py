@@ -282,6 +282,7 @@ def test_files_that_are_cut_short_or_no_archives_are_refused(saved, tmp_path):
         load_atlas(tmp_path / "none.npz")
 
 
+@pytest.mark.slow
 def test_an_atlas_is_computed_once_and_again_if_damaged_or_requested(model, tmp_path, monkeypatch):
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
     first = make_atlas(model, -0.07)

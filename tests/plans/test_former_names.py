@@ -45,6 +45,7 @@ def test_each_former_option_is_a_path_of_set(name: str) -> None:
     assert resolved(FORMER[name])
 
 
+@pytest.mark.slow
 def test_a_run_with_former_options_has_their_settings(tmp_path: Path) -> None:
     run = ("run", "hold-down-down", "--json", "--force", "--out", tmp_path / "run.mcap")
     former = dpcontrol(*run, "--drive-lag", "0.002", "--rate-noise=0.01")

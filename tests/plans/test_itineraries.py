@@ -38,6 +38,7 @@ def scene(folder: Path, **changes: str) -> Path:
     return file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", JOURNEYS)
 def test_a_shipped_itinerary_is_followed_by_an_orbit_with_its_stops_turns_and_wraps(name: str) -> None:
     itinerary = load_itinerary(name)

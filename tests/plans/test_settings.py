@@ -165,6 +165,7 @@ def test_run_options_still_work_and_are_deprecated() -> None:
     assert (loop.drive.lag, loop.sensors.rate_noise) == (0.002, 0.1)
 
 
+@pytest.mark.slow
 def test_a_log_of_version_0_2_0_is_read_and_its_run_repeated(tmp_path: Path) -> None:
     again = dpcontrol("run", "--from", OLD / "run-0.2.0.mcap", "--out", tmp_path / "again.mcap", "--json")
     assert again.code == 0, again.stderr

@@ -234,6 +234,7 @@ def test_three_arms_are_led_between_their_equilibria_as_two_are(tmp_path: Path) 
     assert plan.converged
 
 
+@pytest.mark.slow
 def test_transitions_fill_a_square_and_are_refused_where_there_are_none(there_and_back: Plan, tmp_path: Path) -> None:
     file, picture = tmp_path / "tour.npz", tmp_path / "square.png"
     file.write_bytes(there_and_back.archive)
@@ -251,6 +252,7 @@ def test_transitions_fill_a_square_and_are_refused_where_there_are_none(there_an
     assert not (tmp_path / "none.png").exists()
 
 
+@pytest.mark.slow
 def test_each_transition_is_flown_alone_from_hold_to_hold(there_and_back: Plan, tmp_path: Path) -> None:
     table = tmp_path / "legs.parquet"
     found = dp.campaign(there_and_back, runs=2, over={"mismatch": (0.01, 0.5)}, transitions=True, workers=1, out=table)

@@ -125,6 +125,7 @@ FALSE_SYMBOLS = {
 }
 
 
+@pytest.mark.slow
 def test_the_check_runs_without_the_search(lab: dict[str, Any], tmp_path: Path) -> None:
     """A corrupted certificate is still rejected, and a valid one confirmed, if the modules of the search are absent."""
     search = ("flow", "charts", "periodic", "connect", "prove")

@@ -30,6 +30,7 @@ def steepest(found: ConnectionSearch) -> Proof:
     return prove_connections([one], energy=ENERGY, whole=True)
 
 
+@pytest.mark.slow
 def test_a_homoclinic_is_proved_with_the_computed_angle_and_state(found: ConnectionSearch, steepest: Proof) -> None:
     assert steepest.proved, steepest.status
     one = max(found.connections, key=lambda c: c.transversality_angle)
@@ -46,6 +47,7 @@ def test_one_homoclinic_gives_a_horseshoe_with_entropy(steepest: Proof) -> None:
     assert steepest.figures["least_wraps"] >= 1
 
 
+@pytest.mark.slow
 def test_a_nonexistent_connection_is_not_proved(found: ConnectionSearch) -> None:
     one = found.connections[0]
     orbit = one.orbit

@@ -36,6 +36,7 @@ def near(text: str, value: float, relative: float = DOUBLE) -> bool:
     return bool(gap < flint.arb(relative) * abs(flint.arb(value)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [("lab", "down-up", -0.07), ("lab", "up-down", 0.2), ("printed", "down-up", -0.07)])
 def test_enclosures_contain_the_independent_period_multiplier_and_state(case: tuple[str, str, float]) -> None:
     state, period, multiplier, _ = LYAPUNOV_ORBITS[case]
@@ -48,6 +49,7 @@ def test_enclosures_contain_the_independent_period_multiplier_and_state(case: tu
         assert abs(number(text) - flint.arb(value)) < DOUBLE
 
 
+@pytest.mark.slow
 def test_a_period_differs_from_that_of_the_parameters_doubles_in_the_sixteenth_digit_only() -> None:
     proof = dp.prove(dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07))
     with working(160):
@@ -56,6 +58,7 @@ def test_a_period_differs_from_that_of_the_parameters_doubles_in_the_sixteenth_d
         assert number(proof.figures["period"]).rad() < flint.arb(5e-21)
 
 
+@pytest.mark.slow
 def test_orbits_of_three_bodies_and_a_users_hamiltonian_are_proved() -> None:
     def hamiltonian(q: Any, p: Any, c: Any) -> Any:
         (x, y), (px, py) = q, p
@@ -77,6 +80,7 @@ def refused(proof: Proof) -> bool:
     return not proof.proved and proof.status.startswith("not proved: ") and "false" not in proof.status
 
 
+@pytest.mark.slow
 def test_a_wrong_node_a_large_ball_and_an_elliptic_orbit_are_not_proved() -> None:
     lab = dp.load_model("lab")
     orbit = dp.orbit(lab, "down-up", energy=-0.07)
@@ -160,6 +164,7 @@ def test_nodes_are_corrected_to_the_energy() -> None:
     assert found.exists > flint.arb(1e-13)
 
 
+@pytest.mark.slow
 def test_the_command_line_reports_proofs_and_missing_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     done = dpcontrol("prove", "orbit", "lab", "--saddle", "down-up", "--energy", "-0.07", "--json")
     assert done.code == 0

@@ -61,6 +61,7 @@ def test_its_certificate_is_confirmed(proof: Proof) -> None:
     assert "exactly one periodic orbit" in check(proof.certificate).status
 
 
+@pytest.mark.slow
 def test_a_walk_with_other_symbols_wraps_or_turns_is_not_proved(graph: Edges, turn: ShadowingOrbit) -> None:
     other = next(c for c in graph.connections if c.sense > 0 and c.name != turn.walk[0])
     for wrong in (
@@ -73,6 +74,7 @@ def test_a_walk_with_other_symbols_wraps_or_turns_is_not_proved(graph: Edges, tu
         assert found.status.startswith("not proved: a closed orbit exists")
 
 
+@pytest.mark.slow
 def test_a_perturbed_orbit_is_not_proved(turn: ShadowingOrbit) -> None:
     states = turn.orbit.states.copy()
     states[5] += 1e-5

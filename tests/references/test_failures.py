@@ -84,6 +84,7 @@ def cost_at_the_arms_own_friction(problem: ReferenceProblem) -> float:
     return found.rms_cart_acceleration**2 * found.duration
 
 
+@pytest.mark.slow
 def test_excessive_friction_is_reported_with_the_share_that_can_be_compensated() -> None:
     orbit = orbit_stretch(0.75)
     found = find_reference(problem_of(orbit.guess, orbit.duration, friction=60.0), QUICK)

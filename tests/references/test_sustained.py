@@ -121,6 +121,7 @@ def test_without_friction_the_sustained_orbit_is_the_lyapunov_orbit() -> None:
         assert values[1:-1] == pytest.approx(np.ones(len(values) - 2), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_multipliers_agree_with_the_integration_of_a_period() -> None:
     orbit = sustained("down-up", -0.07)
     columns = []

@@ -281,6 +281,7 @@ def test_noise_on_the_command_stays_within_the_reach_and_is_part_of_the_errors()
     assert abs(delay["delay"] + delay["lag"] * RATE - 2.0) < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("play", "seed"), [((0.0043, 0.0127), 5), ((0.0152, 0.0), 6), ((0.0, 0.0061), 7)])
 def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: int) -> None:
     rig = bench(mechanics={"play": play}, drive={"lag": 0.006, "command_noise": 0.1}, seed=seed)
@@ -296,6 +297,7 @@ def test_the_play_of_each_encoder_is_measured(play: tuple[float, float], seed: i
     assert next(f for f in commissioned(rig, said=said).findings if f.step == "play").verdict is Grade.OK
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("torque", "play", "seed"), [(0.0007, 0.0, 3), (0.0013, 0.006, 4), (0.0004, 0.003, 5)])
 def test_dry_friction_is_measured_to_a_half(torque: float, play: float, seed: int) -> None:
     rig = bench(mechanics={"stiction": torque, "kinetic": 1.0, "play": play}, drive={"lag": 0.004}, seed=seed)

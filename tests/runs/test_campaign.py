@@ -135,6 +135,7 @@ def test_lockstep_and_loop_come_to_the_same_outcome(turn: Itinerary, tmp_path: P
     assert {row["path"] for row in read_rows(ticks)[0]} == {"ticks"}
 
 
+@pytest.mark.slow
 def test_an_interrupted_campaign_continues(
     turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -432,6 +433,7 @@ def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) 
     assert isinstance(cases[0].loop.controller, TvlqrSettings)
 
 
+@pytest.mark.slow
 def test_a_score_is_the_mean_share_over_the_kinds(turn: Itinerary, tmp_path: Path) -> None:
     every = standard_cases(turn, fixed={}, controllers=["tvlqr"])
     chosen = [case for case in every if dict(case.values)["level"] in (0.0, 20.0)]

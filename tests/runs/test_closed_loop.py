@@ -30,6 +30,7 @@ def test_runs_differ_by_their_seed_alone_whatever_was_run_before(loop: ClosedLoo
     assert first.metadata["seed"] == again.metadata["seed"] == "3"
 
 
+@pytest.mark.slow
 def test_the_controller_is_made_once_for_runs_margins_and_export(monkeypatch: pytest.MonkeyPatch) -> None:
     made, make = [], assembly.make_controller
 
@@ -46,6 +47,7 @@ def test_the_controller_is_made_once_for_runs_margins_and_export(monkeypatch: py
     assert len(made) == 1
 
 
+@pytest.mark.slow
 def test_a_campaign_of_the_object_counts_as_the_shortcut_does(loop: ClosedLoop) -> None:
     options = {"lag": 0.002}
     own = loop.campaign(runs=4).table.to_pylist()

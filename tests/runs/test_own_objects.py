@@ -39,6 +39,7 @@ def test_an_own_estimator_flies_and_the_log_lists_disabled_checks() -> None:
     assert "Filter has no sigmas: NIS and the check of the estimate are off" in [e.text for e in run.log.events]
 
 
+@pytest.mark.slow
 def test_with_its_sigmas_the_estimate_is_judged() -> None:
     run = dp.closed_loop("outer-turn", controller="tvlqr", estimator=Judged()).run(seed=3)
     assert run.converged
@@ -112,6 +113,7 @@ def test_a_call_that_lasts_too_long_is_interrupted(sleeps: bool) -> None:
     assert time.monotonic() - began < 60
 
 
+@pytest.mark.slow
 def test_estimators_plants_and_rigs_end_a_run_by_name_as_laws_do() -> None:
     class Half(Filter):
         def update(self, reading, acceleration):
@@ -143,6 +145,7 @@ def test_a_missing_method_is_an_input_error_before_anything_runs(role: str) -> N
         dp.closed_loop("outer-turn").run(rig=Mute())
 
 
+@pytest.mark.slow
 def test_a_campaign_compares_laws_counts_failures_and_continues() -> None:
     found = dp.closed_loop("outer-turn").campaign(runs=2, over={"controller": ["tvlqr", Gains(), Wrong()]})
     assert [one.completed.successes for one in found.results] == [2, 2, 0]

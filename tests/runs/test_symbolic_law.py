@@ -39,6 +39,7 @@ def same_gains() -> dp.SymbolicLaw:
     return dp.SymbolicLaw(own, memory=1)
 
 
+@pytest.mark.slow
 def test_expressions_fly_as_the_same_law_in_python_does() -> None:
     gain = HELD.gain
 
@@ -52,6 +53,7 @@ def test_expressions_fly_as_the_same_law_in_python_does() -> None:
     assert made.log.events[0].text.startswith("own, ekf")
 
 
+@pytest.mark.slow
 def test_lockstep_flies_what_single_runs_do() -> None:
     loop = dp.closed_loop(PLAN, controller=same_gains())
     batch = loop.assembly.batch([3, 4])
@@ -62,6 +64,7 @@ def test_lockstep_flies_what_single_runs_do() -> None:
         assert np.array_equal(run.truth, alone.log.states["truth"])
 
 
+@pytest.mark.slow
 def test_the_memory_starts_at_first_and_continues_from_tick_to_tick() -> None:
     def counts(state, reference, memory, parameters):
         return memory[0] + memory[1], ca.vertcat(memory[0] + 0.001, memory[1])
@@ -71,6 +74,7 @@ def test_the_memory_starts_at_first_and_continues_from_tick_to_tick() -> None:
     assert commands[:40] == pytest.approx(0.001 * np.arange(40) - 0.25, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_parameters_are_those_of_the_model() -> None:
     def weighs(state, reference, memory, parameters):
         return 1e-3 * parameters[0], ()
@@ -111,6 +115,7 @@ def test_the_example_flies_counts_and_leaves_as_c_that_replays_its_run(
     assert "1e-09 allowed" in done.stderr
 
 
+@pytest.mark.slow
 def test_another_expression_is_another_controller() -> None:
     def exported(gain: float) -> str:
         def law(state, reference, memory, parameters):
@@ -141,6 +146,7 @@ def test_a_memory_of_another_length_is_refused() -> None:
         dp.SymbolicLaw(lambda s, r, m, p: (0, m), memory=2, first=[1.0])
 
 
+@pytest.mark.slow
 def test_a_command_that_is_not_finite_ends_the_run_and_not_the_campaign(tmp_path: Path) -> None:
     (tmp_path / "laws.py").write_text(FILE)
     law = f"{tmp_path / 'laws.py'}:law"

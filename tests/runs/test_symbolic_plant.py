@@ -111,6 +111,7 @@ def test_the_examples_run_and_count(
     assert np.abs(last.log.controls["feedback"]).mean() > 1.2 * np.abs(first.log.controls["feedback"]).mean()
 
 
+@pytest.mark.slow
 def test_a_plant_of_expressions_flies_in_lockstep_as_alone_and_keeps_its_arms(tmp_path: Path) -> None:
     file = tmp_path / "plants.py"
     file.write_text(

@@ -220,6 +220,7 @@ def test_values_of_the_literature():
         assert orbit("de-leon-berne", "barrier", energy).period == pytest.approx(expected, rel=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "energy", "kinds"), [("de-leon-berne", 1.1, 1), ("henon-heiles", 0.2, 15), ("hill", -2.0, 6)]
 )
@@ -234,6 +235,7 @@ def test_an_atlas_and_the_graph_contain_the_results_of_searches(name, energy, ki
     assert len(set(first)) == len(first)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "energy", "walk"),
     [

@@ -99,6 +99,7 @@ def refined(request, lab, found):
     return state, connection, in_113_bits(lab, connection, key[2])
 
 
+@pytest.mark.slow
 def test_a_refined_connection_equals_the_reference_to_the_last_bit(refined):
     state, connection, found = refined
     expected = np.array(state)

@@ -112,6 +112,7 @@ def test_connections_at_other_energies_agree_with_extended_precision(lab, source
         assert np.abs(end.state.astype(float) - orbit.state).max() < STATE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("energy", [-0.12, 0.05, 0.15])
 def test_connections_at_other_energies_reach_both_orbits(lab, energy):
     found = find_connections(*orbits_between(lab.system, "down-up", "down-up", energy))

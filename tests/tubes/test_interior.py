@@ -175,6 +175,7 @@ def test_points_that_do_not_return_in_time_are_marked(carried):
     assert np.all(short.forward.in_stable[missing] == 0)
 
 
+@pytest.mark.slow
 def test_a_figure_is_drawn(carried, tmp_path):
     save_figure(draw_interior(carried), tmp_path / "unstable.png")
     assert (tmp_path / "unstable.png").stat().st_size > 5_000

@@ -59,6 +59,7 @@ def test_l1_homoclinics_on_the_far_side_are_found_among_all(three_body):
         assert c.winding == (0, 0)
 
 
+@pytest.mark.slow
 def test_l1_and_l2_are_first_connected_at_the_second_crossing(three_body):
     orbits = orbits_between(three_body, "L1", "L2", ENERGY)
     settings = ConnectionSettings(cut=CutSettings(longest=3.2))
@@ -76,6 +77,7 @@ def test_l1_and_l2_are_first_connected_at_the_second_crossing(three_body):
         assert before[0] == pytest.approx(THREE_BODY["L1"][0], abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_chaotically_scattering_branch_is_stopped_and_reported(three_body):
     manifold = UnstableManifold(lyapunov_orbit(three_body, "L1", energy=ENERGY), 1e-4)
     settings = CutSettings(longest=8.0, most_jumps=15)

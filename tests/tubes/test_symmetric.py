@@ -94,6 +94,7 @@ def test_a_search_stops_at_a_second_unstable_direction() -> None:
     assert "2 unstable directions" in search.status
 
 
+@pytest.mark.slow
 def test_three_arms_turn_along_the_tube_in_closed_loop_while_the_cart_moves_by_millimetres(turn: Connection) -> None:
     search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, "")
     back = dp.shadow(search, ["down-down-up -"], lead_in=1, lead_out=1)

@@ -33,6 +33,7 @@ def spring(**options):
     )
 
 
+@pytest.mark.slow
 def test_a_pendulum_on_a_spring_is_searched_on_its_hanging_section():
     """The default section gives the result of the hanging section."""
     named = spring(

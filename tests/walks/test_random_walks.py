@@ -43,6 +43,7 @@ def test_random_walks_give_the_requested_orbits(edges, classifier, solver):
         assert classifier.complaints(orbit) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leads", [(0, 0), (30, 30)])
 def test_leads_of_any_length_are_part_of_the_orbit(edges, classifier, solver, leads):
     chain = random_walk(edges, 3, np.random.default_rng(SEED))

@@ -46,6 +46,7 @@ def test_a_connection_is_followed_beyond_the_change_of_its_symbol(printed):
     assert back.name == first.name
 
 
+@pytest.mark.slow
 def test_a_symbol_with_a_single_motion_has_no_changes():
     system = load_model("lab").system
     branches = SymbolBranches(system, parse_symbol("down-up -", system.saddles))
