@@ -33,6 +33,7 @@ def main() -> None:
             _end_quickly(ended.code)
         raise
     finally:
+        _discard_unwritable_output()
         # The work is done and its exit code is known. The end of the interpreter must not change it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -47,6 +48,15 @@ def _open_streams() -> None:
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r" if name == "stdin" else "w"))
+
+
+def _discard_unwritable_output() -> None:
+    """Empty the buffer of a full or closed stdout. Python's own attempt at exit would replace the exit code by 120."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _ended_at_once(number: int, frame: FrameType | None) -> None:

@@ -227,7 +227,9 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
     else:
         sentence, code = _unforeseen(error, arguments), 70
     if call.as_json and not call.shown:
-        print_json({"status": sentence, "error": code != 1})
+        # The message on stderr and the exit code remain if stdout is full or closed.
+        with suppress(OSError):
+            print_json({"status": sentence, "error": code != 1})
     if call.debug:
         print_message("".join(traceback.format_exception(error)).rstrip())
     # Names may hold line breaks; each mistake is one line.

@@ -1,13 +1,15 @@
 """Errors found by the fuzz tests, each with its call."""
 
 import json
+import os
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
+from command_line import PROGRAM, dpcontrol
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.replay import filter_settings
@@ -246,3 +248,24 @@ def test_a_log_with_extremely_slow_samples_is_refused() -> None:
         ended = dpcontrol(verb, "slow.mcap")
         assert ended.code == 2
         assert "the tick rate in its layout is 1e-09 Hz" in ended.message
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is Linux's")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    ("call", "code", "said"),
+    [
+        ("model none --json", 2, "there is no model named 'none'"),
+        ("model lab --json", 1, "no space left in the output folder"),
+        ("model lab", 1, "no space left in the output folder"),
+    ],
+)
+def test_a_full_output_gives_one_sentence_and_the_exit_code(call: str, code: int, said: str, unbuffered: str) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [PROGRAM, *call.split()], stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+        )  # fmt: skip
+    assert done.returncode == code
+    assert done.stderr.startswith(f"dpcontrol: {said}")
+    assert done.stderr.count("\n") == 1
