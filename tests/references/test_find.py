@@ -151,7 +151,7 @@ def test_too_few_rounds_are_reported_with_the_error_and_a_remedy() -> None:
 def test_a_tolerance_below_double_precision_does_not_refine_without_end() -> None:
     reference = find_reference(stretch_problem(duration=0.2), ReferenceSettings(tolerance=1e-18))
     assert not reference.converged
-    assert "where 1.0e-18 is asked" in reference.status
+    assert "where 1.0e-18 is required" in reference.status
 
 
 def test_splitting_keeps_accurate_intervals() -> None:

@@ -96,7 +96,7 @@ def test_the_pages_constants_are_the_programs_own() -> None:
     assert f"{len(sealed) - len(plain)} further bytes" in " ".join(PACKETS.split())
     link, server = LinkSettings(), BenchServerSettings()
     for text in (
-        f"every {client._ASK_EVERY:g} s for up to {link.answer:g} s",
+        f"every {client._REQUEST_INTERVAL:g} s for up to {link.answer:g} s",
         f"overdue by {1e3 * link.patience:g} ms",
         f"nothing from the loop for {server.watchdog:g} s",
         f"nothing from the loop for {bench._LEAVING:g} s",
