@@ -153,7 +153,8 @@ class Job:
     @property
     def key(self) -> str:
         """Hash of the job's inputs, as 16 hexadecimal digits."""
-        return content_hash(self.reference, repr(self))
+        # The repr of a case is one line without its settings.
+        return content_hash(self.reference, repr(self), repr(self.case.values), repr(self.case.loop))
 
 
 @lru_cache(maxsize=8)

@@ -458,3 +458,14 @@ def test_a_thousand_runs_with_a_killed_dask_worker_and_a_restarted_scheduler_giv
         {k: v for k, v in found.document().items() if k not in ("seconds", "file")} for found in (quiet, failing)
     ]
     assert figures[0] == figures[1]
+
+
+def test_jobs_that_differ_in_a_setting_differ_in_their_keys() -> None:
+    itinerary = load_itinerary("outer-turn")
+    changes = ({}, {"mismatch": 0.5}, {"controller": "tvlqr"}, {"supervisor.lost_tracking": 1.0}, {"drive.lag": 0.001})
+    keys = {
+        campaign_jobs.Job("turn", b"", itinerary.model.arms, case, (0,), "ticks").key
+        for change in changes
+        for case in [campaign_jobs.Case("", (), itinerary.with_run(change, seed=0).loop)]
+    }
+    assert len(keys) == len(changes)
