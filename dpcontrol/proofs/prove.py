@@ -109,10 +109,9 @@ def surface_of(system: System, energy: Fraction) -> Surface:
     """
     if system.dimension != 4:
         raise InputError(f"{system.name} has {system.dimension // 2} degrees of freedom: proofs support only two")
-    turning = tuple(bool(p == 2 * np.pi) for p in system.periods)
     values = [Fraction(repr(v)) for v in system.parameters.tolist()]
     exact = system.model.exact_parameters if isinstance(system, ModelSystem) else values
-    return Surface(Field.of(system, exact), energy, turning)
+    return Surface(Field.of(system, exact), energy, tuple(bool(p == 2 * np.pi) for p in system.periods))
 
 
 def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -> Proof:
