@@ -102,7 +102,7 @@ def test_a_law_with_internal_timing_cannot_resume(plan) -> None:
 @pytest.mark.slow
 def test_a_plan_that_was_made_without_starts_gets_them_where_its_runs_recover(plan) -> None:
     alone = make_plan(load_itinerary("outer-turn"))
-    (case,) = cases_of(alone.itinerary, fixed=replace(RESUME, pushes=2, push_impulse=0.02), over={})
+    (case,) = cases_of(alone.itinerary, fixed={**RESUME, "pushes": 2, "push_impulse": 0.02}, over={})
     campaign = run_campaign(alone, [case], settings=CampaignSettings(runs=2, first_seed=3, workers=1), yes=True)
     assert campaign.completed.successes == 2
     assert plan_notes(recoverable(replace(alone, itinerary=plan.itinerary)).reference)["starts"]
