@@ -18,8 +18,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
+from dpcontrol.control.symbolic import Setpoint as Setpoint
 from dpcontrol.control.symbolic import SymbolicLaw as SymbolicLaw
-from dpcontrol.control.symbolic import Wanted as Wanted
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.components import Sizes as Sizes
 from dpcontrol.dynamics.components import SymbolicPlant as SymbolicPlant

@@ -20,7 +20,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.reference import Reference
 
 
-class Wanted(NamedTuple):
+class Setpoint(NamedTuple):
     """Target of a law.
 
     State (N,), and feedforward, the cart's acceleration along the reference, m/s².
@@ -46,7 +46,7 @@ class SymbolicLaw:
 
     def __init__(
         self,
-        function: Callable[[ca.SX, Wanted, ca.SX, ca.SX], tuple[Any, Any]],
+        function: Callable[[ca.SX, Setpoint, ca.SX, ca.SX], tuple[Any, Any]],
         *,
         memory: int = 0,
         first: Sequence[float] | None = None,
@@ -73,7 +73,7 @@ class SymbolicLaw:
         sizes = (states, states, 1, memory, parameters)
         state, wanted, forward, kept, known = symbols = [ca.SX.sym(*one) for one in zip(names, sizes, strict=True)]
         try:
-            command, following = self.function(state, Wanted(wanted, forward), kept, known)
+            command, following = self.function(state, Setpoint(wanted, forward), kept, known)
             after = ca.vertcat(*following) if isinstance(following, list | tuple) else ca.SX(following)
             out = ca.densify(ca.vertcat(ca.SX(command), after))
             made = ca.Function("law", symbols, [out], [*names], ["out"])

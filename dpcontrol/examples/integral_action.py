@@ -46,7 +46,7 @@ def law(weight: float) -> dp.SymbolicLaw:
     """Return the regulator, without integral action if the weight is 0."""
     gain = gains(max(weight, 1e-9))
 
-    def lqr(state: ca.SX, reference: dp.Wanted, memory: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def lqr(state: ca.SX, reference: dp.Setpoint, memory: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX]:
         error: ca.SX = state - reference.state
         command: ca.SX = reference.feedforward - ca.dot(gain[:6], error) - (gain[6] * memory[0] if weight else 0)
         return command, memory + model.period * error[CART]

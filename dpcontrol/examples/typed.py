@@ -19,7 +19,7 @@ class Damped:
     gain: float
     called: int = 0
 
-    def control(self, time: float, state: NDArray[np.float64], reference: dp.Wanted) -> float:
+    def control(self, time: float, state: NDArray[np.float64], reference: dp.Setpoint) -> float:
         self.called += 1
         return float(reference.feedforward) + self.gain * float(state[2] - reference.state[2])
 

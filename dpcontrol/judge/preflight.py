@@ -19,7 +19,7 @@ def shown_number(value: float) -> str:
 
 
 @dataclass(frozen=True)
-class Fact:
+class Assumption:
     """A known property of the bench, as text, and its source."""
 
     name: str
@@ -202,7 +202,7 @@ class Preflight(Shown):
     model: str
     share: Share
     confidence: float
-    known: tuple[Fact, ...]
+    known: tuple[Assumption, ...]
     notes: tuple[str, ...]
     endings: tuple[EndingShare, ...]
     borders: tuple[HazardBorder, ...]

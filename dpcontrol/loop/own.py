@@ -29,7 +29,7 @@ import numpy as np
 
 from dpcontrol.control.estimator_settings import FilterSettings
 from dpcontrol.control.interface import Action, Estimate, Mode, Present, SampledModel
-from dpcontrol.control.symbolic import SymbolicLaw, Wanted
+from dpcontrol.control.symbolic import Setpoint, SymbolicLaw
 from dpcontrol.control.tracking import ReferenceController
 from dpcontrol.dynamics.components import SymbolicPlant
 from dpcontrol.dynamics.plant import PlantParameters, after_blow
@@ -350,7 +350,7 @@ class OwnSession:
             if not self._begun:
                 self._begun = True
                 law.own.reset()
-            value = law.own.number("control", tick * law.period, state, Wanted(wanted.copy(), forward))
+            value = law.own.number("control", tick * law.period, state, Setpoint(wanted.copy(), forward))
         except OwnFailure as failure:
             self.failure = failure
         return Action(forward, value - forward, wanted, Mode.TRACKING)

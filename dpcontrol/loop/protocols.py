@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 from dpcontrol.foundation.arrays import Array
 
 if TYPE_CHECKING:
-    from dpcontrol.control.symbolic import Wanted
+    from dpcontrol.control.symbolic import Setpoint
     from dpcontrol.loop.result import Reading
 
 
 class UserLaw(Protocol):
     """A control law. It may have `reset()`, which is called before each run."""
 
-    def control(self, time: float, state: Array, reference: "Wanted", /) -> float:
+    def control(self, time: float, state: Array, reference: "Setpoint", /) -> float:
         """Return the cart's acceleration.
 
         Args:

@@ -36,7 +36,7 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress,
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.campaign import plain_reason
-from dpcontrol.judge.preflight import EndingShare, Fact, HazardBorder, Improvement, Preflight, ShareAt
+from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
@@ -547,7 +547,7 @@ def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
     return tuple(EndingShare(*words, len(rows), rows[0].seed, rows[0].reason) for words, rows in ordered)
 
 
-def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Fact]]:
+def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Assumption]]:
     """Return the scene with its runs drawn from the known errors of arms and bench, and a list of these.
 
     Raises:
@@ -572,21 +572,21 @@ def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Iti
     known = []
     if loop.model_uncertainty:
         source = f"identified: {scene.model.path.name}"
-        known.append(Fact("arms", f"standard errors × {loop.model_uncertainty:g}", source))
+        known.append(Assumption("arms", f"standard errors × {loop.model_uncertainty:g}", source))
     if loop.plant is not None:
-        known.append(Fact("plant", "other arms", of("plant")))
+        known.append(Assumption("plant", "other arms", of("plant")))
     if loop.mismatch or not loop.model_uncertainty:
         unknown = "" if identified else f"; {scene.model.path.name} has no [uncertainty]"
         source = "assumed" if assumed else of("mismatch")
-        known.append(Fact("arms", f"each parameter off by up to ±{loop.mismatch:.3g}", source + unknown))
+        known.append(Assumption("arms", f"each parameter off by up to ±{loop.mismatch:.3g}", source + unknown))
     limit = loop.travel or scene.limits.position
     known += [
-        Fact("start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
-        Fact("delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
-        Fact("lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
-        Fact("encoders", f"{sensors.counts:,} counts a turn" if sensors.counts else "not rounded", of("counts")),
-        Fact("zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
-        Fact("travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
+        Assumption("start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
+        Assumption("delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
+        Assumption("lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
+        Assumption("encoders", f"{sensors.counts:,} counts a turn" if sensors.counts else "not rounded", of("counts")),
+        Assumption("zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
+        Assumption("travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
     ]
     others = {
         "command noise": (drive.command_noise, "m/s²", "command_noise"),
@@ -594,13 +594,15 @@ def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Iti
         "tilt": (blows.tilt, "rad", "tilt"),
         "blows": (blows.push_impulse if blows.pushes else 0.0, "N m s", "push_impulse"),
     }
-    known += [Fact(name, f"{value:g} {unit}", of(key)) for name, (value, unit, key) in others.items() if value]
+    known += [Assumption(name, f"{value:g} {unit}", of(key)) for name, (value, unit, key) in others.items() if value]
     for key in ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "initial_rate", "initial_cart"):
         if value := getattr(loop.mechanics, key):
             shown = " and ".join(f"{one:g}" for one in (value if isinstance(value, tuple) else (value,)))
             unit = bounds_of(MechanicsSettings)[key].unit
-            known.append(Fact(key.replace("_", " "), f"{shown} {unit}", of(key)))
-    known.append(Fact("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator")))
+            known.append(Assumption(key.replace("_", " "), f"{shown} {unit}", of(key)))
+    known.append(
+        Assumption("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator"))
+    )
     return chosen, known
 
 

@@ -26,7 +26,7 @@ from dpcontrol.identification.identify import IdentificationSettings, identify, 
 from dpcontrol.judge.campaign import campaign_summary
 from dpcontrol.judge.comparison import compare
 from dpcontrol.judge.of_log import reference_view
-from dpcontrol.judge.preflight import EndingShare, Fact, HazardBorder, Improvement, Preflight, ShareAt
+from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
@@ -105,7 +105,7 @@ def preflight(_: Path) -> Figure:
         for name, unit in units.items()
     )
     change = Improvement("identify the arms: half the mismatch", {}, 12, 20, 0, 20, 0.8)
-    known = tuple(Fact(name, "a value with its unit", "[run] or the model's file") for name in units)
+    known = tuple(Assumption(name, "a value with its unit", "[run] or the model's file") for name in units)
     ending = EndingShare("tracking lost", "lost", 31, 12, "tracking lost at t = 2.31 s: the arms were 1.52 rad off")
     share = wilson(158, 200, confidence=0.99)
     title = "Turn the outer arm once"
