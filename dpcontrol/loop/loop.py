@@ -152,9 +152,9 @@ class ControlLoop:
             except ArithmeticError as failure:
                 self._fail(k, failure)
                 break
-            began = clock()
+            called = clock()
             report = ticker(k, reading, None if noise is None else noise[k])
-            thought(clock() - began)
+            thought(clock() - called)
             rig.command(report.item(command, 0))
             take(k - self._first, reading, report, rig.truth, ticker.references[k - ticker.began])
             self._done = done = k + 1

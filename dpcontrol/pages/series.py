@@ -516,7 +516,7 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
     found = []
     if view.plan.planned:
         between = [Span(a, b, "change of orbit", style.FAINT, "transfer") for a, b in view.plan.transfers]
-        name = "near" if view.what == "walk" else "asked"
+        name = "near" if view.what == "walk" else "planned"
         found.append(Strip("asked", name, (*_stays(view.plan.planned), *between)))
         if view.what not in ("reference", "walk"):
             found.append(Strip("done", "done", (*_stays(view.done), *ended)))

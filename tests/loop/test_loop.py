@@ -91,6 +91,8 @@ def test_real_runs_follow_to_the_end_and_show_the_orbit(tracked: tuple[StandIn, 
 def test_feedforward_alone_is_lost_with_a_reason(tracked: tuple[StandIn, Reference]) -> None:
     settings = replace(REAL, controller=FeedforwardSettings())
     result = Assembly(tracked[1], LAB, settings).simulate()
+    # The duration of the run includes that of all its ticks.
+    assert result.elapsed > result.thinking.sum()
     assert result.ending is Ending.TRACKING_LOST
     assert "tracking lost at t = " in result.reason
     assert not result.finished
