@@ -9,6 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from command_line import dpcontrol
 
@@ -16,8 +17,8 @@ import dpcontrol as dp
 
 pytest.importorskip("flint")
 
-from dpcontrol.proofs.balls import NotClosed, working
-from dpcontrol.proofs.check import check, digest
+from dpcontrol.proofs.balls import NotClosed, flint, symmetric, working
+from dpcontrol.proofs.check import _trace_of_product, check, digest
 from dpcontrol.proofs.prove import ProofSettings
 from dpcontrol.proofs.symbols import Enclosed, check_symbols
 
@@ -151,6 +152,29 @@ def test_the_check_confirms_a_certificate(lab: dict[str, Any], tmp_path: Path) -
     ended = dpcontrol("prove", "check", file)
     assert ended.code == 0, ended.stderr
     assert "exactly one periodic orbit" in ended.stdout
+
+
+@pytest.mark.slow
+def test_the_check_confirms_a_long_walk(tmp_path: Path) -> None:
+    file = tmp_path / "proof.json"
+    symbols = ["down-up +", "down-up -", "down-up -", "down-up +"]
+    walk = ["walk", "lab", "--energy", "-0.07", *(part for one in symbols for part in ("-s", one))]
+    assert dpcontrol("prove", *walk, "--wraps", "4,4,4,4", "--periodic", "--out", file).code == 0
+    assert dpcontrol("prove", "check", file).code == 0
+
+
+def test_the_trace_of_a_long_product_is_enclosed_sharply() -> None:
+    """Derivatives grow five times along one direction that turns, in coordinates that are not orthogonal."""
+    generator = np.random.default_rng(4)
+    frames = [generator.normal(size=(4, 4)) for _ in range(100)]
+    with working(140):
+        exact = [flint.arb_mat(frame.tolist()) for frame in frames]
+        growth = flint.arb_mat(np.diag([5.0, 0.2, 1.0, 1.0]).tolist())
+        error = flint.arb_mat(4, 4, [symmetric(flint.arb(1e-9))] * 16)
+        maps = [exact[(k + 1) % 100] * growth * exact[k].inv() + error for k in range(100)]
+        found = _trace_of_product(maps) / flint.arb(5) ** 100
+        assert found.contains(1)
+        assert found.rad() < 0.01
 
 
 def corrupted(content: dict[str, Any], change: Change, *, sealed: bool) -> dict[str, Any]:
