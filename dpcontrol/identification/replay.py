@@ -269,9 +269,9 @@ def estimate_recording(
         recording: angles in segments.
         arms: the model.
         filters: kind and process noise of the estimator.
-        carts: cart motion of each segment; empty if clamped.
+        carts: cart motion of each segment. Empty if clamped.
         counts: encoder counts per turn.
-        mean_over: duration of each mean, s; samples within a millisecond share their rounding and count as one.
+        mean_over: duration of each mean, s. Samples within a millisecond share their rounding and count as one.
 
     Raises:
         InputError: a segment is shorter than a mean.
@@ -401,7 +401,7 @@ class Replay(Brief):
     nis: Array
     """NIS (K,), NaN except at the end of a mean."""
     carts: tuple[CartMotion, ...]
-    """Cart motion of each segment; empty if clamped."""
+    """Cart motion of each segment. Empty if clamped."""
     stretches: tuple[tuple[int, int, int], ...]
     """Rows (segment, first, end) of each predicted stretch."""
     fits: tuple[FittedPath, ...]
@@ -572,7 +572,7 @@ def replay_recording(
 
 
 def _carts(recording: Recording) -> tuple[CartMotion, ...]:
-    """Return the cart motion of each segment; empty if clamped.
+    """Return the cart motion of each segment. Empty if clamped.
 
     Raises:
         InputError: the cart moved in only some segments.

@@ -122,7 +122,7 @@ class RunView(Brief):
     There are N ticks of a pendulum of n arms, and their plan.
 
     States are angles, rates and, with a cart, its position and velocity: 2n + 2 columns, or 2n. Missing data and their
-    substitutes are None; values that cannot be drawn are nan.
+    substitutes are None. Values that cannot be drawn are nan.
 
     Attributes:
         path: file of origin.
@@ -137,11 +137,11 @@ class RunView(Brief):
         reference: (N, 2n+2), or None.
         error: (N, 2n+2) estimate minus truth, or None.
         sigma: (N, 2n+2) standard deviations of the estimate, or None.
-        control: (N,) `command`, `applied`, `feedforward`, `saturated`, `mode` by name, and `actual`; or None.
-        nis: (N,) nan at ticks without a measurement; or None.
+        control: (N,) `command`, `applied`, `feedforward`, `saturated`, `mode` by name, and `actual`, or None.
+        nis: (N,) nan at ticks without a measurement, or None.
         sensors: number of values in a measurement.
-        energy: (N,) in J, of the pendulum at each tick, true if known, otherwise estimated; or None.
-        limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s²; or None.
+        energy: (N,) in J, of the pendulum at each tick, true if known, otherwise estimated, or None.
+        limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s², or None.
         breaks: rows that follow a gap in time.
         differenced: True if the rates are differences of the measured angles.
         against: kind of `reference`: "reference", or "prediction" of a model replayed on a recording.

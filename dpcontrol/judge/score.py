@@ -167,9 +167,9 @@ class Flown(Brief):
         reference_angles: (K, n) rad.
         applied: (K,) acceleration of the cart, m/s².
         ended: reason for a run's end before that of its reference.
-        limits: of the cart in this run: position m, velocity m/s, acceleration m/s²; None without a cart.
-        flights: periods on the itinerary; empty for a run that could not recover and was on it throughout.
-        hardest: greatest acceleration applied by a simulated drive, m/s²; None if only `applied` is known.
+        limits: of the cart in this run: position m, velocity m/s, acceleration m/s². None without a cart.
+        flights: periods on the itinerary. Empty for a run that could not recover and was on it throughout.
+        hardest: greatest acceleration applied by a simulated drive, m/s². None if only `applied` is known.
     """
 
     time: Array

@@ -560,17 +560,17 @@ class Extras(Brief):
 
 @dataclass(frozen=True)
 class RunLog(Shown):
-    """A log in memory; arrays are read-only.
+    """A log in memory. Arrays are read-only.
 
     Attributes:
         path: file that was read.
         time: (N,) in s.
-        measured: (N, n+1) positions from the sensors, in the order of `joint_names`; rad, m.
+        measured: (N, n+1) positions from the sensors, in the order of `joint_names`, in rad and m.
         rates: (N, n+1) rates from the sensors, rad/s and m/s, or None.
         states: (N, 2n+2) in state order, rad, rad/s, m, m/s (2n entries without a cart), for each of "estimate",
             "reference" and "truth" that the log has.
-        controls: (N,) for each name of `control_fields`; empty if no controller ran.
-        extras: parameters estimated in addition to the state, at 50 Hz; or None.
+        controls: (N,) for each name of `control_fields`. Empty if no controller ran.
+        extras: parameters estimated in addition to the state, at 50 Hz, or None.
         events: in the order of logging.
         metadata: the caller's text from the start and the end, and `program`, which wrote the log.
         attachments: content by name.
@@ -578,8 +578,8 @@ class RunLog(Shown):
         arm_lengths: (n,) in m.
         has_cart: True if the pivot is on a cart.
         rate_hz: rate of the loop in Hz.
-        limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s²; or None.
-        recovered: losses that `dpcontrol recover` reported, a sentence; None without losses.
+        limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s², or None.
+        recovered: losses that `dpcontrol recover` reported, a sentence. None without losses.
     """
 
     path: Path

@@ -425,21 +425,21 @@ CHUNK_SECONDS = 0.02
 
 
 class LogWriter:
-    """Writes one log; a context manager.
+    """Writes one log, as a context manager.
 
     Leaving the block normally completes the file and renames it. Leaving it by an exception keeps the written part as
     `NAME.mcap.partial`, and adds a note to the exception that names `dpcontrol recover`.
 
     Args:
-        path: the log, by convention `*.mcap`; an older one is replaced when this one is complete.
+        path: the log, by convention `*.mcap`. An older one is replaced when this one is complete.
         arm_lengths: (n,) in m.
         rate_hz: rate of the loop in Hz.
-        has_cart: True if the pivot is on a cart; without one, states have 2n and measurements n entries.
+        has_cart: True if the pivot is on a cart. Without one, states have 2n and measurements n entries.
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s².
         extras: names of the estimated parameters, if `ticks` receives them.
         metadata: text by name that identifies the run: version, commit, seed, hashes.
         attachments: content by file name: scene, model, reference.
-        chunk_seconds: duration of a chunk, s; `recover` assumes the default.
+        chunk_seconds: duration of a chunk, s. `recover` assumes the default.
         compression: level of zstd.
 
     Raises:

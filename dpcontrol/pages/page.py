@@ -1,7 +1,8 @@
 """A run, a recording, a reference or an orbit on one page, drawn by matplotlib from its story (`series`).
 
-From the top: verdict, the closest approach to failing, the filter, and the largest values against their limits; the
-planned and the flown itinerary; a film of the arms; phase planes and charts over time; symbols and events.
+The top shows the verdict, the closest approach to failing, the filter, and the largest values against their limits.
+Below are the itinerary as planned and done, and a film of the arms. Phase planes, charts over time, symbols and events
+follow.
 """
 
 from collections.abc import Sequence

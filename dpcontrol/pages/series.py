@@ -50,7 +50,7 @@ class Line:
         width: in points.
         reach: (K,) half width of a band, or None.
         around: True for a band about the line, False about zero.
-        role: "run"; "reference", broad and pale behind the others; "detail", shown only in the viewer.
+        role: "run", or "reference", broad and pale behind the others, or "detail", shown only in the viewer.
         dashed: True to dash it on a page, over another line.
     """
 
@@ -86,9 +86,9 @@ class Chart:
     """Curves over time that share an axis.
 
     Attributes:
-        key: path in a recording; "" for charts only on pages.
+        key: path in a recording, "" for charts only on pages.
         title: the quantity.
-        unit: SI unit; "share" is shown in percent, "" is none.
+        unit: SI unit. "share" is shown in percent, "" is none.
         lines: curves.
         levels: constants.
         cut: (start, end) of each stretch with a limited command, s.
