@@ -40,6 +40,7 @@ def test_a_run_in_memory_is_the_one_that_is_logged(example: dict[str, Any]) -> N
     assert example["logged"].frame().shape == example["run"].frame().shape
 
 
+@pytest.mark.slow
 def test_a_plan_of_a_walk_is_that_of_the_file_it_writes(example: dict[str, Any]) -> None:
     plan = example["reference"]
     assert itinerary_from(plan.itinerary.text, "walk", plan.itinerary.model) == plan.itinerary

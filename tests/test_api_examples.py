@@ -10,8 +10,7 @@ import pytest
 import dpcontrol as dp
 from dpcontrol.plans.atlas import make_atlas
 
-SLOW = {"atlas", "campaign", "draw_figures", "export", "polish", "prove", "symbol_changes"}
-"""Functions whose examples take seconds."""
+pytestmark = pytest.mark.slow
 FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(dp, name))]
 
 
@@ -29,9 +28,7 @@ def names(example: dict[str, Any]) -> dict[str, Any]:
     return values
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in FUNCTIONS]
-)
+@pytest.mark.parametrize("name", FUNCTIONS)
 def test_every_function_has_types_and_an_example_that_runs(name: str, names: dict[str, Any]) -> None:
     function = getattr(dp, name)
     assert all(p.annotation is not p.empty for p in inspect.signature(function).parameters.values())

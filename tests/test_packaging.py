@@ -88,6 +88,7 @@ def test_the_wheel_declares_the_console_script_and_the_dependencies(wheel: Path)
     assert f"Requires-Python: {project['requires-python']}" in fields
 
 
+@pytest.mark.slow
 def test_an_unpacked_wheel_finds_its_own_models_and_itineraries(wheel: Path, tmp_path: Path) -> None:
     site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -164,6 +165,7 @@ def test_the_shell_completes_verbs_and_options() -> None:
         assert expected in done.stdout
 
 
+@pytest.mark.slow
 def test_a_checkout_finds_its_own_folders_from_anywhere(tmp_path: Path) -> None:
     package, *files = found_from(tmp_path, path=ROOT)
     assert Path(package) == ROOT / "dpcontrol" / "__init__.py"
@@ -176,6 +178,7 @@ def test_a_checkout_finds_its_own_folders_from_anywhere(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_working_folders_own_file_comes_before_the_shipped_one(tmp_path: Path) -> None:
     (tmp_path / "models").mkdir()
     own = tmp_path / "models" / "lab.toml"

@@ -95,18 +95,21 @@ def test_lockstep_and_loop_queue_the_same_commands():
     assert np.abs(together.truth[:40] - alone.ticks.truth[:40]).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_moving_reference_tolerates_a_known_delay_up_to_a_reported_border():
     found = delay_border(moving(RATE), error=0.02, ratio=1.2)
     assert found.measured == pytest.approx(0.27, rel=0.15)  # as measured when this was written
     assert "tracking lost" in found.says
 
 
+@pytest.mark.slow
 def test_a_moving_reference_tolerates_a_wrong_model_up_to_a_border_that_the_loop_reports():
     found = mismatch_border(moving(100.0), 0.1, ratio=1.2)
     assert found.measured == pytest.approx(0.107, rel=0.15)  # as measured when this was written
     assert "rad away over its last tenth" in found.says
 
 
+@pytest.mark.slow
 def test_far_beyond_the_border_of_mismatch_the_run_ends_with_its_reason():
     for stand, most in ((moving(RATE), WEAK), (held_at_rest(RATE, seconds=20.0), STRONG)):
         lost = stand.run(acceleration=most, mismatch=0.6, delay=0.14)

@@ -34,6 +34,7 @@ def test_half_of_many_drawn_runs_see_a_gap_at_the_predicted_share(rate):
     assert share == pytest.approx(0.5, abs=0.08)
 
 
+@pytest.mark.slow
 def test_runs_end_at_the_predicted_share_of_lost_samples_with_a_reason():
     found = lost_border(LAB.arms, LAB.system.equilibrium(SADDLE), rate=60.0, seeds=5)
     assert found.off is not None

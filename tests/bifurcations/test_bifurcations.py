@@ -136,6 +136,7 @@ def test_the_angle_at_a_saddle_node_follows_a_square_root(system, events):
     assert angles[1] / angles[0] == pytest.approx(2.0, rel=LAW)
 
 
+@pytest.mark.slow
 def test_a_pitchforks_pair_leaves_the_symmetry_line_as_a_square_root(system, events):
     energy = events[PITCHFORK].energy
     offsets = []
@@ -297,6 +298,7 @@ def test_a_path_passes_a_fold_and_returns_as_the_partner(system, events):
     assert max(np.abs(sweep.problem.match(p.link, p.energy).gap).max() for p in path.points) < 1e-8
 
 
+@pytest.mark.slow
 def test_continuation_without_turns_stops_at_a_fold(system):
     sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
     point = sweep.search(SADDLE_NODE[1]).points[0]
@@ -363,6 +365,7 @@ def test_impossible_searches_are_refused_with_the_valid_range(model, saddles, en
         find_bifurcations(load_model(model).system, *saddles, energies=energies)
 
 
+@pytest.mark.slow
 def test_the_verb_prints_events(capsys):
     low, high = (str(e) for e in SADDLE_NODE)
     arguments = ["bifurcations", "lab", "--from", "down-up", "--to", "down-up", "--energies", low, high]

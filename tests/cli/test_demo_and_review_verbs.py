@@ -191,6 +191,7 @@ def test_report_shows_the_margins_of_a_log_on_request(demo: tuple[Path, Ended], 
     assert shown["margins"]["lag"]["value"] < 0.2
 
 
+@pytest.mark.slow
 def test_a_stretch_of_a_log_is_filmed_and_no_viewer_opens(demo, tmp_path) -> None:
     log, film = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.gif"
     ended = dpcontrol("review", log, "--film", film, "--stretch", "1", "1.4", "--json")

@@ -45,6 +45,7 @@ def test_a_model_with_uncertainty_and_a_picture_are_written() -> None:
     assert dpcontrol("model", "swing", "--json").document["parameters"]["m1"]["value"] > 0
 
 
+@pytest.mark.slow
 def test_designs_are_compared_without_a_log() -> None:
     ended = dpcontrol("identify", "--design", "--picture", "design.png", "--json")
     assert ended.code == 0, ended.stderr

@@ -40,6 +40,7 @@ def messages(log: Path) -> list[tuple[str, int, int, int, bytes]]:
         return [(channel.topic, m.sequence, m.log_time, m.publish_time, m.data) for _, channel, m in found]
 
 
+@pytest.mark.slow
 def test_info_lists_topics_rates_attachments_and_metadata(logged: Path) -> None:
     shown = dpcontrol("info", logged, "--json").document
     rates = {t["topic"]: t["rate_hz"] for t in shown["topics"]}
@@ -135,6 +136,7 @@ def test_a_recovered_log_repeats_the_run_that_it_is_a_part_of(logged: Path, tmp_
     assert messages(tmp_path / "again.mcap") == messages(logged)
 
 
+@pytest.mark.slow
 def test_the_first_difference_from_another_run_is_reported(logged: Path, tmp_path: Path) -> None:
     from dpcontrol.logs import compare_messages
 
@@ -190,6 +192,7 @@ def test_no_verb_overwrites_its_input(verb: str, logged: Path, tmp_path: Path) -
     assert read.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_path_that_is_not_a_file_is_not_replaced(logged: Path, tmp_path: Path) -> None:
     log, picture = tmp_path / "pipe.mcap", tmp_path / "pipe.png"
     os.mkfifo(log)

@@ -83,6 +83,7 @@ def test_logs_of_a_rig_are_always_kept() -> None:
         check_replaced(LOG, {"seed": "0", "rig": "udp"})
 
 
+@pytest.mark.slow
 def test_a_campaign_continues_in_its_own_table_and_keeps_other_tables() -> None:
     table = Path("logs/still.parquet")
     line = f"campaign {STILL} --workers 1 --out {table} --runs"
@@ -141,6 +142,7 @@ def named(line: str) -> str:
     return str(written)
 
 
+@pytest.mark.slow
 def test_a_default_name_is_a_free_name_and_the_same_command_keeps_its_own() -> None:
     first, second, third = f"run {STILL}", f"run {STILL} --mismatch 0.07", f"run {STILL} --mismatch 0.08"
     for _ in range(2):

@@ -80,6 +80,7 @@ def test_out_writes_the_reference_as_arrays(tmp_path: Path) -> None:
         assert any(arrays[name].ndim == 2 and len(arrays[name]) > 100 for name in arrays.files)
 
 
+@pytest.mark.slow
 def test_a_tighter_track_gives_a_reference_that_stays_on_it(tmp_path: Path, shipped_text: dict[str, str]) -> None:
     free = dpcontrol("plan", "cross", "--json").document["reference"]["max_cart_position"]
     narrow = 0.7 * free

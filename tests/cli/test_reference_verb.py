@@ -135,6 +135,7 @@ def test_a_limit_is_drawn_if_the_reference_comes_near_it(file: Path) -> None:
     assert reference.max_cart_position < near.position < views[1]
 
 
+@pytest.mark.slow
 def test_a_file_without_a_plans_notes_is_shown_and_drawn_as_far_as_it_goes(file: Path, tmp_path: Path) -> None:
     nothing = dict.fromkeys(header(file)["notes"])
     bare = changed(file, tmp_path / "bare.npz", **nothing)

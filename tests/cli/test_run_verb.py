@@ -103,6 +103,7 @@ def test_the_reference_input_alone_does_not_complete_and_names_the_symbol(itiner
     assert again.document == ended.document
 
 
+@pytest.mark.slow
 def test_a_log_scores_as_its_run_did(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     run = dpcontrol("run", "outer-turn", "--out", log, "--json").document
@@ -111,6 +112,7 @@ def test_a_log_scores_as_its_run_did(tmp_path: Path) -> None:
     assert scored.document == run
 
 
+@pytest.mark.slow
 def test_several_logs_score_in_order_and_one_missed_goal_ends_with_1(tmp_path: Path) -> None:
     good, bad = tmp_path / "good.mcap", tmp_path / "bad.mcap"
     done = dpcontrol("run", "outer-turn", "--out", good, "--json").document
@@ -155,6 +157,7 @@ def test_a_seed_gives_the_same_run_twice_and_another_seed_another(tmp_path: Path
     assert other["rms_tracking_error"] != first["rms_tracking_error"]
 
 
+@pytest.mark.slow
 def test_a_run_is_logged_under_its_itinerary_and_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     ended = dpcontrol("run", "outer-turn", "--seed", "4")

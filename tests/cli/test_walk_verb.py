@@ -176,6 +176,7 @@ def test_extended_precision_gives_digits_that_agree_with_double(tmp_path: Path) 
     assert digits[node].tolist() == walk["state"]
 
 
+@pytest.mark.slow
 def test_extended_precision_gives_people_the_period_of_a_closed_walk() -> None:
     ended = dpcontrol(*LOW, *TURN, "--periodic", "--wraps", "0", "--solve", "--precision", "extended")
     assert ended.code == 0
@@ -216,6 +217,7 @@ def test_a_picture_is_drawn_of_one_walk(tmp_path: Path) -> None:
     assert again.document["picture"] == str(file)
 
 
+@pytest.mark.slow
 def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wraps(tmp_path: Path) -> None:
     # A hair above the saddle-node at which the inner arm's turns are born the pair's members all but touch.
     born = ("walk", "lab", "--energy", "0.17807033", "-s", "up-down +", "-s", "up-down +", "--solve", "--json")

@@ -67,6 +67,7 @@ def test_a_campaign_of_too_many_cases_or_runs_is_rejected() -> None:
         dp.campaign("outer-turn", runs=1_000_000, over={"mismatch": many})
 
 
+@pytest.mark.slow
 def test_a_campaign_of_a_thousand_cases_is_estimated_and_rejected_beyond_an_hour(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -164,6 +165,7 @@ def test_the_cost_of_a_plan_grows_with_each_thing_that_lengthens_it() -> None:
     assert all(one > plain for one in longer)
 
 
+@pytest.mark.slow
 def test_transfers_between_holds_count_in_the_cost_of_a_plan() -> None:
     model = load_model("lab")
     ends = 'start = "rest"\nfinish = "rest"\n'

@@ -115,6 +115,7 @@ def test_on_the_state_it_has_the_gains_of_tvlqr_with_the_same_weights(
     assert np.array_equal(adaptive.feedforward, plain.feedforward)
 
 
+@pytest.mark.slow
 def test_a_reference_that_shall_end_on_its_orbit_is_shifted_as_if_feedback_were_as_eager(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
@@ -197,6 +198,7 @@ def test_small_errors_of_the_model_do_what_the_first_order_foretells(
     assert np.abs(foretold).max() > 0.1
 
 
+@pytest.mark.slow
 def test_a_known_error_of_the_model_costs_less_when_foreseen(law: AdaptiveController, model: SampledModel) -> None:
     blind = replace(law, extra_gains=np.zeros_like(law.extra_gains))
     diagonal, _ = SETTINGS.weights(2, PERIOD)

@@ -14,6 +14,7 @@ ZERO = 1e-3  # rad, after four seconds of swinging: a hundredth of what harms a 
 SHARE = 0.01  # Of base parameters, after four seconds.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("zeros", [(0.03, -0.03), (-0.02, 0.03), (0.03, 0.03)])
 def test_encoder_zeros_are_found_while_swinging(zeros: tuple[float, float]) -> None:
     ekf = CompiledEkf(MODEL, EkfSettings(augment=("zeros",)), noise=NOISE)
@@ -61,6 +62,7 @@ def test_unobservable_errors_keep_their_uncertainty_at_rest() -> None:
     assert dict(zip(ekf.extra_names, moving.sigmas[6:], strict=True))["M11"] < 0.2 * prior
 
 
+@pytest.mark.slow
 def test_a_lumped_disturbance_is_followed() -> None:
     flown = run(3, torque=2.0)
     plain = estimated(CompiledEkf(MODEL, EkfSettings(augment=(), parameter_error=1e-3), noise=NOISE), flown)
@@ -75,6 +77,7 @@ def test_a_lumped_disturbance_is_followed() -> None:
     assert np.abs(errors[1].mean()) < 0.5 * np.abs(errors[0].mean())
 
 
+@pytest.mark.slow
 def test_errors_of_the_drive_are_estimated() -> None:
     flown = run(3, lag=0.005, frequency=40.0, amplitude=10.0)
     sure = {"cart_noise": 1e-3, "drive_error": 2.0}

@@ -95,6 +95,7 @@ def test_resynchronising_moves_the_clock_under_way(there_and_back: Program) -> N
     assert session.resynchronise(0, orbit().state(0.3)).startswith("clock of the orbit moved by")
 
 
+@pytest.mark.slow
 def test_feedback_at_every_tick_hands_over_as_well(turn: tuple[StandIn, Reference]) -> None:
     keeper = orbit_controller(orbit(), model_of(), TvlqrSettings(schedule="phase"), seconds=60.0)
     made = program(

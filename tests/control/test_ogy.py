@@ -176,6 +176,7 @@ def test_estimates_of_the_plant_save_most_of_the_pulses() -> None:
     assert efforts[0] < 0.6 * efforts[1]
 
 
+@pytest.mark.slow
 def test_pulses_cost_no_more_than_feedback_at_every_tick() -> None:
     plant = plant_of(0, 0.05)
     pulses = fly(ogy(16).begin(), plant, ogy(16).first_state, 6.0)
@@ -184,6 +185,7 @@ def test_pulses_cost_no_more_than_feedback_at_every_tick() -> None:
     assert pulses.feedback < 1.3 * ticks.feedback
 
 
+@pytest.mark.slow
 def test_one_section_a_period_fails_even_on_an_exact_plant() -> None:
     for controller in (ogy(1), classic(1)):
         # The only errors are rounding by the encoders and an input that is constant for a tick.
@@ -204,6 +206,7 @@ def test_a_section_that_is_not_crossed_is_named_in_the_events() -> None:
     assert next(e for e in events if e).startswith("section 2 was not crossed: clock of the orbit moved by")
 
 
+@pytest.mark.slow
 def test_pulses_that_are_too_small_hold_nothing() -> None:
     small, enough = ogy(16, pulse_limit=0.02), ogy(16, pulse_limit=2.0)
     plant = plant_of(0, 0.05)
@@ -214,6 +217,7 @@ def test_pulses_that_are_too_small_hold_nothing() -> None:
     assert away(held.states) < ON_ORBIT
 
 
+@pytest.mark.slow
 def test_feedback_at_every_tick_holds_by_time_and_by_phase() -> None:
     for schedule in ("time", "phase"):
         controller = tvlqr(schedule)
@@ -229,6 +233,7 @@ def test_feedback_at_every_tick_holds_by_time_and_by_phase() -> None:
     assert abs(moved.command(0, orbit().state(0.05), NONE).feedback) < 1e-2 * abs(astray)
 
 
+@pytest.mark.slow
 def test_many_runs_do_what_each_does_alone() -> None:
     controller, ticks = ogy(8), 3000
     plants = [plant_of(seed, 0.03) for seed in range(3)]

@@ -120,6 +120,7 @@ def test_the_velocity_is_the_sum_of_all_that_was_sent_within_the_limits() -> Non
         assert report["saturated"] == (abs(command) > 20 or abs(velocity) >= 0.05)
 
 
+@pytest.mark.slow
 def test_a_stopped_cart_is_braked_to_rest_and_not_beyond_and_then_the_run_is_done() -> None:
     tick = Ticked(3.0, NARROW, travel=0.0)
     tick.begin(np.zeros(3), velocity=0.123)

@@ -61,6 +61,7 @@ def test_the_fixed_step_agrees_with_taylor_series_to_round_off(plant: PlantParam
     assert worst(plant, duration, steps=steps) < ROUND_OFF
 
 
+@pytest.mark.slow
 def test_longer_steps_fail_and_coulomb_friction_requires_shorter_ones() -> None:
     assert worst(LEVELS[0], 0.02, steps=1) > 1e-4
     assert worst(LEVELS[0], 0.02, steps=10) < ROUND_OFF

@@ -82,6 +82,7 @@ def test_samples_lie_on_the_flow_and_need_not_start_at_zero(pendulum):
     assert np.abs(matrices[-1] - pendulum.flow_with_stm(STATE, 0.4)[1]).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_crossings_of_a_lifted_section_are_those_of_a_dense_solution(lab, pendulum):
     section = Section("angle_2 = 2 pi k", (0, 1, 0, 0), (1, 0, 0, 0), (1, 0), period=2 * np.pi)
     dense = by_scipy(lab.system.equations, lab.parameters.base(), STATE, 3.0).sol

@@ -67,6 +67,7 @@ def test_compilers_find_nothing_to_warn_of(exported: Exported, compiler: str) ->
         assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_nothing_is_allocated_and_no_other_name_is_taken(exported: Exported) -> None:
     folder, source = exported
     # Data that are relocated on loading would look like a variable.
@@ -209,6 +210,7 @@ def test_after_the_last_tick_the_last_row_keeps_holding(plan: Plan, double: Expo
     assert states == [RUNNING] * 2 + [FINISHED] * 6
 
 
+@pytest.mark.slow
 def test_the_header_gives_the_first_commands_and_the_reference(plan: Plan, double: Exported) -> None:
     both = SideBySide(plan, library(double[0]))
     c = ctypes.CDLL(str(library(double[0])))
@@ -263,6 +265,7 @@ def test_a_library_of_other_settings_is_rejected(
     assert not log.exists()
 
 
+@pytest.mark.slow
 def test_a_library_for_another_bench_runs_with_any_mismatch_and_seed(double: Exported, plan: Plan) -> None:
     scene = load_itinerary("outer-turn").with_run({"mismatch": 0.05, "lag": 0.002, "zero_error": 0.02}, seed=7)
     assert run_plan(replace(plan, itinerary=scene), library=library(double[0])).converged
@@ -360,6 +363,7 @@ def test_a_title_of_any_signs_stays_within_its_comment(
         assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_constant_columns_are_in_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))
     ended = dpcontrol("export", "hold-up-up", "--float", "--clock", "168", "--out", tmp_path / "hold", "--json")

@@ -246,6 +246,7 @@ class Recorded:
         self.rig.stop()
 
 
+@pytest.mark.slow
 def test_a_recorded_run_shown_to_the_loop_is_the_run(turn: tuple[StandIn, Reference]) -> None:
     loop, rig = controlled(turn, 800)
     recorded = Recorded(rig, 801, loop)

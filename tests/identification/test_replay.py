@@ -135,6 +135,7 @@ def test_coarse_encoders_modelled_as_fine_ones_fail_the_consistency_check() -> N
     assert honest.nis_inside_95 >= IN_BAND - 0.05
 
 
+@pytest.mark.slow
 def test_a_motion_that_the_model_cannot_follow_is_reported() -> None:
     recording = recorded(segments=1, samples=3000)
     random = np.random.default_rng(1)
@@ -187,6 +188,7 @@ def test_filters_are_consistent_and_estimate_rates_on_the_rigs_recording(kind: s
     assert max(left) <= IDENTIFIED
 
 
+@pytest.mark.slow
 def test_the_filters_settings_are_valid_on_other_recordings() -> None:
     recording, model = import_recording(rig_file()), load_model("lab-identified")
     left_out = replace(recording, segments=recording.segments[2::3])
@@ -204,6 +206,7 @@ def test_the_filters_settings_are_valid_on_other_recordings() -> None:
     assert result.rates_rms.max() <= RATES
 
 
+@pytest.mark.slow
 def test_the_published_parameters_have_the_measured_residuals() -> None:
     result = replay_recording(import_recording(rig_file()), ARMS, filter_settings("ekf"))
     left = [float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits]

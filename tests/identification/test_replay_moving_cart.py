@@ -137,6 +137,7 @@ def test_a_cart_at_rest_counts_as_clamped(driven: tuple[Array, Array]) -> None:
     assert cart_motion(replace(recorded(driven, command=None), cart=np.full(2000, 0.1))) is None
 
 
+@pytest.mark.slow
 def test_missing_readings_are_omitted(driven: tuple[Array, Array]) -> None:
     recording = recorded(driven, command=told(driven[0]))
     assert recording.cart is not None

@@ -104,6 +104,7 @@ def exact() -> list[Swing]:
     return swings_from([[1.0, 0.3, 0.0, 0.0], [-0.4, 1.1, 0.0, 0.0], [0.8, -0.9, 1.0, 0.0]])
 
 
+@pytest.mark.slow
 def test_ratios_are_recovered_from_a_guess_with_an_error_of_a_tenth(model: Swings, exact: list[Swing]) -> None:
     first = RATIOS * np.where(np.arange(len(RATIOS)) < 4, 1.0, 3.0)
     first[:4] *= [1.1, 0.95, 1.08, 0.93]
@@ -133,6 +134,7 @@ def test_outliers_have_little_effect_on_the_robust_fit(model: Swings, exact: lis
     assert off[1] > 3 * off[0]
 
 
+@pytest.mark.slow
 def test_a_chaotic_swing_requires_short_windows(model: Swings) -> None:
     high = swings_from([[3.0, 1.5, 0.0, 0.0], [2.6, -2.0, 0.0, 0.0]], seconds=3.0)
     first = RATIOS * np.where(np.arange(len(RATIOS)) < 4, 1.01, 1.0)

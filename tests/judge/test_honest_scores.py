@@ -21,6 +21,7 @@ def log() -> RunLog:
     return run_plan(make_plan(load_itinerary("outer-turn"))).log
 
 
+@pytest.mark.slow
 def test_a_whole_run_and_one_that_lacks_a_few_ticks_are_completed(log: RunLog) -> None:
     assert score(log).completed
     late = log.time + np.where(log.time > 1.0, 0.02, 0.0)

@@ -28,6 +28,7 @@ def without_note(log: RunLog) -> RunLog:
     return replace(log, metadata={k: v for k, v in log.metadata.items() if k != HARDEST_METADATA})
 
 
+@pytest.mark.slow
 def test_a_simulated_run_notes_the_largest_acceleration_that_its_drive_applied(log: RunLog) -> None:
     """Without a cart's mass, command noise or blows it is the largest change of the true velocity."""
     true = np.abs(np.diff(log.states["truth"][:, -1])).max() * log.rate_hz

@@ -26,6 +26,7 @@ ROOM = 60_000
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
 
 
+@pytest.mark.slow
 @posix
 def test_a_killed_run_loses_no_more_than_a_chunk(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)

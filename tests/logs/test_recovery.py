@@ -24,6 +24,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> RunLog:
     return read_log(write_sample(tmp_path_factory.mktemp("logs") / "run.mcap", sample(TICKS)))
 
 
+@pytest.mark.slow
 def test_damage_is_always_detected_and_recovered_data_were_written(whole: RunLog, tmp_path: Path) -> None:
     ends = endure(whole, tmp_path, count=COUNT, seed=SEED)
     for kind in ("swap", "repeat", "index", "tail", "joined"):

@@ -132,6 +132,7 @@ def test_a_seed_alone_is_the_seed_among_others(turn: tuple[StandIn, Reference], 
     assert np.abs(together[0].truth - together[1].truth).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_a_filter_with_the_lag_in_its_model_is_nearer_to_the_truth(turn: tuple[StandIn, Reference]) -> None:
     wrong = []
     # One that trusts its model: readings alone would not tell the two apart.

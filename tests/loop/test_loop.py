@@ -101,6 +101,7 @@ def test_feedforward_alone_is_lost_with_a_reason(tracked: tuple[StandIn, Referen
     assert not result.ticks.control[flying, FIELDS["feedback"]].any()
 
 
+@pytest.mark.slow
 def test_the_right_model_tracks_to_encoder_counts(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
@@ -161,6 +162,7 @@ def test_truth_between_ticks_is_the_mismatched_plant_under_the_applied_command(
     assert result.ticks.truth[1] != pytest.approx(own, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_seed_repeats_its_run_and_another_draws_another(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:

@@ -200,6 +200,7 @@ class Still:
         return ""
 
 
+@pytest.mark.slow
 def test_with_a_fallback_the_run_continues_and_reports_it(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:

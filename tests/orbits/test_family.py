@@ -36,6 +36,7 @@ def families(system):
     return {s: lyapunov_family(system, s, energies=(-1.0, 1.0)) for s in ("down-up", "up-down")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("saddle", ["down-up", "up-down"])
 def test_both_families_end_in_homoclinics_of_up_up(families, system, saddle):
     family = families[saddle]
@@ -146,6 +147,7 @@ def test_impossible_families_are_refused_with_the_valid_range(system, saddle, en
         lyapunov_family(system, saddle, energies=energies)
 
 
+@pytest.mark.slow
 def test_the_verb_prints_the_family_and_draws_it(capsys, tmp_path):
     picture = tmp_path / "family.png"
     arguments = ["orbit", "lab", "--saddle", "up-down", "--energies", "0.1", "0.2", "--picture", str(picture), "--json"]

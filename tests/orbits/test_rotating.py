@@ -143,6 +143,7 @@ def test_a_family_stays_on_one_curve_and_reports_its_ends(family):
     assert "reached the bound of 0.42 J" in family.ends[1]
 
 
+@pytest.mark.slow
 def test_both_sides_of_a_stability_change_differ(system, family):
     change = next(c for c in family.changes if abs(c.orbit.energy - -0.07812225474946) < LOCATED)
     assert (change.critical_trace, change.before, change.after) == (-2.0, "inverse hyperbolic", "elliptic")
@@ -195,6 +196,7 @@ def test_the_verb_lists_rotating_orbits_with_their_stability(capsys):
     assert np.abs([complex(*m) for m in fastest["floquet_multipliers"]] - np.array(multipliers)).max() < MULTIPLIER
 
 
+@pytest.mark.slow
 def test_the_verb_follows_their_families_and_draws_them(capsys, tmp_path):
     picture = tmp_path / "inner.png"
     with pytest.raises(SystemExit) as done:

@@ -85,6 +85,7 @@ def test_logs_with_the_same_name_get_different_labels(pair: list[RunView]) -> No
     assert [run.name for run in compare([pair[0], pair[0]]).runs] == ["first (1)", "first (2)"]
 
 
+@pytest.mark.slow
 def test_the_page_of_a_pair_names_both_runs_and_draws_each_in_every_panel(
     pair: list[RunView],
 ) -> None:
@@ -98,6 +99,7 @@ def test_the_page_of_a_pair_names_both_runs_and_draws_each_in_every_panel(
             assert set(style.RUNS[:2]) <= colours, title
 
 
+@pytest.mark.slow
 def test_panels_of_a_pair_share_their_time_axis(pair: list[RunView]) -> None:
     figure = draw_comparison(compare(pair))
     panels = [axes for axes in figure.axes if axes.get_title(loc="left").startswith(("Cart", "Tracking", "NIS"))]

@@ -30,6 +30,7 @@ def adaptive(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return run_of(tmp_path_factory.mktemp("run") / "run.mcap", controller="adaptive", mismatch=0.05, travel=0.8)
 
 
+@pytest.mark.slow
 def test_the_estimates_of_a_log_end_at_its_plants_ratios(adaptive: Run) -> None:
     plant, model = adaptive.plant, load_itinerary("outer-turn").model.arms
     assert plant is not None
@@ -50,6 +51,7 @@ def test_the_estimates_of_a_log_end_at_its_plants_ratios(adaptive: Run) -> None:
         assert away <= max(SIGMAS * extras.sigmas[-1, column], FOUND), name
 
 
+@pytest.mark.slow
 def test_a_run_in_memory_has_the_extras_of_its_log(adaptive: Run) -> None:
     memory = run_of(controller="adaptive", mismatch=0.05, travel=0.8)
     one, other = memory.log.extras, adaptive.log.extras
@@ -72,6 +74,7 @@ def test_the_page_has_a_chart_for_each_kind_with_the_truth_in_it(adaptive: Run) 
     assert all(chart.scaled()[1] in titles for chart in shown.values())
 
 
+@pytest.mark.slow
 def test_the_zeros_found_are_those_that_were_drawn() -> None:
     view = run_view(run_of(zero_error=0.02, mismatch=0.0).log)
     assert extra_charts(view)[0].key == "zeros"
@@ -93,6 +96,7 @@ def test_other_laws_of_friction_leave_its_error_unknown(tmp_path: Path) -> None:
     assert set(KNOWN) <= view.extra_truth.keys()
 
 
+@pytest.mark.slow
 def test_the_track_that_is_drawn_is_the_runs_and_not_the_plans() -> None:
     view = run_view(run_of(travel=0.8, mismatch=0.0).log)
     assert view.limits is not None

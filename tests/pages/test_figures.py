@@ -76,6 +76,7 @@ def test_every_figure_is_drawn_with_a_caption_and_its_differences(name, gallery,
     assert len(drawn.differs) > 50
 
 
+@pytest.mark.slow
 def test_the_drawn_atlas_shows_every_flight_in_space(low):
     figure = draw_atlas(low)
     space = next(axes for axes in figure.axes if axes.name == "3d")
@@ -192,6 +193,7 @@ def test_the_recording_of_an_atlas_is_verified_by_the_viewers_own_tool_and_holds
     assert done.stdout.count("/now") >= len(low.connections)
 
 
+@pytest.mark.slow
 def test_a_model_without_connections_can_be_reviewed(tmp_path, monkeypatch):
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     triple = compute_atlas(load_model("triple"), 0.0)
@@ -201,6 +203,7 @@ def test_a_model_without_connections_can_be_reviewed(tmp_path, monkeypatch):
     assert picture.path.stat().st_size > LEAST_BYTES
 
 
+@pytest.mark.slow
 def test_the_review_verb_opens_an_atlas_and_rejects_other_archives(low, tmp_path, monkeypatch):
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     assert dpcontrol("atlas", "lab", "--energy", "-0.07", "--out", tmp_path / "low.npz").code == 0

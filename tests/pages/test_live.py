@@ -57,6 +57,7 @@ class Kept:
         self.view._pipe = writing
 
 
+@pytest.mark.slow
 def test_sent_data_arrive_as_rows_at_fifty_hertz_and_are_drawn(plan, tmp_path: Path) -> None:
     log = runs.run_plan(plan).log
     start = replace(log, time=log.time[:0])
@@ -93,6 +94,7 @@ def test_a_run_is_the_same_with_a_live_view_and_without(plan, watched, tmp_path:
     assert len(watched) == 1
 
 
+@pytest.mark.slow
 def test_a_run_continues_after_its_view_is_killed(plan, watched, monkeypatch) -> None:
     begun = LiveView.__enter__
 
@@ -108,6 +110,7 @@ def test_a_run_continues_after_its_view_is_killed(plan, watched, monkeypatch) ->
     assert run.converged
 
 
+@pytest.mark.slow
 def test_a_view_that_does_not_read_drops_rows_and_holds_nothing_up(plan, watched, monkeypatch) -> None:
     begun = LiveView.__enter__
 

@@ -43,6 +43,7 @@ def test_the_verb_names_the_figures_in_their_order():
     assert list(figures.FIGURES) == list(NAMES)
 
 
+@pytest.mark.slow
 def test_landscapes_mark_every_critical_point_by_whether_it_is_reached(shown):
     page = paper.landscape_page(shown)
     flat = [axes for axes in page.figure.axes if axes.name != "3d"]
@@ -55,6 +56,7 @@ def test_landscapes_mark_every_critical_point_by_whether_it_is_reached(shown):
     assert "L4 -1.5000" in page.caption
 
 
+@pytest.mark.slow
 def test_three_bodies_have_flights_from_each_point_to_itself(shown):
     page = paper.three_body_homoclinics_page(shown)
     above, cuts, flights = page.figure.axes[:3]
@@ -155,6 +157,7 @@ def test_heteroclinic_orbits_lead_from_one_orbit_to_the_other(shown):
                 assert np.abs((orbit - end) / (np.pi, np.pi, 10)).max(axis=1).min() < 0.02
 
 
+@pytest.mark.slow
 def test_an_orbit_is_shadowed_twice_and_for_ever(shown):
     page = paper.shadowing_page(shown)
     below = page.figure.axes[3:]

@@ -109,6 +109,7 @@ def test_other_shapes_are_drawn_too(tmp_path: Path, arms: int, has_cart: bool, t
     assert _share_set(tmp_path / "run.png") > PIXELS_SET / 4
 
 
+@pytest.mark.slow
 def test_a_picture_that_cannot_be_written_is_an_input_error(run: RunView, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot write"):

@@ -120,6 +120,7 @@ def test_a_viewer_for_no_recording_is_an_input_error(tmp_path: Path) -> None:
         open_viewer(tmp_path / "none.rrd")
 
 
+@pytest.mark.slow
 def test_logs_and_contexts_are_imported_without_the_viewer_or_matplotlib() -> None:
     program = (
         "import sys, dpcontrol.logs, dpcontrol.judge.run_view, dpcontrol.pages.picture\n"

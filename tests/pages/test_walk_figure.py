@@ -90,6 +90,7 @@ def test_the_closing_stop_of_a_closed_walk_has_its_wraps() -> None:
     assert 0 <= spans[1].start < spans[1].end <= orbit.duration
 
 
+@pytest.mark.slow
 def test_coloured_parts_are_near_the_orbit() -> None:
     orbit = found(["down-up > up-down", "up-down > down-up"], energy=HIGH)
     told = story(orbit)
@@ -118,6 +119,7 @@ def test_symbols_are_described_in_words() -> None:
         assert resolve([symbol_text(connection)], edges(HIGH))[0].sense == connection.sense
 
 
+@pytest.mark.slow
 def test_the_page_names_every_symbol_and_marks_it_at_its_time() -> None:
     orbit = found(["down-up +", "down-up > up-down", "up-down -", "up-down > down-up"], energy=HIGH)
     figure = drawn(orbit)
@@ -135,6 +137,7 @@ def test_the_page_names_every_symbol_and_marks_it_at_its_time() -> None:
     assert "↻" not in said
 
 
+@pytest.mark.slow
 def test_curves_on_the_page_are_the_orbits_own() -> None:
     orbit = found(["down-up +", "down-up -"])
     axes = panel(drawn(orbit), "Angles")
@@ -153,6 +156,7 @@ def test_a_closed_walk_is_labelled() -> None:
     assert "1× ↻" in said
 
 
+@pytest.mark.slow
 def test_whole_turns_are_counted_in_space_while_there_are_few() -> None:
     few, many = found(["down-up +", "down-up -"]), found(["down-up +"] * 4)
     assert is_lifted(story(few))

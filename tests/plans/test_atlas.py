@@ -52,6 +52,7 @@ def on_torus(first, second):
     return max(np.abs(2 * np.sin(gap[:2] / 2)).max(), np.abs(gap[2:]).max())
 
 
+@pytest.mark.slow
 def test_all_four_kinds_hold_the_reference_connections(high):
     found = {(k.source, k.target): k.count for k in high.kinds}
     assert found == {key[:2]: count for key, (count, _) in CONNECTIONS.items() if key[2] == 0.2} | {
@@ -122,6 +123,7 @@ def test_strands_of_a_tube_end_on_its_cut(high):
             assert min(np.abs(points - strand[-1]).max(axis=1)) < 1e-7
 
 
+@pytest.mark.slow
 def test_each_tube_is_cut_once(model, monkeypatch):
     cut = []
     plain = edges.tube_cut

@@ -20,6 +20,7 @@ def again():
     return make_branches(load_model("lab"), "down-up", "down-up", energies=FOLD, samples=2)
 
 
+@pytest.mark.slow
 def test_a_diagram_holds_the_event_where_its_runs_turn(made):
     (mark,) = made.marks
     assert (mark.kind, mark.count_below, mark.count_above) == ("saddle-node", 0, 4)
@@ -29,6 +30,7 @@ def test_a_diagram_holds_the_event_where_its_runs_turn(made):
     assert [count for _, count, _ in made.counts] == [0, 4]
 
 
+@pytest.mark.slow
 def test_a_kept_diagram_is_read_back_and_not_swept_again(made, monkeypatch):
     monkeypatch.setattr(branches, "find_bifurcations", lambda *_, **__: pytest.fail("swept again"))
     read = again()

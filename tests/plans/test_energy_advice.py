@@ -12,6 +12,7 @@ from dpcontrol.plans.planning import shadowing_orbit
 CROSSING = 'model = "lab"\nenergy = {energy}\nwalk = ["down-up > up-down"]\n'
 
 
+@pytest.mark.slow
 def test_an_energy_without_the_connection_is_refused_with_one_that_has_it(tmp_path: Path) -> None:
     file = tmp_path / "crossing.toml"
     file.write_text(CROSSING.format(energy=0.178))

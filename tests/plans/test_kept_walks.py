@@ -182,6 +182,7 @@ def test_other_controllers_follow_the_same_reference(scene: Writer, tmp_path: Pa
     assert shown.document["completed"] == 6
 
 
+@pytest.mark.slow
 def test_programs_and_fallbacks_are_left_to_the_loop(scene: Writer) -> None:
     plan = make_plan(load_itinerary(str(scene())))
     itinerary, arms = plan.itinerary, plan.itinerary.model.arms

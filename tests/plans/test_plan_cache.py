@@ -31,6 +31,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache"
 
 
+@pytest.mark.slow
 def test_a_plan_under_another_plans_name_is_computed_again(cache: Path) -> None:
     turn, cross = load_itinerary("outer-turn"), load_itinerary("cross")
     made = make_plan(cross)
@@ -71,6 +72,7 @@ def test_a_kept_plan_whose_states_were_changed_is_never_served(
     assert make_plan(turn).cached
 
 
+@pytest.mark.slow
 def test_a_plan_is_made_and_run_where_the_cache_cannot_be_written(
     tmp_path: Path, turn_plan: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -122,6 +124,7 @@ def test_an_edit_to_a_package_that_makes_atlases_requires_new_atlases(package: s
     assert code_hash(ATLAS, copy) == code_hash(ATLAS)
 
 
+@pytest.mark.slow
 def test_all_code_that_an_atlas_runs_through_counts(tmp_path: Path) -> None:
     """All modules of this package that an atlas imports are hashed, except empty packages."""
     script = f"import sys, {ATLAS}; print(*(n for n in sys.modules if n.startswith('dpcontrol.')))"

@@ -42,6 +42,7 @@ kind = "lqr"
 LAB = folders("models")[1].joinpath("lab.toml").read_text()
 
 
+@pytest.mark.slow
 def test_the_guides_page_on_settings_is_the_one_that_the_declarations_give() -> None:
     page = Path(dp.__file__).parent / "guide" / "settings.md"
     assert page.read_text() == settings_page()

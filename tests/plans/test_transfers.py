@@ -91,6 +91,7 @@ def standing(states: np.ndarray) -> Reference:
     return Reference(method, mesh, rows, inputs, Limits(), "", converged=True, max_error_between_nodes=0.0)
 
 
+@pytest.mark.slow
 def test_the_closest_approach_is_to_the_nearest_of_all_orbits_of_a_family() -> None:
     """Along an orbit itself: none of another energy is nearer; and beside it, as far as brute force finds it."""
     orbit = lyapunov_orbit(SYSTEM, "down-up", energy=0.1)

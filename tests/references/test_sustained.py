@@ -210,6 +210,7 @@ def test_small_and_large_orbits_are_sustained_with_five_times_the_friction(
     assert orbit.multipliers[0].real > 100
 
 
+@pytest.mark.slow
 def test_effort_grows_in_proportion_to_friction_and_to_small_amplitudes() -> None:
     one, five = (sustained("down-up", 0.2, f).reference.rms_cart_acceleration for f in (1.0, 5.0))
     assert five == pytest.approx(5 * one, rel=0.01)
@@ -218,6 +219,7 @@ def test_effort_grows_in_proportion_to_friction_and_to_small_amplitudes() -> Non
     assert near[0] == pytest.approx(near[1], rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_status_names_limits_that_are_too_tight() -> None:
     lyapunov = lyapunov_orbit(LAB.system, "down-up", energy=0.2)
     orbit = sustained_orbit(lyapunov, LAB.arms, limits=Limits(acceleration=0.05))

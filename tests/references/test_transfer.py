@@ -24,6 +24,7 @@ def swing_up():
     return find_transfer(EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=Limits(), settings=SETTINGS)
 
 
+@pytest.mark.slow
 def test_a_swing_up_satisfies_the_equations_of_motion(swing_up):
     """An accurate propagator reaches the start of the next interval from each interval's start."""
     assert swing_up.converged
@@ -56,6 +57,7 @@ def test_an_impossible_transfer_is_reported_with_the_cause():
         )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_least_sensitive_motion_within_margins_is_selected():
     """Of two durations, the one with the smaller error growth is selected, although the other has less effort."""
     asked = {}

@@ -306,6 +306,7 @@ def test_dry_friction_is_measured_to_a_half(torque: float, play: float, seed: in
     assert finding.figures["torque"] == pytest.approx(torque, rel=0.5)
 
 
+@pytest.mark.slow
 def test_stiction_that_holds_the_arms_still_is_reported_without_a_value() -> None:
     found = commissioned(bench(mechanics={"stiction": 0.006}, seed=2))
     finding = next(f for f in found.findings if f.step == "friction")
@@ -337,6 +338,7 @@ def with_switches(*faults: str, track: float = 0.5) -> Watched:
     return bench(*faults, drive={"track": track, "switch_margin": 0.05})
 
 
+@pytest.mark.slow
 def test_both_switches_are_found_by_creeping_and_the_cart_comes_back() -> None:
     rig = with_switches()
     found = commissioned(rig, switches=0.48)

@@ -100,6 +100,7 @@ def test_pairs_are_counted_by_seed_and_judged_by_mcnemars_sum() -> None:
         paired([1], [1, 0])
 
 
+@pytest.mark.slow
 def test_cases_run_the_same_seeds_and_are_compared_in_pairs(turn: Itinerary, tmp_path: Path) -> None:
     file = tmp_path / "pairs.parquet"
     found = campaign(
@@ -172,6 +173,7 @@ def test_runs_that_go_one_by_one_are_kept_a_few_at_a_time(turn: Itinerary, loop:
     assert len(whole.seeds) == 100
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_the_workers_at_once_and_in_silence(turn: Itinerary, tmp_path: Path) -> None:
     call = [PROGRAM, "campaign", "outer-turn", "--runs", "400", "--path", "ticks"]
     child = subprocess.Popen(

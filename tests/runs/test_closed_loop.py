@@ -23,6 +23,7 @@ def test_a_run_of_the_object_has_the_messages_of_the_shortcuts(loop: ClosedLoop,
     assert compare_messages(tmp_path / "object.mcap", tmp_path / "shortcut.mcap").difference is None
 
 
+@pytest.mark.slow
 def test_runs_differ_by_their_seed_alone_whatever_was_run_before(loop: ClosedLoop) -> None:
     first, other, again = (loop.run(seed=seed).log for seed in (3, 4, 3))
     assert np.array_equal(first.states["truth"], again.states["truth"])

@@ -20,6 +20,7 @@ def test_gymnasium_finds_nothing_wrong_with_it() -> None:
         check_env(BenchEnv(), skip_render_check=True)
 
 
+@pytest.mark.slow
 def test_the_gains_of_tvlqr_complete_the_itinerary_and_nothing_done_does_not() -> None:
     from dpcontrol.examples.gym_env import COMPLETED, BenchEnv
 

@@ -20,6 +20,7 @@ BEGINNING = 300
 FILE = Path(__file__).parent / "own_objects.py"
 
 
+@pytest.mark.slow
 def test_the_gains_of_tvlqr_as_an_own_law_fly_as_tvlqr_does() -> None:
     law = Gains()
     own = dp.closed_loop("outer-turn", controller=law).run(seed=3)
@@ -32,6 +33,7 @@ def test_the_gains_of_tvlqr_as_an_own_law_fly_as_tvlqr_does() -> None:
     assert json.loads(own.log.metadata["run_settings"])["controller"]["kind"] == "Gains"
 
 
+@pytest.mark.slow
 def test_an_own_estimator_flies_and_the_log_lists_disabled_checks() -> None:
     run = dp.closed_loop("outer-turn", controller="tvlqr", estimator=Filter()).run(seed=3)
     assert run.converged
@@ -176,6 +178,7 @@ def test_on_the_command_line_a_law_is_a_file_and_a_class(tmp_path: Path) -> None
         assert said in refused.stderr
 
 
+@pytest.mark.slow
 def test_on_the_command_line_a_rig_is_a_file_and_a_class(tmp_path: Path) -> None:
     log = tmp_path / "rig.mcap"
     done = dpcontrol("run", "outer-turn", "--rig", f"{FILE}:Rig", "--controller", "tvlqr", "--out", str(log))

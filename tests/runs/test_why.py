@@ -111,6 +111,7 @@ def test_a_run_that_chance_completes_has_no_remedy_and_the_sentence_gives_the_re
     )
 
 
+@pytest.mark.slow
 def test_nothing_is_tried_for_a_run_that_was_completed(plan: Plan) -> None:
     done = run_plan(replace(plan, itinerary=load_itinerary("outer-turn"))).why()
     assert done.trials == ()

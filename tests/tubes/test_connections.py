@@ -129,6 +129,7 @@ def test_names_and_states_are_independent_of_sampling_and_seed_distance(found):
         assert a.transversality_angle == pytest.approx(b.transversality_angle, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_transversality_angles_agree_with_finite_differences(found):
     """The angle between the cuts follows from finite differences near the intersection."""
     key = ("down-up", "down-up", -0.07)
@@ -183,6 +184,7 @@ def test_orbits_of_different_energy_are_refused():
         find_connections(first, second)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance", [1e-9, 3e-2])
 def test_seeds_too_near_or_too_far_make_a_search_incomplete(distance):
     """Rounding dominates the cuts of near seeds, and the linear approximation fails for distant seeds."""
@@ -260,6 +262,7 @@ def test_an_incomplete_thorough_search_reports_a_lower_bound_and_another_remedy(
     assert "thorough" not in search.status
 
 
+@pytest.mark.slow
 def test_parallel_cuts_without_intersections_are_not_failures(monkeypatch):
     """Between q = 0.3 and a graze, the cuts are 6e-7 apart, which is below the error of their chords."""
     system = uniform_rods((0.35, 0.1), (0.25, 0.5))

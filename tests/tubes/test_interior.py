@@ -142,6 +142,7 @@ def test_the_reference_rotating_orbits_lie_inside_both_tubes(saddle, energy, sta
         assert labels(system, cut.section, own, points, np.array([1]))[0] != 0
 
 
+@pytest.mark.slow
 def test_the_area_of_a_cut_is_the_action_of_its_orbit():
     """By Stokes' theorem, the cut encloses ∮ p dq of its orbit on any section."""
     manifold, cut = cut_of("down-up", -0.07, chord=0.005)

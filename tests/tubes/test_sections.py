@@ -41,6 +41,7 @@ def crossings_of(system, connection):
     return found
 
 
+@pytest.mark.slow
 def test_returning_homoclinics_cross_the_aligned_section_in_both_directions(lab, back):
     # The search is limited to `SHORT`, which the status reports.
     assert "longer flights exist" in back.status
@@ -74,6 +75,7 @@ def test_double_turns_agree_with_an_independent_integration(lab, back):
         assert np.abs(after[:2] - [0, np.pi] - 2 * np.pi * np.array(c.winding)).max() < np.pi
 
 
+@pytest.mark.slow
 def test_the_other_crossing_gives_the_same_orbits(lab, back):
     orbits = orbits_between(lab, "down-up", "down-up", 0.2)
     settings = ConnectionSettings(cut=CutSettings(longest=SHORT))
@@ -82,6 +84,7 @@ def test_the_other_crossing_gives_the_same_orbits(lab, back):
         assert min(on_torus(crossings_of(lab, c)[1], d.state) for d in back.connections) < SAME
 
 
+@pytest.mark.slow
 def test_names_include_the_section_and_the_verb_accepts_them(back, capsys):
     names = [c.name for c in back.connections]
     assert len(set(names)) == len(names)

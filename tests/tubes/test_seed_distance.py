@@ -54,6 +54,7 @@ def chart():
     ])  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_default_distance_is_near_the_optimum(chart):
     best = DISTANCES[int(np.argmin(chart))]
     default = ConnectionSettings().distance

@@ -36,6 +36,7 @@ def _flown(start: np.ndarray, times: np.ndarray) -> np.ndarray:
     return done.y.T
 
 
+@pytest.mark.slow
 def test_the_outermost_arm_turns_once_between_two_visits_of_its_orbit(turn: Connection) -> None:
     assert turn.winding == (0, 0, 1)
     assert turn.symmetric

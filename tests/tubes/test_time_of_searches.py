@@ -48,6 +48,7 @@ def test_a_pendulum_on_a_spring_is_searched_on_its_hanging_section():
     assert "turning-up" in spring().named_sections
 
 
+@pytest.mark.slow
 def test_two_saddles_of_an_angle_are_searched_in_both_directions():
     def hamiltonian(q, p, _):
         (x, angle), (p_x, p_angle) = q, p
@@ -88,6 +89,7 @@ def test_times_out_of_range_are_refused(seconds):
     assert "seconds" in shown.message
 
 
+@pytest.mark.slow
 def test_a_partial_atlas_is_not_cached(tmp_path, monkeypatch):
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
     model = dp.load_model("lab")

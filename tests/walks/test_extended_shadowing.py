@@ -90,6 +90,7 @@ def test_different_nodes_give_the_same_digits(turns, refined_dance):
     assert str(other.duration)[:26] == str(refined_dance.duration)[:26]
 
 
+@pytest.mark.slow
 def test_a_symmetric_orbit_meets_its_symmetry_line(turns):
     refined = refine(shadow([turns["+"]], wraps=[1], periodic=True).shot.solution)
     assert refined.converged

@@ -77,6 +77,7 @@ def test_second_hits_are_searched_only_for_the_named_pair(system):
         resolve([name], found)
 
 
+@pytest.mark.slow
 def test_a_composite_edge_is_solved_from_its_parts(edges):
     (edge,) = resolve([GROWN], edges)
     plain = resolve(["down-up +", "down-up -"], edges)
@@ -150,6 +151,7 @@ def test_walks_turn_at_a_rotating_orbit_the_given_number_of_times(system):
     assert [c.name for c in through(stops, find_edges(system, LOW, symbols=ways(stops)))] == named
 
 
+@pytest.mark.slow
 def test_missing_rotating_orbits_are_reported(system, edges):
     with pytest.raises(InputError, match=r"no 'inner-rotating' at -0.07 J: 0 orbits were found"):
         walk_edges(system, -0.07, "down-up > inner-rotating")

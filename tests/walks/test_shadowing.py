@@ -51,6 +51,7 @@ def test_a_turn_is_shadowed_with_its_leads(turns):
     assert ends[1, 1] - ends[0, 1] == pytest.approx(2 * np.pi, abs=1.5)
 
 
+@pytest.mark.slow
 def test_a_walk_over_both_saddles_conserves_energy_and_winding(system, connections):
     walked = chain(connections, ROUND_TRIP)
     orbit = shadow(walked, wraps=[2, 3, 2])

@@ -122,6 +122,7 @@ def test_a_symmetric_edge_equals_its_mirror_image(turn, back, found):
     assert not as_connection(shadow([turn, lopsided, turn], wraps=[2, 2])).symmetric
 
 
+@pytest.mark.slow
 def test_a_heteroclinic_round_trip_gives_a_homoclinic_edge(system):
     pairs = [("down-up", "up-down"), ("up-down", "down-up")]
     there, home = (find_connections(*orbits_between(system, *pair, 0.2)).connections[0] for pair in pairs)

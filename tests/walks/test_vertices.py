@@ -95,6 +95,7 @@ def test_the_curve_of_a_rotating_orbit_finds_its_phases(rotating):
     assert distances.max() < SPLINE
 
 
+@pytest.mark.slow
 def test_connections_leave_the_rotating_orbit_and_join_it(system, rotating, lyapunov, out, into):
     for search in (out, into):
         assert search.connections
@@ -159,6 +160,7 @@ def test_each_turn_flips_the_sign_of_a_periodic_dance(into, out):
     assert signs[0] == -signs[1] == signs[2]
 
 
+@pytest.mark.slow
 def test_a_walk_can_start_and_end_at_the_rotating_orbit(rotating, into, out):
     orbit = shadow([out.connections[0], into.connections[0]], wraps=[2])
     assert orbit.converged

@@ -35,6 +35,7 @@ def crossing(system):
     return find_edges(system, CROSSING_BORN + HAIR, pairs=pairs)
 
 
+@pytest.mark.slow
 def test_zero_wraps_are_too_few_just_above_the_saddle_node(system, tangent):
     solver, classifier = WalkSolver(tangent.connections), WalkClassifier(system, tangent.connections)
     plus = [c for c in tangent.connections if c.sense > 0]
@@ -104,6 +105,7 @@ def test_wraps_other_than_requested_are_reported(tangent):
     assert "wraps [2] instead of [3]" in wrong.status
 
 
+@pytest.mark.slow
 def test_one_node_per_period_is_reported_as_too_few(crossing):
     """With λ = 1,880 per period, rounding of rates of 20 rad/s keeps the defect above 1e-12."""
     walk = [crossing.between("down-up", "up-down")[0], crossing.between("up-down", "down-up")[0]]
