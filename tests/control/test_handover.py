@@ -83,6 +83,7 @@ def test_a_stay_lasts_the_requested_periods_to_within_half_a_period(done: Flight
     assert np.abs(periods - [6, 8]).max() <= 0.52
 
 
+@pytest.mark.slow
 def test_a_stay_is_left_where_the_next_flight_begins(done: Flight) -> None:
     for k in spans(done.actions):
         # The reference goes on from one controller to the next without a jump.

@@ -22,6 +22,8 @@ PERIOD = 1e-3
 WIDE = Limits(position=10.0, velocity=1e6, acceleration=1e6)
 NARROW = Limits(position=1.0, velocity=3.0, acceleration=20.0)
 DELAYS = [0.0, 0.2, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.6, 7.0, 7.99]
+QUICK_DELAYS = (0.0, 1.0, 1.5)
+"""Delays of the quick tests; each takes seconds to compile."""
 HANGING = np.zeros(6)
 MODEL = sampled_model(LAB, 1 / PERIOD)
 NOISE = SensorSettings().covariance(2)
@@ -86,7 +88,9 @@ def superposed(commands: np.ndarray, delay: float, first: int, last: int) -> np.
     return np.array(means)
 
 
-@pytest.mark.parametrize("delay", DELAYS)
+@pytest.mark.parametrize(
+    "delay", [delay if delay in QUICK_DELAYS else pytest.param(delay, marks=pytest.mark.slow) for delay in DELAYS]
+)
 def test_the_acceleration_is_the_superposition_of_the_commands(delay: float) -> None:
     commands, tick = np.random.default_rng(1).normal(0, 10, 40), Ticked(delay)
     acting = [tick(float(command))["acting"] for command in commands]

@@ -20,6 +20,7 @@ def test_arms_left_by_a_fall_come_to_rest(runs) -> None:
     assert np.isfinite(runs.times).all()
 
 
+@pytest.mark.slow
 def test_the_cart_never_meets_its_stop_while_it_calms(runs) -> None:
     assert not runs.faults
     assert runs.farthest.max() < LIMITS.position

@@ -191,21 +191,19 @@ TRIED = (0.01, 0.02, 0.024, 0.1)
 QUICK = (
     run,
     run_of_many_symbols,
-    comparison,
     campaign,
     campaign_of_mismatches,
     long_run,
-    preflight,
-    walk_page,
-    tube,
-    chart_of_methods,
-    chart_of_maps,
     chart_of_searches,
 )
+LONGER = (comparison, preflight, walk_page, tube, chart_of_methods, chart_of_maps)
+"""Pages that take seconds to draw."""
 SLOW = (reference, atlas, family, design, identification, transitions)
 
 
-@pytest.mark.parametrize("make", QUICK, ids=lambda make: make.__name__)
+@pytest.mark.parametrize(
+    "make", [*QUICK, *(pytest.param(make, marks=pytest.mark.slow) for make in LONGER)], ids=lambda make: make.__name__
+)
 def test_a_page_is_legible_in_print(make: Callable[[Path], Figure], tmp_path: Path) -> None:
     figure = make(tmp_path)
     assert problems(figure) == []

@@ -74,7 +74,7 @@ GOLDEN = {
 """By itinerary: the planning version, the duration in s, and the states at its quarters."""
 
 
-@pytest.mark.parametrize("name", ["outer-turn", "keep-down-up", "one-arm"])
+@pytest.mark.parametrize("name", ["outer-turn", "keep-down-up", pytest.param("one-arm", marks=pytest.mark.slow)])
 def test_a_plan_is_the_golden_one_of_its_planning_version(name: str) -> None:
     version, *figures = GOLDEN[name]
     reference = make_plan(load_itinerary(name), fresh=True).reference

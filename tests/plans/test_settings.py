@@ -145,6 +145,7 @@ def test_a_mistaken_override_is_one_sentence(given: Mapping[str, Any], told: str
         assert len(ended.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_overrides_mean_the_same_in_python_and_on_the_command_line(tmp_path: Path) -> None:
     command, short, own = tmp_path / "a.mcap", tmp_path / "b.mcap", tmp_path / "c.mcap"
     given = {"drive.lag": 0.002, "sensors.counts": 4000, "drive.jerk": 2000.0}

@@ -190,6 +190,7 @@ def rejected(content: dict[str, Any]) -> bool:
     return not found.proved and found.status.startswith("rejected: ") and found.statement is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*UNREADABLE, *UNTRUE])
 def test_a_corrupted_file_is_rejected_by_its_digest_with_exit_code_1(
     lab: dict[str, Any], name: str, tmp_path: Path
@@ -201,6 +202,7 @@ def test_a_corrupted_file_is_rejected_by_its_digest_with_exit_code_1(
     assert ended.message.startswith("dpcontrol: rejected: ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", UNREADABLE)
 def test_inconsistent_content_is_rejected_despite_a_valid_digest(lab: dict[str, Any], name: str) -> None:
     assert rejected(corrupted(lab, UNREADABLE[name], sealed=True))

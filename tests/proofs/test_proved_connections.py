@@ -40,6 +40,7 @@ def test_a_homoclinic_is_proved_with_the_computed_angle_and_state(found: Connect
         assert flint.arb(text).overlaps(flint.arb(float(value), 1e-9))
 
 
+@pytest.mark.slow
 def test_one_homoclinic_gives_a_horseshoe_with_entropy(steepest: Proof) -> None:
     """The return times of 0.752 s and about 5 s determine the entropy."""
     entropy = float(flint.arb(steepest.figures["entropy_at_least"]))

@@ -37,6 +37,7 @@ def proof(graph: Edges, turn: ShadowingOrbit) -> Proof:
     return dp.prove(turn, rivals=graph)
 
 
+@pytest.mark.slow
 def test_a_closed_walk_is_proved_with_its_period_multiplier_symbol_and_wraps(
     proof: Proof, turn: ShadowingOrbit
 ) -> None:
