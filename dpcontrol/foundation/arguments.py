@@ -13,6 +13,11 @@ from dpcontrol.foundation.errors import InputError
 def number(name: str, value: Any, *, least: float = -math.inf, most: float = math.inf) -> float:
     """Return a finite number within bounds as a float.
 
+    Args:
+        name: argument, for the message.
+        value: number given by the user.
+        least, most: bounds, inclusive, in the unit of the value.
+
     Raises:
         InputError: the value is not a number, not finite, or out of bounds.
     """
@@ -28,6 +33,11 @@ def number(name: str, value: Any, *, least: float = -math.inf, most: float = mat
 def whole(name: str, value: Any, *, least: int, most: int) -> int:
     """Return a whole number within bounds.
 
+    Args:
+        name: argument, for the message.
+        value: number given by the user.
+        least, most: bounds, inclusive.
+
     Raises:
         InputError: the value is not a whole number, or out of bounds.
     """
@@ -41,6 +51,11 @@ def whole(name: str, value: Any, *, least: int, most: int) -> int:
 def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
     """Return `count` finite numbers.
 
+    Args:
+        name: argument, for the message.
+        values: sequence (count,) given by the user.
+        count: required number of entries.
+
     Raises:
         InputError: the count is wrong, or an entry is not a finite number.
     """
@@ -51,6 +66,10 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
 
 def path(name: str, value: Any) -> str:
     """Return the path of a file as text.
+
+    Args:
+        name: argument, for the message.
+        value: text or `os.PathLike`, not bytes.
 
     Raises:
         InputError: the value is not a path.
@@ -63,6 +82,10 @@ def path(name: str, value: Any) -> str:
 def place(name: str, value: Any) -> Path | None:
     """Return the path of a file or folder, or None.
 
+    Args:
+        name: argument, for the message.
+        value: text, `os.PathLike` or None.
+
     Raises:
         InputError: the value is neither a path nor None.
     """
@@ -72,7 +95,11 @@ def place(name: str, value: Any) -> Path | None:
 def instance(name: str, value: Any, kinds: type | tuple[type, ...], what: str) -> Any:
     """Return the value if it has one of these types.
 
-    `what` describes them in the error.
+    Args:
+        name: argument, for the message.
+        value: object given by the user.
+        kinds: allowed types.
+        what: their description in the error.
 
     Raises:
         InputError: the value has another type.
@@ -83,13 +110,23 @@ def instance(name: str, value: Any, kinds: type | tuple[type, ...], what: str) -
 
 
 def allowed_range(kind: str, least: float, most: float) -> str:
+    """Return the text of a range of numbers, for messages.
+
+    Args:
+        kind: noun, such as "a whole number".
+        least, most: bounds, inclusive; infinite without one.
+    """
     if math.isinf(least) and math.isinf(most):
         return kind
     return f"{kind} of at least {least:g}" if math.isinf(most) else f"{kind} from {least:g} to {most:g}"
 
 
 def shortened(value: Any) -> str:
-    """Return the repr of a value, shortened if it is long."""
+    """Return the repr of a value, shortened if it is long.
+
+    Args:
+        value: any object.
+    """
     try:
         text = " ".join(repr(value).split())
     except ValueError:

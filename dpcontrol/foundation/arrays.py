@@ -15,7 +15,12 @@ Flags = NDArray[np.bool_]
 
 
 def checked_array(name: str, values: Any, width: int | None = None) -> Array:
-    """Return numbers (…) or, given a width, (…, width) as an array.
+    """Return real numbers as an array of floats.
+
+    Args:
+        name: argument, for the message.
+        values: numbers (…) or, given a width, (…, width).
+        width: length of the last axis; None for any shape.
 
     Raises:
         InputError: the values are no real numbers, or their last axis has another length.

@@ -1,4 +1,7 @@
-"""Time limits for searches, which return partial results when the time is up."""
+"""Time limits for searches.
+
+A search returns partial results when the time is up.
+"""
 
 import time
 
@@ -24,9 +27,17 @@ class Budget:
         return self.share >= 1
 
     def part(self, seconds: float) -> "Budget":
-        """Return a budget of `seconds` from now, limited to the rest of this one."""
+        """Return a budget within the rest of this one.
+
+        Args:
+            seconds: processor time from now, s.
+        """
         return Budget(max(0.0, min(seconds, self.seconds * (1 - self.share))))
 
     def until(self, share: float) -> "Budget":
-        """Return a budget that ends when `share` of this one has passed."""
+        """Return a budget that ends at a fraction of this one.
+
+        Args:
+            share: fraction of this budget, 0 to 1, counted from its begin.
+        """
         return self.part(self.seconds * max(1e-9, share - self.share))

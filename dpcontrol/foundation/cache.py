@@ -1,4 +1,6 @@
-"""Result cache, keyed by the content that results depend on: settings, parameters and code.
+"""Result cache, keyed by content.
+
+The key covers all that a result depends on: settings, parameters and code.
 
 The folder is $DPCONTROL_CACHE, else $XDG_CACHE_HOME/dpcontrol, else ~/.cache/dpcontrol. It has one subfolder for each
 kind of result.
@@ -74,6 +76,9 @@ def kept(file: Path) -> bytes | None:
     """Return the content stored under this name.
 
     None if it is missing or damaged.
+
+    Args:
+        file: entry, from `cache_file`.
     """
     try:
         content = file.read_bytes()
@@ -86,6 +91,10 @@ def keep(file: Path, content: bytes) -> None:
     """Store content under a name of `cache_file`.
 
     If the cache is not writable, issue a remark.
+
+    Args:
+        file: entry, from `cache_file`.
+        content: bytes to store; a digest is added.
     """
     try:
         write_whole(file, content + _seal(file, content))
@@ -111,7 +120,11 @@ def compiler_folder() -> Path | None:
 
 
 def unusable(reason: str) -> None:
-    """Issue a remark that results cannot be cached, with the reason."""
+    """Issue a remark that results cannot be cached, with the reason.
+
+    Args:
+        reason: cause in a few words, such as "Permission denied".
+    """
     remark(
         f"the cache {cache_root()} cannot be used ({reason}), so slow results are computed every time; "
         f"set {VARIABLE} to a writable folder, or free some space"
@@ -124,7 +137,10 @@ def _seal(file: Path, content: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class CacheContents:
-    """Number of entries and bytes of each kind in the cache, before it was emptied if so."""
+    """Number of entries and bytes of each kind in the cache.
+
+    They are counted before the cache is emptied, if it is.
+    """
 
     folder: Path
     kinds: dict[str, tuple[int, int]]
@@ -158,9 +174,10 @@ class CacheContents:
 
 
 def cache_contents(*, clear: bool = False) -> CacheContents:
-    """Return the contents of the cache, and delete its own files if `clear` is set.
+    """Return the contents of the cache, and empty it on request.
 
-    Other files in the folder are kept.
+    Args:
+        clear: delete the cache's own files; other files in the folder are kept.
 
     Raises:
         InputError: a file cannot be deleted, or a folder cannot be read.
@@ -179,7 +196,7 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
 
 
 def _size(file: Path, *, clear: bool) -> int | None:
-    """Return a file's size in bytes, and delete it if `clear` is set.
+    """Return a file's size in bytes, and delete it on request.
 
     Returns None if another process has already deleted the file.
     """
@@ -211,9 +228,15 @@ def code_hash(module: str, root: Path | None = None) -> str:
 
 
 def module_sources(module: str, root: Path | None = None) -> dict[str, bytes]:
-    """Return the source of a module of this package and of all its imports, by name.
+    """Return the sources of a module and of its imports, by name.
+
+    Only modules of this package count.
 
     The statements are parsed, not executed. Imports within functions and for type checking count too.
+
+    Args:
+        module: dotted name.
+        root: folder of the package; by default dpcontrol's.
     """
     root = Path(dpcontrol.__file__).parent if root is None else root
     sources: dict[str, bytes] = {}
@@ -238,7 +261,10 @@ def module_sources(module: str, root: Path | None = None) -> dict[str, bytes]:
 
 
 def _file(root: Path, name: str) -> Path | None:
-    """Return the file of a module or package, or None for other names and for the root package."""
+    """Return the file of a module or package.
+
+    None for other names and for the root package.
+    """
     path = root.joinpath(*name.split(".")[1:])
     if path == root:
         return None
@@ -246,7 +272,7 @@ def _file(root: Path, name: str) -> Path | None:
 
 
 def commit() -> str:
-    """Return the commit of the checkout that this package runs from, or "" if it is installed."""
+    """Return the commit of the checkout, or "" if installed."""
     root = Path(dpcontrol.__file__).parent.parent
     if not (root / ".git").exists():
         return ""

@@ -1,4 +1,6 @@
-"""The check of public functions' arguments against their annotations, before anything is computed.
+"""Check of public functions' arguments against their annotations.
+
+It happens before anything is computed.
 
 Annotations of public functions may be text, because results' classes are imported when they are needed. A value fits
 the name of a class if its class or one of its bases has this name. Numbers must be finite, and lie within `Between` if
@@ -50,7 +52,13 @@ _MAKERS: dict[str, str] = {}
 
 
 def checked(function: Function) -> Function:
-    """Return a function that raises InputError if an argument does not fit its annotation."""
+    """Return a function that checks its arguments against their annotations.
+
+    The returned function raises InputError if an argument does not fit.
+
+    Args:
+        function: annotated function or method.
+    """
     signature = inspect.signature(function)
     if function.__qualname__ == function.__name__:
         _MAKERS.setdefault(str(signature.return_annotation), function.__name__)
@@ -77,7 +85,10 @@ class _ByName(type):
 
 
 class _Names(dict[str, Any]):
-    """The names of a module, with a stand-in for each class that only type checkers import."""
+    """The names of a module, with stand-ins for missing classes.
+
+    Only type checkers import these classes.
+    """
 
     def __missing__(self, name: str) -> type:
         return _ByName(name, (), {})
@@ -155,7 +166,10 @@ def _fits(value: Any, hint: Any) -> bool:
 
 
 def _is_line(text: str) -> bool:
-    """Return True if a text is one line without control characters, and short enough for a path."""
+    """Return True if a text is one short printable line.
+
+    It has no control characters and fits in a path.
+    """
     parts = re.split(r"[/\\]", text)
     return printable(text) == text and "\n" not in text and len(text) < 4000 and all(len(one) < 250 for one in parts)
 
@@ -169,7 +183,13 @@ def _fits_any(value: Any, hint: Any) -> bool:
 
 
 def is_list(value: Any) -> bool:
-    """Return True if a value has entries in an order, without names, and is no text."""
+    """Return True if a value has entries in an order.
+
+    Texts, mappings and sets are no lists. An array is one if it has at least one axis.
+
+    Args:
+        value: any object.
+    """
     if isinstance(value, np.ndarray):
         return value.ndim > 0
     return isinstance(value, Collection) and not isinstance(value, str | bytes | Mapping | Set)

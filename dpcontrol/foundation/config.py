@@ -1,4 +1,6 @@
-"""The user's configuration: defaults of the command line, from the environment and from a file.
+"""The user's configuration: defaults of the command line.
+
+They come from the environment and from a file.
 
 File: $XDG_CONFIG_HOME/dpcontrol/config.toml, else ~/.config/dpcontrol/config.toml. An option overrides the environment,
 the environment overrides the file, and the file overrides the default.
@@ -42,13 +44,17 @@ def config_file() -> Path:
 
 
 def variable(name: str) -> str:
-    """Return the environment variable of a setting."""
+    """Return the environment variable of a setting.
+
+    Args:
+        name: setting, in lower case.
+    """
     return f"DPCONTROL_{name.upper()}"
 
 
 @cache
 def _read(path: Path, given: tuple[tuple[str, str], ...]) -> tuple[Config, frozenset[str]]:
-    """Return the configuration of a file and of variables, and the names that the file gives."""
+    """Return the configuration, and the names that the file gives."""
     values = read_toml(path)[0] if path.is_file() else {}
     if values:
         decode(Config, values, Place(str(path)))

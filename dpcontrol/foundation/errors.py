@@ -1,4 +1,7 @@
-"""Exceptions with their exit codes, remarks that stop nothing, and text that is safe to print."""
+"""Exceptions, remarks, and text that is safe to print.
+
+Exceptions have exit codes. Remarks stop nothing.
+"""
 
 import re
 import warnings
@@ -6,7 +9,10 @@ from collections.abc import Sequence
 
 
 class InputError(Exception):
-    """Bad input: one sentence with file, key, value and remedy. The exit code is 2."""
+    """Bad input: one sentence with file, key, value and remedy.
+
+    The exit code is 2.
+    """
 
 
 class InputErrors(InputError):
@@ -45,19 +51,28 @@ class Mistakes:
 
 
 def mistakes_of(error: InputError) -> tuple[str, ...]:
-    """Return the sentences of an error, one for each mistake."""
+    """Return the sentences of an error, one for each mistake.
+
+    Args:
+        error: one mistake, or several (`InputErrors`).
+    """
     return getattr(error, "mistakes", (str(error),))
 
 
 class PartMissing(Exception):
-    """A missing package: one sentence on its use and installation. The exit code is 2.
+    """A missing package: one sentence on its use and installation.
+
+    The exit code is 2. It is not an InputError, because the user's input is correct.
 
     It is not an InputError, because the user's input is correct.
     """
 
 
 class GoalMissed(Exception):
-    """A computation ended without a result: one sentence with the reason. The exit code is 1."""
+    """A computation without a result: one sentence with the reason.
+
+    The exit code is 1.
+    """
 
 
 class Remark(UserWarning):
@@ -67,9 +82,10 @@ class Remark(UserWarning):
 def remark(text: str) -> None:
     """Issue a remark once.
 
-    A warning in Python, a line on stderr on the command line.
+    A remark is a warning in Python and a line on stderr on the command line. Worker processes issue none.
 
-    Worker processes issue none.
+    Args:
+        text: one sentence.
     """
     from multiprocessing import parent_process
 
@@ -85,7 +101,9 @@ _CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u
 def printable(text: str, *, json: bool = False) -> str:
     """Return text with control characters escaped, as in \\x1b.
 
-    In JSON, as in \\u001b.
+    Args:
+        text: text from any source.
+        json: escape as in \\u001b.
     """
 
     def written_out(found: re.Match[str]) -> str:

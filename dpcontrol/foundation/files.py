@@ -1,4 +1,6 @@
-"""Files that are either whole or absent: written under a temporary name, then renamed.
+"""Files that are either whole or absent.
+
+They are written under a temporary name, then renamed.
 
 Only regular files are read, because pipes and devices never end. Containers are checked for their unpacked size before
 they are opened.
@@ -45,6 +47,9 @@ def checked_target(path: Path) -> Path:
 
     `path`, or the file that it links to. A rename would otherwise replace the link.
 
+    Args:
+        path: file to write, which may be missing.
+
     Raises:
         InputError: `path` is not a regular file, is a link to itself, or its folder is not accessible.
     """
@@ -63,10 +68,15 @@ def checked_target(path: Path) -> Path:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Prevent other commands of this user from writing `path` while the block runs.
+    """Prevent other commands of this user from writing a file.
+
+    The claim ends with the block.
 
     A claim is a lock on a file in the temporary folder. It has no effect if the folder is not writable, or the system
     has no locks.
+
+    Args:
+        path: file to write, which may be missing.
 
     Raises:
         InTheWay: another command is writing it.
@@ -103,7 +113,9 @@ def claimed(path: Path) -> Iterator[None]:
 
 @contextmanager
 def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
-    """Claim the first free name of NAME, NAME.2, NAME.3 … and yield the result of `make` for it.
+    """Claim the first free name and yield its result.
+
+    The names are NAME, NAME.2, NAME.3 …; the result is that of `make`.
 
     Args:
         path: the first name.
@@ -125,7 +137,10 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
 
 
 def checked_source(path: Path | str) -> Path:
-    """Return the path of a regular file to read, or of a missing one.
+    """Return the path of a regular or missing file to read.
+
+    Args:
+        path: file to read; links are followed.
 
     Raises:
         InputError: `path` is a folder, a device, a pipe or a link that leads to itself.
@@ -150,7 +165,12 @@ MOST_UNPACKED = 1 << 29
 
 
 def checked_size(size: float, what: str = "it", *, most: int = MOST_UNPACKED) -> None:
-    """Reject a file with an unpacked size above `most` bytes, by its headers.
+    """Reject a file whose headers declare a large unpacked size.
+
+    Args:
+        size: declared size, bytes.
+        what: subject of the message.
+        most: largest allowed size, bytes.
 
     Raises:
         ValueError: the size is too large, with its value and the limit.
@@ -161,6 +181,11 @@ def checked_size(size: float, what: str = "it", *, most: int = MOST_UNPACKED) ->
 
 def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
     """Reject a target that is the file being read.
+
+    Args:
+        out: file to write.
+        source: file that is read.
+        what: role of the source, such as "the log to repeat".
 
     Raises:
         InputError: `out` is the file `source`, perhaps by another name; what: its role, such as "the log to repeat".
@@ -174,14 +199,24 @@ def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
 
 
 def in_the_way(path: Path | str, what: str) -> InTheWay:
-    """Return the error of a file that is not replaced; what: its content, such as "holds another run"."""
+    """Return the error of a file that is not replaced.
+
+    Args:
+        path: the existing file.
+        what: its content, such as "holds another run".
+    """
     return InTheWay(
         f"{path} is there already and {what}, which would be lost: choose another name, or replace it with --force"
     )
 
 
 def unwritable(path: Path, error: OSError) -> InputError:
-    """Return the error of a file that cannot be written."""
+    """Return the error of a file that cannot be written.
+
+    Args:
+        path: file to write.
+        error: the system's error.
+    """
     return InputError(f"cannot write {path}: {error.strerror or error}; choose another file or folder")
 
 
@@ -193,6 +228,10 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
 
     The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file is removed if the
     block raises. Files of killed processes are removed by the next process that writes the same file.
+
+    Args:
+        path: file to write; missing folders are made.
+        suffix: end of the temporary name, ".partial" by default.
 
     Raises:
         InputError: the folder cannot be made or written to, or `path` is a folder or a device.
@@ -263,19 +302,28 @@ def _locked(handle: int) -> bool:
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write `content` to `path` so that a reader sees either the old file or the whole new one."""
+    """Write a file so that readers never see a part.
+
+    A reader sees either the old file or the whole new one.
+
+    Args:
+        path: file to write.
+        content: bytes, or text for UTF-8.
+    """
     data = content.encode() if isinstance(content, str) else content
     with whole_file(path) as temporary:
         temporary.write_bytes(data)
 
 
 def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -> None:
-    """Write text files by their names to the folder `path`.
+    """Write text files to a folder, all of them or nothing.
 
-    All of them, or nothing.
+    A folder with identical files is not changed.
 
-    A folder with identical files is not changed. force: replace files of these names in any folder, and keep its other
-    files.
+    Args:
+        path: folder to write.
+        files: texts by file name.
+        force: replace files of these names in any folder, and keep its other files.
 
     Raises:
         InputError: the folder is there and holds something else, or cannot be written.
@@ -307,7 +355,11 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
 
 
 def content_hash(*parts: str | bytes) -> str:
-    """Return 16 hexadecimal digits that identify `parts` in order."""
+    """Return 16 hexadecimal digits that identify `parts` in order.
+
+    Args:
+        parts: bytes, or texts encoded as UTF-8.
+    """
     digest = hashlib.sha256()
     for part in parts:
         data = part.encode() if isinstance(part, str) else part
@@ -329,13 +381,22 @@ def _digest(data: bytes, place: int) -> bytes:
 
 
 def sealed_table(data: bytes) -> bytes:
-    """Return the bytes of a table whose metadata hold `SEAL`, with its digest."""
+    """Return the bytes of a table with its digest.
+
+    Args:
+        data: Parquet file whose metadata hold `SEAL`.
+    """
     place = next(_SEAL.finditer(data)).start(1)
     return data[:place] + _digest(data, place) + data[place + 64 :]
 
 
 def check_seal(data: bytes) -> None:
-    """Reject a sealed table with any changed bit, and accept one without a seal.
+    """Reject a sealed table with any changed bit.
+
+    A table without a seal is accepted.
+
+    Args:
+        data: the whole file.
 
     Raises:
         ValueError: the digest is another, or missing.
@@ -357,9 +418,13 @@ UNREADABLE = (
 def write_archive(
     path: Path | str | BytesIO, header: Mapping[str, Any], arrays: Mapping[str, Any], *, compressed: bool = False
 ) -> None:
-    """Write a header, plain JSON with its `format` and `version`, and arrays atomically to `path`.
+    """Write a header and arrays atomically to a file.
 
-    path: path, or a file in memory.
+    Args:
+        path: path, or a file in memory.
+        header: plain JSON with its `format` and `version`.
+        arrays: arrays of any shape, by name.
+        compressed: compress the arrays.
 
     Raises:
         InputError: the file cannot be written, or the header is not plain JSON.
@@ -373,7 +438,12 @@ def write_archive(
 
 
 def archive_format(path: Path | str) -> str:
-    """Return the format in a file's header, or "" if it has none or is not readable.
+    """Return the format in a file's header.
+
+    "" if it has none or is not readable.
+
+    Args:
+        path: archive, or any other file.
 
     Raises:
         InputError: it is not a regular file.
@@ -413,7 +483,12 @@ def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 
 
 def is_archive(path: Path | str) -> bool:
-    """True if the first bytes are those of an archive, whole or damaged.
+    """True if the first bytes are those of an archive.
+
+    The archive may be damaged.
+
+    Args:
+        path: any file.
 
     Raises:
         InputError: it is not a regular file.
@@ -469,12 +544,22 @@ def archive(
 
 
 def picked(result: Any, *names: str) -> dict[str, Any]:
-    """Return attributes of a result by name."""
+    """Return attributes of a result by name.
+
+    Args:
+        result: any object.
+        names: attributes.
+    """
     return {name: getattr(result, name) for name in names}
 
 
 def fields_of(kind: type, record: Any) -> dict[str, Any]:
-    """Return the fields of a record that the dataclass `kind` declares, by name."""
+    """Return the fields of a dataclass from a record, by name.
+
+    Args:
+        kind: dataclass that declares the fields.
+        record: object with at least these attributes.
+    """
     return picked(record, *(field.name for field in fields(kind)))
 
 
@@ -482,6 +567,9 @@ def plain(value: Any) -> Any:
     """Return `value` as JSON values.
 
     Arrays become lists, complex numbers [re, im], paths text, and numbers that are not finite null.
+
+    Args:
+        value: nested mappings, lists, arrays (…) and scalars.
     """
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}

@@ -12,13 +12,19 @@ GUIDE = Path(dpcontrol.__file__).parent / "guide"
 
 
 def topics() -> dict[str, str]:
-    """Return the pages of the guide in reading order, with a line about each."""
+    """Return the pages of the guide, with their subjects.
+
+    The pages are in reading order, with a line about each.
+    """
     index = (GUIDE / "README.md").read_text(encoding="utf-8")
     return dict(re.findall(r"^- \[([\w-]+)\]\(\1\.md\): (.+)$", index, re.MULTILINE))
 
 
 def page(topic: str) -> str:
     """Return a page of the guide as Markdown.
+
+    Args:
+        topic: name of the page, without .md.
 
     Raises:
         InputError: the guide has no such page.

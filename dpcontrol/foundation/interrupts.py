@@ -31,7 +31,11 @@ _watcher: list[int] = []
 
 
 def kill_if_unresponsive() -> None:
-    """Start a process that kills this one if it does not handle an interrupt in time.
+    """Start a process that kills this one after ignored interrupts.
+
+    It does so if this process does not handle an interrupt in time. Call this before any thread exists. The program
+    then ends by SIGKILL. Files remain whole, because they are written under temporary names, and workers end with their
+    parent.
 
     Call this before any thread exists. The program then ends by SIGKILL. Files remain whole, because they are written
     under temporary names, and workers end with their parent.
@@ -59,7 +63,7 @@ def kill_if_unresponsive() -> None:
 
 
 def _watch(received: int, program: int) -> None:
-    """Kill a program that received an interrupt and did not handle it in time."""
+    """Kill a program that does not handle interrupts in time."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     # A reader of the program's output must not have to wait for this process.
@@ -85,7 +89,10 @@ def confirm_interrupt() -> None:
 
 @contextmanager
 def interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt for Ctrl-C and SIGTERM in the block, however the block ends.
+    """Raise KeyboardInterrupt for Ctrl-C and SIGTERM in the block.
+
+    This holds however the block ends. Only the main thread can set handlers. In other threads, Python's handlers
+    remain.
 
     Only the main thread can set handlers. In other threads, Python's handlers remain.
     """
@@ -129,7 +136,7 @@ def interrupts() -> Iterator[None]:
 
 @contextmanager
 def catching_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt at the end of the block if Ctrl-C was pressed in it.
+    """Raise KeyboardInterrupt after the block if Ctrl-C was pressed.
 
     For compiled code that catches Ctrl-C and returns as if it had failed. Its output on stderr about the interrupt is
     suppressed. This also works in programs without `interrupts`.
@@ -166,7 +173,10 @@ def forget_interrupts() -> None:
 
 @contextmanager
 def _replacing_errors(known: int) -> Iterator[None]:
-    """Raise KeyboardInterrupt instead of any other error if there are more than `known` interrupts."""
+    """Raise KeyboardInterrupt instead of other errors after an interrupt.
+
+    It does so if there are more than `known` interrupts.
+    """
     try:
         yield
     except BaseException as error:
@@ -178,7 +188,10 @@ def _replacing_errors(known: int) -> Iterator[None]:
 
 
 def _under_way() -> bool:
-    """True if an interrupt, or an error caused by it, is being handled on the stack."""
+    """True if an interrupt is being handled on the stack.
+
+    An error that an interrupt caused counts too.
+    """
     error = sys.exception()
     while error is not None:
         if isinstance(error, KeyboardInterrupt):

@@ -1,4 +1,6 @@
-"""Optional packages: imported on first use, with an install hint if they are missing.
+"""Optional packages, imported on first use.
+
+If one is missing, the error has an install hint.
 
     hy = Later("heyoka")        # imports the package on first use
 
@@ -34,6 +36,9 @@ for _name in ("starlette", "uvicorn", "websockets"):
 def part(name: str) -> Any:
     """Import and return a package.
 
+    Args:
+        name: name for `import`.
+
     Raises:
         PartMissing: the package cannot be imported.
     """
@@ -44,7 +49,11 @@ def part(name: str) -> Any:
 
 
 def installed(name: str) -> bool:
-    """True if a package is installed; does not import it."""
+    """True if a package is installed; does not import it.
+
+    Args:
+        name: name for `import`.
+    """
     return find_spec(name) is not None
 
 
@@ -80,7 +89,10 @@ _DISTRIBUTIONS = (
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of dpcontrol, Python, the system and the packages; "" if not installed."""
+    """Return the versions of dpcontrol, Python, system and packages.
+
+    "" if not installed.
+    """
     found = {"dpcontrol": __version__, "python": platform.python_version(), "system": platform.platform()}
     for name in _DISTRIBUTIONS:
         try:

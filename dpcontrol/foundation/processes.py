@@ -86,7 +86,9 @@ def in_processes(
 
 
 def end_with_parent() -> None:
-    """End this process as soon as the parent that started it by `multiprocessing` has ended.
+    """End this process as soon as its parent has ended.
+
+    The parent is the process that started it by `multiprocessing`.
 
     A thread waits for the parent, since compiled code does not block threads. The kernel's death signal exists only on
     Linux and is sent when the parent's thread ends.
@@ -134,7 +136,7 @@ MOST_SUBMITTED = 512
 
 
 class Keyed(Protocol):
-    """A job that is identified by a key of everything it depends on."""
+    """A job with a key of everything it depends on."""
 
     @property
     def key(self) -> str:
@@ -146,7 +148,7 @@ Job = TypeVar("Job", bound=Keyed)
 
 
 def on_cluster(function: Callable[[Job], Done], jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, Done]]:
-    """Yield each job with its result, computed by the Dask cluster at `address`.
+    """Yield each job with its result from a Dask cluster.
 
     If the scheduler is lost, its jobs are submitted to the next one at this address.
 

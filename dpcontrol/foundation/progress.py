@@ -26,7 +26,14 @@ def no_progress(what: str, done: float) -> None:
 
 
 def part_of(progress: Progress, low: float, high: float) -> Progress:
-    """Return a progress function that maps 0 to 1 to the range from `low` to `high`."""
+    """Return a progress function for a part of the work.
+
+    It maps 0 to 1 to the range from `low` to `high`.
+
+    Args:
+        progress: progress function of the whole work.
+        low, high: completed fractions, 0 to 1, at the begin and end of the part.
+    """
 
     def report(what: str, done: float) -> None:
         progress(what, low + (high - low) * done)
@@ -36,9 +43,14 @@ def part_of(progress: Progress, low: float, high: float) -> Progress:
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Progress]:
-    """Show a progress bar on stderr during the block, and yield its progress function.
+    """Show a progress bar on stderr, and yield its function.
+
+    The bar lasts for the block.
 
     If stderr is not a terminal, a line is written every twenty seconds, and one at the end.
+
+    Args:
+        label: text before the bar.
     """
     if not sys.stderr.isatty():
         yield lines(label)
@@ -64,7 +76,13 @@ _LINE = 20.0
 
 
 def lines(label: str) -> Progress:
-    """Return a progress function that writes a line to stderr every twenty seconds."""
+    """Return a progress function that writes lines to stderr.
+
+    It writes one every twenty seconds.
+
+    Args:
+        label: begin of each line.
+    """
     began = last = time.monotonic()
 
     def report(what: str, done: float) -> None:
@@ -87,7 +105,12 @@ ANNOUNCED_FROM = 60.0
 
 @contextmanager
 def reporting(progress: Reporting, label: str) -> Iterator[Progress]:
-    """Yield the progress function, with a labelled bar if requested."""
+    """Yield the progress function, with a labelled bar if requested.
+
+    Args:
+        progress: a function, True for a bar, None for lines on stderr.
+        label: text before the bar or in each line.
+    """
     if progress is True:
         with progress_bar(label) as report:
             yield report
@@ -118,7 +141,13 @@ class Cost:
 
 
 def announce(cost: Cost, *, yes: bool) -> None:
-    """Announce work of more than a minute, and reject work beyond the limits unless `yes`.
+    """Announce long work, and reject work beyond the limits.
+
+    Work is long if it takes more than a minute.
+
+    Args:
+        cost: predicted cost.
+        yes: confirmation of the user, which lifts the limits.
 
     Raises:
         InputError: the work is beyond the limits.

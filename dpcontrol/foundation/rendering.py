@@ -1,4 +1,6 @@
-"""The way from a result to its picture, which is drawn in a higher layer.
+"""The way from a result to its picture.
+
+Pictures are drawn in a higher layer.
 
 Results do not import the modules that draw them. They call `render`, which finds the renderer in the table
 `dpcontrol.pages.renderers.RENDERERS`. This is the only module that imports a higher layer, and it does so by name.
@@ -52,6 +54,9 @@ def render(result: object, axes: Axes | None = None) -> Figure:
 
 def thumbnail(result: object) -> Figure:
     """Return a small picture of a result: its most important chart.
+
+    Args:
+        result: result with a renderer.
 
     Raises:
         InputError: the result has no chart that fits in one panel.

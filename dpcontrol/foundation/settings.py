@@ -41,7 +41,9 @@ _READERS = {
 
 
 class Table:
-    """One table of a TOML file. Values are taken key by key; `finish` rejects keys that were not taken.
+    """One table of a TOML file.
+
+    Values are taken key by key; `finish` rejects keys that were not taken.
 
     Every method raises InputError with one sentence when a key is missing, unknown or of the wrong kind.
     """
@@ -52,7 +54,11 @@ class Table:
         self.file, self.name = file, name
 
     def where(self, key: str | None = None) -> str:
-        """Return "FILE: [table] key" for a message."""
+        """Return "FILE: [table] key" for a message.
+
+        Args:
+            key: key of this table; None for the table itself.
+        """
         table = f" [{self.name}]" if self.name else ""
         return f"{self.file}:{table}{f' {key}' if key else ''}"
 
@@ -68,13 +74,25 @@ class Table:
         return default
 
     def misspelt(self, key: str) -> str:
-        """Return "; is … a misspelling of it?" if an unused key resembles the missing `key`, else ""."""
+        """Return a hint if an unused key resembles a missing one.
+
+        The hint is "; is … a misspelling of it?", or "".
+
+        Args:
+            key: the missing key.
+        """
         others = [] if key in self._values else [k for k in self._values if k not in self._taken]
         close = difflib.get_close_matches(key, others, n=1)
         return f"; is {close[0]!r} a misspelling of it?" if close else ""
 
     def text(self, key: str, default: Any = MISSING, *, allowed: Iterable[str] | None = None) -> str:
-        """Return a string, one of `allowed` if given."""
+        """Return a string.
+
+        Args:
+            key: key of this table.
+            default: value of a missing key, which is otherwise an error.
+            allowed: allowed strings; None for any.
+        """
         value = self._take(key, default)
         if not isinstance(value, str):
             raise InputError(f"{self.where(key)} = {value!r}: must be text in quotes")
@@ -83,27 +101,59 @@ class Table:
         return value
 
     def number(self, key: str, default: Any = MISSING) -> float:
-        """Return a finite number."""
+        """Return a finite number.
+
+        Args:
+            key: key of this table.
+            default: value of a missing key, which is otherwise an error.
+        """
         return self._number(self._take(key, default), key)
 
     def integer(self, key: str, default: Any = MISSING, *, least: int = 0) -> int:
-        """Return a whole number of at least `least`."""
+        """Return a whole number.
+
+        Args:
+            key: key of this table.
+            default: value of a missing key, which is otherwise an error.
+            least: smallest allowed number.
+        """
         return self._integer(self._take(key, default), key, least)
 
     def numbers(self, key: str, default: Any = MISSING) -> tuple[float, ...]:
-        """Return a list of finite numbers."""
+        """Return a list of finite numbers.
+
+        Args:
+            key: key of this table.
+            default: value of a missing key, which is otherwise an error.
+        """
         return tuple(self._number(v, key) for v in self._list(key, default))
 
     def number_or_numbers(self, key: str, default: Any = MISSING) -> float | tuple[float, ...]:
-        """Return a finite number or a list of them."""
+        """Return a finite number or a list of them.
+
+        Args:
+            key: key of this table.
+            default: value of a missing key, which is otherwise an error.
+        """
         return self.numbers(key, default) if isinstance(self._values.get(key), list) else self.number(key, default)
 
     def integers(self, key: str, default: Any = MISSING, *, least: int = 0) -> tuple[int, ...]:
-        """Return a list of whole numbers of at least `least`."""
+        """Return a list of whole numbers.
+
+        Args:
+            key: key of this table.
+            default: value of a missing key, which is otherwise an error.
+            least: smallest allowed number.
+        """
         return tuple(self._integer(v, key, least) for v in self._list(key, default))
 
     def texts(self, key: str, default: Any = MISSING) -> tuple[str, ...]:
-        """Return a list of strings."""
+        """Return a list of strings.
+
+        Args:
+            key: key of this table.
+            default: value of a missing key, which is otherwise an error.
+        """
         values = self._list(key, default)
         for value in values:
             if not isinstance(value, str):
@@ -111,14 +161,23 @@ class Table:
         return tuple(values)
 
     def table(self, key: str, *, required: bool = False) -> "Table":
-        """Return a table within this one, empty if it is missing."""
+        """Return a table within this one.
+
+        Args:
+            key: key of this table.
+            required: raise an error for a missing table, which is otherwise empty.
+        """
         value = self._take(key, MISSING if required else {})
         if not isinstance(value, dict):
             raise InputError(f"{self.where(key)} = {value!r}: must be a table, [{key}]")
         return Table(value, file=self.file, name=f"{self.name}.{key}" if self.name else key)
 
     def tables(self, key: str) -> "list[Table]":
-        """Return the tables of an array of tables, [[key]], none if it is missing."""
+        """Return the tables of an array of tables, [[key]].
+
+        Args:
+            key: key of this table; a missing one has no tables.
+        """
         value = self._take(key, [])
         if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
             raise InputError(f"{self.where(key)} = {value!r}: must be tables, each under [[{key}]]")
@@ -131,10 +190,14 @@ class Table:
         return rest
 
     def settings(self, kind: type[T], /, *, also: Iterable[str] = (), **given: Any) -> T:
-        """Return a settings dataclass filled from this table and the fields' defaults.
+        """Return a settings dataclass filled from this table.
 
-        Fields in `given` are set by the caller and are not allowed in the file. Errors of the dataclass's checks are
-        reported with this table's place. `also` lists further keys for suggestions.
+        Missing keys take the fields' defaults. Errors of the dataclass's checks are reported with this table's place.
+
+        Args:
+            kind: the dataclass.
+            also: further keys, for suggestions.
+            given: fields that the caller sets and that are not allowed in the file.
         """
         hints = get_type_hints(kind)
         values = dict(given)
@@ -148,7 +211,12 @@ class Table:
         return self.checked(kind, **values)
 
     def checked(self, kind: type[T], /, **values: Any) -> T:
-        """Construct a dataclass and report errors of its checks with this table's place."""
+        """Construct a dataclass, with this table's place in its errors.
+
+        Args:
+            kind: the dataclass.
+            values: its fields.
+        """
         try:
             return kind(**values)
         except InputError as error:
@@ -157,7 +225,11 @@ class Table:
             raise InputError(f"{self.where()} {message}") from error
 
     def finish(self, *, also: Iterable[str] = ()) -> None:
-        """Reject unused keys; `also` lists further keys for suggestions."""
+        """Reject unused keys.
+
+        Args:
+            also: further keys, for suggestions.
+        """
         for key in self._values:
             if key not in self._taken:
                 known = sorted(self._taken | set(also))
@@ -188,7 +260,12 @@ class Table:
 
 
 def suggest(value: str, choices: Iterable[str]) -> str:
-    """Return the allowed values as a text, the nearest spelling first."""
+    """Return the allowed values as a text, the nearest spelling first.
+
+    Args:
+        value: value given by the user.
+        choices: allowed values.
+    """
     choices = [str(choice) for choice in choices] or ["none"]
     close = nearest(str(value), choices)
     if close:
@@ -198,6 +275,11 @@ def suggest(value: str, choices: Iterable[str]) -> str:
 
 def check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:
     """Raise an error for the first name that is not known.
+
+    Args:
+        what: kind of name, such as "controller", for the message.
+        names: names given by the user.
+        known: allowed names.
 
     Raises:
         InputError: unknown name; the message has the nearest spelling.
@@ -209,7 +291,14 @@ def check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:
 
 
 def nearest(value: str, choices: Iterable[str]) -> str:
-    """Return the choice with the nearest spelling, ignoring case, or "" if all differ much."""
+    """Return the choice with the nearest spelling, ignoring case.
+
+    "" if all differ much.
+
+    Args:
+        value: value given by the user.
+        choices: allowed values.
+    """
     spelt = {choice.casefold(): choice for choice in choices}
     close = difflib.get_close_matches(value.casefold(), spelt, n=1)
     return spelt[close[0]] if close else ""
@@ -217,6 +306,9 @@ def nearest(value: str, choices: Iterable[str]) -> str:
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     """Return the contents of a TOML file, and its text.
+
+    Args:
+        path: UTF-8 file, with or without a byte-order mark.
 
     Raises:
         InputError: the file cannot be read, is not text, or is not TOML, with the line.
@@ -232,7 +324,11 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def parse_toml(text: str, file: str) -> dict[str, Any]:
-    """Return the contents of TOML text; `file` names it in messages.
+    """Return the contents of TOML text.
+
+    Args:
+        text: the text.
+        file: its name in messages.
 
     Raises:
         InputError: the text is not TOML, with the line.
@@ -246,10 +342,16 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
 
 
 def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) -> str:
-    """Return TOML text with keys of one table set to texts, numbers or lists of these.
+    """Return TOML text with keys of one table set.
 
-    table: "" for the top level. Comments, order, spacing and line ends are kept. New keys follow the table's last key,
-    and a new table follows the text.
+    Comments, order, spacing and line ends are kept. New keys follow the table's last key, and a new table follows the
+    text.
+
+    Args:
+        text: valid TOML.
+        table: name of the table; "" for the top level.
+        values: texts, numbers or lists of these, by key.
+        file: its name in messages.
 
     Raises:
         InputError: the layout of the text is not supported; the message has the lines to write by hand.
@@ -295,7 +397,10 @@ def _toml(value: Any) -> str:
 
 
 def _set(lines: list[str], header: int, key: str, value: str, end: str) -> None:
-    """Set one key of the table whose header is line `header`, in place."""
+    """Set one key of a table in place.
+
+    The table's header is line `header`.
+    """
     last = k = header + 1
     while k < len(lines) and not lines[k].lstrip().startswith("["):
         stop = _end_of_value(lines, k)
@@ -316,7 +421,10 @@ def _set(lines: list[str], header: int, key: str, value: str, end: str) -> None:
 
 
 def _end_of_value(lines: Sequence[str], k: int) -> int | None:
-    """Return the line after the value of the key in line k, or None if the line has no key."""
+    """Return the line after the value of a key.
+
+    None if line k has no key.
+    """
     if not lines[k].strip() or lines[k].lstrip().startswith("#"):
         return None
     for stop in range(k + 1, len(lines) + 1):
@@ -327,7 +435,7 @@ def _end_of_value(lines: Sequence[str], k: int) -> int | None:
 
 
 def _comment(begin: str, rest: str) -> str:
-    """Return the comment after a value of one line, with the blanks before it."""
+    """Return the comment after a value, with its leading blanks."""
     rest = rest.rstrip("\r\n")
     for found in re.finditer(r"\s*#", rest):
         with suppress(tomllib.TOMLDecodeError):
@@ -360,7 +468,10 @@ class Bounds:
 
     @property
     def range(self) -> str:
-        """Allowed range, such as "0 to 1000 periods" or "positive", or "" for any number."""
+        """Allowed range, such as "0 to 1000 periods" or "positive".
+
+        "" for any number.
+        """
         unit = f" {self.unit}" if self.unit else ""
         low = max(self.least, self.above)
         if math.isfinite(self.most):
@@ -376,7 +487,11 @@ class Bounds:
         return text + "".join(f", or {value} for {meaning}" for value, meaning in extremes if meaning)
 
     def complaint(self, value: Any) -> str:
-        """Return the error of a value, or "" if it is valid."""
+        """Return the error of a value, or "" if it is valid.
+
+        Args:
+            value: value in `unit`.
+        """
         if self.choices:
             return "" if value in self.choices else suggest(str(value), self.choices)
         if isinstance(value, str) and replace(self, unit="", key="") == Bounds():
@@ -452,7 +567,12 @@ class Settings:
         return InputError(f"{f'{cls.TABLE}: ' if cls.TABLE else ''}{key} = {value!r}: {complaint}")
 
     def refusal(self, key: str, complaint: str) -> InputError:
-        """Return the error of a setting's present value."""
+        """Return the error of a setting's present value.
+
+        Args:
+            key: field of the settings.
+            complaint: what is wrong, such as "must be positive".
+        """
         return self._refused(key, getattr(self, key), complaint)
 
 
@@ -461,13 +581,20 @@ def bounds_of(kind: type) -> dict[str, Bounds]:
     """Return {field: bounds}.
 
     A field with another default in a subclass keeps its bounds.
+
+    Args:
+        kind: settings dataclass.
     """
     return {name: found["bounds"] for name, found in _declared(kind).items()}
 
 
 @cache
 def help_of(kind: type) -> dict[str, str]:
-    """Return {field: help}, inherited like the bounds."""
+    """Return {field: help}, inherited like the bounds.
+
+    Args:
+        kind: settings dataclass.
+    """
     return {name: found["help"] for name, found in _declared(kind).items()}
 
 
@@ -501,12 +628,20 @@ class Place:
         return f"{self.file}:{f' [{self.table}]' if self.table else ''}"
 
     def error(self, key: str, value: Any, complaint: str) -> InputError:
-        """Return the error of a key's value."""
+        """Return the error of a key's value.
+
+        Args:
+            key: key of the table.
+            value: its value.
+            complaint: what is wrong, such as "must be positive".
+        """
         return InputError(f"{self} {key} = {value!r}: {complaint}")
 
 
 def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iterable[str] = ()) -> T:
-    """Return settings of a dataclass from a table of TOML or an object of JSON.
+    """Return settings of a dataclass from TOML or JSON.
+
+    The values are a table or an object.
 
     Args:
         kind: dataclass derived from `Settings`.
@@ -552,7 +687,11 @@ def _complaint(kind: Any, key: str, value: Any) -> str:
 
 
 def frozen(value: Any) -> Any:
-    """Return a value of TOML or JSON with tuples in place of lists."""
+    """Return a value with tuples in place of lists.
+
+    Args:
+        value: value of TOML or JSON.
+    """
     if isinstance(value, Mapping):
         return {key: frozen(one) for key, one in value.items()}
     return tuple(map(frozen, value)) if isinstance(value, list | tuple) else value
@@ -560,7 +699,13 @@ def frozen(value: Any) -> Any:
 
 @cache
 def adapter(kind: Any) -> Any:
-    """Return pydantic's adapter of a dataclass, imported here because that takes a tenth of a second."""
+    """Return pydantic's adapter of a dataclass.
+
+    The import within the function takes a tenth of a second.
+
+    Args:
+        kind: dataclass, or another type.
+    """
     from pydantic import TypeAdapter
 
     return TypeAdapter(kind)
@@ -584,7 +729,7 @@ def _mistake(
 ) -> InputError:
     """Return the error of one key.
 
-    keys: the file's values, and the known keys.
+    `keys` are the file's values, and the known keys.
     """
     values, known = keys
     if wrong["type"] in ("missing", "missing_argument"):

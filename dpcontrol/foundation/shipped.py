@@ -1,4 +1,6 @@
-"""Shipped models, itineraries and mappings, and those of the working folder, by name.
+"""Shipped models, itineraries and mappings, by name.
+
+Those of the working folder come first.
 
 Models and itineraries are searched by path, in the working folder, then among those shipped. An installed wheel
 contains them in `dpcontrol/data`; in a checkout they are beside the package.
@@ -22,14 +24,22 @@ def mappings() -> list[str]:
 
 
 def folders(kind: str) -> tuple[Path, Path]:
-    """Return the folders of "models" or "itineraries": the working folder's and the shipped one."""
+    """Return the working folder's and the shipped folder.
+
+    Args:
+        kind: "models" or "itineraries".
+    """
     package = Path(dpcontrol.__file__).parent
     inside = package / "data" / kind
     return Path(kind), inside if inside.is_dir() else package.parent / kind
 
 
 def known(kind: str) -> list[str]:
-    """Return the names that need no path."""
+    """Return the names that need no path.
+
+    Args:
+        kind: see `folders`.
+    """
     names: set[str] = set()
     for folder in folders(kind):
         # A folder that is not readable adds no names.
@@ -39,7 +49,11 @@ def known(kind: str) -> list[str]:
 
 
 def find(kind: str, name: str) -> Path:
-    """Return the TOML file of a model or an itinerary by name or path.
+    """Return the TOML file of a model or an itinerary.
+
+    Args:
+        kind: see `folders`.
+        name: name, or path of a file.
 
     Raises:
         InputError: the file does not exist; the message lists the known names and the nearest one.

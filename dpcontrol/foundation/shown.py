@@ -1,4 +1,6 @@
-"""Results that print themselves in one line, draw themselves, and tabulate their motion.
+"""Results that print, draw and tabulate themselves.
+
+They print themselves in one line.
 
 The base classes leave the data to the dataclasses that derive from them. Pictures come from the table of renderers.
 """
@@ -27,10 +29,16 @@ if TYPE_CHECKING:
 
 
 class Brief:
-    """Base of dataclasses whose repr is one line, and whose `document` is in JSON's terms."""
+    """Base of dataclasses whose repr is one line.
+
+    Their `document` has values of JSON.
+    """
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Keep the inherited repr, which the dataclass decorator would replace by one of all fields."""
+        """Keep the inherited repr.
+
+        The dataclass decorator would replace it by one of all fields.
+        """
         super().__init_subclass__(**options)
         cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
         if "document" in vars(cls):
@@ -53,7 +61,7 @@ def _in_json(document: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _summary(value: Any) -> str:
-    """Return a short text of a field's value, or "" if it needs more than a few words."""
+    """Return a short text of a value, or "" if long."""
     if isinstance(value, float):
         return f"{value:.6g}"
     if value is None or isinstance(value, bool | int):
@@ -116,7 +124,11 @@ class Timed(Shown):
         raise NotImplementedError
 
     def states(self, times: Any = None) -> Array:
-        """Return the states at given times."""
+        """Return the states at given times.
+
+        Args:
+            times: times (…), s; None for the default of the result.
+        """
         raise NotImplementedError
 
     def sample(self, count: Count = 200) -> Array:
@@ -170,6 +182,9 @@ def pandas_classes() -> tuple[Any, Any]:
 
 def checked_times(times: Any) -> Array:
     """Return times (…) as an array.
+
+    Args:
+        times: numbers (…), s.
 
     Raises:
         InputError: they are not finite numbers.

@@ -21,7 +21,10 @@ class Share:
 
     @property
     def likely(self) -> bool | None:
-        """True if it is at least 0.9, False if it is less than 0.5, with confidence; None in between."""
+        """True if the share is at least 0.9, with confidence.
+
+        False if it is less than 0.5 with confidence, None in between.
+        """
         return True if self.low >= 0.9 else False if self.high < 0.5 else None
 
     @property
@@ -31,7 +34,15 @@ class Share:
 
 
 def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
-    """Return the share with Wilson's interval, which is 0 to 1 without runs."""
+    """Return the share with Wilson's interval.
+
+    The interval is 0 to 1 without runs.
+
+    Args:
+        successes: number of successful runs.
+        runs: number of runs.
+        confidence: probability of the interval, 0 to 1.
+    """
     if not runs:
         return Share(0, 0, 0.0, 1.0)
     # Importing scipy.stats takes half a second.
@@ -55,7 +66,10 @@ class Pairing:
 
 
 def paired(first: ArrayLike, second: ArrayLike) -> Pairing:
-    """Compare outcomes (K,) of the same seeds; True is success.
+    """Compare the outcomes of two controllers on the same seeds.
+
+    Args:
+        first, second: outcomes (K,), True for success, in the same order of seeds.
 
     Raises:
         ValueError: the numbers of outcomes differ.

@@ -1,4 +1,7 @@
-"""Detection of numbers in the wrong unit: unusual values cause a remark, impossible ones an error."""
+"""Detection of numbers in the wrong unit.
+
+Unusual values cause a remark, impossible ones an error.
+"""
 
 import math
 import re
@@ -31,10 +34,14 @@ _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 
 
 def prefixed(largest: float, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit with an SI prefix that suit values up to `largest`.
+    """Return a factor and a unit with a fitting prefix.
 
     >>> prefixed(8.8e-05, "s")
     (1000000.0, 'µs')
+
+    Args:
+        largest: largest size of the values, in `unit`.
+        unit: unit without a prefix, such as "s".
     """
     finite = math.isfinite(largest) and largest > 0
     power = min(max(3 * math.floor(math.log10(largest) / 3), -9), 6) if finite else 0
@@ -48,6 +55,10 @@ def quantity(value: float, unit: str) -> str:
 
     >>> quantity(8.8e-05, "s")
     '88 µs'
+
+    Args:
+        value: number in `unit`.
+        unit: unit without a prefix, such as "s".
     """
     plain = not unit or "²" in unit or not unit[0].isalpha()
     factor, shown = (1.0, unit) if plain else prefixed(abs(value), unit)
@@ -55,28 +66,53 @@ def quantity(value: float, unit: str) -> str:
 
 
 class InUnits:
-    """Base of systems and results that state whether their units are those of SI."""
+    """Base of systems and results with a unit system.
+
+    They state whether their units are those of SI.
+    """
 
     si: bool
 
     def unit(self, name: str, form: str = " {}") -> str:
-        """Return a unit of SI as it follows a number, or "" if the system has its own units."""
+        """Return a unit of SI as it follows a number.
+
+        "" if the system has its own units.
+
+        Args:
+            name: unit, such as "J".
+            form: format of the unit, with its blank.
+        """
         return form.format(name) if self.si else ""
 
     def worded(self, text: str) -> str:
-        """Return a text on energies in J, without this unit if the system has its own units."""
+        """Return a text on energies for this system.
+
+        If the system has its own units, the unit J is removed.
+
+        Args:
+            text: text with energies in J.
+        """
         return text if self.si else re.sub(r"(?<=[\d\]]) J\b", "", text)
 
 
 class Usual(NamedTuple):
-    """Usual range of a key on ordinary benches, and its unit. Zero is always usual."""
+    """Usual range of a key on ordinary benches.
+
+    The range has a unit. Zero is always usual.
+    """
 
     least: float
     most: float
     unit: str
 
     def oddities(self, key: str, values: Sequence[float]) -> Iterator[str]:
-        """Yield a sentence on each unusual value, with the unit in which it would be usual.
+        """Yield a sentence on each unusual value.
+
+        If another unit would make it usual, the sentence has that unit.
+
+        Args:
+            key: key of the values, for the message.
+            values: numbers in `unit`.
 
         Raises:
             InputError: a value is impossible.
