@@ -1,4 +1,6 @@
-"""A planar chain of n arms on a cart: parameters, one Lagrangian, its levels, identifiable ratios, drawn arms.
+"""A planar chain of n arms on a cart.
+
+This module has its parameters, one Lagrangian, its levels, identifiable ratios and drawn arms.
 
     L = ½ Σ M_ij cos(θ_i-θ_j) ω_i ω_j + Σ S_i cos θ_i ω_i ẋ + ½ ẋ² + Σ G_i cos θ_i
     D = Σ ½ k_i ρ_i² + c_i √(ρ_i² + w²) + ⅓ b_i (v_i² + (λ_i w)²)^{3/2},      ρ_i = ω_i - ω_{i-1}
@@ -71,7 +73,10 @@ _PLANNED_SMOOTHING = 0.05
 
 
 class Friction(StrEnum):
-    """Laws of friction in addition to the viscous one, in the order of their coefficients."""
+    """Laws of friction in addition to the viscous one.
+
+    They are in the order of their coefficients.
+    """
 
     COULOMB = "coulomb"
     QUADRATIC = "quadratic"
@@ -122,7 +127,10 @@ class ArmChainParameters(Settings):
         return tuple(law for law in Friction if getattr(self, law))
 
     def named(self) -> dict[str, tuple[float, str]]:
-        """Return {name: (value, unit)} with the usual short names: m1, a1, l1, J1, g, k1 …"""
+        """Return {name: (value, unit)} with the usual short names.
+
+        The names are m1, a1, l1, J1, g, k1 …
+        """
         units = {name: bounds.unit.replace("²", "^2") for name, bounds in bounds_of(type(self)).items()}
         shown = {**_INERTIAL, "gravity": "g", **_FRICTION, **({"smoothing": "w"} if self.friction else {})}
         out: dict[str, tuple[float, str]] = {}
@@ -204,16 +212,22 @@ class ArmChainParameters(Settings):
         return replace(self, smoothing=max(self.smoothing, _PLANNED_SMOOTHING))
 
     def with_friction(self, factor: float) -> "ArmChainParameters":
-        """Return the same arms with every coefficient of friction times `factor`."""
+        """Return the same arms with scaled friction.
+
+        Args:
+            factor: factor on every coefficient of friction.
+        """
         return replace(self, **{name: tuple(factor * v for v in getattr(self, name)) for name in _FRICTION})
 
     def mismatched(self, fraction: float, random: np.random.Generator) -> "ArmChainParameters":
         """Return arms with random errors relative to these.
 
-        A possible plant for this model.
+        They are a possible plant for this model. Each mass, centre, length and inertia is multiplied by an independent
+        uniform 1 ± fraction; each friction coefficient by 1 ± 5 fraction, but never below zero.
 
-        Each mass, centre, length and inertia is multiplied by an independent uniform 1 ± fraction; each
-        friction coefficient by 1 ± 5 fraction, but never below zero.
+        Args:
+            fraction: largest relative error of inertial parameters.
+            random: generator, which is advanced.
         """
 
         def vary(values: tuple[float, ...], by: float) -> tuple[float, ...]:
@@ -239,9 +253,15 @@ class Level(StrEnum):
 
 @dataclass(frozen=True)
 class ChainEnergies(Brief):
-    """The chain's energies as functions of (position (n+1,), velocity (n+1,), parameters), the cart last.
+    """The chain's energies as functions, with the cart last.
 
-    parameters: symbols of the base parameters in the functions. coupling (n,): their part S.
+    The functions are of (position (n+1,), velocity (n+1,), parameters).
+
+    Attributes:
+        lagrangian: kinetic minus potential energy, J.
+        dissipation: dissipation function, W.
+        parameters: symbols of the base parameters in the functions.
+        coupling: their part S (n,).
     """
 
     lagrangian: Energy
@@ -252,7 +272,14 @@ class ChainEnergies(Brief):
 
 @cache
 def chain_energies(count: int, *, friction: tuple[Friction, ...] = ()) -> ChainEnergies:
-    """Return Lagrangian and dissipation function of `count` arms on a free cart of 1 kg."""
+    """Return Lagrangian and dissipation of arms on a free cart.
+
+    The cart has 1 kg.
+
+    Args:
+        count: number n of arms.
+        friction: laws in addition to the viscous one.
+    """
     n = count
     m = ca.SX.sym("M", n * (n + 1) // 2)
     g = ca.SX.sym("G", n)
@@ -291,11 +318,16 @@ def chain_energies(count: int, *, friction: tuple[Friction, ...] = ()) -> ChainE
 
 @cache
 def arm_chain_equations(count: int, level: Level, *, friction: tuple[Friction, ...] = ()) -> Equations:
-    """Return the equations of `count` arms at `level`, with the base parameters as symbols.
+    """Return the equations of arms at a level.
 
-    friction: laws in addition to the viscous one, see `ArmChainParameters.friction`; others are left out of the
-    equations. The state has angles, rates and, at level cart, cart position and velocity. The input is the cart's
-    acceleration.
+    The base parameters are symbols. The state has angles, rates and, at level cart, cart position and velocity. The
+    input is the cart's acceleration.
+
+    Args:
+        count: number n of arms.
+        level: modelled part of the bench.
+        friction: laws in addition to the viscous one, see `ArmChainParameters.friction`; others are left out of the
+            equations.
     """
     chain = chain_energies(count, friction=friction)
     conservative = level is Level.CONSERVATIVE
@@ -318,24 +350,40 @@ smoothing, corresponds to amplitudes below those of feedback. At twice this limi
 
 
 def damping_scales(base: Any, count: int) -> list[Any]:
-    """Return √(G_i M_ii) of each joint in N m s/rad from base parameters, numbers or symbols."""
+    """Return √(G_i M_ii) of each joint, N m s/rad.
+
+    Args:
+        base: base parameters, numbers or symbols.
+        count: number of arms.
+    """
     first = count * (count + 1) // 2
     return [(base[first + i] * base[int(at)]) ** 0.5 for i, at in enumerate(np.cumsum([0, *range(count, 1, -1)]))]
 
 
 def equations_of(arms: ArmChainParameters, level: Level) -> Equations:
-    """Return the equations at `level` for `arms.base()`, with the friction laws of these arms."""
+    """Return the equations at a level for `arms.base()`.
+
+    They have the friction laws of these arms.
+
+    Args:
+        arms: parameters of the arms.
+        level: see `arm_chain_equations`.
+    """
     return arm_chain_equations(arms.count, level, friction=arms.friction)
 
 
 def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
     """Return the frictionless pendulum on a fixed pivot as a system.
 
-    Level conservative.
+    Its level is conservative.
 
     Saddles are named by the arms' directions, inner arm first. For two arms the sections are those of the paper. The
     turning arm passes straight down: "outer-down", θ₂ = 2πk, about Down-Up and "inner-down", θ₁ = 2πk, about Up-Down.
     Between different saddles both arms align: "aligned", θ₁ - θ₂ = 2πk.
+
+    Args:
+        name: name of the system.
+        parameters: parameters of the arms; friction is ignored.
     """
     n = parameters.count
     base = parameters.viscous_only().base()
@@ -373,7 +421,11 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
 
 
 def unit_name(count: int) -> str:
-    """Return the base parameter that divides the others."""
+    """Return the base parameter that divides the others.
+
+    Args:
+        count: number of arms.
+    """
     return "M12" if count > 1 else "M11"
 
 
@@ -381,6 +433,9 @@ def ratio_names(arms: ArmChainParameters) -> tuple[str, ...]:
     """Return the names of `base_ratios`, in order.
 
     Names of friction begin with the law.
+
+    Args:
+        arms: arms with their laws of friction.
     """
     n, unit = arms.count, unit_name(arms.count)
     inertial = [f"M{i}{i}/{unit}" for i in range(1, n + 1) if n > 1] + [f"G{i}/{unit}" for i in range(1, n + 1)]
@@ -389,12 +444,24 @@ def ratio_names(arms: ArmChainParameters) -> tuple[str, ...]:
 
 
 def inertial_count(count: int) -> int:
-    """Return the number of ratios other than friction, 3n-2 for two arms or more."""
+    """Return the number of ratios other than friction.
+
+    It is 3n-2 for two arms or more.
+
+    Args:
+        count: number n of arms.
+    """
     return 3 * count - 2
 
 
 def base_ratios(arms: ArmChainParameters) -> Array:
-    """Return the ratios (m,) that swings on a clamped or driven cart identify, in SI units."""
+    """Return the identifiable ratios (m,), in SI units.
+
+    Swings on a clamped or driven cart identify them.
+
+    Args:
+        arms: parameters of the arms.
+    """
     n, base = arms.count, arms.base()
     diagonal = np.cumsum([0, *range(n, 1, -1)])
     weights = base[n * (n + 1) // 2 :][:n]
@@ -410,9 +477,13 @@ def _unit(base: Array, count: int) -> float:
 
 
 def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
-    """Return the base parameters with C = 1 as a list, in the arithmetic of `ratios` (numbers or symbols).
+    """Return the base parameters with C = 1 as a list.
 
-    The chain's gravity, its laws of friction and their smoothing rate are those of `arms`.
+    They are in the arithmetic of the ratios.
+
+    Args:
+        ratios: ratios (m,) of `base_ratios`, numbers or symbols.
+        arms: chain with the gravity, friction laws and smoothing rate.
     """
     n = arms.count
     given = [ratios[k] for k in range(len(ratio_names(arms)))]
@@ -427,9 +498,13 @@ def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
 
 
 def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters:
-    """Return the arms nearest to `start` with these ratios (m,) and `start`'s laws of friction.
+    """Return the nearest arms with given ratios.
 
     Negative friction becomes zero. An inertia of zero stays zero, and gravity and the last length are unchanged.
+
+    Args:
+        ratios: ratios (m,) of `base_ratios`, SI units.
+        start: first guess, whose laws of friction are kept.
 
     Raises:
         GoalMissed: no such arms are near, for example because a ratio is not positive.
@@ -477,7 +552,12 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
 
 
 def with_laws(arms: ArmChainParameters, laws: tuple[Friction, ...]) -> ArmChainParameters:
-    """Return the same arms with these laws of friction in addition to the viscous one, new ones at zero."""
+    """Return the same arms with other laws of friction.
+
+    Args:
+        arms: parameters of the arms.
+        laws: laws in addition to the viscous one; coefficients of new ones are zero.
+    """
     zero = (0.0,) * arms.count
     return replace(arms, **{law.value: (getattr(arms, law) or zero) if law in laws else () for law in Friction})
 
@@ -503,6 +583,9 @@ class Uncertainty:
     def check(self, arms: ArmChainParameters) -> None:
         """Check that this is a covariance of these arms' ratios.
 
+        Args:
+            arms: arms with f ratios.
+
         Raises:
             InputError: an invalid key, with the allowed values.
         """
@@ -521,9 +604,14 @@ class Uncertainty:
             )
 
     def drawn(self, arms: ArmChainParameters, random: np.random.Generator, *, scale: float = 1.0) -> ArmChainParameters:
-        """Draw arms from the covariance about these; negative friction becomes zero.
+        """Draw arms from the covariance about given ones.
 
-        Impossible ratios, such as a negative inertia, are drawn again. scale: factor on the standard errors.
+        Negative friction becomes zero. Impossible ratios, such as a negative inertia, are drawn again.
+
+        Args:
+            arms: mean of the draws.
+            random: generator, which is advanced.
+            scale: factor on the standard errors.
 
         Raises:
             GoalMissed: all draws are impossible, for example because the uncertainty is as large as its value.
@@ -555,7 +643,12 @@ _AT_THE_END = 0.95
 
 
 def oddities(arms: ArmChainParameters) -> tuple[str, ...]:
-    """Return a sentence on each unusual parameter of an arm, beginning with its name.
+    """Return a sentence on each unusual parameter of an arm.
+
+    It begins with the parameter's name.
+
+    Args:
+        arms: parameters of the arms.
 
     Raises:
         InputError: a parameter is beyond the bounds of any bench.

@@ -1,4 +1,6 @@
-"""casadi functions as machine code, for one point or for many at once, and a plant's step of fixed length.
+"""casadi functions as machine code, and a plant's step.
+
+The functions are for one point or for many at once. The step has a fixed length.
 
 A casadi function is a list of elementary instructions on a work vector. This module rebuilds the same graph in heyoka,
 common subexpressions included, so that a model is written once. LLVM compiles it twice: for one point, and for a full
@@ -39,7 +41,10 @@ else:
 
 
 def _settle(heyoka: Any) -> None:
-    """Store heyoka's machine code in this program's cache, and keep its log messages off stdout."""
+    """Store heyoka's machine code in this program's cache.
+
+    Its log messages are kept off stdout.
+    """
     # heyoka logs to stdout, which would corrupt JSON output.
     heyoka.set_logger_level_critical()
     state, folder = heyoka.llvm_state, compiler_folder()
@@ -56,7 +61,9 @@ def _settle(heyoka: Any) -> None:
 
 @cache
 def _operations() -> tuple[dict[int, Any], dict[int, Any], dict[int, Any]]:
-    """Return heyoka's counterparts of casadi's operations of one and two arguments, and of its switches.
+    """Return heyoka's counterparts of casadi's operations.
+
+    The operations have one or two arguments, or are switches.
 
     Switches have kinks and jumps. They belong to decisions, not to motions, whose Taylor series they would end.
     """
@@ -108,9 +115,12 @@ def _operations() -> tuple[dict[int, Any], dict[int, Any], dict[int, Any]]:
 def to_heyoka(
     function: ca.Function, arguments: "Sequence[Sequence[hy.expression]]", *, switches: bool = False
 ) -> "list[hy.expression]":
-    """Return the entries of the function's only output, with `arguments[i][k]` for entry k of input i.
+    """Return the entries of a function's only output.
 
-    switches: True to allow comparisons and conditional values.
+    Args:
+        function: casadi function with one output.
+        arguments: expressions, [i][k] for entry k of input i.
+        switches: True to allow comparisons and conditional values.
 
     Raises:
         NotImplementedError: names an operation of the graph without a counterpart.
@@ -147,6 +157,9 @@ def to_heyoka(
 def check_operations(function: ca.Function) -> None:
     """Reject a function that cannot be compiled.
 
+    Args:
+        function: casadi function of column vectors.
+
     Raises:
         NotImplementedError: names the operation.
     """
@@ -163,7 +176,9 @@ casadi's interpreter handles one."""
 
 
 class Compiled:
-    """A casadi function of dense column vectors with one dense output, as machine code.
+    """A casadi function as machine code.
+
+    It has dense column vectors as inputs and one dense output.
 
     All inputs are contiguous in one array; `first(name)` is the index of an input. The function is compiled at its
     first call and cannot be shared between threads. Without heyoka, casadi's interpreter replaces it.
@@ -205,13 +220,18 @@ class Compiled:
         return machine
 
     def __call__(self, inputs: Array, out: Array) -> Array:
-        """Evaluate at `inputs` (size_in,) or (size_in, S) into `out` (size_out,) or (size_out, S), and return it."""
+        """Evaluate the function into `out`, and return it.
+
+        `inputs` are (size_in,) or (size_in, S), and `out` is (size_out,) or (size_out, S).
+        """
         # By position: a name costs a third of the call.
         return self.machine(inputs, out)
 
 
 class _ByCasadi:
-    """A casadi function on casadi's interpreter, with the call of `Compiled.machine`, for systems without heyoka.
+    """A casadi function on casadi's interpreter, without heyoka.
+
+    It has the call of `Compiled.machine`.
 
     It is three times slower for one point and fifty times among hundreds. It rounds a little differently.
     """
@@ -223,7 +243,10 @@ class _ByCasadi:
         self._alive: list[Any] = []
 
     def _buffers(self, count: int) -> tuple[Any, list[Array], Array]:
-        """Return the evaluation of `count` points between arrays (count, size) of inputs and output."""
+        """Return the evaluation of points between arrays.
+
+        The arrays (count, size) hold inputs and output.
+        """
         if count not in self._made:
             function = self._function.map(count)
             made: Any = function.buffer()
@@ -251,7 +274,9 @@ class _ByCasadi:
 
 
 def _kept_at(function: ca.Function) -> Path | None:
-    """Return the cache file of a function's machine code, or None if the processor is unknown.
+    """Return the cache file of a function's machine code.
+
+    None if the processor is unknown.
 
     Compiling takes four times as long as reading. The code is specific to this processor and to all compiler versions.
     """
@@ -274,7 +299,13 @@ def _processor() -> str:
 
 
 def fixed_step(equations: Equations) -> ca.Function:
-    """Return (state (N,), inputs (m,), duration, parameters (p,)) -> following (N,), the inputs held."""
+    """Return the step over a duration, the inputs held.
+
+    It maps (state (N,), inputs (m,), duration, parameters (p,)) to the following state (N,). The duration is in s.
+
+    Args:
+        equations: equations with N states.
+    """
     f, (x, u, p) = equations.function(), (equations.state, equations.inputs, equations.parameters)
     # Cached with its machine code because the tableau is in scipy.integrate, which takes long to import.
     key = content_hash(f.serialize(), code_hash(__name__), ca.CasadiMeta.version())
@@ -297,5 +328,9 @@ def fixed_step(equations: Equations) -> ca.Function:
 
 
 def compiled_step(equations: Equations) -> Compiled:
-    """Return `fixed_step` as machine code, for (M,) or (M, S) inputs."""
+    """Return `fixed_step` as machine code, for (M,) or (M, S) inputs.
+
+    Args:
+        equations: equations with N states.
+    """
     return Compiled(fixed_step(equations))

@@ -1,4 +1,6 @@
-"""Components of a plant in addition to arms, cart and drive, as casadi expressions, with four of ordinary rigs.
+"""Components of a plant in addition to arms, cart and drive.
+
+They are casadi expressions. Four components of ordinary rigs are included.
 
 A component adds terms to the Lagrangian and the Rayleigh function of the plant, and can have its own states. If smooth
 equations are not enough, it has modes: numbers that are chosen at the beginning of a step and constant within it.
@@ -42,8 +44,10 @@ class Sizes(NamedTuple):
 class ComponentFrame(Brief):
     """The symbols from which a component builds its expressions.
 
-    position, velocity (n+1,): the arms' angles and the cart; demand m/s²: acceleration of the drive. states,
-    parameters and modes are the component's own.
+    Attributes:
+        position, velocity: the arms' angles and the cart (n+1,).
+        demand: acceleration of the drive, m/s².
+        states, parameters, modes: the component's own.
     """
 
     position: ca.SX
@@ -67,8 +71,11 @@ class ComponentFrame(Brief):
 class Terms(NamedTuple):
     """A component's part in the equations of motion.
 
-    lagrangian J and dissipation W. rates: time derivatives of the component's states. drive m/s²: acceleration that a
-    component with a motor gives the cart.
+    Attributes:
+        lagrangian: kinetic minus potential energy, J.
+        dissipation: dissipation function, W.
+        rates: time derivatives of the component's states.
+        drive: acceleration that a component with a motor gives the cart, m/s².
     """
 
     lagrangian: ca.SX = ca.SX(0)
@@ -92,35 +99,60 @@ class SymbolicPlant:
 
     @classmethod
     def sizes(cls, arms: int) -> Sizes:
-        """Return the numbers of states, parameters and modes."""
+        """Return the numbers of states, parameters and modes.
+
+        Args:
+            arms: number n of arms.
+        """
         return Sizes()
 
     @classmethod
     def terms(cls, frame: ComponentFrame) -> Terms:
-        """Return the terms in the equations of motion."""
+        """Return the terms in the equations of motion.
+
+        Args:
+            frame: symbols of the plant, and the component's own.
+        """
         return Terms()
 
     @classmethod
     def constrained(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
         """Return the accelerations (N,) in these modes.
 
-        Mass (N, N) and acceleration (N,): without this component.
+        Args:
+            frame: symbols of the plant, and the component's own.
+            mass: mass matrix (N, N) without this component.
+            acceleration: accelerations (N,) without this component.
         """
         return acceleration
 
     @classmethod
     def chosen(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Return the modes in which a step begins."""
+        """Return the modes in which a step begins.
+
+        Args:
+            frame: symbols of the plant, and the component's own.
+            mass: mass matrix (N, N) without this component.
+            acceleration: accelerations (N,) without this component.
+        """
         return frame.modes
 
     @classmethod
     def guards(cls, frame: ComponentFrame) -> ca.SX:
-        """Return numbers that are negative once a step has left its modes."""
+        """Return numbers that are negative once a step has left its modes.
+
+        Args:
+            frame: symbols at the end of the step.
+        """
         return ca.SX(0, 1)
 
     @classmethod
     def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
-        """Return velocities (n+1,) and own states at the end of a step."""
+        """Return velocities (n+1,) and own states at the end of a step.
+
+        Args:
+            frame: symbols at the end of the step.
+        """
         return frame.velocity, frame.states
 
     def numbers(self) -> tuple[float, ...]:
@@ -130,7 +162,8 @@ class SymbolicPlant:
     def start(self, state: Array) -> Array:
         """Return the first values of the component's states.
 
-        state (2n+2,): of arms and cart.
+        Args:
+            state: state (2n+2,) of arms and cart.
         """
         return np.zeros(0)
 
@@ -138,6 +171,9 @@ class SymbolicPlant:
         """Return the component's states that sensors read: {sensor: state}.
 
         Sensors 0 … n-1 are joints, n the cart.
+
+        Args:
+            arms: number n of arms.
         """
         return {}
 
@@ -155,9 +191,12 @@ _SHARE_OF_BELT = 0.2
 class Belt(SymbolicPlant):
     """An elastic belt between motor and cart.
 
-    Frequency Hz of the cart on it with the motor held, damping ratio.
+    The drive holds its motor against the belt's force.
 
-    motor_scale: True if the cart's scale is on the motor. The drive holds its motor against the belt's force.
+    Attributes:
+        frequency: frequency of the cart on it with the motor held, Hz.
+        damping: damping ratio.
+        motor_scale: True if the cart's scale is on the motor.
     """
 
     frequency: float
@@ -192,9 +231,13 @@ class Belt(SymbolicPlant):
 
 @dataclass(frozen=True)
 class EncoderPlay(SymbolicPlant):
-    """Play between each joint and its encoder, which reverses only once the joint has crossed the play.
+    """Play between each joint and its encoder.
 
-    widths (n,) rad; offsets (n,) rad: of the encoders from the middle of their play at the start.
+    An encoder reverses only once the joint has crossed the play.
+
+    Attributes:
+        widths: widths of the play (n,), rad.
+        offsets: offsets of the encoders from the middle of their play at the start (n,), rad.
     """
 
     widths: tuple[float, ...]
@@ -227,7 +270,9 @@ class EncoderPlay(SymbolicPlant):
 class Cable(SymbolicPlant):
     """A cable twisted by the inner arm.
 
-    Torque of the hanging arm, N m, and stiffness against turning, N m/rad.
+    Attributes:
+        torque: torque on the hanging arm, N m.
+        stiffness: stiffness against turning, N m/rad.
     """
 
     torque: float
@@ -255,9 +300,11 @@ _STICTION_STEP = 5e-4
 class Stiction(SymbolicPlant):
     """Dry friction in each joint.
 
-    Break-away torques (n,) at rest and kinetic torques (n,) while it slides, N m.
-
     A mode is the sign of the rate at which a joint slides, 0 for a joint at rest.
+
+    Attributes:
+        breakaway: torques at rest (n,), N m.
+        kinetic: torques while a joint slides (n,), N m.
     """
 
     breakaway: tuple[float, ...]
@@ -269,7 +316,10 @@ class Stiction(SymbolicPlant):
 
     @classmethod
     def _solved(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the accelerations (N,), and the torques (n,) that hold the joints at rest."""
+        """Return the accelerations (N,) and the holding torques (n,).
+
+        These torques hold the joints at rest.
+        """
         n, size = frame.modes.shape[0], mass.shape[0]
         # Rates are `sums` times the joints' rates; a cart that is free is the last of both.
         sums = ca.SX.eye(size)

@@ -1,4 +1,6 @@
-"""Equations of motion from a Lagrangian and a Rayleigh dissipation function, or from a Hamiltonian.
+"""Equations of motion from an energy.
+
+The energy is a Lagrangian with a Rayleigh dissipation function, or a Hamiltonian.
 
     d/dt ∂L/∂v - ∂L/∂q + ∂D/∂v = 0        (Goldstein, Classical Mechanics, 3rd ed., eq. 1.70)
 
@@ -48,10 +50,13 @@ class Mechanics(Brief):
 
 
 def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """Solve matrix · x = right by elimination without pivots, unrolled into the graph.
+    """Solve matrix · x = right by elimination without pivots.
 
-    matrix (n, n) is symmetric and positive definite (a mass matrix), so no pivot vanishes. casadi's own
-    symbolic solve uses a QR decomposition with more instructions.
+    The solution is unrolled into the graph. casadi's own symbolic solve uses a QR decomposition with more instructions.
+
+    Args:
+        matrix: symmetric and positive definite (n, n), as a mass matrix, so no pivot vanishes.
+        right: right-hand side (n,).
     """
     n = matrix.shape[0]
     a = [[matrix[i, j] for j in range(n)] for i in range(n)]
@@ -75,9 +80,14 @@ Energy = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
 
 
 def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed: int, parameters: ca.SX) -> Mechanics:
-    """Derive the equations of motion of a system with `free` + `prescribed` coordinates.
+    """Derive the equations of motion from energies.
 
-    lagrangian and dissipation map (position, velocity, parameters) to a scalar.
+    Args:
+        lagrangian: function of (position, velocity, parameters), a scalar.
+        dissipation: function of the same arguments, a scalar.
+        free: number of coordinates with equations of motion.
+        prescribed: number of coordinates with given accelerations, which follow the free ones.
+        parameters: symbols of the parameters.
     """
     q = ca.SX.sym("q", free + prescribed)
     v = ca.SX.sym("v", free + prescribed)
@@ -110,10 +120,18 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
 class Equations(Brief):
     """One level's equations as casadi SX.
 
-    State (N,), inputs (m,), parameters (p,), rate = f (N,).
+    The linear parameters differ for dry friction, whose slope at a point does not represent motions of finite size.
 
-    linear_parameters (p,): expressions of the parameters at which a sampled step is linearised, by default the
-    parameters. They differ for dry friction, whose slope at a point does not represent motions of finite size.
+    Attributes:
+        state: symbols (N,).
+        inputs: symbols (m,).
+        parameters: symbols (p,).
+        rate: f (N,).
+        hamiltonian: energy of the free coordinates.
+        momentum: canonical momenta (n,).
+        mass_matrix: matrix of the free coordinates (n, n).
+        linear_parameters: expressions of the parameters at which a sampled step is linearised (p,), by default the
+            parameters.
     """
 
     state: ca.SX
@@ -158,7 +176,13 @@ class Equations(Brief):
         }
 
     def linearised(self, expression: ca.SX, by: ca.SX, parameters: ca.SX) -> ca.SX:
-        """Return the Jacobian of an expression of symbols `parameters` (p,), at the linear ones of them."""
+        """Return the Jacobian of an expression at the linear parameters.
+
+        Args:
+            expression: expression of symbols.
+            by: symbols of the derivative.
+            parameters: symbols (p,) in the expression, replaced by `linear_parameters`.
+        """
         jacobian = ca.jacobian(expression, by)
         if self.linear_parameters is None:
             return jacobian
@@ -166,17 +190,26 @@ class Equations(Brief):
         return ca.substitute(jacobian, parameters, linear)
 
     def linear(self, parameters: Array) -> Array:
-        """Return the values (p,) at which parameters (p,) are linearised."""
+        """Return the parameters (p,) of a linearised step.
+
+        Args:
+            parameters: values (p,).
+        """
         if self.linear_parameters is None:
             return parameters
         function = ca.Function("linear", [self.parameters], [self.linear_parameters])
         return np.array(function(parameters)).ravel()
 
     def discrete_step(self, step: float) -> ca.Function:
-        """Return (state, inputs, parameters) -> (next state, ∂next/∂state, ∂next/∂inputs) over `step` seconds.
+        """Return the step over a time, with its derivatives.
+
+        It maps (state, inputs, parameters) to (next state, ∂next/∂state, ∂next/∂inputs).
 
         One classical Runge-Kutta step of order 4 with the inputs held; at 1 ms its error is 2e-8 (scaled),
         far below an encoder count.
+
+        Args:
+            step: time, s.
         """
         f = self.function()
         x, u, p = self.state, self.inputs, self.parameters
@@ -186,7 +219,13 @@ class Equations(Brief):
 
 
 def runge_kutta_4(slope: Callable[[ca.SX, Any], ca.SX], x: ca.SX, h: Any) -> ca.SX:
-    """Return the state at time h after x by the classical step of order 4; slope: of a state, a time after x."""
+    """Return the next state by the classical step of order 4.
+
+    Args:
+        slope: function of a state and a time after x.
+        x: state (N,).
+        h: length of the step, in the unit of the time.
+    """
     k1 = slope(x, 0)
     k2 = slope(x + h / 2 * k1, h / 2)
     k3 = slope(x + h / 2 * k2, h / 2)
@@ -199,6 +238,10 @@ def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:
 
     With `with_cart`, the prescribed coordinates and their velocities follow the free ones in the state, and their
     accelerations are the inputs. Otherwise they rest at zero and there is no input.
+
+    Args:
+        parts: equations of motion.
+        with_cart: include the prescribed coordinates, see above.
     """
     n = parts.free_acceleration.shape[0]
     q, v, u = parts.position, parts.velocity, parts.acceleration
@@ -212,9 +255,14 @@ def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:
 
 
 def hamiltonian_equations(energy: Energy, *, count: int, parameters: ca.SX) -> Equations:
-    """Return Hamilton's equations of H(q, p, parameters) with `count` coordinates.
+    """Return Hamilton's equations of H(q, p, parameters).
 
     States are (q, p).
+
+    Args:
+        energy: function H, a scalar.
+        count: number of coordinates.
+        parameters: symbols of the parameters.
     """
     q, p = ca.SX.sym("q", count), ca.SX.sym("p", count)
     value = energy(q, p, parameters)
@@ -226,7 +274,9 @@ def hamiltonian_equations(energy: Energy, *, count: int, parameters: ca.SX) -> E
 
 
 class _Buffered:
-    """A function of (state, parameters) with one dense output, called on preallocated memory.
+    """A function that is called on preallocated memory.
+
+    It maps (state, parameters) to one dense output.
 
     casadi's argument conversions take forty times as long as the function itself.
     """
@@ -258,10 +308,8 @@ class _Buffered:
 class NumericEquations(Brief):
     """Equations with numbers for parameters (p,).
 
-    Numpy in, numpy out, many states at once.
-
-    States are (N,) or (K, N), and results have the same leading shape. Inputs are zero. Instances cannot be shared
-    between threads because calls reuse memory.
+    Methods take and return numpy arrays, many states at once. States are (N,) or (K, N), and results have the same
+    leading shape. Inputs are zero. Instances cannot be shared between threads because calls reuse memory.
     """
 
     equations: Equations
@@ -277,29 +325,57 @@ class NumericEquations(Brief):
         return self._functions[name](x.reshape(-1, x.shape[-1])).reshape(*x.shape[:-1], *shape)
 
     def rate(self, states: Array) -> Array:
-        """Return f(x), shape of `states`."""
+        """Return f(x), shape of `states`.
+
+        Args:
+            states: states (…, N).
+        """
         return self._call("rate", states, -1)
 
     def jacobian(self, states: Array) -> Array:
-        """Return ∂f/∂x, (…, N, N)."""
+        """Return ∂f/∂x, (…, N, N).
+
+        Args:
+            states: states (…, N).
+        """
         return self._call("jacobian", states, -1, self.equations.dimension)
 
     def hamiltonian(self, states: Array) -> Array:
-        """Return the energy H of the free coordinates in J, (…)."""
+        """Return the energy H of the free coordinates in J, (…).
+
+        Args:
+            states: states (…, N).
+        """
         return self._call("hamiltonian", states, 1)[..., 0]
 
     def gradient(self, states: Array) -> Array:
-        """Return ∂H/∂x, (…, N)."""
+        """Return ∂H/∂x, (…, N).
+
+        Args:
+            states: states (…, N).
+        """
         return self._call("gradient", states, -1)
 
     def momentum(self, states: Array) -> Array:
-        """Return the canonical momenta of the free coordinates, (…, n)."""
+        """Return the canonical momenta of the free coordinates, (…, n).
+
+        Args:
+            states: states (…, N).
+        """
         return self._call("momentum", states, -1)
 
     def momentum_jacobian(self, states: Array) -> Array:
-        """Return ∂p/∂x, (…, n, N)."""
+        """Return ∂p/∂x, (…, n, N).
+
+        Args:
+            states: states (…, N).
+        """
         return self._call("momentum_jacobian", states, -1, self.equations.dimension)
 
     def mass_matrix(self, states: Array) -> Array:
-        """Return the mass matrix of the free coordinates, (…, n, n)."""
+        """Return the mass matrix of the free coordinates, (…, n, n).
+
+        Args:
+            states: states (…, N).
+        """
         return self._call("mass", states, -1, self.equations.mass_matrix.shape[0])

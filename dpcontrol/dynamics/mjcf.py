@@ -1,4 +1,4 @@
-"""Arms on their cart as a model for MuJoCo, in its format MJCF.
+"""Arms on their cart as a MuJoCo model in MJCF.
 
 The cart slides along x, up is z, and hanging arms have zero angles. Joints turn about -y, so a positive angle moves an
 arm's end to positive x. MuJoCo's joint angles are relative: θ_i - θ_{i-1}. The cart is driven by a velocity servo,
@@ -19,7 +19,13 @@ CART_MASS, LAG = 20.0, 0.002
 
 
 def mjcf_text(arms: ArmChainParameters, *, name: str, cart_mass: float = CART_MASS, lag: float = LAG) -> str:
-    """Return arms as MJCF, with a cart of `cart_mass` kg and a drive with the time constant `lag` s.
+    """Return arms on a cart as MJCF.
+
+    Args:
+        arms: parameters of the arms.
+        name: name of the model.
+        cart_mass: mass of the cart, kg.
+        lag: time constant of the drive, s.
 
     Raises:
         InputError: a mass or lag that is not positive, or quadratic friction, which MuJoCo does not have.

@@ -1,4 +1,6 @@
-"""Plant: arms on a cart with an ideal drive, a lagging one, or one with a finite force.
+"""Plant: arms on a cart with a drive.
+
+The drive is ideal, lagging, or has a finite force.
 
     cart:   ẍ = u
     drive:  ẍ = a,  ȧ = (u - a)/τ                    a velocity loop: a = (w - ẋ)/τ on its reference ẇ = u
@@ -126,7 +128,11 @@ class PlantParameters(Settings):
         return {k: place + own for one, place in self.places for k, own in one.reads(count).items()}
 
     def own_states(self, state: Array) -> Array:
-        """Return the components' first states; state (2n+2,): of arms and cart."""
+        """Return the components' first states.
+
+        Args:
+            state: state (2n+2,) of arms and cart.
+        """
         return np.concatenate([np.zeros(0), *(one.start(state) for one in self.components)])
 
     def numbers(self) -> Array:
@@ -172,7 +178,10 @@ def _terms(q: ca.SX, v: ca.SX, components: Kinds) -> list[Terms]:
 
 @cache
 def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool, components: Kinds = ()) -> Mechanics:
-    """Return arms on a track with tilt, and a cart that is prescribed or free."""
+    """Return arms on a tilted track with a cart.
+
+    The cart is prescribed or free.
+    """
     n, chain, s = count, chain_energies(count, friction=friction), _symbols()
 
     def lagrangian(q: ca.SX, v: ca.SX, p: ca.SX) -> ca.SX:
@@ -259,11 +268,17 @@ def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], compo
 def plant_equations(
     count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = (), components: Kinds = ()
 ) -> Equations:
-    """Return the equations of `count` arms on the bench at `level`.
+    """Return the equations of arms on the bench at a level.
 
     State: angles, rates, cart position and velocity, then (levels drive and force) a, the acceleration that the
     drive's velocity loop demands, then the components' states. Inputs: the commanded acceleration u, then the
     components' modes. Parameters as `PlantParameters.numbers`.
+
+    Args:
+        count: number n of arms.
+        level: cart, drive or force.
+        friction: laws in addition to the viscous one.
+        components: classes of the components, in the order of their states.
     """
     n, s, motion = count, _symbols(), _motion(count, level, friction, components)
     v, moving = motion.parts.velocity, motion.moving
@@ -281,6 +296,10 @@ def plant_equations(
 
 def check_component(component: SymbolicPlant, arms: int) -> None:
     """Reject a user's component whose expressions do not fit so many arms.
+
+    Args:
+        component: the user's component.
+        arms: number of arms.
 
     Raises:
         InputError: the error in its expressions.
@@ -303,10 +322,17 @@ def check_component(component: SymbolicPlant, arms: int) -> None:
 
 @cache
 def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) -> ca.Function:
-    """Return (state, impulses (n,), jumps (n,), knock, parameters) -> state after an instantaneous blow.
+    """Return a function for the state after an instantaneous blow.
+
+    It maps (state, impulses (n,), jumps (n,), knock, parameters) to the state.
 
     Units: impulses N m s, of a couple on each arm. jumps rad/s, of the arms' rates. knock m/s, a jump of the cart's
     velocity at constant momenta of the arms. The drive's loop reacts to the change.
+
+    Args:
+        count: number n of arms.
+        level: cart, drive or force.
+        friction: laws in addition to the viscous one.
     """
     n, s = count, _symbols()
     parts = _parts(count, friction, free_cart=False)
@@ -333,9 +359,17 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
 def plant_step(
     count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = (), components: Kinds = ()
 ) -> Compiled:
-    """Return `fixed_step` of `plant_equations` as machine code, built once per process.
+    """Return `fixed_step` of `plant_equations` as machine code.
+
+    It is built once per process.
 
     With components, the next state is settled by them and followed by their guards.
+
+    Args:
+        count: number n of arms.
+        level: cart, drive or force.
+        friction: laws in addition to the viscous one.
+        components: classes of the components, in the order of their states.
     """
     equations = plant_equations(count, level, friction=friction, components=components)
     if not components:
@@ -362,9 +396,15 @@ _INPUTS = ["state", "inputs", "duration", "parameters"]
 def plant_modes(
     count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = (), components: Kinds = ()
 ) -> Compiled | None:
-    """Return the function of `plant_step`'s inputs that chooses the components' modes.
+    """Return the function that chooses the components' modes.
 
-    None if they have none.
+    Its inputs are those of `plant_step`. None if the components have no modes.
+
+    Args:
+        count: number n of arms.
+        level: cart, drive or force.
+        friction: laws in addition to the viscous one.
+        components: classes of the components, in the order of their states.
     """
     modes = _motion(count, level, friction, components).modes
     if modes.is_empty():
@@ -375,10 +415,15 @@ def plant_modes(
 
 
 def longest_step(plant: PlantParameters) -> float:
-    """Return the longest single step of `plant_step` with an error near round-off (1e-11 at usual states), s.
+    """Return the longest single step of `plant_step`, s.
+
+    Its error is near round-off (1e-11 at usual states).
 
     Coulomb friction reverses within a fraction of a millisecond when a joint's rate changes its sign. The error is then
     1e-10 for slow arms, and 1e-7 for arms struck by 2000 rad/s².
+
+    Args:
+        plant: parameters with lag, friction and components.
     """
     longest = min(_SMOOTH_STEP, _SHARE_OF_LAG * plant.lag if plant.lag else math.inf)
     longest = min((longest, *(one.longest_step for one in plant.components)))
@@ -390,7 +435,12 @@ def after_blow(
 ) -> Array:
     """Return the state (N,) after a blow.
 
-    A couple's impulses (n,) N m s, jumps (n,) rad/s, the cart's knock m/s.
+    Args:
+        plant: parameters of the plant.
+        state: state (N,) before the blow.
+        impulses: impulses (n,) of a couple on each arm, N m s, or None for zero.
+        jumps: jumps (n,) of the arms' rates, rad/s, or None for zero.
+        knock: jump of the cart's velocity, m/s.
     """
     n, size = plant.arms.count, plant.plain_size
     function = blow(n, plant.level, friction=plant.arms.friction)

@@ -1,4 +1,6 @@
-"""Propagation to machine precision by Taylor's method (heyoka): flows, variational equations, Poincaré sections.
+"""Propagation to machine precision by Taylor's method (heyoka).
+
+It covers flows, variational equations and Poincaré sections.
 
 An integrator is compiled when it is first needed. Parameters and inputs are run-time values, so a changed mass costs
 nothing. heyoka caches compiled code on disk, and a process builds each integrator of its equations once. Propagators
@@ -37,7 +39,9 @@ Row = Sequence[float] | Array
 
 @dataclass(frozen=True)
 class Section:
-    """A Poincaré section n·x = offset, or offset + period · k for an angle, with coordinates on it.
+    """A Poincaré section n·x = offset with coordinates on it.
+
+    For an angle, it is n·x = offset + period · k.
 
     Attributes:
         normal: n (N,).
@@ -59,7 +63,14 @@ class Section:
 
     @classmethod
     def plane(cls, name: str, normal: Row, *, offset: float = 0.0, period: float | None = None) -> "Section":
-        """Return the section normal · q = offset of two coordinates q, with sheets offset + period · k of an angle."""
+        """Return the section normal · q = offset of two coordinates.
+
+        Args:
+            name: name of the section.
+            normal: row (2,) of the coordinates.
+            offset: in the coordinates' unit.
+            period: distance of the sheets offset + period · k of an angle; None on a line.
+        """
         row, along = _plane_rows(normal)
         if period is not None and not number("period", period) > 0:
             raise InputError(f"period = {period:g} of the section {name}: must be positive, or None on a line")
@@ -67,53 +78,106 @@ class Section:
 
     @classmethod
     def turning(cls, name: str, direction: Row) -> "Section":
-        """Return the section direction · v = 0 of turning points of two coordinates; v is the states' second half."""
+        """Return the section direction · v = 0 of turning points.
+
+        v is the second half of the states of two coordinates.
+
+        Args:
+            name: name of the section.
+            direction: row (2,) of v.
+        """
         row, along = _plane_rows(direction)
         return cls(name, (0.0, 0.0, *row), (*along, 0.0, 0.0), along)
 
     def where(self, side: Row, *, middle: float = 0.0, reach: float | None = None) -> "Section":
-        """Return the part of the section on one side, or beyond a reach on both; side (2,) is a row of coordinates."""
+        """Return the part of the section on one side.
+
+        With a reach, it is the part beyond the reach on both sides.
+
+        Args:
+            side: row (2,) of coordinates.
+            middle: value of side · q at the border, or between the two parts.
+            reach: distance from `middle`; None for one side.
+        """
         row = (*(float(value) for value in side), 0.0, 0.0)
         return replace(self, side=row, middle=middle, reach=reach)
 
     def height(self, states: Array) -> Array:
-        """Return n·x - offset for states (…, N).
+        """Return n·x - offset (…).
 
-        Zero, or a multiple of the period, on the section.
+        It is zero, or a multiple of the period, on the section.
+
+        Args:
+            states: states (…, N).
         """
         return np.asarray(states) @ np.asarray(self.normal) - self.offset
 
     def level(self, state: Array) -> float:
-        """Return n·x on the section, of an angle on the sheet nearest to `state` (N,)."""
+        """Return n·x on the section.
+
+        For an angle, it is that of the nearest sheet.
+
+        Args:
+            state: state (N,).
+        """
         if self.period is None:
             return self.offset
         return self.offset + float(np.rint(self.height(state) / self.period)) * self.period
 
     def sheets(self, states: Array) -> Array:
-        """Return the number of the sheet below each state (…, N), which changes at crossings (…)."""
+        """Return the number of the sheet below each state (…).
+
+        It changes at crossings.
+
+        Args:
+            states: states (…, N).
+        """
         heights = self.height(states)
         return (heights > 0).astype(float) if self.period is None else np.floor(heights / self.period)
 
     def sense(self, rate: Array) -> int:
-        """Return the sign of n·ẋ at a crossing with the rate ẋ (N,), or at a turning point of the side left for it."""
+        """Return the sign of a crossing.
+
+        It is the sign of n·ẋ, or at a turning point that of the side left for it.
+
+        Args:
+            rate: rate ẋ (N,) at the crossing.
+        """
         positions = self.normal[: len(self.normal) // 2]
         return int(np.sign(np.dot(self.normal, rate))) * (1 if any(positions) else -1)
 
     def mark(self, state: Array) -> str:
-        """Return "+" or "-" for the side of a state (N,) if the section has two sides, else ""."""
+        """Return "+" or "-" for the side of a state.
+
+        "" if the section does not have two sides.
+
+        Args:
+            state: state (N,).
+        """
         if self.reach is not None and self.side is not None:
             return "+" if float(np.dot(self.side, state)) > self.middle else "-"
         return ""
 
     def admits(self, state: Array) -> bool:
-        """True if a crossing at `state` (N,) counts."""
+        """True if a crossing at `state` (N,) counts.
+
+        Args:
+            state: state (N,) at a crossing.
+        """
         if self.side is None:
             return True
         beyond = float(np.dot(self.side, state)) - self.middle
         return beyond > 0 if self.reach is None else abs(beyond) > self.reach
 
     def kept_by(self, reverser: Array, centre: Array) -> bool:
-        """True if a reverser (N, N) about a state (N,) maps the section and its side onto itself."""
+        """True if a reverser maps the section onto itself.
+
+        The section's side must also map onto itself.
+
+        Args:
+            reverser: matrix (N, N).
+            centre: state (N,) about which it acts.
+        """
         shift = centre - reverser @ centre
 
         def kept(row: tuple[float, ...], level: float, period: float | None, signs: tuple[float, ...]) -> bool:
@@ -131,14 +195,20 @@ class Section:
 
 @dataclass(frozen=True)
 class Crossing(Brief):
-    """Crossing of a section by a trajectory: state (N,), time in s. None means that there is no crossing."""
+    """Crossing of a section by a trajectory: state (N,), time, s.
+
+    None means that there is no crossing.
+    """
 
     state: Array
     time: float
 
 
 def _plane_rows(normal: Row) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return a row of two coordinates, and the row across it with its largest entry positive."""
+    """Return a row of two coordinates and the row across it.
+
+    The largest entry of the second one is positive.
+    """
     first, second = numbers("normal", tuple(normal), 2)
     if not (first or second):
         raise InputError("normal = (0, 0): a section needs a direction")
@@ -150,7 +220,9 @@ _MADE: WeakKeyDictionary[Equations, dict[Hashable, Any]] = WeakKeyDictionary()
 
 
 def _copied(equations: Equations, kind: Hashable, make: Callable[[], Any]) -> Any:
-    """Return a copy of the integrator that `make` compiles from the equations, once for each `kind` of them.
+    """Return a copy of the integrator that `make` compiles.
+
+    It is compiled from the equations, once for each `kind` of them.
 
     Even with cached machine code, building an integrator takes 8 to 60 ms, and copying it 2 ms. The original is never
     used itself.
@@ -176,13 +248,15 @@ Near a singularity, steps would shrink without end.
 class CrossingFinder:
     """Propagates trajectories of one set of equations to sections.
 
-    Compiled when made, not shared between threads.
+    It is compiled when made and cannot be shared between threads.
 
     A finished trajectory leaves its lane to the next one, so no trajectory is continued beyond the section. The
     section's normal and the two adjacent sheets are run-time values: one compilation covers every section of the
     equations.
 
-    parameters (p,): those of the equations.
+    Args:
+        equations: equations with N states and p parameters.
+        parameters: values (p,).
     """
 
     def __init__(self, equations: Equations, parameters: Array) -> None:
@@ -216,7 +290,14 @@ class CrossingFinder:
         return self._rate(np.ascontiguousarray(states.T), pars=np.repeat(used, len(states), axis=1))
 
     def find(self, states: Array, section: Section, *, longest: float, hit: int) -> list[Crossing | None]:
-        """Return each state's (K, N) `hit`-th crossing within `longest` seconds (negative: backward), or None."""
+        """Return each state's crossing of a section, or None.
+
+        Args:
+            states: states (K, N).
+            section: section of the equations.
+            longest: time limit, s; negative for backward.
+            hit: number of the crossing, from 1.
+        """
         found: list[Crossing | None] = [None] * len(states)
         waiting = self._fit_to_fly(states)
         if not waiting:
@@ -257,7 +338,9 @@ class CrossingFinder:
         return found
 
     def _fit_to_fly(self, states: Array) -> list[int]:
-        """Return the numbers, last first, of the states (K, N) that are finite and have finite rates.
+        """Return the numbers, last first, of the finite states.
+
+        States (K, N) must be finite and have finite rates.
 
         Other states would corrupt their lane's clock, which heyoka cannot restart.
         """
@@ -275,7 +358,10 @@ class CrossingFinder:
         integrator.pars[self._normal] = np.asarray(section.normal, dtype=float)[:, None]
 
     def _place(self, lane: int, start: tuple[Array, float] | None, section: Section) -> None:
-        """Put a trajectory into a lane, by its state (N,) and the sheet below it; None rests the lane."""
+        """Put a trajectory into a lane, or rest the lane.
+
+        The trajectory is given by its state (N,) and the sheet below it; None rests the lane.
+        """
         integrator = self._integrator
         # Clocks run in twice the precision; setting the leading half alone would touch the companions' last digits.
         clocks = [half.copy() for half in integrator.dtime]
@@ -289,13 +375,18 @@ class CrossingFinder:
         self._set_sheet(lane, 1, None if sheet is None or section.period is None else sheet + section.period)
 
     def _set_sheet(self, lane: int, which: int, level: float | None) -> None:
-        """Put one of a lane's two sheets at n·x = level, or switch it off."""
+        """Put a sheet of a lane at a level, or disable it.
+
+        A lane has two sheets n·x = level.
+        """
         gain, place = self._gains.start + which, self._sheets.start + which
         self._integrator.pars[gain, lane] = 0.0 if level is None else 1.0
         self._integrator.pars[place, lane] = 1.0 if level is None else level
 
     def _pass(self, lane: int, sheet: int, section: Section, sense: float) -> None:
-        """Continue a lane through a sheet, forward or backward in time, and move its other sheet beyond it.
+        """Continue a lane through a sheet, forward or backward in time.
+
+        The lane's other sheet moves beyond it.
 
         The crossed sheet stays, since heyoka ignores it until the trajectory has left it.
         """
@@ -309,7 +400,13 @@ class CrossingFinder:
 
 
 def taylor_system(equations: Equations, inputs: list[Any], first: int = 0) -> list[tuple[Any, Any]]:
-    """Return (variable, rate) pairs, with the parameters from hy.par[first] on."""
+    """Return the equations as (variable, rate) pairs for heyoka.
+
+    Args:
+        equations: equations with N states and p parameters.
+        inputs: expressions (m,) of the inputs.
+        first: index of the first parameter in hy.par.
+    """
     states = hy.make_vars(*[f"x{i}" for i in range(equations.dimension)])
     parameters = [hy.par[first + i] for i in range(equations.parameters.shape[0])]
     return list(zip(states, to_heyoka(equations.function(), [states, inputs, parameters]), strict=True))
@@ -321,7 +418,10 @@ def _at_rest(equations: Equations) -> list[tuple[Any, Any]]:
 
 
 def _with_tangents(equations: Equations) -> list[tuple[Any, Any]]:
-    """Return the pairs with a tangent beside each state, v' = Df(x) v: half the work of a state-transition matrix."""
+    """Return the pairs with a tangent beside each state.
+
+    The tangent's rate is v' = Df(x) v: half the work of a state-transition matrix.
+    """
     pairs = _at_rest(equations)
     tangent = hy.make_vars(*[f"v{i}" for i in range(len(pairs))])
     rates = [hy.sum([hy.diff(rate, x) * v for (x, _), v in zip(pairs, tangent, strict=True)]) for _, rate in pairs]
@@ -329,7 +429,12 @@ def _with_tangents(equations: Equations) -> list[tuple[Any, Any]]:
 
 
 def check_arrival(integrator: Any, outcome: Any) -> None:
-    """Raise ArithmeticError if a propagation ended early."""
+    """Raise ArithmeticError if a propagation ended early.
+
+    Args:
+        integrator: integrator after the propagation.
+        outcome: its outcome.
+    """
     if outcome != hy.taylor_outcome.time_limit:
         raise ArithmeticError(f"propagation stopped at t = {float(integrator.time):g} s: {outcome}")
 
@@ -337,8 +442,12 @@ def check_arrival(integrator: Any, outcome: Any) -> None:
 class Propagator:
     """Propagates one set of equations at machine precision, their inputs at zero.
 
-    tolerance: relative tolerance of a Taylor step, 0 for rounding, which `crossings` always use. Instances cannot be
-    shared between threads because calls reuse the compiled integrators.
+    Instances cannot be shared between threads because calls reuse the compiled integrators.
+
+    Args:
+        equations: equations with N states and p parameters.
+        parameters: values (p,).
+        tolerance: relative tolerance of a Taylor step, 0 for rounding, which `crossings` always use.
     """
 
     def __init__(self, equations: Equations, parameters: ArrayLike, *, tolerance: float = 0.0) -> None:
@@ -352,7 +461,9 @@ class Propagator:
         return CrossingFinder(self.equations, self.parameters)
 
     def _at_zero(self, states: Array, *, stm: bool) -> Any:
-        """Return an integrator at time zero and at a state (N,), or with a lane for each of (N, LANES).
+        """Return an integrator at time zero and at given states.
+
+        The state is (N,), or (N, LANES) with one for each lane.
 
         States (2 N,) and (2 N, LANES) have their tangents beside them.
         """
@@ -383,7 +494,11 @@ class Propagator:
         return integrator
 
     def flow(self, state: ArrayLike, duration: float) -> Array:
-        """Return the state (N,) after `duration` seconds (negative: before).
+        """Return the state (N,) after a duration.
+
+        Args:
+            state: state (N,) at time zero.
+            duration: time, s; negative for before.
 
         Raises:
             ArithmeticError: the state became infinite or undefined.
@@ -393,7 +508,13 @@ class Propagator:
         return integrator.state.copy()
 
     def flow_with_stm(self, state: ArrayLike, duration: float) -> tuple[Array, Array]:
-        """Return the state (N,) after `duration` seconds and the state-transition matrix (N, N) to it.
+        """Return the state (N,) after a duration, and its derivative.
+
+        The derivative is the state-transition matrix (N, N).
+
+        Args:
+            state: state (N,) at time zero.
+            duration: time, s; negative for before.
 
         Raises:
             ArithmeticError: the state became infinite or undefined.
@@ -402,7 +523,11 @@ class Propagator:
         return states[0], matrices[0]
 
     def sample(self, state: ArrayLike, times: ArrayLike) -> Array:
-        """Return the states (K, N) at monotonic `times` (K,) s from `state` at time zero.
+        """Return the states (K, N) at given times.
+
+        Args:
+            state: state (N,) at time zero.
+            times: monotonic times (K,), s.
 
         Raises:
             ArithmeticError: the state became infinite or undefined.
@@ -417,7 +542,11 @@ class Propagator:
         return np.array(result[-1])[before:]
 
     def sample_with_stm(self, state: ArrayLike, times: ArrayLike) -> tuple[Array, Array]:
-        """Return states (K, N) and state-transition matrices (K, N, N) at monotonic `times` (K,) from zero.
+        """Return states (K, N) and state-transition matrices (K, N, N).
+
+        Args:
+            state: state (N,) at time zero.
+            times: monotonic times (K,) from zero, s.
 
         Raises:
             ArithmeticError: the state became infinite or undefined.
@@ -430,22 +559,41 @@ class Propagator:
         return reached[:, :n].copy(), reached[:, n:].reshape(-1, n, n).copy()
 
     def crossings(self, states: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> list[Crossing | None]:
-        """Return each state's (K, N) `hit`-th crossing of the section within `longest` s (negative: backward), or None.
+        """Return each state's crossing of a section, or None.
 
         Many trajectories are computed together, which is four times faster; results are independent of each other.
+
+        Args:
+            states: states (K, N).
+            section: section of the equations.
+            longest: time limit, s; negative for backward.
+            hit: number of the crossing, from 1.
         """
         many = np.asarray(states, dtype=float).reshape(-1, self.equations.dimension)
         return self._finder.find(many, section, longest=float(longest), hit=hit)
 
     def crossing(self, state: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> Crossing | None:
-        """Return the `hit`-th crossing of the section within `longest` seconds (negative: backward), or None."""
+        """Return a state's crossing of a section, or None.
+
+        Args:
+            state: state (N,).
+            section: section of the equations.
+            longest: time limit, s; negative for backward.
+            hit: number of the crossing, from 1.
+        """
         # An integrator for a single state takes 0.6 times as long per flight, but needs its own compilation.
         return self.crossings(state, section, longest=longest, hit=hit)[0]
 
     def flows(self, states: Array, durations: Array) -> Array:
-        """Return the states (K, N) to which `states` (K, N) flow in `durations` (K,) s, short as in multiple shooting.
+        """Return the states (K, N) after short durations.
+
+        The durations are short as in multiple shooting.
 
         In a batch, a segment is four times cheaper. A solve with 128 symbols propagates five thousand per step.
+
+        Args:
+            states: states (K, N) at the starts.
+            durations: times (K,), s.
 
         Raises:
             ArithmeticError: a state became infinite or undefined.
@@ -453,7 +601,13 @@ class Propagator:
         return self._flown(states, durations, stm=False)
 
     def flows_with_stm(self, states: Array, durations: Array) -> tuple[Array, Array]:
-        """Return the states (K, N) of `flows` and the state-transition matrices (K, N, N) to them.
+        """Return the states of `flows` with state-transition matrices.
+
+        The matrices are (K, N, N).
+
+        Args:
+            states: states (K, N) at the starts.
+            durations: times (K,), s.
 
         Raises:
             ArithmeticError: a state became infinite or undefined.
@@ -463,9 +617,14 @@ class Propagator:
         return out[:, :n].copy(), out[:, n:].reshape(-1, n, n).copy()
 
     def flows_with_tangents(self, states: Array, durations: Array, tangents: Array) -> tuple[Array, Array]:
-        """Return the states (K, N) of `flows` and the images of `tangents` (K, N) at their starts.
+        """Return the states (K, N) of `flows` and images of tangents.
 
         Rows are NaN if a state or tangent became infinite or undefined, as it does close to a collision.
+
+        Args:
+            states: states (K, N) at the starts.
+            durations: times (K,), s.
+            tangents: tangents (K, N) at the starts.
         """
         n = self.equations.dimension
         out = self._flown(np.hstack([states, tangents]), durations, stm=False, keep_lost=True)
@@ -489,7 +648,9 @@ class Propagator:
 
 
 class PolynomialInputPropagator:
-    """Propagates one set of equations at machine precision under inputs of one polynomial degree.
+    """Propagates equations under inputs that are polynomials in time.
+
+    It has machine precision, for one set of equations and inputs of one polynomial degree.
 
         ẋ = f(x, u(t); p),      u(t) = Σ_k c_k t^k        (t from the start of the propagation)
 
@@ -524,9 +685,12 @@ class PolynomialInputPropagator:
         return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, compact_mode=True, time=0.0)
 
     def flow(self, state: ArrayLike, coefficients: ArrayLike, duration: float) -> Array:
-        """Return the state (N,) after `duration` seconds.
+        """Return the state (N,) after a duration.
 
-        coefficients ((degree+1) m,): input by input, from the constant term up.
+        Args:
+            state: state (N,) at time zero.
+            coefficients: coefficients ((degree+1) m,), input by input, from the constant term up.
+            duration: time, s.
 
         Raises:
             ArithmeticError: the state became infinite or undefined.
@@ -537,9 +701,12 @@ class PolynomialInputPropagator:
         return x.copy()
 
     def sample(self, state: ArrayLike, coefficients: ArrayLike, times: ArrayLike) -> Array:
-        """Return the states (K, N) at rising `times` (K,) s from `state` at the first of them, 0.
+        """Return the states (K, N) at given times.
 
-        coefficients: see `flow`.
+        Args:
+            state: state (N,) at the first time, 0.
+            coefficients: see `flow`.
+            times: rising times (K,), s.
 
         Raises:
             ArithmeticError: the state became infinite or undefined.
@@ -571,7 +738,10 @@ def _real() -> Any:
 
 
 def extended(values: ArrayLike | Sequence[Exact]) -> Extended:
-    """Return doubles, whole numbers, fractions or decimals, of any shape, as an array of 113-bit reals.
+    """Return numbers as an array of 113-bit reals.
+
+    Args:
+        values: doubles, whole numbers, fractions or decimals, of any shape.
 
     Raises:
         GoalMissed: this build of heyoka does not support them.
@@ -587,19 +757,33 @@ def extended(values: ArrayLike | Sequence[Exact]) -> Extended:
 
 
 def pi_times(multiples: ArrayLike) -> Extended:
-    """Return π times doubles of any shape, each product rounded once to 113 bits."""
+    """Return multiples of π, each rounded once to 113 bits.
+
+    Args:
+        multiples: doubles of any shape.
+    """
     return extended(multiples) * np.array(_real()(_PI))
 
 
 def digits(values: Extended) -> list[str]:
-    """Return the decimal digits of 113-bit reals (K,), 36 significant, which reproduce each number."""
+    """Return the decimal digits of 113-bit reals.
+
+    There are 36 significant ones, which reproduce each number.
+
+    Args:
+        values: 113-bit reals (K,).
+    """
     return [str(value) for value in values]
 
 
 class ExtendedPropagator:
     """Propagates one set of equations in 113-bit arithmetic, with Taylor tolerance 2e-34.
 
-    parameters: exact values of the equations' parameters. Instances cannot be shared between threads.
+    Instances cannot be shared between threads.
+
+    Args:
+        equations: equations with N states and p parameters.
+        parameters: exact values (p,).
     """
 
     def __init__(self, equations: Equations, parameters: Sequence[Exact] | Array) -> None:
@@ -631,7 +815,11 @@ class ExtendedPropagator:
         return _copied(e, "extended energy", made)
 
     def flow(self, state: Extended, duration: Any) -> Extended:
-        """Return the state (N,) after `duration` seconds (negative: before), a 113-bit real.
+        """Return the state (N,) after a duration.
+
+        Args:
+            state: state (N,) at time zero.
+            duration: time, s, a 113-bit real; negative for before.
 
         Raises:
             ArithmeticError: the state became infinite or undefined.
@@ -639,7 +827,11 @@ class ExtendedPropagator:
         return self.sample(state, np.array([duration]))[0]
 
     def sample(self, state: Extended, times: Extended) -> Extended:
-        """Return the states (K, N) at monotonic `times` (K,) s from `state` (N,) at time zero.
+        """Return the states (K, N) at given times.
+
+        Args:
+            state: state (N,) at time zero.
+            times: monotonic times (K,), s.
 
         Raises:
             ArithmeticError: the state became infinite or undefined.
@@ -654,5 +846,11 @@ class ExtendedPropagator:
         return np.array(states)
 
     def energy(self, state: Extended) -> Any:
-        """Return the energy H at a state (N,), a 113-bit real, in the equations' unit (J for a pendulum)."""
+        """Return the energy H at a state, a 113-bit real.
+
+        It is in the equations' unit (J for a pendulum).
+
+        Args:
+            state: state (N,).
+        """
         return self._energy(state, pars=self.parameters[: self._energy.nparams])[0]

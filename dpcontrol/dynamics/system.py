@@ -54,9 +54,8 @@ _SAME = 1e-9
 class SystemOptions(TypedDict, total=False):
     """Optional properties of a system; each has a default.
 
-    orientation, section_scale, flight_periods, si: see `System`.
-
     Attributes:
+        orientation, section_scale, flight_periods, si: see `System`.
         periods: period of each coordinate, None for other coordinates than angles.
         reversers: signs of the coordinates, such as (1, -1), or matrices (N, N) (default: reversing sign changes).
         scale: typical size of all coordinates, of each, or of each state (default π for angles, else 1).
@@ -129,7 +128,14 @@ class System(Brief, InUnits):
 
         Its states are coordinates and velocities.
 
-        equilibria: name -> guess of the coordinates (2,), refined by Newton's method; at least one is a saddle.
+        Args:
+            name: name of the system.
+            lagrangian: energy L as a function of q (2,), v (2,) and parameters by name, all casadi scalars.
+            coordinates: names (2,).
+            equilibria: name -> guess of the coordinates (2,), refined by Newton's method. At least one is a
+                saddle.
+            parameters: name -> value, or None without parameters.
+            options: see `SystemOptions`.
 
         Raises:
             InputError: an invalid energy, guess, symmetry or option.
@@ -154,7 +160,13 @@ class System(Brief, InUnits):
 
         Its states are coordinates and momenta.
 
-        equilibria: see `from_lagrangian`. Their momenta are computed.
+        Args:
+            name: name of the system.
+            hamiltonian: energy H as a function of q (2,), p (2,) and parameters by name, all casadi scalars.
+            coordinates: names (2,).
+            equilibria: see `from_lagrangian`. Their momenta are computed.
+            parameters: name -> value, or None without parameters.
+            options: see `SystemOptions`.
 
         Raises:
             InputError: an invalid energy, guess, symmetry or option.
@@ -184,7 +196,10 @@ class System(Brief, InUnits):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Axis labels of the N entries of a state; those of arms have symbols and units."""
+        """Axis labels of the N entries of a state.
+
+        Those of arms have symbols and units.
+        """
         symbols = [f"{one[6:].translate(SUBSCRIPTS)} (rad" for one in self.coordinates if one.startswith("angle_")]
         return (*(f"θ{one})" for one in symbols), *(f"ω{one}/s)" for one in symbols)) or self.columns
 
@@ -205,7 +220,10 @@ class System(Brief, InUnits):
 
     @cached_property
     def saddles(self) -> tuple[str, ...]:
-        """Names of the equilibria of index one, which have Lyapunov orbits and tubes."""
+        """Names of the equilibria of index one.
+
+        They have Lyapunov orbits and tubes.
+        """
         return tuple(name for name, state in self.equilibria.items() if saddle_index(self.numeric, state) == 1)
 
     @property
@@ -220,6 +238,9 @@ class System(Brief, InUnits):
     def equilibrium(self, name: str) -> Array:
         """Return the state (N,) of the named equilibrium.
 
+        Args:
+            name: key of `equilibria`.
+
         Raises:
             InputError: there is no equilibrium of that name.
         """
@@ -229,7 +250,11 @@ class System(Brief, InUnits):
 
     @checked
     def section_between(self, source: str, target: str, name: str | None = None) -> Section:
-        """Return the default section of connections between two saddles, or the one of a short name.
+        """Return the section of connections between two saddles.
+
+        Args:
+            source, target: names of the saddles.
+            name: short name of another section; None for the default one.
 
         Raises:
             InputError: there is no section of that name, or none between the saddles.
@@ -247,7 +272,12 @@ class System(Brief, InUnits):
 
     @checked
     def check_same(self, other: "System") -> None:
-        """Raise an error if another system has another name, other coordinates or other parameters.
+        """Raise an error if another system differs.
+
+        Name, coordinates and parameters are compared.
+
+        Args:
+            other: the other system.
 
         Raises:
             InputError: the systems differ.
@@ -258,23 +288,36 @@ class System(Brief, InUnits):
             raise InputError(f"the results are of different systems, {self.name} and {other.name}{numbers}; use one")
 
     def nearest_turns(self, difference: Array) -> Array:
-        """Return the whole periods (…, N) nearest to a difference of states.
+        """Return the whole periods (…, N) nearest to a difference.
 
-        Integers, zero off angles.
+        They are integers, zero off angles.
+
+        Args:
+            difference: difference of states (…, N).
         """
         return np.rint(checked_array("difference", difference, len(self.periods)) / self.periods)
 
     def scaled_distance(self, first: Array, second: Array) -> Array:
-        """Return the largest scaled component of the difference of states (…, N), angles modulo a turn."""
+        """Return the largest scaled component of a difference (…).
+
+        Angles count modulo a turn.
+
+        Args:
+            first, second: states (…, N).
+        """
         difference = checked_array("first", first, len(self.scale)) - checked_array("second", second, len(self.scale))
         difference = difference - self.nearest_turns(difference) * self.turn_lengths
         return np.max(np.abs(difference) / self.scale, axis=-1)
 
 
 def saddle_index(numeric: NumericEquations, state: Array) -> int:
-    """Return the number of unstable directions of an equilibrium (N,).
+    """Return the number of unstable directions of an equilibrium.
 
-    The index of the saddle, zero for a centre.
+    It is the index of the saddle, zero for a centre.
+
+    Args:
+        numeric: equations with parameters.
+        state: equilibrium (N,).
     """
     eigenvalues = np.asarray(np.linalg.eigvals(numeric.jacobian(state)), dtype=complex)
     # Eigenvalues are real or imaginary here, so a part a million times smaller is rounding.
@@ -282,10 +325,16 @@ def saddle_index(numeric: NumericEquations, state: Array) -> int:
 
 
 def momentum_scale(system: System, section: Section) -> float:
-    """Return p₀, the momentum that makes a section's (q, p/p₀) dimensionless.
+    """Return the momentum p₀ that scales a section.
+
+    It makes the section's (q, p/p₀) dimensionless.
 
     Among angles it is √(M_qq G_q), M_qq and G_q the kinetic and potential stiffness along the section at the lowest
     equilibrium. Otherwise it follows from the states' scale.
+
+    Args:
+        system: Hamiltonian system.
+        section: section of the system.
     """
     n, numeric, along = system.dimension // 2, system.numeric, np.asarray(section.momentum)
     if np.isfinite(system.periods).any():
@@ -303,7 +352,10 @@ def momentum_scale(system: System, section: Section) -> float:
 def _energy(
     name: str, kind: str, function: EnergyFunction, coordinates: Sequence[str], parameters: Mapping[str, float] | None
 ) -> tuple[Energy, ca.SX, Array]:
-    """Check a user's energy, and return it as a function of casadi vectors with its parameters' symbols and values."""
+    """Check a user's energy, and return it with its parameters.
+
+    It becomes a function of casadi vectors; the parameters have symbols and values.
+    """
     where, given = f"the {kind} of {name}", dict(parameters or {})
     if len(coordinates) != 2 or isinstance(coordinates, str) or len(set(coordinates)) != 2:
         raise InputError(
@@ -347,7 +399,17 @@ def described_system(
     equilibria: Mapping[str, Sequence[float]],
     **options: Unpack[SystemOptions],
 ) -> System:
-    """Return a system of equations (N = 2n states), with the defaults of all options that are not given.
+    """Return a system of equations (N = 2n states).
+
+    Options that are not given have their defaults.
+
+    Args:
+        name: name of the system.
+        equations: equations with N states and p parameters.
+        parameters: values (p,).
+        coordinates: names (n,).
+        equilibria: name -> guess (n,) or (N,), refined by Newton's method.
+        options: see `SystemOptions`.
 
     Raises:
         InputError: an invalid guess, symmetry or option.
@@ -405,7 +467,10 @@ def described_system(
 def _equilibria(
     name: str, numeric: NumericEquations, guesses: Mapping[str, Sequence[float]], n: int
 ) -> dict[str, Array]:
-    """Return the equilibria (N,) that Newton's method finds from guesses (n,) or (N,), exact ones unchanged."""
+    """Return the equilibria (N,) of Newton's method from guesses.
+
+    Guesses are (n,) or (N,); exact ones are unchanged.
+    """
     found: dict[str, Array] = {}
     for key, guess in guesses.items():
         if not isinstance(key, str) or not _NAME.fullmatch(key):
@@ -446,7 +511,10 @@ def _equilibria(
 
 
 def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | None], near: Array) -> Array:
-    """Return the periods (N,) of the coordinates (n,), infinite where there is none."""
+    """Return the periods (N,) of the coordinates (n,).
+
+    They are infinite where there is none.
+    """
     n = len(near) // 2
     if len(periods) != n or any(p is not None and not number("periods", p) > 0 for p in periods):
         raise InputError(f"periods = {list(periods)} of {name}: give {n}, each positive or None")
@@ -464,7 +532,10 @@ def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | Non
 def _scale(
     name: str, given: float | Sequence[float] | None, numeric: NumericEquations, periods: Array, saddle: Array
 ) -> Array:
-    """Return the typical size (N,) of each state, for the second half by the fastest eigenvalue at a saddle."""
+    """Return the typical size (N,) of each state.
+
+    For the second half, it follows from the fastest eigenvalue at a saddle.
+    """
     n = len(periods) // 2
     turning = np.isfinite(periods[:n])
     try:
@@ -483,12 +554,18 @@ def _scale(
 
 
 def _around(state: Array, scale: Array) -> Array:
-    """Return fixed states (K, N) scattered about one (N,), off the fixed sets of symmetries."""
+    """Return fixed states (K, N) scattered about one (N,).
+
+    They lie off the fixed sets of symmetries.
+    """
     return state + 0.3 * scale * np.random.default_rng(1).uniform(-1.0, 1.0, (12, len(state)))
 
 
 def _reverses(numeric: NumericEquations, reverser: Array, saddle: Array, scale: Array) -> bool:
-    """True if f(R x) = -R f(x) for a reverser R about a saddle, at scattered states."""
+    """True if f(R x) = -R f(x) at scattered states.
+
+    R is a reverser about a saddle.
+    """
     states = _around(saddle, scale)
     rates = numeric.rate(states) @ reverser.T
     images = numeric.rate((states - saddle) @ reverser.T + saddle)
@@ -536,7 +613,10 @@ def _reversers(
 
 
 def _is_half_turn(numeric: NumericEquations, saddle: Array, symmetry: Array) -> bool:
-    """True if a symmetry (N, N) is -1 on all oscillations about a saddle."""
+    """True if a symmetry is -1 on all saddle oscillations.
+
+    The symmetry is a matrix (N, N).
+    """
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(saddle)))
     swings = vectors[:, np.abs(np.imag(values)) > 1e-6 * np.abs(values)]
     return bool(np.allclose(symmetry @ swings, -swings, atol=1e-9))
@@ -553,7 +633,9 @@ def _default_sections(
     periods: Array,
     names: Sequence[str],
 ) -> dict[tuple[str, str], Section]:
-    """Return the existing sections between all saddles of two coordinates that a reverser keeps.
+    """Return the existing sections between saddles that a reverser keeps.
+
+    The sections are between all saddles of two coordinates.
 
     Two saddles have the plane half-way, in both directions of an angle. Orbits of one saddle have a plane half a turn
     away if the unstable direction is mostly an angle. Otherwise they have the plane of the reverser's fixed set, which
@@ -598,9 +680,12 @@ def _default_sections(
 
 
 def _turn(row: Array, apart: Array, periods: Array) -> float | None:
-    """Return the distance between sheets that are images of each other by whole turns, or None.
+    """Return the distance between sheets, or None.
 
-    The plane with unit normal `row` (2,) is half-way between two saddles `apart` (2,)."""
+    The sheets are images of each other by whole turns.
+
+    The plane with unit normal `row` (2,) is half-way between two saddles `apart` (2,).
+    """
     steps = np.abs(row[row != 0] * periods[:2][row != 0])
     if not np.isfinite(steps).all() or not np.allclose(steps, steps[0]):
         return None
@@ -609,7 +694,10 @@ def _turn(row: Array, apart: Array, periods: Array) -> float | None:
 
 
 def _unit_row(direction: NDArray[Any]) -> Array:
-    """Return a row of unit length along a real direction, its largest entry positive, rounding cut off."""
+    """Return a row of unit length along a real direction.
+
+    Its largest entry is positive, and rounding is cut off.
+    """
     row = np.real(direction) / np.linalg.norm(np.real(direction))
     row = np.where(np.abs(row) > 1e-12, row, 0.0)
     return row * np.sign(row[np.argmax(np.abs(np.round(row, 9)))]) + 0.0
@@ -644,9 +732,15 @@ def _lagrangian(q: tuple[ca.SX, ...], v: tuple[ca.SX, ...], parameters: dict[str
 
 
 def three_body_system(name: str, parameters: ThreeBodyParameters) -> System:
-    """Return the restricted three-body problem as a system with the equilibria L1, L2, L3.
+    """Return the restricted three-body problem as a system.
+
+    It has the equilibria L1, L2 and L3.
 
     Homoclinics are cut on y = 0, x < 0; connections between L1 and L2 on x = 1 - μ.
+
+    Args:
+        name: name of the system.
+        parameters: mass ratio.
     """
     mu = parameters.mass_ratio
     hill_radius = (mu / 3) ** (1 / 3)
