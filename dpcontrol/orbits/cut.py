@@ -68,12 +68,23 @@ class CutSettings:
 
 
 def longest_flight(manifold: UnstableManifold, settings: CutSettings) -> float:
-    """Return the longest flight time in periods of the orbit."""
+    """Return the longest flight time in periods of the orbit.
+
+    Args:
+        manifold: manifold whose tube is cut.
+        settings: limit of the flight, or None for the system's.
+    """
     return manifold.orbit.system.flight_periods if settings.longest is None else settings.longest
 
 
 def section_points(system: System, section: Section, states: Array) -> Array:
-    """Return the coordinates (q, p/p₀) (…, 2) of states (…, N)."""
+    """Return the coordinates (q, p/p₀) (…, 2) of states.
+
+    Args:
+        system: system of the states.
+        section: section that the states are on.
+        states: states (…, N).
+    """
     states = np.asarray(states, dtype=float)
     q = states @ np.asarray(section.position)
     p = system.numeric.momentum(states) @ np.asarray(section.momentum)
@@ -108,7 +119,11 @@ class CutSamples(Brief):
 
     @staticmethod
     def joined(parts: "Sequence[CutSamples]") -> "CutSamples":
-        """Concatenate samples in order."""
+        """Concatenate samples in order.
+
+        Args:
+            parts: samples of one branch.
+        """
         names = [one.name for one in fields(CutSamples)]
         return CutSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
@@ -118,7 +133,11 @@ class CutSamples(Brief):
         return np.isfinite(self.times)
 
     def continuous(self, limit: float) -> Flags:
-        """Return True (K - 1,) for neighbours within `limit` on one curve."""
+        """Return True (K - 1,) for neighbours on one curve.
+
+        Args:
+            limit: largest distance of neighbours in (q, p/p₀).
+        """
         same = np.sign(self.rates[1:]) == np.sign(self.rates[:-1])
         return same & (np.linalg.norm(np.diff(self.points, axis=0), axis=1) <= limit)
 
@@ -145,7 +164,11 @@ class Sampler(Brief):
         return longest_flight(self.manifold, self.settings)
 
     def fly(self, phases: Array) -> CutSamples:
-        """Propagate the seeds at phases (K,) together."""
+        """Propagate the seeds at given phases together.
+
+        Args:
+            phases: phases (K,) of the orbit, 1 for a period.
+        """
         system = self.manifold.orbit.system
         seeds, _ = self.manifold.seeds(phases, self.branch)
         longest = self.longest * self.manifold.orbit.period
@@ -161,7 +184,11 @@ class Sampler(Brief):
         )
 
     def arrives_later(self, phases: Array) -> bool:
-        """Return True if some of the phases arrive within twice the time."""
+        """Return True if some of the phases arrive within twice the time.
+
+        Args:
+            phases: phases (K,) of the orbit, 1 for a period.
+        """
         if self.settings.longest is None:
             return False
         patience = 2 * max(self.longest, self.manifold.orbit.system.flight_periods)
@@ -169,7 +196,11 @@ class Sampler(Brief):
         return bool(patient.fly(_some(phases)).arrived.any())
 
     def escapes(self, phases: Array) -> bool:
-        """Return True if all trajectories diverge within the flight time."""
+        """Return True if all trajectories diverge within the flight time.
+
+        Args:
+            phases: phases (K,) of the orbit, 1 for a period.
+        """
         propagator, duration = self.manifold.orbit.system.propagator, self.longest * self.manifold.orbit.period
         seeds, _ = self.manifold.seeds(_some(phases), self.branch)
         for seed in seeds:
@@ -191,6 +222,11 @@ _TRIED = 8
 
 def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress) -> tuple[CutSamples, str, bool]:
     """Sample one period and bisect phase steps until all chords are short.
+
+    Args:
+        sampler: branch, section and settings.
+        start: first phase, 1 for a period.
+        progress: called with a label and the completed share.
 
     Returns:
         The samples, the reason if refinement stopped early, and True if time ran out.
@@ -396,7 +432,16 @@ def tube_cut(
     budget: Budget | None = None,
     progress: Progress = no_progress,
 ) -> Cut:
-    """Cut both branches of an unstable tube at the `hit`-th section crossing."""
+    """Cut both branches of an unstable tube at a section.
+
+    Args:
+        manifold: local manifold of the orbit.
+        section: section of the orbit's system.
+        hit: number of the crossing, from 1.
+        settings: sampling of the cut.
+        budget: processor time; unlimited by default.
+        progress: called with a label and the completed share.
+    """
     settings, budget = settings or CutSettings(), budget or Budget(np.inf)
     pieces: list[Piece] = []
     gaps: list[OpenEnd] = []

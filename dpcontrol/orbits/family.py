@@ -94,9 +94,12 @@ class FamilyCurve(Brief):
     accept: float
 
     def point(self, unknowns: Array, heading: Array | None, residual: float) -> FamilyPoint:
-        """Return a point of the curve for given unknowns (n + 1,).
+        """Return a point of the curve for given unknowns.
 
-        The tangent points along `heading`, or towards higher energies by default.
+        Args:
+            unknowns: solution (n + 1,).
+            heading: row (n + 1,) along which the tangent points; None for towards higher energies.
+            residual: scaled residual of the solution.
         """
         _, jacobian = self.problem.arc(unknowns)
         tangent = np.linalg.svd(jacobian * self.weights)[2][-1]
@@ -107,7 +110,12 @@ class FamilyCurve(Brief):
         return FamilyPoint(unknowns, tangent, energy, residual, {**self.measure(unknowns), SLOPE: slope})
 
     def step(self, start: FamilyPoint, length: float) -> FamilyPoint | None:
-        """Return the point at `length` from `start`, None if Newton's method fails."""
+        """Return the next point, None if Newton's method fails.
+
+        Args:
+            start: point of the curve.
+            length: distance along the tangent, in units of the weights.
+        """
         guess = start.unknowns + length * start.tangent * self.weights
         found, residual = self.problem.along(
             guess, start.tangent, self.weights, iterations=self.iterations, tolerance=self.tolerance
@@ -130,9 +138,15 @@ class FamilyCurve(Brief):
         smallest: float,
         too_long: Callable[[FamilyPoint, FamilyPoint], bool] = lambda here, following: False,
     ) -> Iterator[tuple[FamilyPoint, FamilyPoint, float]]:
-        """Yield (point, next point, length) until no step of `smallest` converges.
+        """Yield (point, next point, length) along the curve.
 
-        Steps that converge are still halved, if possible, when `too_long` returns True.
+        It ends when no step of `smallest` converges.
+
+        Args:
+            start: first point.
+            step, smallest: longest and shortest step, in units of the weights.
+            too_long: function of two successive points. If it returns True, a step that converges is still halved, if
+                possible.
         """
         here, length = start, min(step, FIRST_STEP)
         while length >= smallest:
@@ -144,7 +158,13 @@ class FamilyCurve(Brief):
             here, length = following, min(step, 1.5 * length)
 
     def located(self, start: FamilyPoint, length: float, value: Callable[[FamilyPoint], float]) -> FamilyPoint | None:
-        """Return the zero of `value` within `length` of `start`, or None."""
+        """Return the zero of a function on the curve, or None.
+
+        Args:
+            start: point of the curve.
+            length: range of the search from `start`, in units of the weights.
+            value: continuous function of a point.
+        """
 
         def at(h: float) -> float:
             point = start if h == 0 else self.step(start, h)
@@ -181,7 +201,9 @@ class CurveEvent:
 
 @dataclass(frozen=True)
 class FamilyEnd:
-    """First or last orbit of a family, with the reason for the end.
+    """First or last orbit of a family.
+
+    It has the reason for the end.
 
     Attributes:
         energy: J.
@@ -195,7 +217,12 @@ class FamilyEnd:
 
 
 def lost(test: str, place: FamilyPoint) -> FamilyEnd:
-    """Return the end of a family at a multiplier's crossing of ±1."""
+    """Return the end of a family at a multiplier's crossing of ±1.
+
+    Args:
+        test: name of the crossing, which ends with +1 or -1.
+        place: point of the crossing.
+    """
     what = "the family branches or folds" if test.endswith("+1") else "the period doubles"
     reason = f"hyperbolicity is lost at {place.energy:.12g} J: a multiplier crosses {test.split()[1]} and {what}"
     return FamilyEnd(place.energy, "hyperbolicity lost", reason)
@@ -235,11 +262,16 @@ def follow(
     """Follow a family from a point until it leaves the energy bounds.
 
     Args:
+        curve: curve of the family.
+        start: first point.
         energies: (lowest, highest), J.
         tests: measures whose zeros are located.
+        settings: steps and limits.
+        stop: function that returns a reason to end, or "".
         losing: tests that end the family.
         born: True if the family starts at this point.
-        stop: function that returns a reason to end, or "".
+        too_long: see `FamilyCurve.followed`.
+        progress: called with a label and the completed share.
     """
     low, high = energies
     run = Followed(start)
@@ -300,7 +332,12 @@ LINGERS = 0.05
 
 
 def nearest_equilibrium(problem: SymmetricShooting, place: FamilyPoint) -> tuple[str, float]:
-    """Return the equilibrium nearest to an orbit, and its scaled distance."""
+    """Return the equilibrium nearest to an orbit, and its scaled distance.
+
+    Args:
+        problem: shooting problem of the orbit.
+        place: point of the family.
+    """
     system = problem.system
     arc = system.propagator.sample(problem.state(place.unknowns), np.linspace(0, place.unknowns[-1], 400))
     distances = {name: float(np.min(system.scaled_distance(arc, x))) for name, x in system.equilibria.items()}
@@ -313,7 +350,9 @@ def family_end(
     """Return the end of a family that could not be followed further.
 
     Args:
+        system: system of the family.
         points: the last members.
+        problem: shooting problem of the family.
         largest: limit on multipliers that ended the continuation, if any.
     """
     place = points[-1]
@@ -477,7 +516,12 @@ def lyapunov_family(
     converges.
 
     Args:
+        system: Hamiltonian system with reversers.
+        saddle: name of the equilibrium.
         energies: (lowest, highest), J.
+        family: number of the family, slowest first.
+        settings: steps and limits.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: unknown saddle or family, or no member within the bounds.

@@ -57,6 +57,10 @@ class Equilibrium(Brief):
 def equilibrium(system: System, name: str) -> Equilibrium:
     """Return the named equilibrium.
 
+    Args:
+        system: Hamiltonian system.
+        name: name of the equilibrium.
+
     Raises:
         InputError: unknown name.
     """
@@ -107,15 +111,26 @@ class SymmetricShooting(Brief):
     quarters: int
 
     def state(self, unknowns: Array) -> Array:
-        """Return the initial state (N,) for unknowns (c, τ)."""
+        """Return the initial state (N,) for given unknowns.
+
+        Args:
+            unknowns: (c, τ) (n + 1,), τ in s.
+        """
         return self.centre + self.start @ unknowns[:-1]
 
     def period(self, unknowns: Array) -> float:
-        """Return the orbit's period in s."""
+        """Return the orbit's period in s.
+
+        Args:
+            unknowns: (c, τ) (n + 1,), τ in s.
+        """
         return self.quarters * float(unknowns[-1])
 
     def arc(self, unknowns: Array) -> tuple[Array, Array]:
         """Return the residual (n,) and its Jacobian (n, n + 1).
+
+        Args:
+            unknowns: (c, τ) (n + 1,), τ in s.
 
         Raises:
             ArithmeticError: the arc diverged.
@@ -125,7 +140,11 @@ class SymmetricShooting(Brief):
         return self.target @ (end - self.centre), jacobian
 
     def energy(self, unknowns: Array) -> tuple[float, Array]:
-        """Return the energy (J) and its derivative (n + 1,)."""
+        """Return the energy (J) and its derivative (n + 1,).
+
+        Args:
+            unknowns: (c, τ) (n + 1,), τ in s.
+        """
         state, numeric = self.state(unknowns), self.system.numeric
         return float(numeric.hamiltonian(state)), np.append(numeric.gradient(state) @ self.start, 0.0)
 
@@ -135,10 +154,16 @@ class SymmetricShooting(Brief):
         return np.abs(self.target) @ (1 / self.system.scale)
 
     def at_energy(self, guess: Array, energy: float, *, iterations: int, tolerance: float) -> tuple[Array, float]:
-        """Return the unknowns and scaled residual of the member at `energy` (J).
+        """Return the unknowns and scaled residual at an energy.
 
-        The residual is infinite if Newton's method left the family, which is assumed if the duration is not positive or
-        exceeds three times that of the guess (n + 1,).
+        The residual is infinite if Newton's method left the family. This is assumed if the duration is not positive or
+        exceeds three times that of the guess.
+
+        Args:
+            guess: unknowns (n + 1,).
+            energy: energy of the member, J.
+            iterations: most steps of Newton's method.
+            tolerance: largest scaled residual.
         """
         found = self.member(guess, energy, iterations=iterations, tolerance=tolerance)
         return found.unknowns, found.residual
@@ -146,9 +171,15 @@ class SymmetricShooting(Brief):
     def member(
         self, guess: Array, energy: float, *, iterations: int, tolerance: float, enough: float = 0.0
     ) -> "FamilyMember":
-        """Return the member at `energy` (J) with the family's direction.
+        """Return the member at an energy with the family's direction.
 
-        Newton's method stops at the residual `enough`, or at rounding level, which must be below `tolerance`.
+        Args:
+            guess: unknowns (n + 1,).
+            energy: energy of the member, J.
+            iterations: most steps of Newton's method.
+            tolerance: largest scaled residual.
+            enough: residual at which Newton's method stops. It also stops at rounding level, which must be below
+                `tolerance`.
         """
 
         def row(unknowns: Array) -> tuple[float, Array]:
@@ -167,6 +198,8 @@ class SymmetricShooting(Brief):
             guess (n + 1,): point on the plane.
             tangent (n + 1,): normal of the plane.
             weights (n + 1,): units of the unknowns in the scalar product.
+            iterations: most steps of Newton's method.
+            tolerance: largest scaled residual.
         """
 
         def row(unknowns: Array) -> tuple[float, Array]:
@@ -219,7 +252,13 @@ class FamilyMember(Brief):
 
 
 def fixed_and_moved(reverser: Array) -> tuple[Array, Array]:
-    """Return a basis (N, n) and the annihilator of the fixed set."""
+    """Return a basis and the annihilator of the fixed set.
+
+    The shapes are (N, n) and (n, N).
+
+    Args:
+        reverser: matrix (N, N).
+    """
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(reverser))
     fixed = np.real(vectors[:, np.real(values) > 0])
     basis, _ = np.linalg.qr(fixed)
@@ -247,6 +286,11 @@ class LinearCentre(Brief):
 
 def symmetric_shooting(system: System, saddle: str, family: int) -> tuple[SymmetricShooting, LinearCentre]:
     """Return the shooting problem of one family and its linear centre.
+
+    Args:
+        system: Hamiltonian system with reversers.
+        saddle: name of the equilibrium.
+        family: number of the family, slowest first.
 
     Raises:
         InputError: unknown saddle or family, an equilibrium other than an index-1 saddle, or a system without
@@ -447,7 +491,14 @@ def lyapunov_orbit(
     family: int = 0,
     settings: ContinuationSettings | None = None,
 ) -> LyapunovOrbit:
-    """Return the Lyapunov orbit about `saddle` at `energy` (J).
+    """Return the Lyapunov orbit about a saddle at an energy.
+
+    Args:
+        system: Hamiltonian system with reversers.
+        saddle: name of the equilibrium.
+        energy: energy of the orbit, J.
+        family: number of the family, slowest first.
+        settings: continuation from the saddle.
 
     Raises:
         InputError: unknown saddle or family, or an energy for which no orbit exists.
@@ -486,7 +537,18 @@ def described_orbit(
     converged: bool,
     status: str,
 ) -> LyapunovOrbit:
-    """Return the orbit for solved unknowns (n + 1,)."""
+    """Return the orbit for solved unknowns (n + 1,).
+
+    Args:
+        problem: shooting problem of the family.
+        unknowns: solution (n + 1,).
+        saddle: name of the equilibrium.
+        family: number of the family.
+        energy: energy of the orbit, J.
+        newton_residual: scaled residual of the solution.
+        converged: True if the residual is within the tolerance.
+        status: a sentence on the search.
+    """
     system = problem.system
     state, period = problem.state(unknowns), problem.period(unknowns)
     end, monodromy = system.propagator.flow_with_stm(state, period)
@@ -575,6 +637,12 @@ def floquet_multipliers(system: System, state: Array, period: float, monodromy: 
     The pair at one belongs to the flow and the energy, by M f = f and ∇Hᵀ M = ∇Hᵀ. The others are the eigenvalues
     of M on ker ∇H modulo f. Those inside the unit circle come from the backward monodromy matrix, because their
     errors in the forward matrix are proportional to the square of the largest multiplier.
+
+    Args:
+        system: Hamiltonian system.
+        state: state (N,) on the orbit.
+        period: period of the orbit, s.
+        monodromy: matrix (N, N) from this state.
     """
     rate, gradient = system.numeric.rate(state), system.numeric.gradient(state)
     plane, _ = np.linalg.qr(np.column_stack([rate, gradient]))

@@ -96,7 +96,11 @@ class UnstableManifold(Brief):
         return self.half_turn is not None and self.half_turn[1] < 0
 
     def frame(self, phases: Array) -> Frame:
-        """Return orbit and unstable vector at any real phases (K,)."""
+        """Return orbit and unstable vector at given phases.
+
+        Args:
+            phases: any real phases (K,), 1 for a period.
+        """
         orbit = self.orbit
         system, centre = orbit.system, orbit.centre
         phases = np.atleast_1d(np.asarray(phases, dtype=float))
@@ -137,7 +141,12 @@ class UnstableManifold(Brief):
         return 1 - min(1.0, _STEEPEST / steepest) if steepest > 0 else 0.0, float(frame.lengths.max())
 
     def amplitude(self, phase: float, branch: int) -> float:
-        """Return the amplitude of the seed at a phase."""
+        """Return the amplitude of the seed at a phase.
+
+        Args:
+            phase: phase of the orbit, 1 for a period.
+            branch: +1 or -1.
+        """
         length = float(self.frame(np.array([phase])).lengths[0])
         exponent, longest = self._evening
         return branch * self.distance * (length / longest) ** exponent / length
@@ -148,6 +157,10 @@ class UnstableManifold(Brief):
         The scaled distance from the orbit is at most `distance`, and smaller if trajectories would otherwise cross the
         curve of seeds repeatedly. Seeds are corrected to the orbit's energy along the energy gradient. The derivative
         neglects this correction of order δ², which slows Newton's method only slightly.
+
+        Args:
+            phases: any real phases (K,), 1 for a period.
+            branch: +1 or -1.
         """
         frame = self.frame(phases)
         numeric, scale = self.orbit.system.numeric, self.orbit.system.scale
@@ -259,7 +272,11 @@ class SegmentedManifold(UnstableManifold):
         return None
 
     def frame(self, phases: Array) -> Frame:
-        """Return orbit (lifted) and unstable vector at any real phases (K,)."""
+        """Return orbit (lifted) and unstable vector at given phases.
+
+        Args:
+            phases: any real phases (K,), 1 for a period.
+        """
         orbit = self.orbit
         system, period = orbit.system, orbit.period
         nodes, exponent, sign = self._node_vectors
@@ -284,7 +301,12 @@ class SegmentedManifold(UnstableManifold):
 
 
 def local_manifold(orbit: LyapunovOrbit, distance: float = 3e-4) -> UnstableManifold:
-    """Return the local unstable manifold with seeds at a scaled `distance`."""
+    """Return the local unstable manifold of an orbit.
+
+    Args:
+        orbit: hyperbolic orbit.
+        distance: largest scaled distance of the seeds from the orbit.
+    """
     if isinstance(orbit, HyperbolicOrbit):
         return SegmentedManifold(orbit, distance)
     return UnstableManifold(orbit, distance)
@@ -298,6 +320,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> Hyperbo
     """Return a rotating orbit as a vertex of the connection graph.
 
     Args:
+        orbit: hyperbolic rotating orbit.
         name: by default "outer-rotating" or "inner-rotating", with "-back" for clockwise rotation.
 
     Raises:
@@ -381,12 +404,20 @@ class OrbitCurve(Brief):
         return np.hstack([np.cos(turns) * radius, np.sin(turns) * radius, plain])
 
     def states(self, phases: Array) -> Array:
-        """Return states (…, N) at phases (…)."""
+        """Return states (…, N) at phases (…).
+
+        Args:
+            phases: any real phases (…).
+        """
         within = np.asarray(phases) % 1.0
         return self._spline(within) + within[..., None] * self.orbit.turn
 
     def nearest(self, states: Array) -> tuple[Array, Array]:
-        """Return phases (…) and scaled distances (…) of the nearest points."""
+        """Return phases (…) and scaled distances (…) of the nearest points.
+
+        Args:
+            states: states (…, N).
+        """
         system, x = self.orbit.system, np.asarray(states, dtype=float)
         # The nearest sample in the Euclidean norm is close to the nearest point in the maximum norm.
         around = self._tree.query(self._embedded(x.reshape(-1, system.dimension)))[1]
@@ -405,6 +436,9 @@ class OrbitCurve(Brief):
 
         The nearest points are those in the scaled Euclidean norm, which is smooth. The distance is the largest scaled
         component.
+
+        Args:
+            states: states (K, N).
         """
         system = self.orbit.system
         x = np.atleast_2d(states)

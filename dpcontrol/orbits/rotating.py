@@ -156,6 +156,9 @@ class HalfTurn(SymmetricShooting):
     def arc(self, unknowns: Array) -> tuple[Array, Array]:
         """Return the residual (n,) and its Jacobian (n, n + 1).
 
+        Args:
+            unknowns: (c, τ) (n + 1,), τ in s.
+
         Raises:
             ArithmeticError: the arc diverged.
         """
@@ -171,9 +174,11 @@ def rotating_orbits(
     The initial position of the other arm may be hanging or upright.
 
     Args:
+        system: system of two arms.
         arm: rotating arm, 1 or 2.
         energy: J.
         sense: +1 counter-clockwise, -1 clockwise.
+        settings: scan and tolerances.
 
     Raises:
         InputError: the system is not a double pendulum, or an argument is invalid.
@@ -198,9 +203,13 @@ def rotating_orbits(
 
 
 def half_turn(system: System, arm: int, sense: int, position: float) -> HalfTurn:
-    """Return the shooting problem of orbits that rotate `arm`.
+    """Return the shooting problem of orbits that rotate an arm.
 
-    The other arm starts at `position`, 0 or π rad.
+    Args:
+        system: system of two arms.
+        arm: number of the arm, from 1.
+        sense: +1 or -1.
+        position: first angle of the other arm, 0 or π rad.
     """
     n = system.dimension // 2
     start, target = fixed_and_moved(system.reversers[-1])
@@ -211,7 +220,15 @@ def half_turn(system: System, arm: int, sense: int, position: float) -> HalfTurn
 
 
 def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newton_residual: float) -> RotatingOrbit:
-    """Return the orbit for solved unknowns (ω, τ)."""
+    """Return the orbit for solved unknowns (ω, τ).
+
+    Args:
+        problem: shooting problem of the orbit.
+        unknowns: solution (ω, τ).
+        arm: number of the arm, from 1.
+        energy: energy of the orbit, J.
+        newton_residual: scaled residual of the solution.
+    """
     system, state, period = problem.system, problem.state(unknowns), problem.period(unknowns)
     trace, end = section_trace(problem, unknowns)
     residual = float(np.abs(end - state - 2 * problem.turn).max())
@@ -242,13 +259,21 @@ def section_trace(problem: HalfTurn, unknowns: Array) -> tuple[float, Array]:
     """Return the trace of the Poincaré map and the final state (N,).
 
     It is the trace of the monodromy matrix without the two multipliers at one, of the flow and the energy.
+
+    Args:
+        problem: shooting problem of the orbit.
+        unknowns: solution (ω, τ).
     """
     end, monodromy = problem.system.propagator.flow_with_stm(problem.state(unknowns), problem.period(unknowns))
     return float(np.trace(monodromy)) - 2.0, end
 
 
 def kind_of(trace: float) -> str:
-    """Return the stability type of an area-preserving map's fixed point."""
+    """Return the stability type of an area-preserving map's fixed point.
+
+    Args:
+        trace: trace of the map's derivative.
+    """
     if abs(abs(trace) - 2) < 1e-9:
         return "parabolic"
     if trace > 2:
@@ -424,7 +449,10 @@ def rotating_family(
     """Follow the family of a rotating orbit in both directions.
 
     Args:
+        orbit: orbit to start from.
         energies: (lowest, highest), J.
+        settings: steps and limits.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: the bounds do not enclose the orbit's energy.
@@ -480,6 +508,11 @@ def rotating_families(
     """Follow the families of several orbits, each family once.
 
     A family with folds may contain several of the orbits.
+
+    Args:
+        orbits: rotating orbits of one system.
+        energies: lower and upper bound, J.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: the bounds do not enclose the orbits' energy.

@@ -1,4 +1,6 @@
-"""Tubes: the stable or unstable manifold of a periodic orbit, followed away from it.
+"""Tubes: invariant manifolds of periodic orbits, followed away from them.
+
+A tube is the stable or unstable manifold of an orbit.
 
 The stable tube is the image of the unstable one under the orbit's reverser, so nothing is integrated backward.
 """
@@ -106,7 +108,12 @@ class Tube(Shown):
         return replace(cut, pieces=pieces, open_ends=ends, stable=self.stable)
 
     def placed(self, piece: Piece, section: Section) -> Piece:
-        """Return a piece of the unstable tube's cut as one of this tube."""
+        """Return a piece of a cut as one of this tube.
+
+        Args:
+            piece: piece of the unstable tube's cut.
+            section: section of the cut.
+        """
         if not self.stable:
             return piece
         states = self._placed(piece.states)
@@ -121,7 +128,10 @@ class Tube(Shown):
 
 
 def _followed(propagator: Any, seed: Array, seconds: float) -> Array:
-    """Return states (M, N) for a time, or while the trajectory is finite."""
+    """Return states (M, N) of a trajectory.
+
+    It ends after a time, or when it is no longer finite.
+    """
     while True:
         try:
             return propagator.sample(seed, np.linspace(0.0, seconds, _MOMENTS))
