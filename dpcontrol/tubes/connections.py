@@ -190,13 +190,22 @@ def described_connection(
 
 
 def angle_between(first: Array, second: Array) -> float:
-    """Return the angle (deg, 0 to 90) between two tangents (2,)."""
+    """Return the angle between two tangents, deg (0 to 90).
+
+    Args:
+        first, second: tangents (2,), of any length.
+    """
     lengths = np.linalg.norm(first) * np.linalg.norm(second)
     return float(np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]) / lengths))))
 
 
 def uncertainty(angle: float, least: float) -> float:
-    """Return the scaled position error of tubes that meet at `angle` (deg)."""
+    """Return the scaled position error of tubes that meet.
+
+    Args:
+        angle: angle between the tubes, deg.
+        least: smallest error.
+    """
     return max(least, _ROUNDING / max(float(np.radians(angle)), float(np.finfo(float).eps)))
 
 
@@ -260,7 +269,11 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) ->
 
 
 def mirrored(connection: Connection) -> Connection:
-    """Return the mirror image, which has the opposite sense."""
+    """Return the mirror image, which has the opposite sense.
+
+    Args:
+        connection: connection between orbits with a half turn.
+    """
     orbit, source, target = connection.orbit, connection.source, connection.target
     system, half_turn = source.system, orbit.start.manifold.half_turn
     assert half_turn is not None
@@ -297,6 +310,8 @@ def can_be_reversed(system: System, source: str, target: str, *, section: Sectio
     """Return True if time reversal preserves both saddles and the section.
 
     Args:
+        system: Hamiltonian system with reversers.
+        source, target: names of the saddles.
         section: section of the search, None for the saddles' default.
     """
     reverser = system.reversers[0]
@@ -321,6 +336,9 @@ def reversed_in_time(connection: Connection) -> Connection:
 
     Let A be the reverser that maps unstable tubes to stable tubes, x(t) a lifted connection and k its whole turns.
     Then y(t) = A x(-t) - A k is a connection on the lift that starts at the target's named position.
+
+    Args:
+        connection: connection of a system with reversers.
     """
     orbit, source, target = connection.orbit, connection.target, connection.source
     system = source.system
@@ -360,6 +378,9 @@ def named(connection: Connection) -> Connection:
 
     The name has source, target, winding, hits, the section unless it is the default, and position and rate to four
     digits.
+
+    Args:
+        connection: connection with any name.
     """
     system, section, state = connection.source.system, connection.section, connection.state
     saddles = (connection.source.saddle, connection.target.saddle)
@@ -376,7 +397,13 @@ def named(connection: Connection) -> Connection:
 
 
 def searched_at(name: str) -> tuple[tuple[int, int], str | None] | None:
-    """Return the hits and section of a connection's name, or None."""
+    """Return the hits and section of a connection, or None.
+
+    The section is None for the default one.
+
+    Args:
+        name: name of the connection.
+    """
     match = re.search(r"\]h([1-9])\.([1-9])(?::([\w-]+))?@", name)
     return None if match is None else ((int(match[1]), int(match[2])), match[3])
 
@@ -429,6 +456,9 @@ class ConnectionSearch(Shown):
     def named(self, name: str) -> Connection:
         """Return the connection with the given name.
 
+        Args:
+            name: name of a connection, from `named`.
+
         Raises:
             InputError: no such connection; the message suggests the most similar name.
         """
@@ -449,7 +479,12 @@ class ConnectionSearch(Shown):
 
 
 def orbits_between(system: System, source: str, target: str, energy: float) -> tuple[LyapunovOrbit, LyapunovOrbit]:
-    """Return the Lyapunov orbits of both saddles at `energy` (J).
+    """Return the Lyapunov orbits of both saddles at an energy.
+
+    Args:
+        system: Hamiltonian system.
+        source, target: names of the saddles.
+        energy: energy of the orbits, J.
 
     Raises:
         InputError: an unknown saddle, or a saddle without an orbit at this energy.
@@ -475,10 +510,13 @@ def find_connections(
     beside another saddle and return have at least two crossings.
 
     Args:
+        source, target: orbits of one energy.
         hits: crossing numbers of both tubes.
         section: the saddles' default unless given.
+        settings: settings of the search.
         cuts: unstable cuts of both orbits, with the same settings.
         budget: time limit, shared with other work.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: the orbits differ in energy, no section is known between their saddles, the target's reverser does
@@ -676,6 +714,9 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
 def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
     """Return the time-reversed search, from target to source.
 
+    Args:
+        search: search on a section that time reversal preserves.
+
     Raises:
         ValueError: the reverser does not preserve the section and both saddles (see `can_be_reversed`).
     """
@@ -715,6 +756,7 @@ def find_lap_connections(
     One of the two orbits must cross the section and the other must not. The first crossing of the other tube is used.
 
     Args:
+        source, target: orbits of one energy.
         section: the section.
         crossings: crossing numbers of the lapping tube, counted from its seeds. The default is the last one before a
             scaled distance of about 0.4.
@@ -765,7 +807,15 @@ def find_lap_connections(
 
 
 def grown_crossing(orbit: HyperbolicOrbit, section: Section, settings: ConnectionSettings | None = None) -> int:
-    """Return the last crossing before a tube's scaled distance reaches about 0.4."""
+    """Return the last crossing before a tube becomes large.
+
+    The limit of its scaled distance is about 0.4.
+
+    Args:
+        orbit: orbit of the tube.
+        section: section of the orbit's system.
+        settings: settings with the distance of the seeds.
+    """
     settings = settings or ConnectionSettings()
     manifold, phases = local_manifold(orbit, settings.distance), np.arange(_PROBED) / _PROBED
     away = (manifold.seeds(phases, 1)[0] - manifold.frame(phases).states) / orbit.system.scale
@@ -775,7 +825,12 @@ def grown_crossing(orbit: HyperbolicOrbit, section: Section, settings: Connectio
 
 
 def own_crossings(orbit: LyapunovOrbit, section: Section) -> int:
-    """Return the number of an orbit's section crossings per period."""
+    """Return the number of an orbit's section crossings per period.
+
+    Args:
+        orbit: periodic orbit.
+        section: section of the orbit's system.
+    """
     curve = OrbitCurve(orbit)
     states = np.vstack([curve.samples, curve.samples[:1] + orbit.turn])
     return sum(section.admits(states[k]) for k in np.flatnonzero(np.diff(section.sheets(states))))

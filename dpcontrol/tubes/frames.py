@@ -19,7 +19,10 @@ def directions(system: System, states: Array, stms: Array, *, closed: bool, firs
     tangent plane of the energy surface.
 
     Args:
+        system: system of the states.
+        states: nodes (K, N).
         stms (K - 1, N, N): state-transition matrices, (K, N, N) for a closed chain.
+        closed: True for a closed chain.
         first (N,): growing direction at the first node.
         last (N,): shrinking direction at the last node.
     """
@@ -51,9 +54,12 @@ def directions(system: System, states: Array, stms: Array, *, closed: bool, firs
 
 
 def closed_frames(system: System, states: Array, durations: Array) -> tuple[Array, Array]:
-    """Return bases (K + 1, N, N) along a closed orbit, and growth factors (K, 2).
+    """Return bases and growth factors along a closed orbit.
+
+    The shapes are (K + 1, N, N) and (K, 2).
 
     Args:
+        system: system of the orbit.
         states (K, N): nodes, of which the first follows the last.
         durations (K,): flight times, s.
     """
@@ -65,18 +71,36 @@ def closed_frames(system: System, states: Array, durations: Array) -> tuple[Arra
 
 
 def growth(bases: Array, stms: Array) -> Array:
-    """Return the growth factors (K, 2) of u and s between bases (K + 1, N, N)."""
+    """Return the growth factors (K, 2) of u and s.
+
+    Args:
+        bases: bases (K + 1, N, N) at the nodes.
+        stms: state-transition matrices (K, N, N) between the nodes.
+    """
     maps = np.linalg.inv(bases[1:]) @ stms @ bases[:-1]
     return np.abs(np.stack([maps[:, 0, 0], maps[:, 1, 1]], axis=1))
 
 
 def node_count(orbit: LyapunovOrbit) -> int:
-    """Return the number of nodes between which the orbit stretches by about two."""
+    """Return the number of nodes for an orbit.
+
+    The orbit stretches by about two between them.
+
+    Args:
+        orbit: hyperbolic orbit.
+    """
     return max(3, min(8, int(np.log(abs(orbit.unstable_multiplier)) / 0.75)))
 
 
 def orbit_nodes(orbit: LyapunovOrbit, count: int) -> tuple[Array, Array]:
-    """Return nodes (K, N) at equal times on a periodic orbit, and their durations (K,) in s."""
+    """Return nodes (K, N) of an orbit and their durations (K,).
+
+    The nodes are at equal times. Durations are in s.
+
+    Args:
+        orbit: periodic orbit.
+        count: number K of nodes.
+    """
     flow, step = orbit.system.propagator.flow, orbit.period / count
     return np.array([flow(orbit.state, step * k) for k in range(count)]), np.full(count, step)
 
@@ -85,6 +109,10 @@ def phased_times(connection: Connection, radius: float) -> tuple[Array, int, int
     """Return a connection's node times (K,), section index and end phases.
 
     The ends are in phase with a node of the orbit, at half the radius from it.
+
+    Args:
+        connection: connection between two orbits.
+        radius: scaled distance from the orbit.
     """
     orbit, ends = connection.orbit, []
     for end, at, sign in ((orbit.start, orbit.times[0], 1), (orbit.end, orbit.times[-1], -1)):

@@ -57,7 +57,12 @@ class Outline(Brief):
 
 
 def outlines_of(cut: Cut, manifold: UnstableManifold) -> tuple[Outline, ...]:
-    """Return the closed pieces of a cut and its time-reversed image."""
+    """Return the closed pieces of a cut and its time-reversed image.
+
+    Args:
+        cut: cut of the unstable tube.
+        manifold: manifold of the tube.
+    """
     system, section = manifold.orbit.system, cut.section
     found = []
     for stable in (False, True):
@@ -74,7 +79,12 @@ def outlines_of(cut: Cut, manifold: UnstableManifold) -> tuple[Outline, ...]:
 
 
 def inside(points: Array, vertices: Array) -> Flags:
-    """Return True for points (K, 2) inside a polygon (V, 2)."""
+    """Return True (K,) for points inside a polygon.
+
+    Args:
+        points: points (K, 2).
+        vertices: corners (V, 2) of the polygon, in order.
+    """
     result = np.zeros(len(points), dtype=bool)
     x, y = points[:, 0], points[:, 1]
     for (x0, y0), (x1, y1) in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
@@ -91,6 +101,9 @@ def labels(
     """Return the branch of the outline that contains each point, or 0.
 
     Args:
+        system: system of the section.
+        section: section of the system.
+        outlines: closed cuts of both tubes.
         points (K, 2): coordinates (q, p/p₀).
         direction (K,): of crossing.
     """
@@ -112,6 +125,14 @@ def section_states(
     """Return states (K, N) at points (K, 2), and which exist.
 
     The states lie on the section n·x = level at (q, p/p₀), with the given energy and direction of crossing.
+
+    Args:
+        system: system of two degrees of freedom.
+        section: section of the system.
+        points: points (K, 2), q and p/p₀.
+        energy: energy of the states, J.
+        direction: sign of n·ẋ.
+        level: value of n·x.
     """
     n = system.dimension // 2
     normal, position = np.asarray(section.normal)[:n], np.asarray(section.position)[:n]
@@ -141,13 +162,26 @@ def section_states(
 
 
 def position_period(system: System, section: Section) -> float | None:
-    """Return the period of the section's coordinate q, or None."""
+    """Return the period of the section's coordinate q, or None.
+
+    Args:
+        system: system of the section.
+        section: section of the system.
+    """
     period = float(system.periods[int(np.argmax(np.abs(section.position)))])
     return period if np.isfinite(period) else None
 
 
 def place_on_section(system: System, section: Section, states: Array) -> tuple[Array, Labels]:
-    """Return (q, p/p₀), q within half a period, and the crossing direction."""
+    """Return section coordinates (…, 2) and crossing directions (…).
+
+    The coordinates are (q, p/p₀), with q within half a period.
+
+    Args:
+        system: system of the states.
+        section: section that the states are on.
+        states: states (…, N).
+    """
     points = section_points(system, section, states)
     period = position_period(system, section)
     if period is not None:
@@ -239,6 +273,12 @@ def tube_interior(
     settings: InteriorSettings | None = None,
 ) -> TubeInterior:
     """Propagate a grid inside an unstable cut through several returns.
+
+    Args:
+        manifold: manifold of the tube.
+        cut: cut of the tube.
+        branch: +1 or -1.
+        settings: grid and number of returns.
 
     Raises:
         InputError: the branch is not +1 or -1, its cut is not closed, or the system does not have two degrees of

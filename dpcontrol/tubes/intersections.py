@@ -76,6 +76,10 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
     A smooth curve deviates from its polyline by about an eighth of the second difference of its vertices (the sagitta).
     If a local minimum of the distance is below `margin` times both sagittas, the curves may cross twice although no
     segments do.
+
+    Args:
+        first, second: vertices (V, 2) of the curves, in order.
+        margin: factor on both sagittas.
     """
     if len(first) < 3 or len(second) < 3:
         return []
@@ -161,7 +165,7 @@ MOST_PERIODS = 1000.0
 def search_settings(
     *, longest: float | None = None, thorough: bool = False, seconds: float | None = None
 ) -> ConnectionSettings:
-    """Return settings for a search.
+    """Return the limits and the refinement of a search.
 
     Args:
         longest: flight time to the section in periods of the orbit, None for the system's default.
@@ -197,14 +201,21 @@ class TubeSide:
     longest: float
 
     def turned(self, states: Array) -> Array:
-        """Map states (…, N) of the unstable tube to this tube."""
+        """Map states of the unstable tube to this tube.
+
+        Args:
+            states: states (…, N).
+        """
         if not self.stable:
             return states
         reverser, centre = self.manifold.orbit.reverser, self.manifold.orbit.centre
         return (states - centre) @ reverser.T + centre
 
     def arrive(self, phases: Array) -> tuple[Array, Array, tuple[Array, Array]]:
-        """Propagate the seeds at phases (K,) to the section.
+        """Propagate the seeds at given phases to the section.
+
+        Args:
+            phases: phases (K,) of the orbit, 1 for a period.
 
         Returns:
             States (K, N) and times (K,) in s, NaN for trajectories that do not arrive, and the seeds and their
@@ -218,7 +229,13 @@ class TubeSide:
         return self.turned(states), np.array([np.nan if c is None else c.time for c in flown]), (seeds, slopes)
 
     def slopes(self, seeds: tuple[Array, Array], states: Array, times: Array) -> Array:
-        """Return the derivatives (K, N) of arrival states by phase."""
+        """Return the derivatives (K, N) of arrival states by phase.
+
+        Args:
+            seeds: seeds and their derivatives by phase, (K, N) each.
+            states: arrival states (K, N).
+            times: flight times (K,), s.
+        """
         system = self.manifold.orbit.system
         _, grown = system.propagator.flows_with_tangents(seeds[0], times, seeds[1])
         normal = np.asarray(self.section.normal)
@@ -347,6 +364,11 @@ def intersect_cuts(
     If a symmetry exchanges the branches, only one branch of the unstable tube is searched.
 
     Args:
+        system: system of the section.
+        section: section of the cuts.
+        manifolds: manifolds of both tubes.
+        cuts: unstable cuts of both tubes.
+        settings: settings of the search.
         spent: function that returns the elapsed share of the time after the cuts.
     """
     mirrored = all(m.branches_are_mirrored for m in manifolds)
@@ -419,6 +441,10 @@ def balanced(crossings: list[Intersection], cuts: tuple[Cut, Cut]) -> bool:
     crossings were missed. Equal counts do not prove completeness, because a pair may be missed.
 
     Source: Guillemin & Pollack, Differential Topology (1974), section 3.3 (oriented intersection numbers).
+
+    Args:
+        crossings: intersections found.
+        cuts: cuts of the two tubes.
     """
 
     def closed(cut: Cut, branch: int) -> bool:
@@ -525,7 +551,10 @@ class _Approach:
 
 
 def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array) -> list[_Approach | None]:
-    """Return candidates at phase pairs (K, 2), or None without an arrival or without derivatives."""
+    """Return candidates at phase pairs (K, 2), or None.
+
+    None if a trajectory does not arrive, or without derivatives.
+    """
     section = sides[0].section
     position, along = np.asarray(section.position), np.asarray(section.momentum) / momentum_scale(system, section)
     found: list[_Approach | None] = [None] * len(phases)

@@ -126,9 +126,14 @@ def find_symmetric_connections(
     Each connection exists at one energy only. If time runs out, the result is marked as partial.
 
     Args:
+        system: system of three arms.
+        saddle: name of the saddle.
         energies: (lowest, highest), J.
+        family: number of the family, slowest first.
         hit: number of the upright arm's passage through its lowest position, in the middle of the connection.
+        settings: settings of the search.
         budget: time limit, one minute by default.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: an unknown saddle or family, an invalid energy range, or a system without three coordinates.
