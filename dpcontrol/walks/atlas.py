@@ -308,7 +308,12 @@ class Atlas(Shown, InUnits):
 
 
 def section_axes(section: Section, atlas: Atlas) -> tuple[str, float | None]:
-    """Return the name and period (or None) of a section's coordinate."""
+    """Return the name and period (or None) of a section's coordinate.
+
+    Args:
+        section: section of the atlas.
+        atlas: atlas with labels and periods of the coordinates.
+    """
     coordinate = int(np.argmax(np.abs(section.position)))
     period = float(atlas.periods[coordinate])
     return atlas.labels[coordinate].partition(" ")[0], period if np.isfinite(period) else None

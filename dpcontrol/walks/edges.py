@@ -60,7 +60,12 @@ def is_rotating(name: str) -> bool:
 
 
 def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
-    """Return the rotating orbit with the given name at `energy` (J).
+    """Return the named rotating orbit at an energy.
+
+    Args:
+        system: system of two arms.
+        name: name such as "outer-rotating" or "inner-rotating-back".
+        energy: energy of the orbit, J.
 
     Raises:
         InputError: the orbit was not found, or the system does not have two arms.
@@ -232,7 +237,15 @@ class TubeCuts:
     def cut(
         self, orbit: LyapunovOrbit, section: Section, hit: int, *, budget: Budget, progress: Progress = no_progress
     ) -> Cut:
-        """Return the cut of a tube at the `hit`-th section crossing."""
+        """Return the cut of a tube at a section crossing.
+
+        Args:
+            orbit: orbit of the tube.
+            section: section of the orbit's system.
+            hit: number of the crossing, from 1.
+            budget: processor time of a new cut.
+            progress: called with a label and the completed share.
+        """
         key = (orbit.saddle, section.name, hit)
         if key not in self.made:
             began = time.perf_counter()
@@ -302,7 +315,13 @@ _HIT_BYTES = 1e8
 def searches_cost(
     pairs: Sequence[tuple[str, str]], hits: Sequence[tuple[int, int]], settings: ConnectionSettings
 ) -> Cost:
-    """Estimate the cost of searching all `pairs` at all `hits`."""
+    """Estimate the cost of searches for connections.
+
+    Args:
+        pairs: names of source and target orbits.
+        hits: section crossings of both tubes, all searched for each pair.
+        settings: settings of the searches.
+    """
     # Opposite pairs are images of one another.
     different = len({frozenset(pair) for pair in pairs})
     each = [_SEARCHED_MOST if max(hit) > 2 or settings.thorough else _SEARCHED * max(hit) for hit in hits]
@@ -326,10 +345,13 @@ def search_pairs(
     Of two opposite pairs, only one is searched if time reversal preserves the section.
 
     Args:
+        tubes: cuts so far.
+        orbits: orbits by saddle.
         pairs: (source saddle, target saddle).
         hits: (unstable, stable) crossing numbers.
         until_found: stop at the first hits with connections.
         yes: accept any duration.
+        progress: called with a label and the completed share.
     """
     if pairs:
         announce(searches_cost(pairs, hits, tubes.settings), yes=yes)
@@ -382,11 +404,13 @@ def find_edges(
     """Find the connections between saddle orbits at one energy.
 
     Args:
+        system: Hamiltonian system.
         energy: J.
         pairs: (source saddle, target saddle), all by default.
         hits: (unstable, stable) crossing numbers.
         symbols: their rotating orbits and named connections are added.
         yes: accept any duration.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: no saddle has an orbit at this energy, an orbit named in `pairs` or `symbols` does not exist, or

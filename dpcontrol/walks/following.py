@@ -79,7 +79,11 @@ class SymbolBranches:
         return Sweep(self.system, self.symbol.source, self.symbol.target, 1, SweepSettings())
 
     def connections(self, energy: float) -> tuple[Connection, ...]:
-        """Return the connections at an energy (J), none without both orbits."""
+        """Return the connections at an energy, none without both orbits.
+
+        Args:
+            energy: energy, J.
+        """
         if energy not in self._found:
             try:
                 orbits = orbits_between(self.system, self.symbol.source, self.symbol.target, energy)
@@ -89,14 +93,23 @@ class SymbolBranches:
         return self._found[energy]
 
     def chosen(self, energy: float) -> Connection | None:
-        """Return the connection selected at an energy (J), or None."""
+        """Return the connection selected at an energy, or None.
+
+        Args:
+            energy: energy, J.
+        """
         try:
             return choose(self.symbol, self.connections(energy))
         except InputError:
             return None
 
     def followed(self, connection: Connection, energy: float) -> Connection | None:
-        """Return the connection continued to another energy (J), or None."""
+        """Return a connection continued to another energy, or None.
+
+        Args:
+            connection: connection at its energy.
+            energy: the other energy, J.
+        """
         begin = connection.source.energy
         for image in _images(connection):
             point = self._point(image, begin)
@@ -128,7 +141,12 @@ class SymbolBranches:
         return None
 
     def changes(self, low: float, high: float, *, progress: Progress = no_progress) -> tuple[SymbolChange, ...]:
-        """Return the changes of selection from energy `low` to `high`, J."""
+        """Return the changes of selection between two energies.
+
+        Args:
+            low, high: first and last energy, J.
+            progress: called with a label and the completed share.
+        """
         grid, found = np.linspace(low, high, _GRID + 1).tolist(), []
         for k, (begin, end) in enumerate(pairwise(grid)):
             progress(f"{self.symbol.text} at {begin:.4g} J", k / _GRID)
@@ -161,7 +179,12 @@ class SymbolBranches:
 
 
 def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[float, float]:
-    """Return the bracket of a change, found by bisection."""
+    """Return the bracket of a change, found by bisection.
+
+    Args:
+        low, high: energies that enclose the change, J.
+        holds: function of an energy; True at `low`, False at `high`.
+    """
     for _ in range(_HALVED):
         middle = (low + high) / 2
         low, high = (middle, high) if holds(middle) else (low, middle)
@@ -177,7 +200,7 @@ def _images(connection: Connection) -> tuple[Connection, ...]:
 def symbol_changes(
     system: System, symbols: Sequence[Symbol], energies: tuple[float, float], *, progress: Progress = no_progress
 ) -> tuple[SymbolChange, ...]:
-    """Return the energies at which the symbols of a walk select another connection.
+    """Return the energies at which symbols select another connection.
 
     Args:
         system: dynamical system.

@@ -55,7 +55,13 @@ class ShadowingSettings:
 
 
 def phase_gap(before: Connection, after: Connection) -> float:
-    """Return the phase in [0, 1) from arrival to next departure."""
+    """Return the phase from arrival to next departure.
+
+    It is in [0, 1).
+
+    Args:
+        before, after: connections to and from one orbit.
+    """
     return (after.phase_out - before.phase_in) % 1.0
 
 
@@ -77,6 +83,10 @@ def stop_rounds(before: Connection, after: Connection, wraps: int) -> int:
     """Return a connection's phase lead over the next one in whole periods.
 
     At a rotating orbit, each period shifts the next connection by one turn.
+
+    Args:
+        before, after: connections to and from one orbit.
+        wraps: periods of the orbit during the stop.
     """
     since, until = _asymptotic_phases(before, after)
     goal = (before.time_in + after.time_out) / before.target.period + wraps + phase_gap(before, after)
@@ -128,7 +138,15 @@ def first_guess(
     settings: ShadowingSettings | None = None,
     strands: Strands | None = None,
 ) -> Guess:
-    """Return the initial guess: samples of connections, joined in mid-stop."""
+    """Return the initial guess: samples of connections, joined in mid-stop.
+
+    Args:
+        chain: connections of the walk.
+        wraps: periods at each stop.
+        periodic: True for a closed walk.
+        settings: settings of the solver.
+        strands: cache of sampled connections.
+    """
     settings = settings or ShadowingSettings()
     strands = strands if strands is not None and strands.segments == settings.segments else Strands(settings.segments)
     system = chain[0].source.system
@@ -182,7 +200,12 @@ def first_guess(
 
 
 def lattice_offsets(chain: Sequence[Connection], wraps: Sequence[int]) -> Array:
-    """Return the lifts' offsets (k + 1, N) in whole turns."""
+    """Return the lifts' offsets (k + 1, N) in whole turns.
+
+    Args:
+        chain: connections of the walk.
+        wraps: periods at each stop.
+    """
     offsets = np.zeros((len(chain) + 1, chain[0].source.system.dimension))
     for k, connection in enumerate(chain):
         offsets[k + 1] = offsets[k]
@@ -340,10 +363,13 @@ def shadow(
     """Return the orbit that follows `connections` in order.
 
     Args:
+        connections: connections of the walk.
         wraps: number of periods at each stop.
         lead_in: periods on the first orbit.
         lead_out: periods on the last orbit.
         periodic: close the walk with one more stop.
+        settings: settings of the solver.
+        strands: cache of sampled connections.
         rivals: other connections that the orbit might follow by mistake.
 
     Raises:
@@ -402,7 +428,15 @@ def described(
     leads: tuple[int, int] = (2, 2),
     rivals: Sequence[Connection] = (),
 ) -> ShadowingOrbit:
-    """Return a solved shot as a shadowing orbit with its error estimate."""
+    """Return a solved shot as a shadowing orbit with its error estimate.
+
+    Args:
+        shot: solution with its guess.
+        chain: connections of the walk.
+        wraps: periods at each stop.
+        leads: periods on the first and the last orbit.
+        rivals: connections that the orbit may follow by mistake.
+    """
     guess, orbit = shot.guess, shot.orbit
     periodic = guess.closed
     nodes = np.array(sorted(guess.markers))
@@ -491,6 +525,11 @@ MOST_WRAPS = 1_000_000
 def check_stops(chain: Sequence[Connection], wraps: Sequence[int] | None, *, periodic: bool) -> int:
     """Return the number of stops, one more for a closed walk.
 
+    Args:
+        chain: connections of the walk.
+        wraps: periods at each stop; None if they are not given.
+        periodic: True for a closed walk.
+
     Raises:
         InputError: a wrong number of wraps, or a periodic walk with different ends.
     """
@@ -558,6 +597,12 @@ class WalkSolver:
     ) -> ShadowingOrbit:
         """Return the orbit of a walk with the given wraps.
 
+        Args:
+            chain: connections of the walk.
+            wraps: periods at each stop.
+            periodic: True for a closed walk.
+            lead_in, lead_out: periods on the first and the last orbit.
+
         Raises:
             InputError: the wraps do not match the walk.
         """
@@ -579,6 +624,10 @@ class WalkSolver:
         """Return the fewest wraps at each stop that give an orbit.
 
         No single count can be reduced further.
+
+        Args:
+            chain: connections of the walk.
+            periodic: True for a closed walk.
 
         Raises:
             GoalMissed: up to MOST wraps do not suffice; the message names the failed symbol.
@@ -603,7 +652,11 @@ class WalkSolver:
         return tuple(wraps)
 
     def advice(self, orbit: ShadowingOrbit) -> str:
-        """Return a sentence on the fewest wraps of a failed walk."""
+        """Return a sentence on the fewest wraps of a failed walk.
+
+        Args:
+            orbit: result that has not converged.
+        """
         try:
             least = self.least(orbit.connections, periodic=orbit.periodic)
         except GoalMissed as error:

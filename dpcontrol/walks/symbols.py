@@ -31,7 +31,12 @@ _WRAPS = re.compile(r"^(?:\s*·\s*|\s+)(\d+)(?:\s*·\s*|\s+)(?=\()")
 
 
 def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
-    """Return the text of a composite edge from names and wraps."""
+    """Return the text of a composite edge from names and wraps.
+
+    Args:
+        walk: names of the connections (k,).
+        wraps: periods at each stop (k - 1,).
+    """
     parts = [f"({walk[0]})"]
     for name, count in zip(walk[1:], wraps, strict=True):
         parts.append(f"·{count}·({name})")
@@ -69,7 +74,11 @@ def components(name: str) -> tuple[tuple[str, ...], tuple[int, ...]] | None:
 
 
 def ends(name: str) -> tuple[str, str] | None:
-    """Return (source, target) of a composite edge's full name, or None."""
+    """Return (source, target) of a composite edge's full name, or None.
+
+    Args:
+        name: name of a composite edge.
+    """
     prefix = _PREFIX.match(name)
     return None if prefix is None or prefix["source"] is None else (prefix["source"], prefix["target"])
 
@@ -171,6 +180,10 @@ def _grown(text: str, saddles: Sequence[str]) -> Symbol:
 def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ...]:
     """Parse a walk and check that its symbols are connected.
 
+    Args:
+        texts: symbols of the walk.
+        saddles: names of possible stops.
+
     Raises:
         InputError: the walk is empty or not connected, or a text is not a symbol.
     """
@@ -204,6 +217,10 @@ def expanded(symbols: Sequence[Symbol], wraps: Sequence[int]) -> tuple[tuple[str
 
 def choose(symbol: Symbol, connections: "Sequence[Connection]") -> "Connection":
     """Return the connection that a symbol selects.
+
+    Args:
+        symbol: selection by name, or by stops and sense.
+        connections: connections at one energy.
 
     Raises:
         InputError: no connection matches.

@@ -47,6 +47,9 @@ _MIRRORED = 1e-7  # scaled distance; above the error of states (1e-11), below th
 def as_connection(orbit: ShadowingOrbit) -> Connection:
     """Return a converged open shadowing orbit as an edge for other walks.
 
+    Args:
+        orbit: converged orbit of an open walk.
+
     Raises:
         InputError: the orbit is periodic or has not converged.
     """
@@ -209,6 +212,10 @@ def symmetric_walk(
 def resolve(texts: Sequence[str], edges: Edges) -> Walk:
     """Return the connections that the symbols of a walk select.
 
+    Args:
+        texts: symbols of the walk.
+        edges: connections at one energy.
+
     Raises:
         InputError: a text is not a symbol, the walk is not connected, or a connection does not exist at this energy.
             The message gives the reason and the nearest existing walk.
@@ -283,7 +290,11 @@ def _nearest(symbols: Sequence[Symbol], edges: Edges) -> str:
 
 
 def ways(stops: Sequence[str]) -> tuple[Symbol, ...]:
-    """Return symbols for any connection between each two successive stops."""
+    """Return symbols for any connection between each two successive stops.
+
+    Args:
+        stops: names of saddles, in order.
+    """
     return tuple(Symbol(f"{a} > {b}", a, b, None, None) for a, b in pairwise(stops))
 
 
@@ -291,6 +302,10 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
     """Return the shortest walk that visits saddles in order.
 
     Each step uses the most transversal connection, preferably symmetric. A repeated stop gives a homoclinic connection.
+
+    Args:
+        stops: names of saddles, in order.
+        edges: connections at one energy.
 
     Raises:
         InputError: fewer than two stops, an unknown saddle, or no path between successive stops.
@@ -325,7 +340,12 @@ def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
 
 
 def count_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> int:
-    """Return the number of walks of `length` symbols (from `source`, to `target`).
+    """Return the number of walks of given length.
+
+    Args:
+        edges: connections at one energy.
+        length: number of symbols.
+        source, target: names of the first and last stop; None for any.
 
     Raises:
         InputError: a length below one, or a saddle without an orbit.
@@ -339,7 +359,12 @@ def count_walks(edges: Edges, length: int, *, source: str | None = None, target:
 
 
 def all_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> Iterator[Walk]:
-    """Yield every walk of `length` symbols (from `source`, to `target`).
+    """Yield every walk of given length.
+
+    Args:
+        edges: connections at one energy.
+        length: number of symbols.
+        source, target: names of the first and last stop; None for any.
 
     Raises:
         InputError: a length below one, or a saddle without an orbit.
@@ -353,7 +378,13 @@ def all_walks(edges: Edges, length: int, *, source: str | None = None, target: s
 
 
 def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, periodic: bool = False) -> Walk:
-    """Draw a walk of `length` symbols (closed if periodic) with uniform probability.
+    """Draw a walk with uniform probability.
+
+    Args:
+        edges: connections at one energy.
+        length: number of symbols.
+        generator: random generator, which is advanced.
+        periodic: True for closed walks only.
 
     Raises:
         InputError: a length below one, or no such walk.
@@ -395,7 +426,11 @@ def _check(edges: Edges, length: int, source: str | None, target: str | None) ->
 
 
 def is_closed(chain: Sequence[Connection]) -> bool:
-    """Return True if a walk ends where it starts."""
+    """Return True if a walk ends where it starts.
+
+    Args:
+        chain: connections of the walk.
+    """
     return chain[0].source.saddle == chain[-1].target.saddle
 
 
@@ -496,8 +531,11 @@ def drawn_requests(
     """Draw `count` walks with random lengths and extra wraps.
 
     Args:
+        edges: connections at one energy.
+        count: number of walks.
         lengths: inclusive range.
         extra: wraps added to the fewest possible, inclusive range.
+        seed: seed of the random generator.
         periodic: draw closed walks.
         leads: periods on the first and last orbits.
 
@@ -523,7 +561,14 @@ def drawn_requests(
 def request(
     chain: Walk, *, wraps: Sequence[int] | None, extra: int, periodic: bool, leads: tuple[int, int] = (2, 2)
 ) -> WalkRequest:
-    """Return a request with given wraps or `extra` above the fewest.
+    """Return a request with given or fewest wraps.
+
+    Args:
+        chain: connections of the walk.
+        wraps: periods at each stop; None for the fewest.
+        extra: periods at each stop above the fewest.
+        periodic: True for a closed walk.
+        leads: periods on the first and the last orbit.
 
     Raises:
         InputError: a wrong number of wraps, or a periodic walk with different ends.
@@ -559,7 +604,12 @@ def walks_cost(count: int, *, symbols: int, wraps: int, solve: bool, key: str) -
 
 
 def solved(requests: Sequence[WalkRequest], solver: WalkSolver) -> Iterator[WalkAnswer]:
-    """Solve the requests in order."""
+    """Solve the requests in order.
+
+    Args:
+        requests: walks of one graph.
+        solver: solver of that graph.
+    """
     if requests:
         # One-off compilation and sampling should not count towards the first walk's time.
         solver.solve(requests[0].chain[:1], ())
@@ -627,6 +677,12 @@ def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: Extende
         turn (N,)                 increment of a periodic orbit per period, or zeros
         times_digits (L + 1,)     with `refined`: s from the first symbol's section, decimal strings
         states_digits (L + 1, N)  with `refined`: decimal strings
+
+    Args:
+        path: file to write.
+        model: name of the model, for the header.
+        orbit: orbit of the walk.
+        refined: the same orbit in 113-bit arithmetic.
     """
     header = {
         "format": FORMAT,
