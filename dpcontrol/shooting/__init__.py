@@ -1,1 +1,4 @@
-"""Multiple shooting: orbits as nodes, solved by Newton's method, open or closed, and refined in 113 bits."""
+"""Multiple shooting of open and closed orbits.
+
+Newton's method solves for the nodes. Orbits can be refined in 113 bits.
+"""

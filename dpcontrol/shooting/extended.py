@@ -1,4 +1,6 @@
-"""Orbits refined in 113-bit arithmetic: periodic orbits, connections, and orbits of walks, to 30 digits instead of 12.
+"""Orbits refined in 113-bit arithmetic, to 30 digits instead of 12.
+
+These are periodic orbits, connections, and orbits of walks.
 
 The equations are those in double precision. Their residuals are evaluated in 113 bits and divided by the largest, so
 the step can be computed in double precision without underflow. Each Newton step leaves about 1e-12 of the residual.
@@ -32,7 +34,7 @@ from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingEquations, Unk
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """Settings of a refinement.
+    """Tolerance and effort of refining an orbit.
 
     Attributes:
         amplitude: scaled amplitude on the local manifolds at the outer nodes.
@@ -76,7 +78,10 @@ class ExtendedOrbit(Brief):
 
     @property
     def state(self) -> Extended:
-        """The state (N,) at the first marked node, on the first symbol's section or at phase zero."""
+        """The state (N,) at the first marked node.
+
+        The node is on the first symbol's section or at phase zero.
+        """
         return self.states[self.marked[0]]
 
     @property
@@ -93,7 +98,10 @@ class ExtendedOrbit(Brief):
         return self.times[-1] - self.times[0]
 
     def at(self, phase: Any) -> Extended:
-        """Return the lifted state (N,) of a periodic orbit at a 113-bit phase (period 1).
+        """Return the lifted state (N,) of a periodic orbit.
+
+        Args:
+            phase: 113-bit real, 1 for a period.
 
         Raises:
             InputError: the orbit is not periodic, or the phase is not a finite number.
@@ -120,14 +128,18 @@ def refine(
     parameters: Sequence[Exact] | None = None,
     settings: RefinementSettings | None = None,
 ) -> ExtendedOrbit:
-    """Refine the double solution of multiple shooting, open or closed, in 113-bit arithmetic.
+    """Refine the double solution of multiple shooting in 113-bit arithmetic.
+
+    The orbit can be open or closed.
 
     Rounding a parameter to double moves a connection by 1e-15 and limits the time for which free flight follows it.
     If the parameters are decimals, pass them as decimals or fractions.
 
     Args:
+        solution: solution in doubles.
         energy: exact energy, by default that of the double orbit.
         parameters (p,): exact parameters of the equations, by default the doubles of the system.
+        settings: tolerance and iterations.
 
     Returns:
         The refined orbit. If the refinement fails, `converged` is False and the status has the reason.
@@ -155,7 +167,11 @@ def refine(
 def exact_position(system: System, state: Array) -> Extended:
     """Return a resting state (N,) in extended precision.
 
-    Angles as whole multiples of π, the rest as doubles.
+    Angles are whole multiples of π, the rest doubles.
+
+    Args:
+        system: system of the state.
+        state: resting state (N,).
     """
     halves = np.where(np.isfinite(system.periods), state / np.pi, 0.0)
     whole = np.rint(halves)
@@ -181,11 +197,15 @@ def refine_orbit(
     propagator: ExtendedPropagator | None = None,
     settings: RefinementSettings | None = None,
 ) -> ExtendedOrbit:
-    """Refine a periodic orbit as a closed orbit whose first node stays on its section.
+    """Refine a periodic orbit as a closed orbit.
+
+    Its first node stays on its section.
 
     Args:
+        orbit: orbit in doubles.
         energy: 113-bit real, by default the energy of the double orbit.
         propagator: by default that of the system's doubles.
+        settings: tolerance, iterations and segments.
 
     Raises:
         GoalMissed: the residual stays above the tolerance, or heyoka has no 113-bit reals.
@@ -272,7 +292,10 @@ def _newton(
 
 
 class _ExactEquations(ShootingEquations):
-    """The equations with levels of sections, ends, closure and energy in 113 bits."""
+    """The equations in 113 bits.
+
+    This applies to levels of sections, ends, closure and energy.
+    """
 
     numbers = staticmethod(extended)
 
@@ -295,7 +318,10 @@ class _ExactEquations(ShootingEquations):
 
 
 def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:
-    """Return the lifted γ(φ) (N,) at the end's phase, time-reversed for a stable manifold."""
+    """Return the lifted γ(φ) (N,) at the end's phase.
+
+    It is time-reversed for a stable manifold.
+    """
     orbit = end.manifold.orbit
     system = orbit.system
     state = known.at(extended(end.phase)[()])
@@ -306,7 +332,10 @@ def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:
 
 
 def _lengthened(guess: Guess, ends: tuple[ManifoldEnd, ManifoldEnd], settings: RefinementSettings) -> tuple[Guess, int]:
-    """Return an open orbit extended on both local manifolds, and the number of nodes added in front."""
+    """Return an open orbit extended on both local manifolds.
+
+    The second value is the number of nodes added in front.
+    """
     states, durations, owners, led_ends = [guess.states], [guess.durations], [guess.owners], []
     first = 0
     for end, before in zip(ends, (True, False), strict=True):

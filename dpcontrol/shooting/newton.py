@@ -1,4 +1,6 @@
-"""Multiple shooting with free segment lengths: an orbit from a guess by Newton's method, and its error estimate.
+"""Multiple shooting with free segment lengths.
+
+Newton's method turns a guess into an orbit with an error estimate.
 
 An orbit consists of nodes x_0 … x_K and durations τ_0 … τ_{K-1}. Its equations give residuals and a sparse Jacobian:
 
@@ -46,7 +48,9 @@ from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
 
 @dataclass(frozen=True)
 class ManifoldEnd(Brief):
-    """A point γ(φ) + a v(φ) on a local manifold, lifted by whole turns.
+    """A point γ(φ) + a v(φ) on a local manifold.
+
+    It is lifted by whole turns.
 
     Attributes:
         stable: True if the manifold is the time-reversed unstable one. Phase and amplitude are then those of the
@@ -84,13 +88,23 @@ class ManifoldEnd(Brief):
         return self.states(np.zeros(1))[0], self.manifold.orbit.reverser @ along if self.stable else along
 
     def moved(self, seconds: float) -> "ManifoldEnd":
-        """Return the end moved along the flow by `seconds`, backward if negative."""
+        """Return the end moved along the flow.
+
+        Args:
+            seconds: time, s; backward if negative.
+        """
         periods = self._periods(seconds)
         grown = self.amplitude * float(np.exp(self.manifold.exponent * periods))
         return replace(self, phase=self.phase + periods, amplitude=grown)
 
     def states(self, seconds: Array) -> Array:
-        """Return states (K, N) on the manifold at times (K,) s from the end, by the linearised flow."""
+        """Return states (K, N) on the manifold.
+
+        They follow from the linearised flow.
+
+        Args:
+            seconds: times (K,) from the end, s.
+        """
         periods, orbit = self._periods(np.asarray(seconds)), self.manifold.orbit
         frame = self.manifold.frame(self.phase + periods)
         amplitudes = self.amplitude * np.exp(self.manifold.exponent * periods)
@@ -124,18 +138,27 @@ class ShootingOrbit(Brief):
 
     @property
     def closed(self) -> bool:
-        """True if the orbit is periodic up to whole turns of its angles."""
+        """True if the orbit is periodic.
+
+        Whole turns of its angles do not count.
+        """
         return self.turn is not None
 
     @property
     def start(self) -> ManifoldEnd:
-        """The first node of an open orbit, on the local unstable manifold of its first periodic orbit."""
+        """The first node of an open orbit.
+
+        It is on the local unstable manifold of the first periodic orbit.
+        """
         assert self.ends is not None
         return self.ends[0]
 
     @property
     def end(self) -> ManifoldEnd:
-        """The last node of an open orbit, on the local stable manifold of its last periodic orbit."""
+        """The last node of an open orbit.
+
+        It is on the local stable manifold of the last periodic orbit.
+        """
         assert self.ends is not None
         return self.ends[1]
 
@@ -148,9 +171,14 @@ class ShootingOrbit(Brief):
         return float(self.times[-1] - self.times[0])
 
     def sample(self, times: Array) -> Array:
-        """Return states (M, N) at any times (M,) s, each propagated from the node before it.
+        """Return states (M, N) at any times.
+
+        Each is propagated from the node before it.
 
         Beyond its nodes an open orbit continues on the local manifolds, and a closed orbit repeats.
+
+        Args:
+            times: times (M,), s.
         """
         times = np.asarray(times, dtype=float)
         rounds = np.zeros_like(times)
@@ -256,7 +284,10 @@ class ShootingEquations:
         self._places()
 
     def _places(self) -> None:
-        """List the rows and columns of all entries in the order of `matrix`."""
+        """List the rows and columns of all entries.
+
+        The order is that of `matrix`.
+        """
         n, count, closed = self.n, self.count, self.guess.closed
         # Open ends have no columns. The last node of a closed orbit shares the columns of the first.
         column = {node: n * k for k, node in enumerate(range(count + 1)[self.inner])} | ({count: 0} if closed else {})
@@ -278,7 +309,10 @@ class ShootingEquations:
     def normals(self, states: Array) -> Array:
         """Return the normals (nodes, N) of inner nodes.
 
-        Those of a section at marked nodes, else of the flow.
+        They are those of a section at marked nodes, else of the flow.
+
+        Args:
+            states: states (K + 1, N) of all nodes.
         """
         rates = self.system.numeric.rate(states[self.inner])
         normals = rates / self.system.scale**2
@@ -290,7 +324,10 @@ class ShootingEquations:
     def matrix(self, states: Array, stms: Array, arrived: Array) -> csc_array:
         """Return the scaled Jacobian from doubles.
 
-        arrived (K, N): ends of the segments.
+        Args:
+            states: states (K + 1, N) of the nodes.
+            stms: state-transition matrices (K, N, N) of the segments.
+            arrived: ends (K, N) of the segments.
         """
         numeric = self.system.numeric
         minus = np.tile(-np.eye(self.n).ravel(), len(self.arriving))
@@ -304,7 +341,14 @@ class ShootingEquations:
         return csc_array((entries, (self._row, self._col)), shape=(self.size, self.size))
 
     def residuals(self, now: Unknowns, arrived: Array) -> Array:
-        """Return unscaled gaps, distances from marked sections, and the energy error of a closed orbit."""
+        """Return the unscaled residuals.
+
+        They are gaps, distances from marked sections, and the energy error of a closed orbit.
+
+        Args:
+            now: unknowns.
+            arrived: ends (K, N) of the segments.
+        """
         numbers, gaps = self.numbers, arrived - now.states[1:]
         gradients = self.system.numeric.gradient(now.states[1:][self.unfolded].astype(float))
         gaps[self.unfolded] = gaps[self.unfolded] + numbers(gradients) * now.unfolding
@@ -319,7 +363,12 @@ class ShootingEquations:
         return np.concatenate(parts)
 
     def moved(self, now: Unknowns, change: Array) -> Unknowns:
-        """Return the unknowns after a change of all, not scaled."""
+        """Return the unknowns after a change of all, not scaled.
+
+        Args:
+            now: unknowns.
+            change: changes of all unknowns in one row, not scaled.
+        """
         states = now.states.copy()
         states[self.inner] = states[self.inner] + change[: self.states_end].reshape(-1, self.n)
         durations = now.durations + change[self.states_end : self.durations_end]
@@ -327,7 +376,11 @@ class ShootingEquations:
         return self.placed(Unknowns(states, durations, amplitudes, now.unfolding + change[-1]))
 
     def placed(self, unknowns: Unknowns) -> Unknowns:
-        """Return the unknowns with end nodes that follow from amplitudes or closure."""
+        """Return the unknowns with end nodes that follow from amplitudes or closure.
+
+        Args:
+            unknowns: unknowns, whose end nodes are replaced in place.
+        """
         states = unknowns.states
         if self.guess.closed:
             states[-1] = states[0] + self.turn
@@ -337,7 +390,13 @@ class ShootingEquations:
         return unknowns
 
     def sizes(self, step: Array) -> Array:
-        """Return the largest scaled change (K,) of each node and of the segment after it, without ε."""
+        """Return the largest scaled change (K,) of each node.
+
+        The segment after a node belongs to it. ε is left out.
+
+        Args:
+            step: scaled changes of all unknowns in one row.
+        """
         out = np.abs(step[self.states_end : self.durations_end])
         out[self.inner] = np.maximum(out[self.inner], np.abs(step[: self.states_end]).reshape(-1, self.n).max(axis=1))
         return out
@@ -433,7 +492,14 @@ class _Lost(Exception):
 
 
 def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot:
-    """Refine a guess into an orbit by damped Newton steps on all unknowns."""
+    """Refine a guess into an orbit by damped Newton steps.
+
+    The steps are on all unknowns.
+
+    Args:
+        guess: nodes, durations and ends.
+        settings: limits of Newton's method.
+    """
     settings = settings or NewtonSettings()
     equations = ShootingEquations(guess)
     amplitudes = np.array([end.amplitude for end in guess.ends or ()])
@@ -517,7 +583,10 @@ def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
 
 
 def _predicted(equations: ShootingEquations, before: _Linear, linear: _Linear, taken: _Step) -> float:
-    """Return the damping predicted from the error of the last step (NLEQ-ERR, equation 3.48)."""
+    """Return the damping predicted from the last step's error.
+
+    Source: NLEQ-ERR, equation 3.48.
+    """
     wrong, after = (float(equations.sizes(x).max()) for x in (taken.simplified - linear.step, taken.simplified))
     if wrong == 0.0 or linear.length == 0.0:
         return 1.0
@@ -554,7 +623,9 @@ def _step(
 
 
 def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:
-    """Return the 1-norm condition number of the scaled Jacobian, with a lower bound of the inverse's norm.
+    """Return the 1-norm condition number of the scaled Jacobian.
+
+    The second value is a lower bound of the inverse's norm.
 
     This is Higham & Tisseur's block algorithm (SIAM J. Matrix Anal. Appl. 21, 2000). The one in scipy uses the global
     random generator, so its estimate of an orbit changes between calls.
@@ -591,9 +662,13 @@ class ClosedMultipliers(Brief):
 
 
 def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
-    """Return the multipliers of a closed orbit from its segments' state-transition matrices (K, N, N).
+    """Return the multipliers of a closed orbit.
 
     Power iteration runs forward for the unstable direction and backward for the stable one.
+
+    Args:
+        stms: state-transition matrices (K, N, N) of its segments.
+        scale: scale (N,) of the states.
     """
     scaled = stms * scale / scale[:, None]
     forward, sign = _growth(scaled)
@@ -602,7 +677,10 @@ def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
 
 
 def _growth(matrices: Array) -> tuple[float, int]:
-    """Return the logarithm of a vector's growth in one round, and the sign of its direction."""
+    """Return the logarithm of a vector's growth in one round.
+
+    The second value is the sign of its direction.
+    """
     # The start has components in every direction. The dominant one gains λ² a round.
     vector = np.cos(np.arange(matrices.shape[1]) + 1.0)
     before, total = vector, 0.0
@@ -642,7 +720,9 @@ class ErrorEstimate(Brief):
 def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
     """Return the error estimate of a converged shot.
 
-    stops: the periodic orbits after its marked nodes.
+    Args:
+        shot: solution with its guess.
+        stops: the periodic orbits after its marked nodes.
     """
     guess, orbit = shot.guess, shot.orbit
     h = None if shot.lipschitz is None else shot.lipschitz * shot.correction
@@ -663,7 +743,10 @@ def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
 
 
 def _stop_distances(shot: Shot, stops: Sequence[LyapunovOrbit]) -> tuple[float, ...]:
-    """Return the scaled distance of the nearest node to the periodic orbit of each stop."""
+    """Return each stop's scaled distance from the nearest node.
+
+    It is that of the stop's periodic orbit.
+    """
     states, nodes = shot.orbit.states, sorted(shot.guess.markers)
     curves: dict[str, OrbitCurve] = {}
     out = []
