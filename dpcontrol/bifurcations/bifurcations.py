@@ -129,7 +129,15 @@ def _located(
 
 
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
-    """Locate the turn after point `index` of a path, or return None."""
+    """Locate the turn after a point of a path.
+
+    None if it is not found.
+
+    Args:
+        problem: matching of two tubes.
+        path: solutions in order.
+        index: number of the point.
+    """
     start = path.points[0].energy
     before, after = path.points[index : index + 2]
     for _ in range(_HALVINGS):
@@ -208,9 +216,14 @@ def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
 
 
 def locate_graze(problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint) -> list[Located]:
-    """Locate every touch of the section between two points of a path.
+    """Locate every touch of the section between two points.
 
     The path must not turn between them. The result is in order of energy, and empty without a bracket.
+
+    Args:
+        problem: matching of two tubes.
+        section: section of the system.
+        first, second: points of one path.
     """
     middle = _middle_touch(problem, section, first, second)
     found = _touches(problem, section, first, second) if middle is None else [middle]
@@ -391,11 +404,14 @@ class Sweep:
         self._counts: dict[tuple[Link, float], int] = {}
 
     def search(self, energy: float) -> Found:
-        """Find the links with the required crossings at one energy (J).
+        """Find the links with the required crossings at an energy.
 
         Results are cached, and later finds are added. If intersections of the cuts do not converge, for example next
         to a graze, the search is repeated with finer cuts. Cuts that scatter are excluded, because finer ones stop
         earlier and have fewer intersections.
+
+        Args:
+            energy: energy, J.
         """
         if energy not in self._found:
             found, resolved = self._searched(energy, 1.0)
@@ -440,21 +456,34 @@ class Sweep:
         return Found(energy, tuple(points), weight, caveat), unstable.resolved and stable.resolved
 
     def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
-        """Return the index of the point with this link, or None."""
+        """Return the index of the point with this link, or None.
+
+        Args:
+            link: link to find.
+            points: points at the energy of the link.
+        """
         gaps = [self.problem.distance_between(link, p.link) for p in points]
         if not gaps or min(gaps) > self.settings.same:
             return None
         return int(np.argmin(gaps))
 
     def count(self, point: PathPoint) -> int:
-        """Return the number of section crossings of a solved link."""
+        """Return the number of section crossings of a solved link.
+
+        Args:
+            point: solution at its energy.
+        """
         key = (point.link, point.energy)
         if key not in self._counts:
             self._counts[key] = profile(self.problem, point.link, point.energy, self.section).count
         return self._counts[key]
 
     def place(self, event: Located) -> tuple[float, float]:
-        """Return (q, p/p₀) at the section crossing or touch of an event."""
+        """Return (q, p/p₀) at the section crossing or touch of an event.
+
+        Args:
+            event: located bifurcation or section artefact.
+        """
         if event.kind == "section-artefact":
             q, p = section_points(self.problem.system, self.section, event.state)
         else:
@@ -479,7 +508,11 @@ class Sweep:
         return branches
 
     def between(self, low: float, high: float) -> Interval:
-        """Explain the differences between two searches, with a cache."""
+        """Explain the differences between two searches, with a cache.
+
+        Args:
+            low, high: energies of the searches, J.
+        """
         before, after = self.search(low), self.search(high)
         if (low, high) not in self._intervals:
             interval, missed = self._changes(before, after)
@@ -493,7 +526,11 @@ class Sweep:
         return self._intervals[low, high]
 
     def explained(self, low: float, high: float) -> bool:
-        """Return True if an interval's cached explanation is up to date."""
+        """Return True if an interval's cached explanation is up to date.
+
+        Args:
+            low, high: ends of the interval, J.
+        """
         return (low, high) in self._intervals
 
     def _amend(self, energy: float, missed: list[PathPoint]) -> bool:
@@ -703,8 +740,12 @@ def find_bifurcations(
     """Find the bifurcations of connections between two energies.
 
     Args:
+        system: system of two degrees of freedom.
+        source, target: names of the saddles.
         energies: (lowest, highest), J.
         crossings: number of section crossings, 1 for first hits.
+        settings: settings of the sweep.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: an unknown saddle, no section between the saddles, bounds without orbits, or a system without two
@@ -889,6 +930,9 @@ def branch_diagram(search: BifurcationSearch) -> BranchDiagram:
 
 def diagram_from(document: dict[str, Any]) -> BranchDiagram:
     """Return the diagram stored in a document.
+
+    Args:
+        document: JSON values of a diagram.
 
     Raises:
         KeyError, TypeError, ValueError: the document is not a diagram.

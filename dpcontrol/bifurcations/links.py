@@ -67,7 +67,11 @@ class Link:
         return np.array([*self.phases, self.duration])
 
     def at(self, unknowns: Sequence[float] | Array) -> "Link":
-        """Return the link with the unknowns (3,)."""
+        """Return the link with other phases and duration.
+
+        Args:
+            unknowns: φ_u, φ_s (1 for a period) and T, s (3,).
+        """
         return replace(self, phases=(float(unknowns[0]), float(unknowns[1])), duration=float(unknowns[2]))
 
 
@@ -112,7 +116,11 @@ class MirrorMatch(Brief):
 
 
 def phase_gap(first: float, second: float) -> float:
-    """Return the difference of two phases, reduced to -½ to ½."""
+    """Return the difference of two phases, reduced to -½ to ½.
+
+    Args:
+        first, second: phases, 1 for a period.
+    """
     return (first - second + 0.5) % 1.0 - 0.5
 
 
@@ -160,9 +168,13 @@ class LinkProblem:
         return orbit
 
     def manifold(self, saddle: str, energy: float) -> UnstableManifold:
-        """Return the unstable manifold of a saddle's orbit at `energy` (J).
+        """Return the unstable manifold of a saddle's orbit.
 
         Its vector has the same orientation at all energies.
+
+        Args:
+            saddle: name of the saddle.
+            energy: energy of the orbit, J.
 
         Raises:
             ArithmeticError: the orbit did not converge.
@@ -181,7 +193,11 @@ class LinkProblem:
         return self._manifolds[saddle, energy]
 
     def manifolds(self, energy: float) -> tuple[UnstableManifold, UnstableManifold]:
-        """Return the manifolds of source and target, one object if identical."""
+        """Return the manifolds of source and target, one object if identical.
+
+        Args:
+            energy: energy of the orbits, J.
+        """
         return self.manifold(self.source, energy), self.manifold(self.target, energy)
 
     def _flown(self, manifold: UnstableManifold, branch: int, phase: float, seconds: float) -> tuple[Array, Array]:
@@ -191,12 +207,20 @@ class LinkProblem:
         return state, stm @ slopes[0]
 
     def turned(self, states: Array) -> Array:
-        """Return the time-reversed states (…, N) about the target."""
+        """Return the time-reversed states (…, N) about the target.
+
+        Args:
+            states: states (…, N).
+        """
         centre = self.system.equilibrium(self.target)
         return (states - centre) @ self.system.reversers[0].T + centre
 
     def match(self, link: Link, energy: float) -> Match:
         """Propagate both tubes to the middle of the connection and compare.
+
+        Args:
+            link: guess or solution.
+            energy: energy of the orbits, J.
 
         Raises:
             ArithmeticError: an orbit did not converge or a state diverged.
@@ -215,7 +239,13 @@ class LinkProblem:
         return Match(gap, jacobian, tangency, xu)
 
     def mirror(self, link: Link, energy: float, which: int) -> MirrorMatch:
-        """Compare the middle of a connection with a reverser's fixed set."""
+        """Compare the middle of a connection with a reverser's fixed set.
+
+        Args:
+            link: guess or solution.
+            energy: energy of the orbits, J.
+            which: index of the reverser.
+        """
         system, scale = self.system, self.system.scale
         manifold = self.manifold(self.source, energy)
         x, slope = self._flown(manifold, link.branches[0], link.phases[0], link.duration / 2)
@@ -240,7 +270,12 @@ class LinkProblem:
         return MirrorMatch(miss, fold, shedding)
 
     def symmetry(self, link: Link, within: float = 1e-6) -> int | None:
-        """Return the index of the reverser that preserves the link, or None."""
+        """Return the index of the reverser that preserves the link, or None.
+
+        Args:
+            link: solution.
+            within: largest distance of its image, see `distance_between`.
+        """
         for which in range(len(self.system.reversers)):
             image = self.mirrored(link, which)
             if image is not None and self.distance_between(link, image) < within:
@@ -248,7 +283,12 @@ class LinkProblem:
         return None
 
     def mirrored(self, link: Link, which: int) -> Link | None:
-        """Return the image of a homoclinic link under a reverser, or None."""
+        """Return the image of a homoclinic link under a reverser, or None.
+
+        Args:
+            link: homoclinic link.
+            which: index of the reverser.
+        """
         if self.source != self.target:
             return None
         if which == 0:
@@ -263,6 +303,9 @@ class LinkProblem:
         """Return the distance of two links in phases and relative duration.
 
         It is infinite for different branches.
+
+        Args:
+            first, second: links at any energy.
         """
         if first.branches != second.branches:
             return float("inf")
@@ -271,6 +314,11 @@ class LinkProblem:
 
     def solved(self, link: Link, energy: float, *, iterations: int = 12) -> PathPoint:
         """Solve F = 0 from an initial guess.
+
+        Args:
+            link: initial guess.
+            energy: energy of the orbits, J.
+            iterations: most steps of Newton's method.
 
         Raises:
             ArithmeticError: Newton's method left the neighbourhood or did not converge.
@@ -322,10 +370,18 @@ class Path:
 
 
 def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: float = 1 / 32) -> PathPoint | None:
-    """Continue a connection to energy `goal` (J), None if it may turn.
+    """Continue a connection to another energy.
+
+    None if it may turn.
 
     Each step is predicted along ∂(φ_u, φ_s, T)/∂H and solved at fixed energy. The tangency σ must keep its sign, which
     changes at a turn. This is cheaper than `follow`, which handles turns.
+
+    Args:
+        problem: matching of two tubes.
+        point: solution at its energy.
+        goal: the other energy, J.
+        smallest: shortest step, as a share of the whole way.
     """
     way = goal - point.energy
     done, share, here = 0.0, 1.0, point
@@ -363,6 +419,7 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
     """Follow a connection through all turns until it arrives or returns.
 
     Args:
+        problem: matching of two tubes.
         link: connection solved at energy `start`.
         start: initial energy, J.
         goal: final energy, J.
@@ -424,6 +481,10 @@ def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPo
     """Return the point of a path halfway between two points, or None.
 
     It lies on the plane through the midpoint of their chord, normal to the chord.
+
+    Args:
+        problem: matching of two tubes.
+        first, second: points of one path.
     """
     start = first.coordinates
     chord = second.coordinates - start
@@ -494,7 +555,16 @@ class Profile(Brief):
 
 
 def fly_whole(problem: LinkProblem, link: Link, energy: float) -> tuple[Array, Array]:
-    """Return times (M,) and states (M, N) from seed to seed."""
+    """Return times (M,) and states (M, N) from seed to seed.
+
+    Args:
+        problem: matching of two tubes.
+        link: solution.
+        energy: energy of the orbits, J.
+
+    Returns:
+        Times (M,), s, and states (M, N).
+    """
     half = np.linspace(0.0, link.duration / 2, _SAMPLES + 1)
     out, back = (
         problem.system.propagator.sample(manifold.seeds(np.array([phase]), branch)[0][0], half)
@@ -505,7 +575,14 @@ def fly_whole(problem: LinkProblem, link: Link, energy: float) -> tuple[Array, A
 
 
 def profile(problem: LinkProblem, link: Link, energy: float, section: Section) -> Profile:
-    """Count a solved connection's section crossings between extrema of the height."""
+    """Count a solved connection's section crossings between extrema of the height.
+
+    Args:
+        problem: matching of two tubes.
+        link: solution.
+        energy: energy of the orbits, J.
+        section: section of the system.
+    """
     times, states = fly_whole(problem, link, energy)
     rates = problem.system.numeric.rate(states) @ np.asarray(section.normal)
     turning = np.flatnonzero(np.sign(rates[:-1]) * np.sign(rates[1:]) < 0)
@@ -529,7 +606,14 @@ def profile(problem: LinkProblem, link: Link, energy: float, section: Section) -
 
 
 def first_crossing(problem: LinkProblem, link: Link, energy: float, section: Section) -> Array | None:
-    """Return the lifted state (N,) at the first crossing of a section."""
+    """Return the lifted state (N,) at the first crossing of a section.
+
+    Args:
+        problem: matching of two tubes.
+        link: solution.
+        energy: energy of the orbits, J.
+        section: section of the system.
+    """
     system = problem.system
     _, states = fly_whole(problem, link, energy)
     heights, sheets = section.height(states), section.sheets(states)
