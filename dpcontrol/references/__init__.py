@@ -1,1 +1,4 @@
-"""References: feasible motions of the bench from direct collocation with friction, cart and limits."""
+"""References: feasible motions of the bench from direct collocation.
+
+They have friction, the cart and its limits.
+"""

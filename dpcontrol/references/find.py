@@ -1,4 +1,6 @@
-"""Find a reference from an orbit or between two states, with mesh refinement.
+"""Find a reference with mesh refinement.
+
+It starts from an orbit or connects two states.
 
 Each round solves the program of `dpcontrol.references.transcription` on the current mesh, starting from the previous
 solution. Intervals whose error between nodes exceeds the tolerance are then split. If a polynomial exceeds a limit
@@ -86,7 +88,13 @@ _MOST_GROWTH = 8
 
 
 def friction_parameters(problem: ReferenceProblem) -> NDArray[np.bool_]:
-    """Return a mask (p,) of the parameters that act without cart input but are not in the energy."""
+    """Return a mask (p,) of the friction parameters.
+
+    These act without cart input but are not in the energy.
+
+    Args:
+        problem: equations with p parameters.
+    """
     e = problem.equations
     slopes = ca.Function("slopes", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate, e.parameters)])
     # The cart is at rest: terms in its velocity cancel to rounding.
@@ -99,7 +107,15 @@ def friction_parameters(problem: ReferenceProblem) -> NDArray[np.bool_]:
 def raise_friction(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits
 ) -> tuple[float, Solved | None]:
-    """Raise friction from zero to its full value by continuation, staying near the guess.
+    """Raise friction from zero to its full value by continuation.
+
+    The solution stays near the guess.
+
+    Args:
+        problem: equations with full friction, and the guess.
+        first: guess on its mesh.
+        settings: settings of the solver.
+        limits: limits of the cart.
 
     Returns:
         The largest share of friction compensated, and its solution with the iterations and seconds of all steps;
@@ -127,7 +143,14 @@ def raise_friction(
 
 
 def has_authority(problem: ReferenceProblem, times: Array) -> bool:
-    """True if the cart's acceleration moves any arm along the guess at `times` (K,) s."""
+    """True if the cart's acceleration moves any arm.
+
+    This is checked along the guess.
+
+    Args:
+        problem: equations and guess.
+        times: times (K,), s.
+    """
     e, n = problem.equations, problem.pendulum_dimension // 2
     effect = ca.Function("effect", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate[n : 2 * n], e.inputs)])
     states = np.hstack([problem.guess_at(times), np.zeros((len(times), 2))])
@@ -136,9 +159,13 @@ def has_authority(problem: ReferenceProblem, times: Array) -> bool:
 
 
 def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> str:
-    """Describe the limits that an unconstrained motion exceeds, with value and time.
+    """Describe the limits that an unconstrained motion exceeds.
 
-    Empty if none.
+    The text has value and time, and is empty if there are none.
+
+    Args:
+        problem: limits of the cart.
+        trajectory: motion.
     """
     largest = largest_values(trajectory, problem.limits)
     passed = [
@@ -158,7 +185,12 @@ def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> str:
 def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSettings) -> str:
     """Describe the cause of a failed solution.
 
-    The cart's authority, limits or the guess.
+    The causes are the cart's authority, the limits or the guess.
+
+    Args:
+        problem: problem without a solution.
+        first: guess on its mesh.
+        settings: settings of the solver.
     """
     if not has_authority(problem, first.mesh):
         return "the cart's acceleration moves no arm, so friction cannot be compensated; check the arms' parameters"
@@ -174,7 +206,11 @@ def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSet
 
 
 def friction_text(share: float) -> str:
-    """Describe the share of friction that could be compensated."""
+    """Describe the share of friction that could be compensated.
+
+    Args:
+        share: compensated share, 0 to 1; NaN for none.
+    """
     if np.isnan(share):
         return (
             "there is no motion near the guess even without friction and limits: check that it is an orbit of the "
@@ -190,6 +226,9 @@ def guess_misses_its_ends(problem: ReferenceProblem) -> str:
     """Describe a guess that starts or ends far from the required states.
 
     Empty if it does not.
+
+    Args:
+        problem: guess and required ends.
     """
     nz, ends = problem.pendulum_dimension, problem.ends
     scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
@@ -211,7 +250,12 @@ def guess_misses_its_ends(problem: ReferenceProblem) -> str:
 
 
 def another_motion(away: float, when: float) -> str:
-    """Describe a solution that is a different motion from the guess."""
+    """Describe a solution that is a different motion from the guess.
+
+    Args:
+        away: largest scaled distance from the guess.
+        when: its time, s.
+    """
     return (
         f"no reference near the guess: the motion found passes {away:.2f} from it at t = {when:.2f} s (scaled by "
         f"{ANGLE_SCALE:.3g} rad and {RATE_SCALE:g} rad/s, more for faster arms), {FARTHEST:g} is allowed, "
@@ -220,9 +264,15 @@ def another_motion(away: float, when: float) -> str:
 
 
 def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> Array:
-    """Split the intervals of `mesh` (N+1,) whose error (N,) exceeds `tolerance`.
+    """Split the intervals whose error exceeds the tolerance.
 
     The error of an interval scales with its length to the power `order`. An interval is split into at most four.
+
+    Args:
+        mesh: ends of the intervals (N+1,), s.
+        errors: scaled errors (N,).
+        tolerance: largest error.
+        order: power of an interval's length to which its error is proportional.
     """
     ratio = np.maximum(errors / (_AIMED * tolerance), 1e-300)
     pieces = np.ceil(np.minimum(ratio, 1e30) ** (1 / order)).astype(int)
@@ -232,9 +282,16 @@ def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> A
 
 
 def first_mesh(problem: ReferenceProblem, settings: ReferenceSettings, *, method: Method) -> Array:
-    """Return an even mesh, split where the method's polynomials do not resolve the guess.
+    """Return an even mesh, split where the guess needs it.
+
+    This is where the method's polynomials do not resolve the guess.
 
     This interpolation error predicts the error between nodes within a factor of two, which saves a round.
+
+    Args:
+        problem: problem with a guess.
+        settings: longest interval and tolerance.
+        method: collocation method.
     """
     count = max(int(np.ceil(problem.duration / settings.interval - 1e-9)), 1)
     mesh = np.linspace(0.0, problem.duration, count + 1)
@@ -249,7 +306,13 @@ def first_mesh(problem: ReferenceProblem, settings: ReferenceSettings, *, method
 
 
 def on_mesh(trajectory: Trajectory, mesh: Array, method: Method | None = None) -> Trajectory:
-    """Interpolate `trajectory` on another mesh of equal span, optionally by another method."""
+    """Interpolate a trajectory on another mesh of equal span.
+
+    Args:
+        trajectory: motion.
+        mesh: ends of the new intervals (N+1,), s.
+        method: another collocation method; None for the same.
+    """
     # The midpoint of a new interval selects its old one, so shared ends are unambiguous.
     index = np.searchsorted(trajectory.mesh, (mesh[:-1] + mesh[1:]) / 2, side="right") - 1
     starts, lengths = trajectory.mesh[index][:, None], np.diff(trajectory.mesh)[index][:, None]
@@ -265,9 +328,13 @@ def on_mesh(trajectory: Trajectory, mesh: Array, method: Method | None = None) -
 
 
 def tail(reference: Reference, begin: float, *, seconds: float, turns: Array) -> Reference:
-    """Cut `seconds` out of a reference from `begin` s on, at most to its end.
+    """Cut a part out of a reference.
 
-    turns (n,) rad: subtracted from its angles.
+    Args:
+        reference: reference to cut.
+        begin: begin of the part, s.
+        seconds: duration, s, at most to the end.
+        turns: subtracted from the angles (n,), rad.
     """
     end = min(begin + seconds, float(reference.mesh[-1]))
     inside = (reference.mesh > begin + _NODE) & (reference.mesh < end - _NODE)
@@ -345,13 +412,19 @@ def find_reference(
     near: Trajectory | None = None,
     progress: Progress = no_progress,
 ) -> Reference:
-    """Find the reference nearest to the guess that friction, cart and limits allow.
+    """Find the reference nearest to the guess.
+
+    It respects friction, cart and limits.
 
     It starts at the guess's first state and ends at its last (within `end_tolerance`), with the cart at rest at the
     centre. Ending on the orbit costs up to 1.6 times the effort of a free end. In return, a controller that holds the
     orbit starts without error, and the last period shows the orbit.
 
-    near: a nearly converged trajectory of the same method to start from instead of the guess.
+    Args:
+        problem: equations, guess, limits and ends.
+        settings: settings of the solution.
+        near: a nearly converged trajectory of the same method to start from instead of the guess.
+        progress: called with a label and the completed share.
 
     Returns:
         A reference. If `converged` is false it must not be used; `status` has the reason and a remedy.
@@ -424,10 +497,14 @@ def find_reference(
 
 
 def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Reference:
-    """Return the guess of a frictionless `problem` as a reference with the cart at rest.
+    """Return a frictionless guess as a reference, cart at rest.
 
     The mesh is refined until the polynomials satisfy the equations within the tolerance. If the guess is not a motion
     of the arms, that is impossible and the status reports it.
+
+    Args:
+        problem: problem without friction.
+        settings: mesh, tolerance and rounds.
     """
     began = time.perf_counter()
     method = method_named(settings.method)
@@ -456,13 +533,14 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
 class TransferSettings:
     """Settings of the search for transfers.
 
-    durations: tried in turn, s.
-    longer: durations that are tried only if the first ones give no motion, s.
-    cart_weight: weight of the cart's position in the cost.
-    gentle: largest share of each limit that still leaves room for feedback.
-    iterations: solver iterations per try.
-    interval: length of the coarse mesh's intervals, s.
-    method: collocation method of the tries; the reference's own if empty.
+    Attributes:
+        durations: tried in turn, s.
+        longer: durations that are tried only if the first ones give no motion, s.
+        cart_weight: weight of the cart's position in the cost.
+        gentle: largest share of each limit that still leaves room for feedback.
+        iterations: solver iterations per try.
+        interval: length of the coarse mesh's intervals, s.
+        method: collocation method of the tries; the reference's own if empty.
     """
 
     durations: tuple[float, ...] = (2.0, 2.5, 1.5, 3.0)
@@ -475,16 +553,24 @@ class TransferSettings:
 
     @classmethod
     def of_arms(cls, count: int) -> "TransferSettings":
-        """Return the default settings for `count` arms.
+        """Return the default settings for a number of arms.
 
         For three or more arms, the mesh has a third of the nodes. Six tries from hanging to upright then took 5 s
         instead of 69, and all converged; on finer meshes the solver wandered.
+
+        Args:
+            count: number of arms.
         """
         return cls() if count < 3 else cls(iterations=150, interval=0.1, method="radau-5")
 
 
 def smooth_guess(start: Array, end: Array, duration: float) -> Guess:
-    """Return a smooth guess from `start` to `end` (2n,), at rest at both."""
+    """Return a smooth guess, at rest at both ends.
+
+    Args:
+        start, end: states (2n,) of the arms.
+        duration: duration, s.
+    """
     n = len(start) // 2
     change = end[:n] - start[:n]
 
@@ -507,9 +593,18 @@ def find_transfer(
     sensitivity: Callable[[Trajectory], float] | None = None,
     progress: Progress = no_progress,
 ) -> Reference:
-    """Find a reference from `start` (N,) to one of `ends` (N,) within the limits.
+    """Find a reference between two states within the limits.
 
-    sensitivity: estimate of the error growth along a motion under feedback, in any unit.
+    Args:
+        equations: cart-level equations with states (N,).
+        parameters: base parameters (p,) with friction.
+        start: first state (N,).
+        ends: allowed last states (N,).
+        limits: limits of the cart.
+        settings: settings of the solution.
+        transfer: settings of the search.
+        sensitivity: estimate of the error growth along a motion under feedback, in any unit.
+        progress: called with a label and the completed share.
 
     Raises:
         GoalMissed: no duration and end gave a solution; the message has the cause of the last failure.

@@ -48,19 +48,28 @@ class Method(Brief):
 
     @property
     def closes(self) -> bool:
-        """True if the last support place ends the interval and starts the next one."""
+        """True if the last support place ends the interval.
+
+        It then starts the next one.
+        """
         return bool(self.support[-1] == 1.0)
 
     @property
     def shares_inputs(self) -> bool:
-        """True if points lie on both ends, where neighbouring intervals have one input."""
+        """True if points lie on both ends.
+
+        Neighbouring intervals then have one input there.
+        """
         return bool(self.points[0] == 0.0 and self.points[-1] == 1.0)
 
 
 def barycentric_weights(points: Array) -> Array:
-    """Return the weights (K,) of barycentric interpolation through `points` (K,).
+    """Return the weights (K,) of barycentric interpolation.
 
     Source: Berrut & Trefethen, Barycentric Lagrange interpolation, SIAM Review 46 (2004), eq. 3.2.
+
+    Args:
+        points: distinct points (K,).
     """
     gaps = points[:, None] - points[None, :]
     np.fill_diagonal(gaps, 1.0)
@@ -68,7 +77,14 @@ def barycentric_weights(points: Array) -> Array:
 
 
 def interpolation_matrix(points: Array, at: ArrayLike) -> Array:
-    """Return the matrix (M, K) from values at `points` (K,) to values at `at` (M,); op. cit. eq. 4.2."""
+    """Return the interpolation matrix (M, K).
+
+    It maps values at the points to other places; op. cit. eq. 4.2.
+
+    Args:
+        points: distinct points (K,).
+        at: the other places (M,).
+    """
     gaps = np.asarray(at, dtype=float)[:, None] - points[None, :]
     exact = gaps == 0
     parts = barycentric_weights(points) / np.where(exact, 1.0, gaps)
@@ -78,9 +94,12 @@ def interpolation_matrix(points: Array, at: ArrayLike) -> Array:
 
 
 def differentiation_matrix(points: Array) -> Array:
-    """Return the matrix (K, K) from values at `points` to derivatives there.
+    """Return the matrix (K, K) from values to derivatives.
 
     Op. cit. eqs. 9.4 and 9.5.
+
+    Args:
+        points: distinct points (K,).
     """
     weights = barycentric_weights(points)
     gaps = points[:, None] - points[None, :]
@@ -95,7 +114,10 @@ _LEGENDRE = np.polynomial.Legendre.basis
 
 
 def _roots(polynomial: np.polynomial.Legendre) -> Array:
-    """Return the real roots of a Legendre series on -1 … 1, rising, polished by Newton steps, as places in 0 … 1."""
+    """Return the real roots of a Legendre series, rising.
+
+    The series is on -1 … 1. Newton steps polish the roots, which are returned as places in 0 … 1.
+    """
     slope = polynomial.deriv()
     roots = np.sort(polynomial.roots().real)
     for _ in range(3):
@@ -105,10 +127,15 @@ def _roots(polynomial: np.polynomial.Legendre) -> Array:
 
 @cache
 def radau(count: int) -> Method:
-    """Return the flipped Legendre–Gauss–Radau method with `count` points, the last at the interval's end.
+    """Return the flipped Legendre–Gauss–Radau method.
+
+    Its last point is at the interval's end.
 
     The state has degree `count`, the input `count` - 1. Quadrature is exact to degree 2 `count` - 2. The order is
     2 `count` - 1.
+
+    Args:
+        count: number of points.
     """
     # The points are 1 and the zeros of (P_{K-1} - P_K)/(1 - x), on -1 to 1.
     inner = _roots(_LEGENDRE(count - 1) - _LEGENDRE(count))[:-1]
@@ -117,19 +144,28 @@ def radau(count: int) -> Method:
 
 @cache
 def gauss(count: int) -> Method:
-    """Return the Legendre–Gauss method with `count` points inside the interval.
+    """Return the Legendre–Gauss method.
 
-    Order 2 `count`.
+    All points are inside the interval. The order is 2 `count`.
+
+    Args:
+        count: number of points.
     """
     return collocation_method(f"gauss-{count}", _roots(_LEGENDRE(count)), order=2 * count)
 
 
 @cache
 def lobatto(count: int, *, name: str = "") -> Method:
-    """Return the Legendre–Gauss–Lobatto method with `count` points, on both ends of the interval; order 2 `count` - 2.
+    """Return the Legendre–Gauss–Lobatto method.
+
+    It has points on both ends of the interval. The order is 2 `count` - 2.
 
     The state has degree `count`, one more than its points determine. Its free value halfway to the second point
     compensates for the collocation at τ = 0.
+
+    Args:
+        count: number of points.
+        name: name of the method; "" for the usual one.
     """
     inner = _roots(_LEGENDRE(count - 1).deriv()) if count > 2 else np.empty(0)
     points = np.concatenate([[0.0], inner, [1.0]])
@@ -137,7 +173,13 @@ def lobatto(count: int, *, name: str = "") -> Method:
 
 
 def collocation_method(name: str, points: Array, *, order: int) -> Method:
-    """Return the method that collocates at `points` (K,) in [0, 1]."""
+    """Return the method that collocates at given points.
+
+    Args:
+        name: name of the method.
+        points: rising points (K,) in [0, 1].
+        order: order of convergence.
+    """
     if points[0] == 0.0:
         support = np.concatenate([[0.0, points[1] / 2], points[1:]])
         places = np.concatenate([[0], np.arange(2, len(support))]).astype(np.intp)
@@ -164,7 +206,10 @@ _FAMILIES = {"radau": (radau, 2), "gauss": (gauss, 1), "lobatto": (lobatto, 2)}
 
 
 def method_named(name: str) -> Method:
-    """Return the method of a name such as "radau-5", "gauss-4", "lobatto-4" or "hermite-simpson".
+    """Return the method of a name.
+
+    Args:
+        name: such as "radau-5", "gauss-4", "lobatto-4" or "hermite-simpson".
 
     Raises:
         InputError: unknown method or number of points.

@@ -1,4 +1,6 @@
-"""Statement of a reference: equations, an orbit to follow, limits, and settings of the solution.
+"""Statement of a reference.
+
+It has equations, an orbit to follow, limits, and settings of the solution.
 
     minimise ∫ u² + w_z |z - z_guess|² + w_x x² dt      subject to  (z, x, ẋ)˙ = f(z, x, ẋ, u), limits, ends
 
@@ -41,9 +43,11 @@ CART_VELOCITY_SCALE = 3.0
 class Limits(Settings, table="limits"):
     """Symmetric bounds of the cart.
 
-    Position m (half the stroke), velocity m/s, acceleration m/s²; jerk m/s³.
-
-    jerk: zero for none; a bound makes the acceleration continuous.
+    Attributes:
+        position: half the stroke, m.
+        velocity: m/s.
+        acceleration: m/s².
+        jerk: m/s³, zero for none. A bound makes the acceleration continuous.
     """
 
     position: float = setting(0.4, least=1e-6, most=1e6, unit="m", help="Largest distance of the cart from the centre.")
@@ -79,9 +83,13 @@ class EndConditions(Settings, table="ends"):
 
 
 def state_scale(dimension: int, limits: Limits) -> Array:
-    """Return the scale of each component of a state (dimension,) in errors.
+    """Return the scale of each component of a state.
 
     It is π per angle, 10 rad/s per rate, the full stroke and 3 m/s.
+
+    Args:
+        dimension: number of components.
+        limits: limits of the cart.
     """
     n = (dimension - 2) // 2
     return np.array([ANGLE_SCALE] * n + [RATE_SCALE] * n + [2 * limits.position, CART_VELOCITY_SCALE], dtype=float)
@@ -137,7 +145,10 @@ class ReferenceProblem(Brief):
                 raise InputError(f"ends: {name} has shape {np.shape(value)}: the state is ({e.dimension},)")
 
     def end_states(self) -> tuple[Array, Array]:
-        """Return the fixed states (N,) at start and end, NaN for free entries."""
+        """Return the fixed states (N,) at start and end.
+
+        Free entries are NaN.
+        """
         given = self.guess_at(np.array([0.0, self.duration]))
         ends = [self.ends.start, self.ends.end]
         if self.ends.closing is not None:
@@ -155,7 +166,10 @@ class ReferenceProblem(Brief):
         return self.equations.dimension - 2
 
     def guess_at(self, times: Array) -> Array:
-        """Return the guess (K, 2n) at `times` (K,).
+        """Return the guess (K, 2n) at given times.
+
+        Args:
+            times: times (K,), s.
 
         Raises:
             InputError: the guess has another shape or is not finite.

@@ -1,4 +1,6 @@
-"""A reference: the bench's planned motion as polynomials on a mesh, its file, its figures and the notes of its plan.
+"""A reference: the bench's planned motion as polynomials on a mesh.
+
+This module has its file, its figures and the notes of its plan.
 
 Successive references can be joined. On disk a reference is one .npz file, readable with
 numpy alone (`numpy.load(path)`). Keys, all float64 unless said otherwise:
@@ -44,7 +46,7 @@ from dpcontrol.references.trajectory import Trajectory, error_between_nodes, lar
 class Reference(Trajectory):
     """A trajectory of pendulum and cart, with its input, for tracking.
 
-    mesh, states, inputs (cart acceleration, m/s²) and method: see `Trajectory`.
+    Its mesh, states, inputs (cart acceleration, m/s²) and method are those of `Trajectory`.
 
     Attributes:
         limits: limits that it respects.
@@ -72,7 +74,10 @@ class Reference(Trajectory):
     def of(cls, trajectory: Trajectory, limits: Limits, **about: Any) -> "Reference":
         """Return a trajectory as a reference.
 
-        about: the fields after `limits`, by name.
+        Args:
+            trajectory: motion with its input.
+            limits: limits of the cart.
+            about: the fields after `limits`, by name.
         """
         return cls(trajectory.method, trajectory.mesh, trajectory.states, trajectory.inputs, limits, **about)
 
@@ -91,7 +96,10 @@ class Reference(Trajectory):
 
     @cached_property
     def largest(self) -> dict[str, float]:
-        """The largest size of each of the cart's limited quantities by name, in SI units, between nodes too."""
+        """The largest size of each limited quantity of the cart.
+
+        They are by name, in SI units, and include the values between nodes.
+        """
         return largest_values(self, self.limits)
 
     @property
@@ -129,12 +137,23 @@ class ByReference:
 
     @property
     def status(self) -> str:
-        """Method of the reference, or the cause of its failure and a remedy."""
+        """Method of the reference, or the cause of its failure.
+
+        A failure also has a remedy.
+        """
         return self.reference.status
 
 
 def still(state: Array, seconds: float, *, method: Method, limits: Limits, interval: float) -> Reference:
-    """Return the reference that stays at an equilibrium (N,), without input."""
+    """Return the reference that stays at an equilibrium, without input.
+
+    Args:
+        state: equilibrium (N,).
+        seconds: duration, s.
+        method: collocation method.
+        limits: limits of the cart.
+        interval: longest interval of the mesh, s.
+    """
     count = max(1, int(np.ceil(seconds / interval)))
     states = np.tile(np.asarray(state, dtype=float), (count, len(method.support), 1))
     mesh = np.linspace(0.0, seconds, count + 1)
@@ -144,9 +163,14 @@ def still(state: Array, seconds: float, *, method: Method, limits: Limits, inter
 
 
 def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
-    """Return pieces as one reference, and the times (P + 1,) of their begins and the last end, s.
+    """Return pieces as one reference, and their times.
+
+    The times (P + 1,), s, are those of their begins and the last end.
 
     All have the same method. A jump of states between pieces counts as a constraint violation. Inputs can jump.
+
+    Args:
+        pieces: references (P,) in order.
 
     Raises:
         ValueError: no pieces, or pieces of different methods.
@@ -190,12 +214,24 @@ _START = "start_{}_{}"
 
 
 def start_arrays(which: int, lead_in: Reference) -> dict[str, Array]:
-    """Return the extra arrays of the transfer of a plan's start, by its number."""
+    """Return the extra arrays of a start's transfer.
+
+    Args:
+        which: number of the plan's start.
+        lead_in: its transfer.
+    """
     return {_START.format(which, name): array for name, array in picked(lead_in, "mesh", "states", "inputs").items()}
 
 
 def start_reference(reference: Reference, which: int) -> Reference | None:
-    """Return the transfer of a plan's start, by its number, or None if the start is at rest."""
+    """Return the transfer of a plan's start.
+
+    None if the start is at rest.
+
+    Args:
+        reference: reference of the plan.
+        which: number of the start.
+    """
     arrays = {name: reference.extra.get(_START.format(which, name)) for name in ("mesh", "states", "inputs")}
     if any(array is None for array in arrays.values()):
         return None
@@ -217,7 +253,11 @@ _LARGEST = 1e9
 
 
 def save_reference(path: Path | BytesIO, reference: Reference) -> None:
-    """Write `reference` atomically to `path` or to a file in memory, in the layout above.
+    """Write a reference atomically, in the layout above.
+
+    Args:
+        path: path, or a file in memory.
+        reference: reference to write.
 
     Raises:
         InputError: the file cannot be written, or the notes are not JSON.
@@ -277,7 +317,10 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
 
 
 def load_reference(path: Path | IO[bytes]) -> Reference:
-    """Read what `save_reference` wrote, from a path or an open binary file.
+    """Read what `save_reference` wrote.
+
+    Args:
+        path: path, or an open binary file.
 
     Raises:
         InputError: the file does not exist, is damaged or is not a reference.
@@ -310,7 +353,9 @@ class LimitUse:
 class ReferenceSummary:
     """A reference with derived figures.
 
-    arms: its arms, or None if the notes lack them.
+    Attributes:
+        reference: the reference.
+        arms: its arms, or None if the notes lack them.
     """
 
     reference: Reference
@@ -349,7 +394,13 @@ class ReferenceSummary:
         return error_between_nodes(problem, self.reference)
 
     def energies(self, states: Array) -> Array | None:
-        """Return the pendulum's energy in J at states (K, N), or None if the arms are unknown."""
+        """Return the pendulum's energies (K,), J.
+
+        None if the arms are unknown.
+
+        Args:
+            states: states (K, N).
+        """
         if self.arms is None:
             return None
         pendulum = equations_of(self.arms, Level.CONSERVATIVE)
@@ -394,6 +445,9 @@ class ReferenceSummary:
 def summarised(reference: Reference) -> ReferenceSummary:
     """Return the summary of a reference.
 
+    Args:
+        reference: reference with the notes of its plan.
+
     Raises:
         InputError: the arms in the notes are impossible or differ from the reference's.
     """
@@ -417,9 +471,12 @@ def summarised(reference: Reference) -> ReferenceSummary:
 
 
 class StopNote(TypedDict):
-    """A stop: place of wobbles or rest, with angles including turns, rad, and indices into `orbits`.
+    """A stop: place of wobbles or rest.
 
-    arrived_on: the arriving orbit, if the stop changes the energy.
+    Angles include turns, rad. Orbits are indices into `orbits`.
+
+    Attributes:
+        arrived_on: the arriving orbit, if the stop changes the energy.
     """
 
     saddle: str
@@ -464,7 +521,10 @@ class SymbolNote(TypedDict):
 
 
 class OrbitNote(TypedDict):
-    """A periodic orbit, or an equilibrium with the observation time of its ends as period: J, s."""
+    """A periodic orbit, or an equilibrium: energy, J, and period, s.
+
+    The period of an equilibrium is the observation time of its ends.
+    """
 
     saddle: str
     energy: float
@@ -548,10 +608,13 @@ class TransferNote(TypedDict):
 
 
 class SegmentNote(TypedDict):
-    """A stay ("keep", the saddle) or a flight ("fly") of a walk with kept stops.
+    """A stay or a flight of a walk with kept stops.
 
-    rows: range of mesh intervals, of a stay those of its first period. turns: turns of its states relative to the
-    orbit.
+    A stay has the saddle in "keep", a flight has "fly".
+
+    Attributes:
+        rows: range of mesh intervals, of a stay those of its first period.
+        turns: turns of its states relative to the orbit.
     """
 
     rows: list[int]
@@ -565,9 +628,14 @@ class SegmentNote(TypedDict):
 
 
 class StartNote(TypedDict):
-    """A transfer from hanging at rest to a stop, which joins the plan's reference at `at` s, `turns` short of it.
+    """A transfer from hanging at rest to a stop.
 
-    status: result of the search. Its arrays are extra ones (`start_reference`). A stop at rest needs none.
+    It joins the plan's reference at `at` s, `turns` short of it.
+
+    Its arrays are extra ones (`start_reference`). A stop at rest needs none.
+
+    Attributes:
+        status: result of the search.
     """
 
     stop: int
@@ -612,7 +680,13 @@ class PlanNotes(TypedDict):
 
 
 def transitions_in(notes: PlanNotes) -> list[tuple[int, int]]:
-    """Return numbers of symbol and transfer of each transition between equilibria, the first for each pair."""
+    """Return numbers of symbol and transfer of each transition.
+
+    Transitions are between equilibria. Of each pair, only the first is returned.
+
+    Args:
+        notes: notes of a plan.
+    """
     # A stop at rest has no growth over a period; other stops begin or end a walk.
     still = [notes["orbits"][stop["orbit"]]["multiplier"] == 1.0 for stop in notes.get("stops", [])]
     ways = {round(sum(way) / 2, 6): k for k, way in enumerate(notes.get("transfers", []))}
@@ -625,5 +699,9 @@ def transitions_in(notes: PlanNotes) -> list[tuple[int, int]]:
 
 
 def plan_notes(reference: Reference) -> PlanNotes:
-    """Return the notes of a reference that a plan made."""
+    """Return the notes of a reference that a plan made.
+
+    Args:
+        reference: reference of a plan.
+    """
     return cast(PlanNotes, dict(reference.notes))

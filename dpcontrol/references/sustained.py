@@ -1,4 +1,6 @@
-"""Sustained orbits: periodic orbits with friction and cart, at the least effort of the cart.
+"""Sustained orbits: periodic orbits with friction and cart.
+
+They need the least effort of the cart.
 
     minimise ∫ u² + w_x x² dt  over one period T
     subject to  ẋ = f(x, u),  x(T) = x(0),  H(x(0)) = E,  θ_k(0) as at the saddle
@@ -57,7 +59,9 @@ _SMALL = 0.5
 
 
 def _multipliers(parts: Array) -> NDArray[np.complex128]:
-    """Return the eigenvalues of parts[-1] … parts[0] (P, n, n) and the cart's 1, 1, largest modulus first.
+    """Return the eigenvalues of a product, largest modulus first.
+
+    The product is parts[-1] … parts[0] (P, n, n). The cart's 1, 1 are added.
 
     Eigenvalues well inside the unit circle come from the product of the parts' inverses, because the product itself
     resolves them only to rounding times its largest. The pendulum's motion does not depend on the cart.
@@ -82,7 +86,9 @@ SUSTAINED = ReferenceSettings(method="radau-8", tolerance=1e-9, pendulum_weight=
 
 @dataclass(frozen=True, eq=False)
 class PhaseSection(Brief):
-    """The plane through the orbit at one of its phases, at right angles to it in the pendulum's scaled state.
+    """The plane through the orbit at one of its phases.
+
+    It is at right angles to the orbit in the pendulum's scaled state.
 
     Attributes:
         phase: 0 to 1.
@@ -98,18 +104,29 @@ class PhaseSection(Brief):
     normal: Array
 
     def lateness(self, state: ArrayLike) -> Array:
-        """Return the time since states (…, N) near the section passed it, to first order, s (…)."""
+        """Return the times since states passed the section, s (…).
+
+        They are valid near the section, to first order.
+
+        Args:
+            state: states (…, N).
+        """
         return np.asarray((np.asarray(state) - self.state) @ self.normal)
 
     @property
     def projection(self) -> Array:
-        """The matrix (N, N) that moves a small difference along the orbit onto the section."""
+        """The matrix (N, N) that projects onto the section.
+
+        It moves a small difference along the orbit.
+        """
         return np.eye(len(self.rate)) - np.outer(self.rate, self.normal)
 
 
 @dataclass(frozen=True, eq=False)
 class SectionMap(Brief):
-    """First-order map from section j to section j + 1, with the clock reset at j: ξ_{j+1} = matrix ξ_j + response p_j.
+    """First-order map from section j to section j + 1.
+
+    With the clock reset at j, ξ_{j+1} = matrix ξ_j + response p_j.
 
     ξ (N,) is the state minus the orbit's at the section. p_j, in m/s², is the height of a half-sine pulse added to the
     orbit's input from j to j + 1. It lasts the nominal time between the sections, `duration` s. matrix (N, N), response
@@ -123,16 +140,25 @@ class SectionMap(Brief):
     response: Array
 
     def pulse(self, times: ArrayLike) -> Array:
-        """Return the pulse of height 1 at `times` (…) s after the start's crossing; zero before and after."""
+        """Return the pulse of height 1 (…), zero before and after.
+
+        Args:
+            times: times (…) after the start's crossing, s.
+        """
         s = np.asarray(times, dtype=float) / self.duration
         return np.where((s >= 0) & (s <= 1), np.sin(np.pi * np.clip(s, 0.0, 1.0)), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class SustainedOrbit(ByReference, Timed):
-    """A periodic orbit of pendulum and cart with the input that sustains it; time 0 is its phase 0.
+    """A periodic orbit of pendulum and cart with its input.
 
-    lyapunov: the conservative orbit that it continues. arms: with friction. reference: one period.
+    The input sustains it. Time 0 is its phase 0.
+
+    Attributes:
+        lyapunov: the conservative orbit that it continues.
+        arms: arms with friction.
+        reference: one period.
     """
 
     lyapunov: LyapunovOrbit
@@ -216,18 +242,28 @@ class SustainedOrbit(ByReference, Timed):
 
     @property
     def residual(self) -> float:
-        """Return the larger of error between nodes and violation of closing, energy or limits (scaled)."""
+        """Return the scaled residual.
+
+        It is the larger of error between nodes and violation of closing, energy or limits.
+        """
         return self.reference.residual
 
     def state(self, times: ArrayLike) -> Array:
-        """Return states (…, N) at any `times` (…) s.
+        """Return states (…, N) at any times.
 
-        Angles, rates, cart position and velocity.
+        A state has angles, rates, cart position and velocity.
+
+        Args:
+            times: times (…), s.
         """
         return self.reference.state(np.mod(times, self.period))
 
     def input(self, times: ArrayLike) -> Array:
-        """Return the cart's acceleration (…) in m/s² at any `times` (…) s."""
+        """Return the cart's acceleration (…), m/s².
+
+        Args:
+            times: any times (…), s.
+        """
         return self.reference.input(np.mod(times, self.period))[..., 0]
 
     @cached_property
@@ -237,9 +273,13 @@ class SustainedOrbit(ByReference, Timed):
         return ca.Function("linear", [e.state, e.inputs, e.parameters], parts, {"cse": True})
 
     def pieces(self, begin: float, end: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return transition matrices (P, N, N) and pulse responses (P, N) of the pieces between two times in s.
+        """Return transition matrices (P, N, N) and pulse responses (P, N).
 
-        A piece ends where an interval of the reference does. pulse: v(t), zero if there is none.
+        They are those of the pieces between two times. A piece ends where an interval of the reference does.
+
+        Args:
+            begin, end: times, s.
+            pulse: v(t), zero if there is none.
         """
         mesh = self.reference.mesh
         ends = np.concatenate([[begin], mesh[(mesh > begin + 1e-12) & (mesh < end - 1e-12)], [end]])
@@ -265,9 +305,14 @@ class SustainedOrbit(ByReference, Timed):
         return found[..., :n], found[..., n]
 
     def over(self, begin: float, duration: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) from `begin` s to `duration` s later, past the period's end too.
+        """Return Φ (N, N) and Γ (N,) over a time.
 
-        pulse: v of the time from `begin` on, zero if there is none.
+        The time can pass the period's end.
+
+        Args:
+            begin: begin, s.
+            duration: time, s.
+            pulse: v of the time from `begin` on, zero if there is none.
         """
         n, period = self.equations.dimension, self.period
         matrix, response = np.eye(n), np.zeros(n)
@@ -283,7 +328,10 @@ class SustainedOrbit(ByReference, Timed):
         return matrix, response
 
     def _span(self, begin: float, end: float, *, pulse: Signal | None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) between two times of one period's clock; pulse as in `pieces`."""
+        """Return Φ (N, N) and Γ (N,) between two times.
+
+        The times are of one period's clock; pulse as in `pieces`.
+        """
         n = self.equations.dimension
         matrix, response = np.eye(n), np.zeros(n)
         for part, forced in zip(*self.pieces(begin, end, pulse=pulse), strict=True):
@@ -291,7 +339,11 @@ class SustainedOrbit(ByReference, Timed):
         return matrix, response
 
     def section(self, phase: float) -> PhaseSection:
-        """Return the section at a phase, counted modulo 1."""
+        """Return the section at a phase.
+
+        Args:
+            phase: phase, 1 for a period, counted modulo 1.
+        """
         phase = phase % 1.0
         time = phase * self.period
         state, held = self.reference.state(time), self.reference.input(time)
@@ -302,7 +354,12 @@ class SustainedOrbit(ByReference, Timed):
         return PhaseSection(phase, time, state, rate, normal / (normal @ rate))
 
     def sections(self, count: int) -> tuple[PhaseSection, ...]:
-        """Return `count` sections at phases (j + 1/2) / count, farthest from the jump of the input at phase 0.
+        """Return sections at phases (j + 1/2) / count.
+
+        These are farthest from the jump of the input at phase 0.
+
+        Args:
+            count: number of sections.
 
         Raises:
             InputError: `count` is less than 1 or more than 1,000.
@@ -312,7 +369,12 @@ class SustainedOrbit(ByReference, Timed):
         return tuple(self.section((j + 0.5) / count) for j in range(count))
 
     def section_maps(self, count: int) -> tuple[SectionMap, ...]:
-        """Return the linearised maps from each of `count` sections to the next, the last one's to the first.
+        """Return the linearised maps from each section to the next.
+
+        The last one leads to the first section.
+
+        Args:
+            count: number of sections.
 
         Raises:
             InputError: `count` is less than 1 or more than 1,000.
@@ -326,7 +388,12 @@ class SustainedOrbit(ByReference, Timed):
         return replace(bare, matrix=end.projection @ matrix, response=end.projection @ response)
 
     def section_multipliers(self, count: int) -> NDArray[np.complex128]:
-        """Return the multipliers (N-1,) of the section map over a period with `count` sections, largest first.
+        """Return the multipliers (N-1,) of the section map, largest first.
+
+        The map is over a period.
+
+        Args:
+            count: number of sections.
 
         Raises:
             InputError: `count` is less than 1 or more than 1,000.
@@ -340,7 +407,11 @@ class SustainedOrbit(ByReference, Timed):
         return _multipliers(np.array(parts))
 
     def document(self, sections: int = 1) -> dict[str, Any]:
-        """Return the JSON output of `dpcontrol orbit --sustained`, with the multipliers of `sections` sections."""
+        """Return the JSON output of `dpcontrol orbit --sustained`.
+
+        Args:
+            sections: number of sections for the multipliers.
+        """
         reference, there = self.reference, self.converged
         return {
             **picked(self.lyapunov, "saddle", "family"),
@@ -366,7 +437,9 @@ def sustained_orbit(
     settings: ReferenceSettings = SUSTAINED,
     progress: Progress = no_progress,
 ) -> SustainedOrbit:
-    """Continue a Lyapunov orbit of the same arms to an orbit with friction and cart.
+    """Continue a Lyapunov orbit to one with friction and cart.
+
+    Both orbits have the same arms.
 
     If `converged` is False, do not use the result; `status` has the cause and a remedy.
 

@@ -1,4 +1,6 @@
-"""A motion as polynomials on a mesh, the result of a solver, and its quality.
+"""A motion as polynomials on a mesh, and its quality.
+
+It is the result of a solver.
 
 An interval of length h from t_i has its states at t_i + h σ_k and its input at t_i + h τ_k, with the method's support
 σ and points τ. Both polynomials are evaluated in barycentric form (Berrut & Trefethen, SIAM Review 46 (2004), eq. 4.2).
@@ -30,7 +32,11 @@ if TYPE_CHECKING:
 class Trajectory(Brief):
     """Values on a mesh.
 
-    Mesh (N+1,) s, states (N, K+1, nx) at the method's support, inputs (N, K, nu) at its points.
+    Attributes:
+        method: collocation method.
+        mesh: ends of the intervals (N+1,), s.
+        states: states at the method's support (N, K+1, nx).
+        inputs: inputs at its points (N, K, nu).
     """
 
     method: Method
@@ -45,7 +51,10 @@ class Trajectory(Brief):
 
     @property
     def effort(self) -> float:
-        """Return ∫u² of the first input by the method's quadrature, for an acceleration in m²/s³."""
+        """Return ∫u² of the first input by the method's quadrature.
+
+        It is in m²/s³ for an acceleration.
+        """
         return float((self.inputs[..., 0] ** 2 @ self.method.weights) @ np.diff(self.mesh))
 
     @property
@@ -62,27 +71,43 @@ class Trajectory(Brief):
         return np.einsum("mk,mkn->mn", rows, values[index]).reshape(*at.shape, values.shape[-1])
 
     def state(self, times: ArrayLike) -> Array:
-        """Return states (…, nx) at `times` (…) s.
+        """Return states (…, nx) at given times.
 
         Times outside count as the nearest end.
+
+        Args:
+            times: times (…), s.
         """
         return self._evaluate(times, self.method.support, self.states)
 
     def input(self, times: ArrayLike) -> Array:
-        """Return inputs (…, nu) at `times` (…) s.
+        """Return inputs (…, nu) at given times.
 
         Times outside count as the nearest end.
+
+        Args:
+            times: times (…), s.
         """
         return self._evaluate(times, self.method.points, self.inputs)
 
 
 def even_mesh(duration: float, interval: float) -> Array:
-    """Return the mesh (N+1,) of equal intervals of at most `interval` s over a duration, s."""
+    """Return the mesh (N+1,) of equal intervals, s.
+
+    Args:
+        duration: length of the mesh, s.
+        interval: longest interval, s.
+    """
     return np.linspace(0.0, duration, int(np.ceil(duration / interval)) + 1)
 
 
 def times_on(mesh: Array, places: Array) -> Array:
-    """Return the times (N, K) of places (K,) from 0 to 1 in each interval of a mesh (N+1,)."""
+    """Return the times (N, K) of places in each interval.
+
+    Args:
+        mesh: ends of the intervals (N+1,), s.
+        places: places (K,) from 0 to 1.
+    """
     return mesh[:-1, None] + np.diff(mesh)[:, None] * places
 
 
@@ -103,7 +128,15 @@ class Solved:
 
 
 def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> Trajectory:
-    """Return the guess on the mesh, with the problem's cart guess or a cart at rest in the middle."""
+    """Return the guess on the mesh.
+
+    The cart follows the problem's cart guess, or rests in the middle.
+
+    Args:
+        problem: problem with a guess.
+        method: collocation method.
+        mesh: ends of the intervals (N+1,), s.
+    """
     times, input_times = times_on(mesh, method.support), times_on(mesh, method.points)
     states = np.zeros((*times.shape, problem.equations.dimension))
     states[..., : problem.pendulum_dimension] = problem.guess_at(times.ravel()).reshape(*times.shape, -1)
@@ -124,7 +157,12 @@ _LOOK = 0.005
 
 
 def power_coefficients(points: Array, values: Array) -> Array:
-    """Return coefficients (…, K) in powers of τ of the polynomials through `values` (…, K) at `points` (K,)."""
+    """Return coefficients (…, K) of polynomials in powers of τ.
+
+    Args:
+        points: distinct points (K,).
+        values: values (…, K) at the points.
+    """
     powers = points[:, None] ** np.arange(len(points))
     return np.asarray(np.einsum("pk,...k->...p", np.linalg.inv(powers), values), dtype=np.float64)
 
@@ -132,7 +170,11 @@ def power_coefficients(points: Array, values: Array) -> Array:
 def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Array:
     """Return the largest scaled error in each interval, (N,).
 
-    Infinite if the propagation fails.
+    It is infinite if the propagation fails.
+
+    Args:
+        problem: equations and limits.
+        trajectory: motion with N intervals.
     """
     method, propagator = trajectory.method, interval_propagator(problem, trajectory.method)
     scale = state_scale(problem.equations.dimension, problem.limits)
@@ -152,7 +194,14 @@ def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Ar
 
 
 def interval_propagator(problem: ReferenceProblem, method: Method) -> "PolynomialInputPropagator":
-    """Return the propagator for intervals of `method`, compiled when first used and kept with the problem."""
+    """Return the propagator for intervals of a method.
+
+    It is compiled when first used and kept with the problem.
+
+    Args:
+        problem: equations.
+        method: collocation method.
+    """
     from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 
     degree = len(method.points) - 1
@@ -162,9 +211,14 @@ def interval_propagator(problem: ReferenceProblem, method: Method) -> "Polynomia
 
 
 def largest_on_intervals(points: Array, values: Array, *, above: float) -> float:
-    """Return the largest |polynomial| on 0 ≤ τ ≤ 1 over all intervals, exactly where it exceeds `above`.
+    """Return the largest |polynomial| over all intervals.
 
-    values (N, K) at `points` (K,).
+    The intervals are 0 ≤ τ ≤ 1. The result is exact where it exceeds `above`.
+
+    Args:
+        points: distinct points (K,) in [0, 1].
+        values: values (N, K) at the points.
+        above: value from which the extrema are computed.
     """
     tau = np.linspace(0.0, 1.0, DENSE)
     sampled = np.abs(values @ interpolation_matrix(points, tau).T).max(1)
@@ -179,11 +233,17 @@ def largest_on_intervals(points: Array, values: Array, *, above: float) -> float
 
 
 def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[float, float]:
-    """Return the largest scaled distance of the pendulum from the guess, and its time, s.
+    """Return the largest distance from the guess, and its time.
+
+    The distance is that of the pendulum, scaled. The time is in s.
 
     At each time, the nearest of the guess's states within LATENESS before and after counts, because friction delays the
     motion. The scale of an arm's rate is at least a third of its largest rate in the guess, because small arms are
     faster.
+
+    Args:
+        problem: problem with a guess.
+        trajectory: motion of about the same duration.
     """
     nz = problem.pendulum_dimension
     times = np.linspace(0.0, problem.duration, max(2, int(np.ceil(problem.duration / _LOOK)) + 1))
@@ -204,7 +264,10 @@ def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[
 
 
 def _limited_curves(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
-    """Return places in an interval and values (N, …) there of each limited quantity."""
+    """Return each limited quantity in an interval.
+
+    It has places, and values (N, …) there.
+    """
     inputs, method = trajectory.inputs[..., 0], trajectory.method
     slopes = inputs @ differentiation_matrix(method.points).T / np.diff(trajectory.mesh)[:, None]
     return {
@@ -216,7 +279,14 @@ def _limited_curves(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
 
 
 def where_largest(trajectory: Trajectory, name: str) -> float:
-    """Return the time, s, at which the limited quantity of that name is largest on the dense grid."""
+    """Return the time of a limited quantity's largest value, s.
+
+    It is found on the dense grid.
+
+    Args:
+        trajectory: motion.
+        name: name of the quantity.
+    """
     points, values = _limited_curves(trajectory)[name]
     tau = np.linspace(0.0, 1.0, DENSE)
     sampled = np.abs(values @ interpolation_matrix(points, tau).T)
@@ -226,7 +296,14 @@ def where_largest(trajectory: Trajectory, name: str) -> float:
 
 
 def largest_values(trajectory: Trajectory, limits: Limits) -> dict[str, float]:
-    """Return the largest size of each limited quantity of the cart, between nodes too."""
+    """Return the largest size of each limited quantity.
+
+    The values between nodes count too.
+
+    Args:
+        trajectory: motion.
+        limits: limits of the cart.
+    """
     curves, bounds = _limited_curves(trajectory), limits.named()
     # A curve below nine tenths of its bound on the dense grid does not exceed it in between.
     return {name: largest_on_intervals(*curves[name], above=0.9 * bound) for name, bound in bounds.items()}

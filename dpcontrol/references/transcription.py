@@ -1,4 +1,6 @@
-"""One transcription for every collocation method: optimal control as a sparse nonlinear program.
+"""One transcription for every collocation method.
+
+It writes optimal control as a sparse nonlinear program.
 
     Σ_j D_kj x_j = h f(x_k, u_k)   at the points k of each interval of length h,   x(τ = 1) = next interval's start
 
@@ -40,7 +42,9 @@ Indices = NDArray[np.intp]
 def interval_derivatives(
     interval: ca.Function, *, columns: Indices, lengths: Array, guess: Array, size: int
 ) -> dict[str, Any]:
-    """Return the options grad_f, jac_g and hess_lag of `casadi.nlpsol`, and the program's x, f and g.
+    """Return the program and its derivatives for `casadi.nlpsol`.
+
+    The derivatives are the options grad_f, jac_g and hess_lag. The program has x, f and g.
 
     Constraints are ordered by interval.
 
@@ -98,7 +102,10 @@ def interval_derivatives(
 
 
 def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int, int]) -> ca.MX:
-    """Return the sparse matrix with `values` (K,) at (rows, columns) (K,), those at the same place added."""
+    """Return the sparse matrix with given values (K,).
+
+    They are at (rows, columns) (K,); those at the same place are added.
+    """
     place = columns * shape[0] + rows
     order = np.argsort(place, kind="stable")
     first = np.concatenate([[True], np.diff(place[order]) != 0])
@@ -115,7 +122,9 @@ def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int,
 def solver_options(settings: ReferenceSettings, *, warm: bool = False) -> dict[str, Any]:
     """Return casadi's options.
 
-    warm: True if the search starts from a solution on another mesh, which a large barrier would lose.
+    Args:
+        settings: solver and iterations.
+        warm: True if the search starts from a solution on another mesh, which a large barrier would lose.
     """
     shared: dict[str, Any] = {"print_time": False, "error_on_fail": False}
     if settings.solver == "fatrop":
@@ -135,9 +144,15 @@ def solver_options(settings: ReferenceSettings, *, warm: bool = False) -> dict[s
 
 
 def interval_function(problem: ReferenceProblem, method: Method, settings: ReferenceSettings) -> ca.Function:
-    """Return (start, values, inputs, length, guess) -> (defects, end, cost, jerk) of one interval, states scaled.
+    """Return the function of one interval, states scaled.
 
-    values (nx, K): at the support but for its first place; guess (nz, K): at the points.
+    It maps (start, values, inputs, length, guess) to (defects, end, cost, jerk). values (nx, K): at the support but for
+    its first place; guess (nz, K): at the points.
+
+    Args:
+        problem: equations with nx states, nz of them of the pendulum.
+        method: collocation method with K points.
+        settings: weights of the cost.
     """
     e = problem.equations
     count, nx, nz = len(method.points), e.dimension, problem.pendulum_dimension
@@ -296,7 +311,10 @@ class _Program:
             self.fixed_counts = (len(fixed), len(held))
 
     def _name_stages(self, gaps: int) -> None:
-        """Pass the numbers of states, inputs and constraints of each stage to the solver, and the equalities."""
+        """Pass the stages' sizes and the equalities to the solver.
+
+        The sizes are the numbers of states, inputs and constraints.
+        """
         n, width = self.intervals, self.nx * self.free + self.count
         equal = np.concatenate(self.low_g) == np.concatenate(self.high_g)
         self.options = {
@@ -357,9 +375,14 @@ class _Program:
 def solve(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits, warm: bool = False
 ) -> Solved:
-    """Solve the program on the mesh of `first`, starting from it, with `limits` at all nodes.
+    """Solve the program on the mesh of a trajectory.
 
-    warm: `first` is nearly a solution.
+    Args:
+        problem: equations, guess and ends.
+        first: trajectory to start from.
+        settings: solver and weights.
+        limits: limits of the cart at all nodes.
+        warm: True if `first` is nearly a solution.
 
     Raises:
         InputError: a formulation that the solver does not support.
