@@ -32,7 +32,13 @@ class NotClosed(Exception):
 
 @contextmanager
 def located(where: str) -> Iterator[None]:
-    """Put a place before the message of an enclosure that does not close or of an operation without result."""
+    """Put a place before the message of a failed enclosure.
+
+    An enclosure fails if it does not close or if an operation has no result.
+
+    Args:
+        where: the place, in words.
+    """
     try:
         yield
     except (NotClosed, ZeroDivisionError, ValueError) as error:
@@ -41,7 +47,13 @@ def located(where: str) -> Iterator[None]:
 
 @contextmanager
 def working(bits: int) -> Iterator[None]:
-    """Set flint's working precision, and restore precision and series length afterwards."""
+    """Set flint's working precision in the block.
+
+    Precision and series length are restored afterwards.
+
+    Args:
+        bits: precision, bits.
+    """
     context = flint.ctx
     before = context.prec, context.cap
     context.prec = bits
@@ -52,29 +64,51 @@ def working(bits: int) -> Iterator[None]:
 
 
 def ball(value: Any) -> Any:
-    """Return a number as a ball, exactly if possible."""
+    """Return a number as a ball, exactly if possible.
+
+    Args:
+        value: ball, fraction, or any number that converts to float.
+    """
     if isinstance(value, Fraction):
         return flint.arb(flint.fmpq(value.numerator, value.denominator))
     return value if isinstance(value, flint.arb) else flint.arb(float(value))
 
 
 def symmetric(radius: Any) -> Any:
-    """Return the ball about zero with the given radius."""
+    """Return the ball about zero with the given radius.
+
+    Args:
+        radius: number or ball, of which the upper bound counts.
+    """
     return flint.arb(0, ball(radius).abs_upper())
 
 
 def largest(values: Sequence[Any]) -> Any:
-    """Return the largest modulus."""
+    """Return the largest modulus, 0 without values.
+
+    Args:
+        values: balls (K,).
+    """
     return reduce(lambda a, b: a.max(abs(b)), values, flint.arb(0))
 
 
 def folded(value: Any, period: Any) -> Any:
-    """Return a ball minus the nearest multiple of a period."""
+    """Return a ball minus the nearest multiple of a period.
+
+    Args:
+        value: ball.
+        period: ball or number, positive.
+    """
     return value - (value / period + 0.5).mid().floor() * period
 
 
 def exact(value: Any, digits: int = 40) -> Fraction:
-    """Return the midpoint of a ball, rounded to `digits` significant digits."""
+    """Return the rounded midpoint of a ball.
+
+    Args:
+        value: ball or number.
+        digits: number of significant digits.
+    """
     return Fraction(ball(value).mid().str(digits, radius=False))
 
 
@@ -82,7 +116,12 @@ _DECIMAL = re.compile(r"[+-]?\d{1,1200}(\.\d{0,1200})?([eE][+-]?\d{1,3})?")
 
 
 def fraction(value: Any) -> Fraction:
-    """Return an integer or a decimal of limited size as an exact number.
+    """Return an integer or a decimal as an exact number.
+
+    Its size is limited.
+
+    Args:
+        value: fraction, integer or text of a decimal.
 
     Raises:
         ValueError: no such number.
@@ -93,24 +132,41 @@ def fraction(value: Any) -> Fraction:
 
 
 def number(text: Any) -> Any:
-    """Return an integer or a decimal as a ball."""
+    """Return an integer or a decimal as a ball.
+
+    Args:
+        text: see `fraction`.
+    """
     return ball(fraction(text))
 
 
 def decimal(value: Fraction) -> str:
-    """Return the decimal digits of a fraction that has finitely many."""
+    """Return the decimal digits of a fraction.
+
+    Args:
+        value: fraction with finitely many decimal digits.
+    """
     return str(Context(prec=1200).divide(Decimal(value.numerator), Decimal(value.denominator)))
 
 
 def bound(value: Any, *, lower: bool = False) -> str:
-    """Format an upper or lower bound of a nonnegative ball, three digits."""
+    """Format an upper or lower bound of a nonnegative ball, three digits.
+
+    Args:
+        value: nonnegative ball or number.
+        lower: True for a lower bound, rounded down.
+    """
     number = Fraction((ball(value).lower() if lower else ball(value).upper()).fmpq().str())
     rounded = Context(prec=3, rounding=ROUND_FLOOR if lower else ROUND_CEILING)
     return f"{rounded.divide(Decimal(number.numerator), Decimal(number.denominator)):g}"
 
 
 def columns(rows: Sequence[Sequence[Any]]) -> Any:
-    """Return a matrix of balls from its rows."""
+    """Return a matrix of balls from its rows.
+
+    Args:
+        rows: numbers or balls (M, N).
+    """
     return flint.arb_mat([[ball(x) for x in row] for row in rows])
 
 
@@ -180,6 +236,12 @@ class Instructions:
 
 def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: Sequence[Fraction]) -> Instructions:
     """Return the program of casadi expressions with exact parameter values.
+
+    Args:
+        state: symbols (N,).
+        parameters: symbols (p,).
+        outputs: expressions of these symbols, of any shape.
+        values: exact parameters (p,).
 
     Raises:
         InputError: an operation of the expressions is not supported.

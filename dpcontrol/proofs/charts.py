@@ -44,17 +44,32 @@ class SectionChart:
         return columns(self.basis).inv().tolist()
 
     def coordinates(self, state: Vector, shift: Vector) -> Vector:
-        """Return (y_1, y_2, height above the section, z) of a shifted state."""
+        """Return (y_1, y_2, height above the section, z) of a shifted state.
+
+        Args:
+            state: balls (N,).
+            shift: subtracted from the state (N,).
+        """
         away = [x - ball(c) - t for x, c, t in zip(state, self.node, shift, strict=True)]
         return [dot(row, away) for row in self.rows]
 
     def place(self, y: Vector, z: Any) -> Vector:
-        """Return x̄ + u y_1 + s y_2 + w z."""
+        """Return x̄ + u y_1 + s y_2 + w z.
+
+        Args:
+            y: y_1 and y_2 (2,).
+            z: coordinate along w.
+        """
         u, s, _, w = self.columns
         return [ball(c) + u[i] * y[0] + s[i] * y[1] + w[i] * z for i, c in enumerate(self.node)]
 
     def lift(self, field: Field, energy: Any, y: Vector) -> tuple[Vector, Any]:
         """Return the states of given energy over a box y, and z.
+
+        Args:
+            field: programs of the system.
+            energy: ball, in the system's unit.
+            y: box (2,).
 
         Raises:
             NotClosed: the interval Newton method does not prove a unique z.
@@ -70,7 +85,12 @@ class SectionChart:
         raise NotClosed("the energy does not fix a node's section")
 
     def tangents(self, field: Field, state: Vector) -> Any:
-        """Return ∂x/∂y (N, 2) over a box of states with constant energy."""
+        """Return ∂x/∂y (N, 2) over a box of states with constant energy.
+
+        Args:
+            field: programs of the system.
+            state: box of states (N,).
+        """
         u, s, _, w = self.columns
         gradient = field.gradient(state)
         across = dot(gradient, w)
@@ -121,7 +141,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Passage:
-    """The unique crossing of a section near the present, from a box of states.
+    """The unique crossing of a section near a box of states.
 
     Attributes:
         time: until the crossing, s.
@@ -137,7 +157,13 @@ class Passage:
 
 
 def passage(field: Field, normal: Vector, height: Any, state: Vector) -> Passage:
-    """Enclose the crossing of a section n·x = const, of which states are at a small height.
+    """Enclose a section crossing of states at small height.
+
+    Args:
+        field: programs of the system.
+        normal: row n (N,) of the section n·x = const.
+        height: height of the states above the section.
+        state: box of states (N,).
 
     Raises:
         NotClosed: no invariant box closes, or the crossing is not proved to be unique.
@@ -166,6 +192,13 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     """Enclose the map from a chart's box to the next chart.
 
     The boxes are |y_i| ≤ radii_i and |y_i| ≤ arriving_i.
+
+    Args:
+        surface: energy surface.
+        leg: two charts with the flight between them.
+        radii: half-widths (2,) of the first box.
+        arriving: half-widths (2,) of the second box.
+        settings: settings of the integrator.
 
     Raises:
         NotClosed: an enclosure does not close.
@@ -197,7 +230,16 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
 
 
 def legs_of(states: Array, bases: Array, durations: Array, turns: Sequence[int]) -> tuple[Leg, ...]:
-    """Return the legs between nodes (K + 1, N), the last of them with whole turns."""
+    """Return the legs between nodes.
+
+    The last of them has whole turns.
+
+    Args:
+        states: nodes (K + 1, N).
+        bases: bases (K + 1, N, N) at the nodes.
+        durations: flight times (K,), s.
+        turns: whole turns (N,).
+    """
     charts = [
         SectionChart(tuple(Fraction(float(v)) for v in state), tuple(tuple(float(v) for v in row) for row in basis))
         for state, basis in zip(states, bases, strict=True)

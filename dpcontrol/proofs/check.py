@@ -44,7 +44,10 @@ _LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2*
 
 
 class CertificateCheck(NamedTuple):
-    """The verdict on a certificate: the proved statement, or the step that fails."""
+    """The verdict on a certificate.
+
+    It has the proved statement, or the step that fails.
+    """
 
     proved: bool
     status: str
@@ -52,7 +55,11 @@ class CertificateCheck(NamedTuple):
 
 
 def digest(certificate: Mapping[str, Any]) -> str:
-    """Return the digest of a certificate's content, excluding the digest itself."""
+    """Return the digest of a certificate's content, excluding the digest itself.
+
+    Args:
+        certificate: JSON values by key.
+    """
     rest = {key: value for key, value in certificate.items() if key != "digest"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True, ensure_ascii=True).encode()).hexdigest()
 
@@ -92,7 +99,10 @@ class _Dual:
 
 
 class _Flow(ABC):
-    """A system's integrator in flint's arithmetic at the working precision; `angles` of its states turn."""
+    """A system's integrator in flint's arithmetic.
+
+    It has the working precision; `angles` of its states turn.
+    """
 
     angles: int
 
@@ -144,7 +154,10 @@ class _Flow(ABC):
         raise NotClosed("a step's box does not close")
 
     def step(self, thin: Sequence[Any], carried: Any, spread: Any, h: Any) -> tuple[list[Any], Any, list[Any]]:
-        """Advance a thin point and the derivative by one step; return them and the box of all solutions."""
+        """Advance a thin point and the derivative by one step.
+
+        The result also has the box of all solutions.
+        """
         box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]
         around = self.rough(box, h * flint.arb(0.5, 0.5))
 
@@ -182,7 +195,10 @@ class _Flow(ABC):
 
 
 class _Pendulum(_Flow):
-    """Two arms; the constants are A, B, C, G₁ and G₂ of the guide."""
+    """Two arms as a system.
+
+    The constants are A, B, C, G₁ and G₂ of the guide.
+    """
 
     def __init__(self, data: Mapping[str, Any]) -> None:
         super().__init__()
@@ -241,6 +257,10 @@ _SYSTEMS = {"double pendulum": _Pendulum, "three bodies": _ThreeBodies}
 def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> CertificateCheck:
     """Check a certificate.
 
+    Args:
+        certificate: JSON values by key.
+        progress: called with a label and the completed share.
+
     Raises:
         PartMissing: python-flint is not installed.
     """
@@ -260,6 +280,10 @@ def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> C
 def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck:
     """Check the certificate in a file.
 
+    Args:
+        file: JSON file of `prove --out`.
+        progress: called with a label and the completed share.
+
     Raises:
         InputError: the file is missing, unreadable or no certificate.
         PartMissing: python-flint is not installed.
@@ -276,7 +300,9 @@ def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck
 
 
 def _trace_of_product(maps: Sequence[Any]) -> Any:
-    """Return an enclosure of the trace of the product of a closed orbit's derivatives (4, 4), the first one first.
+    """Return an enclosure of the trace of a product.
+
+    The factors are a closed orbit's derivatives (4, 4), the first one first.
 
     A plain product of enclosures loses all digits over a hundred nodes. In frames that follow the orbit, each factor is
     nearly triangular, with the directions of growth in order, and the errors grow no faster than the product.

@@ -66,7 +66,9 @@ class Boxes:
 
 
 def _covered(surface: Surface, legs: Sequence[Leg], widths: Array, settings: FlowSettings) -> list[ChartSegment]:
-    """Return the enclosures of legs, of which each one's box covers the next box.
+    """Return the enclosures of legs with covering boxes.
+
+    Each one's box covers the next box.
 
     Args:
         widths (K + 1, 2): half-widths of the boxes.
@@ -98,6 +100,12 @@ def _backward(one: ChartSegment, slope: Any) -> tuple[Any, Any]:
 
 def orbit_boxes(surface: Surface, orbit: LyapunovOrbit, radius: float, settings: FlowSettings) -> Boxes:
     """Return covering boxes around a periodic orbit, with invariant cones.
+
+    Args:
+        surface: energy surface.
+        orbit: periodic orbit on the surface.
+        radius: largest half-width of the boxes.
+        settings: settings of the integrator.
 
     Raises:
         NotClosed: the covering or the cones are not proved.
@@ -153,6 +161,12 @@ def link(
 ) -> CoveringRelation:
     """Prove a connection between the boxes of two orbits.
 
+    Args:
+        surface: energy surface.
+        connection: connection on the surface.
+        source, target: boxes of its orbits.
+        settings: settings of the integrator.
+
     Raises:
         NotClosed: the covering or the connection's identity is not proved.
     """
@@ -191,7 +205,9 @@ def link(
 def _angle(
     surface: Surface, connection: Connection, chart: SectionChart, state: Any, slopes: tuple[Any, Any]
 ) -> tuple[Any, Any]:
-    """Return the time (s) to the section, and the angle (deg) between both tubes' cuts in (q, p/p₀).
+    """Return the time and the angle at the section.
+
+    The time to the section is in s. The angle between both tubes' cuts in (q, p/p₀) is in deg.
 
     Raises:
         NotClosed: the cones are not proved to be disjoint.
@@ -230,6 +246,11 @@ def horseshoe(surface: Surface, boxes: Boxes, links: Sequence[CoveringRelation])
     grows. The round in between adds at most E, and so do the legs before the first and after the last full round.
 
     For loops of first return to one box with times τ_i, Abramov's formula gives the entropy h by Σ exp(-h τ_i) = 1.
+
+    Args:
+        surface: energy surface.
+        boxes: boxes of the orbit.
+        links: proved homoclinic connections (L,).
 
     Raises:
         NotClosed: a duration does not determine its wraps, or two links are not proved to be distinct.

@@ -77,7 +77,12 @@ class Field:
 
     @classmethod
     def of(cls, system: System, parameters: Sequence[Fraction]) -> "Field":
-        """Return a system's programs at the working precision."""
+        """Return a system's programs at the working precision.
+
+        Args:
+            system: system of two degrees of freedom.
+            parameters: exact parameters (p,).
+        """
         e = system.equations
         rate = ca.substitute(e.rate, e.inputs, ca.SX.zeros(e.input_count))
         jacobian, gradient = ca.jacobian(rate, e.state), ca.gradient(e.hamiltonian, e.state)
@@ -86,15 +91,27 @@ class Field:
         return cls(make(rate), make(rate, jacobian), make(e.hamiltonian, gradient), make(momenta))
 
     def matrix(self, entries: Vector) -> list[Vector]:
-        """Return the rows of Df from its entries in column-major order."""
+        """Return the rows of Df from its entries in column-major order.
+
+        Args:
+            entries: entries of Df (16,).
+        """
         return [[entries[i + 4 * j] for j in range(4)] for i in range(4)]
 
     def rates(self, state: Vector) -> Vector:
-        """Return f(x)."""
+        """Return f(x).
+
+        Args:
+            state: balls or series (N,).
+        """
         return self.rate(state)[0]
 
     def gradient(self, state: Vector) -> Vector:
-        """Return ∇H(x)."""
+        """Return ∇H(x).
+
+        Args:
+            state: balls or series (N,).
+        """
         return self.energy(state)[1]
 
 
@@ -118,7 +135,13 @@ def _coefficients(series: Any, length: int) -> Vector:
 
 
 def taylor(field: Field, start: Vector, order: int) -> list[Vector]:
-    """Return Taylor coefficients 0 … order of the states over a box."""
+    """Return Taylor coefficients 0 … order of the states over a box.
+
+    Args:
+        field: programs of the system.
+        start: box of states (N,).
+        order: degree of the polynomials.
+    """
     x = [[s] for s in start]
     for k in range(order):
         flint.ctx.cap = k + 1
@@ -128,7 +151,13 @@ def taylor(field: Field, start: Vector, order: int) -> list[Vector]:
 
 
 def tangent(field: Field, x: list[Vector], order: int) -> list[Any]:
-    """Return Taylor coefficients (N, N) of the flow's derivative."""
+    """Return Taylor coefficients (N, N) of the flow's derivative.
+
+    Args:
+        field: programs of the system.
+        x: Taylor coefficients (N, at least `order`) of the states.
+        order: degree of the polynomials.
+    """
     flint.ctx.cap = order
     slope = field.matrix(field.slopes([flint.arb_series(c[:order]) for c in x])[1])
     linear = [_coefficients(s, order) for row in slope for s in row]
@@ -140,7 +169,16 @@ def tangent(field: Field, x: list[Vector], order: int) -> list[Any]:
 
 
 def disc(field: Field, x: list[Vector], radius: Any, guess: Vector | None) -> tuple[Any, Vector, Any] | None:
-    """Return a disc's radius ρ if its enclosure closes, with ε (N,) and a bound on the flow's derivative (N, N)."""
+    """Return a disc's radius ρ if its enclosure closes.
+
+    The result also has ε (N,) and a bound on the flow's derivative (N, N).
+
+    Args:
+        field: programs of the system.
+        x: Taylor coefficients of the states, N rows.
+        radius: radius of the disc in time, s.
+        guess: first guess of ε (N,), or None.
+    """
     times, p = [box * radius for box in _cover()], [c[: _ROUGH + 1] for c in x]
     slopes = [[c[k] * k for k in range(1, _ROUGH + 1)] for c in p]
     values, rates = ([[_horner(c, t) for c in rows] for t in times] for rows in (p, slopes))
@@ -164,6 +202,13 @@ def fly(
     field: Field, start: Vector, spread: Any, duration: Fraction, settings: FlowSettings
 ) -> tuple[Vector, Any, Vector, list[Vector]]:
     """Enclose the flow from a thin point, with derivatives over a box.
+
+    Args:
+        field: programs of the system.
+        start: thin point (N,).
+        spread: column of the box about the point (N, 1).
+        duration: time, s.
+        settings: settings of the integrator.
 
     Returns:
         The thin end (N,), the derivative (N, N), the box's end (N,), and balls (N,) that enclose all solutions during

@@ -36,7 +36,14 @@ Chain = tuple[Leg, ...]
 
 
 def closed_chain(system: System, states: Array, durations: Array, turns: Sequence[int]) -> tuple[Chain, Array]:
-    """Return the chain of a closed orbit's nodes (K, N), and growth factors (K, 2)."""
+    """Return a closed orbit's chain and growth factors (K, 2).
+
+    Args:
+        system: system of two degrees of freedom.
+        states: nodes (K, N).
+        durations: flight times (K,), s.
+        turns: whole turns in a period (N,).
+    """
     bases, rates = closed_frames(system, states, durations)
     return legs_of(np.concatenate([states, states[:1]]), bases, durations, turns), rates
 
@@ -51,7 +58,11 @@ def enclose(
     """Enclose all maps of a chain over boxes.
 
     Args:
+        surface: energy surface.
+        chain: legs (K,).
         widths (K + 1, 2): half-widths of the boxes, including those of the last leg's end.
+        settings: settings of the integrator.
+        progress: called with a label and the completed share.
 
     Raises:
         NotClosed: an enclosure does not close; the message names the segment.
@@ -66,7 +77,12 @@ def enclose(
 
 
 def even(chain: Chain, radius: Any) -> list[list[Any]]:
-    """Return half-widths (K + 1, 2) of boxes of one radius."""
+    """Return half-widths (K + 1, 2) of boxes of one radius.
+
+    Args:
+        chain: legs (K,).
+        radius: half-width in both coordinates.
+    """
     return [[radius, radius]] * (len(chain) + 1)
 
 
@@ -87,7 +103,12 @@ class Newton:
 
 
 def newton(segments: Sequence[ChartSegment], radius: Any) -> Newton:
-    """Apply the theorem to a closed chain over boxes of one radius."""
+    """Apply the theorem to a closed chain over boxes of one radius.
+
+    Args:
+        segments: enclosures over the boxes, in order.
+        radius: half-width in both coordinates.
+    """
     size = 2 * len(segments)
     rows = [[flint.arb(0)] * size for _ in range(size)]
     for k, one in enumerate(segments):
@@ -104,7 +125,14 @@ def newton(segments: Sequence[ChartSegment], radius: Any) -> Newton:
 
 
 def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], found: Newton) -> Chain:
-    """Return the chain after a Newton step, rounded to decimals."""
+    """Return the chain after a Newton step, rounded to decimals.
+
+    Args:
+        surface: energy surface.
+        chain: legs (K,).
+        segments: their enclosures (K,).
+        found: Newton step.
+    """
     charts = []
     for leg, y in zip(chain, np.reshape(found.step, (-1, 2)).tolist(), strict=True):
         state, _ = leg.first.lift(surface.field, ball(surface.energy), [ball(v) for v in y])
@@ -119,6 +147,9 @@ def multipliers(segments: Sequence[ChartSegment]) -> tuple[Any, Any] | None:
     """Return the multipliers, the unstable first, or None if not hyperbolic.
 
     The segments' derivatives are enclosed over boxes that contain the orbit.
+
+    Args:
+        segments: enclosures along one period, in order.
     """
     product = reduce(lambda before, one: one.slope * before, segments, flint.arb_mat([[1, 0], [0, 1]]))
     half = product.trace() / 2
@@ -130,6 +161,13 @@ def multipliers(segments: Sequence[ChartSegment]) -> tuple[Any, Any] | None:
 
 
 def total_time(segments: Sequence[ChartSegment], radius: Any) -> Any:
-    """Return the duration (s) of one period from points near the nodes."""
+    """Return the duration of one period, s.
+
+    It starts from points near the nodes.
+
+    Args:
+        segments: enclosures along one period.
+        radius: distance of the points from the nodes.
+    """
     slopes = [(one.at_node, abs(one.delays[0]) + abs(one.delays[1])) for one in segments]
     return sum((time + slope * symmetric(radius) for time, slope in slopes), flint.arb(0))

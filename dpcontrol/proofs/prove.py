@@ -53,7 +53,7 @@ _HELP = {
 
 @dataclass(frozen=True)
 class ProofSettings:
-    """Settings of proofs.
+    """Precision, radii and integrator of a proof.
 
     The working precision is `bits`. Orbits are unique in balls of the scaled `radius`. If a radius does not close, it
     is divided by a hundred up to `tries` times. Boxes around connections have the half-width `box`.
@@ -95,7 +95,11 @@ class Proof(Shown):
 
 
 def exact_energy(energy: Any) -> Fraction:
-    """Return an energy as the shortest decimal that represents it."""
+    """Return an energy as the shortest decimal that represents it.
+
+    Args:
+        energy: float, or a number whose text is a decimal.
+    """
     return Fraction(repr(float(energy)) if isinstance(energy, float) else str(energy))
 
 
@@ -103,6 +107,10 @@ def surface_of(system: System, energy: Fraction) -> Surface:
     """Return the energy surface of a system at the working precision.
 
     Parameters are the decimals of the model's file, or else the shortest decimals that read as their doubles.
+
+    Args:
+        system: system of two degrees of freedom.
+        energy: exact energy, in the system's unit.
 
     Raises:
         InputError: the system has more than two degrees of freedom, or unsupported operations.
@@ -115,7 +123,14 @@ def surface_of(system: System, energy: Fraction) -> Surface:
 
 
 def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -> Proof:
-    """Run a proof at a precision and convert failures to verdicts."""
+    """Run a proof at a precision and convert failures to verdicts.
+
+    Args:
+        kind: kind of the proof.
+        statement: statement to prove.
+        bits: precision, bits.
+        work: function that returns the proof or raises NotClosed.
+    """
     begun = time.perf_counter()
     try:
         with working(bits):
@@ -126,7 +141,11 @@ def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -
 
 
 def plain(value: Any) -> Any:
-    """Return exact numbers as decimals, and sequences as lists."""
+    """Return exact numbers as decimals, and sequences as lists.
+
+    Args:
+        value: nested mappings, lists and numbers.
+    """
     if isinstance(value, Mapping):
         return {key: plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
@@ -145,6 +164,13 @@ def certificate(
 
     Only models from files with proved multipliers have one. Its radii include a margin for the enclosures of module
     check, which confirms its bounds.
+
+    Args:
+        statement: proved statement.
+        system: system of the orbit.
+        chain: energy surface and legs.
+        proof: enclosures of the legs and the Newton step.
+        claims: claims on symbols, see `claims_of`.
     """
     (surface, legs), (segments, found) = chain, proof
     pair = multipliers(segments)
@@ -188,7 +214,15 @@ _LEAST_RADIUS, _UNIQUE = 1e-12, 1e-10
 def proved_chain(
     surface: Surface, chain: Chain, settings: ProofSettings, progress: Progress = no_progress
 ) -> tuple[list[ChartSegment], Newton]:
-    """Prove that a chain contains exactly one orbit; return its enclosures.
+    """Prove that a chain contains exactly one orbit.
+
+    The result has its enclosures and the Newton step.
+
+    Args:
+        surface: energy surface.
+        chain: legs (K,).
+        settings: radii and integrator.
+        progress: called with a label and the completed share.
 
     Raises:
         NotClosed: no radius closes; the message gives the last reason.
@@ -222,7 +256,10 @@ def prove_orbit(
     The period and the multipliers are enclosed over a ball that contains the orbit.
 
     Args:
+        orbit: computed orbit.
         energy: exact, J.
+        settings: precision, radii and integrator.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: a system without two degrees of freedom, or with unsupported operations.
@@ -281,6 +318,10 @@ def claims_of(walk: ShadowingOrbit, rivals: Sequence[Connection]) -> list[dict[s
 
     Each has its section, the segments from the middle of one stop to the middle of the next, and the marked node.
     Saddles are lifted by whole turns. If a stop had no wraps, it would last for `rest` s between marked nodes.
+
+    Args:
+        walk: closed orbit.
+        rivals: connections that the orbit must not follow.
     """
     lasts, nodes, out = walk.shot.guess.joints, sorted(walk.shot.guess.markers), []
     kind = attrgetter("source.saddle", "target.saddle", "winding", "section")
@@ -317,8 +358,11 @@ def prove_walk(
     """Prove existence and uniqueness of a closed walk's orbit, and its symbols.
 
     Args:
+        walk: computed orbit of a closed walk.
         energy: exact, J.
         rivals: other connections at this energy.
+        settings: precision, radii and integrator.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: an open walk, or unsupported equations.
@@ -387,8 +431,11 @@ def prove_connections(
     """Prove existence and transversality of connections between two orbits.
 
     Args:
+        connections: computed connections between the same orbits.
         energy: exact, J.
+        settings: precision, radii and integrator.
         whole: also prove the horseshoe of all homoclinics of one orbit.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: no connections, or unsupported equations.

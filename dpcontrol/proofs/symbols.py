@@ -1,4 +1,6 @@
-"""Claims on the symbols of a closed walk, and their proof in boxes that enclose a flight.
+"""Claims on the symbols of a closed walk, and their proof.
+
+The proof is in boxes that enclose a flight.
 
 Claims are exact numbers as text, which certificates hold. They are proved in boxes of any integrator: in those of the
 search for `prove walk`, and in those of the independent check for `prove check`.
@@ -26,12 +28,20 @@ _BEYOND = "1e9"
 
 
 def dot(first: Sequence[Any], second: Sequence[Any]) -> Any:
-    """Return the scalar product of two vectors of balls."""
+    """Return the scalar product of two vectors of balls.
+
+    Args:
+        first, second: balls (N,).
+    """
     return sum((a * b for a, b in zip(first, second, strict=True)), flint.arb(0))
 
 
 def described(section: Any) -> dict[str, Any]:
-    """Return the numbers of a Poincaré section as decimals."""
+    """Return the numbers of a Poincaré section as decimals.
+
+    Args:
+        section: section with normal (N,) and side.
+    """
     side = (0.0,) * len(section.normal) if section.side is None else section.side
     return {
         "normal": [repr(v) for v in section.normal],
@@ -44,12 +54,21 @@ def described(section: Any) -> dict[str, Any]:
 
 
 def period_of(section: Mapping[str, Any]) -> Any:
-    """Return the period of a section's normal coordinate."""
+    """Return the period of a section's normal coordinate.
+
+    Args:
+        section: numbers of `described`.
+    """
     return 2 * flint.arb.pi() if section["period"] == "2 pi" else number(section["period"])
 
 
 def crossings(section: Mapping[str, Any], boxes: Sequence[Vector], rates: Callable[[Vector], Vector]) -> int:
     """Return the number of valid section crossings in boxes along a flight.
+
+    Args:
+        section: numbers of `described`.
+        boxes: boxes (N,) along the flight, in order.
+        rates: function that encloses f over a box.
 
     Raises:
         NotClosed: the boxes are too wide to count.
@@ -100,12 +119,22 @@ class Enclosed:
     rates: Callable[[Vector], Vector]
 
     def away(self, box: Vector, state: Sequence[str], turns: Sequence[int]) -> Vector:
-        """Return the difference of a box and a lifted state."""
+        """Return the difference of a box and a lifted state.
+
+        Args:
+            box: box of states (N,).
+            state: decimals (N,).
+            turns: whole turns (N,) of the lift.
+        """
         return [x - c - 2 * flint.arb.pi() * k for x, c, k in zip(box, map(number, state), turns, strict=True)]
 
 
 def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
     """Prove that a closed orbit follows its symbols.
+
+    Args:
+        claims: claims in the order of the symbols.
+        flown: the orbit's flight.
 
     Raises:
         NotClosed: the boxes do not prove a claim.
@@ -141,6 +170,9 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
 
 def whole(rounds: Any) -> int:
     """Return the nearest whole number of rounds.
+
+    Args:
+        rounds: ball.
 
     Raises:
         NotClosed: the enclosure does not determine it.
