@@ -132,12 +132,20 @@ class Draft:
 
 
 def first_text(model: str) -> str:
-    """Return the initial text for a model."""
+    """Return the initial text for a model.
+
+    Args:
+        model: name or path of the model.
+    """
     return _TEXT.format(model=quoted(model), energy=energies_of(fitting_model(model))[2])
 
 
 def read_draft(text: str) -> Draft:
-    """Parse a text, with errors stored in the result."""
+    """Parse a text, with errors stored in the result.
+
+    Args:
+        text: itinerary in TOML.
+    """
     if len(text) > LONGEST:
         return Draft(text, {}, None, None, Mistake(1, f"the text has more than {LONGEST:,} characters"))
     values: dict[str, Any] = {}
@@ -157,7 +165,12 @@ def read_draft(text: str) -> Draft:
 
 
 def line_of(text: str, message: str) -> int:
-    """Return the line number (from 1) to which an error message refers."""
+    """Return the line number (from 1) to which an error message refers.
+
+    Args:
+        text: itinerary in TOML.
+        message: error of the itinerary.
+    """
     lines = text.splitlines() or [""]
     if found := re.search(r"at line (\d+)", message):
         return min(int(found[1]), len(lines))
@@ -182,14 +195,23 @@ def _listed(value: Any, kind: type) -> list[Any]:
 
 
 def fault_of(status: str, walk: Sequence[str]) -> int | None:
-    """Return the index of the symbol that a failed plan's status names."""
+    """Return the index of the symbol that a failed plan's status names.
+
+    Args:
+        status: status of the plan.
+        walk: symbols of the walk.
+    """
     if found := re.search(r"symbol (\d+)\b", status):
         return min(int(found[1]), len(walk)) - 1 if walk else None
     return next((k for k, text in enumerate(walk) if text in status), None)
 
 
 def enough_wraps(status: str) -> list[int] | None:
-    """Return the wraps suggested in a failed plan's status, or None."""
+    """Return the wraps suggested in a failed plan's status, or None.
+
+    Args:
+        status: status of the plan.
+    """
     found = re.search(r"must be at least \[([\d, ]*)\]|wraps \[([\d, ]*)\] work", status)
     digits = re.findall(r"\d+", found[1] or found[2] or "") if found else []
     return [int(one) for one in digits] or None

@@ -82,9 +82,12 @@ class PageSession:
         }
 
     def command(self, text: str) -> None:
-        """Execute a page's command (JSON) and send the new state.
+        """Execute a page's command and send the new state.
 
         Errors become messages.
+
+        Args:
+            text: JSON object with the action `do`, its number `n` and the action's arguments.
         """
         try:
             given = dict(json.loads(text))
@@ -98,17 +101,30 @@ class PageSession:
         self._send_state()
 
     def do_model(self, name: str) -> None:
-        """Start a new itinerary with another model."""
+        """Start a new itinerary with another model.
+
+        Args:
+            name: name or path of the model.
+        """
         self._change(first_text(str(name)))
 
     def do_set(self, values: dict[str, Any], table: str = "") -> None:
-        """Set values in the itinerary's text."""
+        """Set values in the itinerary's text.
+
+        Args:
+            values: values by key.
+            table: table of the keys, "" for the top level.
+        """
         if not values.keys() <= _KEYS[table]:
             raise InputError(f"{', '.join(values)}: the page has no control for these keys; edit the TOML")
         self._change(self._draft.changed(table, values))
 
     def do_toml(self, text: str) -> None:
-        """Replace the text; consecutive edits are undone together."""
+        """Replace the text; consecutive edits are undone together.
+
+        Args:
+            text: itinerary in TOML.
+        """
         self._change(str(text), typed=True)
 
     def do_undo(self) -> None:
@@ -124,7 +140,11 @@ class PageSession:
         self._work("plan", text=self._whole().text)
 
     def do_run(self, seed: int = 0) -> None:
-        """Run the plan, which is computed first if it is not cached."""
+        """Run the plan, which is computed first if it is not cached.
+
+        Args:
+            seed: seed of the random numbers, 0 to 2147483647.
+        """
         if not 0 <= int(seed) < 2**31:
             raise InputError(f"seed = {seed}: must be 0 to 2147483647")
         log = str(self._folder / f"run-{int(seed)}.mcap")
@@ -148,7 +168,11 @@ class PageSession:
         self._work("film", lambda _: self._note(film=str(film)), log=self._run()["log"], film=str(film))
 
     def do_name(self, name: str) -> None:
-        """Set the name of saved files."""
+        """Set the name of saved files.
+
+        Args:
+            name: at most 80 characters that are safe in a file name.
+        """
         if not 0 < len(name) <= 80 or not name.isprintable() or set(name) & set(r"\/:*?<>|\"") or name[0] in ".- ":
             raise InputError(f"name = {name[:80]!r}: use letters, digits and dashes")
         self._name = name

@@ -48,7 +48,11 @@ def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -
 
 
 def energies_of(model: Model) -> tuple[float, float, float]:
-    """Return the lowest, highest and initial energies of the slider, J."""
+    """Return the lowest, highest and initial energies of the slider, J.
+
+    Args:
+        model: model of two arms.
+    """
     points = equilibria(model.system).values()
     saddles = [point.energy for point in points if point.kind.startswith("index-1")]
     spread = max(point.energy for point in points) - min(point.energy for point in points)
@@ -80,7 +84,10 @@ def shown_model(model: Model) -> dict[str, Any]:
 
 
 def fitting_model(name: str) -> Model:
-    """Return a model by name or path.
+    """Return a model of two arms.
+
+    Args:
+        name: name or path of the model.
 
     Raises:
         InputError: the model cannot be loaded or does not have two arms.
@@ -95,7 +102,12 @@ def fitting_model(name: str) -> Model:
 
 
 def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
-    """Return the data of an atlas: orbits, sections and connections."""
+    """Return the data of an atlas: orbits, sections and connections.
+
+    Args:
+        atlas: atlas of the model.
+        model: model of two arms.
+    """
     lengths = model.arms.length
     n = len(lengths)
     kinds = []
@@ -166,7 +178,11 @@ def _symbols(connections: list[AtlasConnection]) -> dict[str, str]:
 
 
 def shown_plan(plan: Plan) -> dict[str, Any]:
-    """Return a plan's motion, cart path and times of symbols."""
+    """Return a plan's motion, cart path and times of symbols.
+
+    Args:
+        plan: converged plan.
+    """
     reference, notes = plan.reference, plan.notes
     times = np.arange(0.0, reference.duration, 1 / RATE)
     states = np.asarray(reference.state(times))
@@ -183,7 +199,11 @@ def shown_plan(plan: Plan) -> dict[str, Any]:
 
 
 def figures_of(plan: Plan) -> dict[str, Any]:
-    """Return a converged plan's figures and use of limits."""
+    """Return a converged plan's figures and use of limits.
+
+    Args:
+        plan: converged plan.
+    """
     summary = summarised(plan.reference)
     return {
         "duration": plan.reference.duration,

@@ -50,12 +50,22 @@ class Reporter:
         self._file, self._next = os.fdopen(handle, "w", encoding="utf-8"), 0.0
 
     def write(self, word: str, value: Any) -> None:
-        """Write one line."""
+        """Write one line.
+
+        Args:
+            word: kind of the report.
+            value: its value, which becomes JSON.
+        """
         self._file.write(f"{word} {json.dumps(plain(value), ensure_ascii=False)}\n")
         self._file.flush()
 
     def progress(self, what: str, done: float) -> None:
-        """Report progress at a limited rate."""
+        """Report progress at a limited rate.
+
+        Args:
+            what: label of the task.
+            done: completed share, 0 to 1.
+        """
         if (now := time.monotonic()) >= self._next:
             self._next = now + _EVERY
             self.write("progress", [what, min(max(float(done), 0.0), 1.0)])

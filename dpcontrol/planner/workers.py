@@ -31,7 +31,12 @@ class WorkerJob:
         self._on_report = on_report
 
     def start(self, workers: "Workers", *, nice: int = 0) -> None:
-        """Start the job; a process with a nice value is not reused."""
+        """Start the job in a process.
+
+        Args:
+            workers: pool with idle processes.
+            nice: nice value of the process, which is then not reused.
+        """
         self._task = asyncio.get_running_loop().create_task(self._follow(workers, nice))
 
     def kill(self) -> None:
@@ -93,7 +98,11 @@ class Workers:
             _end(process)
 
     def mark(self, model: str) -> None:
-        """Start the search for a model's bifurcations, once."""
+        """Start the search for a model's bifurcations, once.
+
+        Args:
+            model: name or path of the model.
+        """
 
         def on_report(word: str, value: str) -> None:
             if word == "done":
