@@ -1,4 +1,6 @@
-"""Shell completion of values: names of models, itineraries and pages, laws, estimators, faults, saddles, figures.
+"""Shell completion of values.
+
+The values are names of models, itineraries and pages, laws, estimators, faults, saddles and figures.
 
 Click itself completes verbs, options and choices, and the shell completes files. Names that need a heavy import are
 read on demand.
@@ -21,7 +23,12 @@ Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]
 
 
 def completing(values: Values, *, files: bool = False) -> Completer:
-    """Return a completer from values. With `files`, the shell offers files if no value matches."""
+    """Return a completer from values.
+
+    Args:
+        values: function of the context that returns the values.
+        files: True if the shell offers files when no value matches.
+    """
 
     def complete(context: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         found = [CompletionItem(value) for value in values(context) if value.startswith(incomplete)]
@@ -31,7 +38,10 @@ def completing(values: Values, *, files: bool = False) -> Completer:
 
 
 def _found(module: str, name: str, *given: str) -> Values:
-    """Return the values that an object of a module lists, or that its function returns for `given`."""
+    """Return the values of an object or a function.
+
+    An object of a module lists them, or its function returns them for `given`.
+    """
 
     def values(_: click.Context) -> Any:
         there = getattr(importlib.import_module(f"dpcontrol.{module}"), name)
@@ -41,7 +51,10 @@ def _found(module: str, name: str, *given: str) -> Values:
 
 
 def _saddles(context: click.Context) -> list[str]:
-    """Return the equilibria of the model on the command line, or of two arms."""
+    """Return the equilibria of the model on the command line.
+
+    Without a model, they are those of two arms.
+    """
     from dpcontrol.foundation.shipped import find
 
     arms = 2
@@ -56,7 +69,11 @@ def _saddles(context: click.Context) -> list[str]:
 
 
 def choosing(choices: Iterable[str]) -> Completer:
-    """Return a completer from choices that need no import."""
+    """Return a completer from choices that need no import.
+
+    Args:
+        choices: allowed values.
+    """
     return completing(lambda _: choices)
 
 

@@ -76,9 +76,10 @@ def orbit_command(
     energies: Range | None = option(metavar="LO HI", help="Energies between which the family is followed, J."),
     picture: Path | None = file_option(suffix=".png", help="Picture of the family or the sustained orbit (.png)."),
 ) -> Answer:
-    """Compute the Lyapunov orbit about a saddle at an energy, or its family, with Floquet multipliers.
+    """Compute a Lyapunov orbit or its family, with Floquet multipliers.
 
-    A family is followed from its saddle until it ends, loses hyperbolicity or leaves the given energies.
+    The orbit is about a saddle at an energy. A family is followed from its saddle until it ends, loses hyperbolicity or
+    leaves the given energies.
 
     --rotating selects the symmetric orbits on which one arm rotates, with their stability. Their families start from
     the orbits at --energy, or at the middle of --energies.
@@ -261,7 +262,11 @@ SECONDS_HELP = "Processor time per search, s. After it, the partial result is sh
 
 
 def seconds_option(**more: Any) -> float | None:
-    """Return the option --seconds of a search."""
+    """Return the option --seconds of a search.
+
+    Args:
+        more: further arguments of `option`.
+    """
     return option(type=click.FloatRange(min=0, min_open=True), help=SECONDS_HELP, **more)
 
 
@@ -303,11 +308,12 @@ def connect_command(
         help="Precision of the connection --name; extended refines it in 113-bit arithmetic.",
     ),
 ) -> Answer:
-    """Find every connection between the Lyapunov orbits of two saddles (or of one) at given hits of a section.
+    """Find every connection between Lyapunov orbits at given section hits.
 
-    The list contains all connections on the torus of angles: both senses, mirror pairs and reflections. The walk of an
-    itinerary can use their names. The exit code is 1 if the list may be incomplete (`complete` in --json). With --name,
-    only that connection counts, and `complete` is false if there may be others.
+    The orbits are those of two saddles, or of one. The list contains all connections on the torus of angles: both
+    senses, mirror pairs and reflections. The walk of an itinerary can use their names. The exit code is 1 if the list
+    may be incomplete (`complete` in --json). With --name, only that connection counts, and `complete` is false if there
+    may be others.
 
     Another --section gives other connections first. Homoclinics that pass the other saddle cross "aligned" twice, so
     --hits 1,2 finds them there.
@@ -446,12 +452,13 @@ def bifurcations_command(
     samples: int = option(type=click.IntRange(2), default=24, help="Energies of the first search."),
     yes: bool = YES,
 ) -> Answer:
-    """Find the energies at which connections appear, vanish or split, or only change their number of hits.
+    """Find the energies at which connections appear, vanish or split.
 
-    There are three kinds. At a saddle-node, two connections meet and vanish. At a pitchfork, a mirror pair splits off a
-    symmetric connection. At a section-artefact, the connection continues, but gains or loses an earlier crossing of the
-    section. Changes of the count without such an event are reported. If trajectories scatter before they arrive,
-    connections accumulate without end, and counts are lower bounds.
+    Energies at which only their number of hits changes are found too. There are three kinds. At a saddle-node, two
+    connections meet and vanish. At a pitchfork, a mirror pair splits off a symmetric connection. At a section-artefact,
+    the connection continues, but gains or loses an earlier crossing of the section. Changes of the count without such
+    an event are reported. If trajectories scatter before they arrive, connections accumulate without end, and counts
+    are lower bounds.
     """
     from dpcontrol import api
     from dpcontrol.plans.model import load_model
@@ -490,10 +497,11 @@ def atlas_command(
     out: Path | None = file_option(suffix=".npz", help="Atlas to write (.npz)."),
     yes: bool = YES,
 ) -> Answer:
-    """Compute all Lyapunov orbits of an energy, their tubes, their connections, and the rotating orbits.
+    """Compute all orbits, tubes and connections of an energy.
 
-    The atlas is one file with orbits, cuts, and connections with their flights. It is cached by content. Draw it with
-    `dpcontrol review FILE`. The exit code is 1 if the list of connections may be incomplete.
+    The orbits are Lyapunov orbits and rotating orbits. The atlas is one file with orbits, cuts, and connections with
+    their flights. It is cached by content. Draw it with `dpcontrol review FILE`. The exit code is 1 if the list of
+    connections may be incomplete.
     """
     from dpcontrol.plans.atlas import AtlasSettings, make_atlas, save_atlas
     from dpcontrol.plans.model import load_model

@@ -1,4 +1,7 @@
-"""The command line. Verbs are imported when they are called, which keeps --help fast."""
+"""The command line.
+
+Verbs are imported when they are called, which keeps --help fast.
+"""
 
 import difflib
 import errno
@@ -145,7 +148,9 @@ class _Verbs(click.Group):
 @click.option("--debug", is_flag=True, expose_value=False, help="Traceback of an error on stderr; also after a verb.")
 @click.pass_context
 def cli(ctx: click.Context) -> None:
-    """Design trajectories of a double pendulum on a cart, and test closed loops that follow them.
+    """Design trajectories of a double pendulum, and test closed loops.
+
+    The pendulum is on a cart. Closed loops follow the trajectories.
 
     Default names are free names: logs/NAME.mcap, then logs/NAME.2.mcap. A file that --out names is replaced only by
     the command that made it, or with --force. Pictures and plans are always replaced.
@@ -158,7 +163,7 @@ def cli(ctx: click.Context) -> None:
 
 
 def _defaults() -> dict[str, dict[str, Any]]:
-    """Return the defaults of options that the user has configured, by verb; apply the colour.
+    """Return the configured defaults of options by verb; apply the colour.
 
     Raises:
         InputError: a mistake in the configuration.
@@ -174,7 +179,13 @@ def _defaults() -> dict[str, dict[str, Any]]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit; user errors are one line on stderr without a traceback."""
+    """Run the command line and exit.
+
+    User errors are one line on stderr without a traceback.
+
+    Args:
+        arguments: arguments after the program's name; None for those of the process.
+    """
     given: Any = sys.argv[1:] if arguments is None else arguments
     # One option of the program instead of one of each verb, accepted on either side of the verb.
     debug, given = "--debug" in given, [text for text in given if text != "--debug"]
@@ -240,7 +251,10 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
 
 
 def _full(error: OSError) -> str:
-    """Return the message on a full disk, of the output or of temporary files."""
+    """Return the message on a full disk.
+
+    It is that of the output or of temporary files.
+    """
     folder = tempfile.gettempdir()
     with suppress(OSError):
         if str(error.filename or "").startswith(folder) or shutil.disk_usage(folder).free == 0:
@@ -251,7 +265,10 @@ def _full(error: OSError) -> str:
 
 
 def _unforeseen(error: Exception, arguments: Sequence[str]) -> str:
-    """Write the traceback of an internal error to a file, and return the message that asks for a report."""
+    """Write the traceback of an internal error to a file.
+
+    The returned message asks for a report.
+    """
     trace = "".join(traceback.format_exception(error))
     program = f"dpcontrol {dpcontrol.__version__}, Python {sys.version}, {sys.platform}"
     what = f"internal error of dpcontrol, {' '.join(f'{type(error).__name__}: {error}'.split())[:_MOST]}"
@@ -269,7 +286,10 @@ _MOST = 200
 
 
 def _echo_notes(error: BaseException) -> None:
-    """Print the notes of an error and of its causes, such as the files that were kept."""
+    """Print the notes of an error and of its causes.
+
+    Notes are, for example, the files that were kept.
+    """
     found: BaseException | None = error
     while found is not None:
         for note in getattr(found, "__notes__", ()):

@@ -56,10 +56,10 @@ def plan_command(
     ),
     yes: bool = YES,
 ) -> Answer:
-    """Plan an itinerary: connections, shadowing orbit, and the reference with friction and cart.
+    """Plan an itinerary: connections, shadowing orbit and reference.
 
-    Plans are cached by content, so the same itinerary is planned once. Each transfer is cached too, so interrupted
-    planning resumes with the next one.
+    The reference includes friction and cart. Plans are cached by content, so the same itinerary is planned once. Each
+    transfer is cached too, so interrupted planning resumes with the next one.
     """
     from dpcontrol import api
     from dpcontrol.foundation.files import write_whole
@@ -150,10 +150,10 @@ def reference_command(
         suffix=".png", help="Picture of the transfers between equilibria (.png), from rows to columns."
     ),
 ) -> Answer:
-    """Show a reference: motion, use of the cart limits, effort, mesh, error and origin.
+    """Show a reference: motion, limits, effort, mesh, error and origin.
 
-    FILE is a .npz from `dpcontrol plan --out`. numpy can read it; dpcontrol.references.reference documents its layout.
-    The error between nodes is measured again.
+    The limits are those of the cart, with their use. FILE is a .npz from `dpcontrol plan --out`. numpy can read it;
+    dpcontrol.references.reference documents its layout. The error between nodes is measured again.
     """
     from dpcontrol.references.reference import load_reference, summarised
 

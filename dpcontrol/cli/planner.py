@@ -15,11 +15,12 @@ def planner_command(
     no_browser: bool = option(help="Print the address only."),
     port: int = option(type=click.IntRange(0, 65535), default=0, help="Port on 127.0.0.1; 0 selects a free one."),
 ) -> None:
-    """Plan in the browser, from an energy to a run, for the arms of `lab` or of MODEL.
+    """Plan in the browser, from an energy to a run.
 
-    Choose an energy, click connections to build a walk, plan it, and run it. Itinerary, log and film are saved in
-    ./itineraries and ./logs. The page works offline and only on this computer, because its address contains a token.
-    The planner serves until Ctrl-C. It needs an extra: pip install 'dpcontrol[planner]'.
+    The arms are those of `lab` or of MODEL. Choose an energy, click connections to build a walk, plan it, and run it.
+    Itinerary, log and film are saved in ./itineraries and ./logs. The page works offline and only on this computer,
+    because its address contains a token. The planner serves until Ctrl-C. It needs an extra: pip install
+    'dpcontrol[planner]'.
     """
     from dpcontrol import api
 

@@ -72,10 +72,11 @@ def prove_command(
     ),
     yes: bool = YES,
 ) -> Answer:
-    """Prove in ball arithmetic that orbits, closed walks, connections or a horseshoe exist, or check a certificate.
+    """Prove in ball arithmetic that orbits exist, or check a certificate.
 
-    Parameters and energy are exact decimals. The answer is "proved", or "not proved" with the enclosure that does not
-    close. The latter is not a disproof. Separate code checks certificates.
+    A proof is of an orbit, a closed walk, connections or a horseshoe. Parameters and energy are exact decimals. The
+    answer is "proved", or "not proved" with the enclosure that does not close. The latter is not a disproof. Separate
+    code checks certificates.
     """
     from dpcontrol.foundation.files import checked_target
     from dpcontrol.foundation.parts import part
@@ -212,7 +213,10 @@ def _check(file: Path) -> Answer:
 
 
 def _answer(proof: "Proof", out: Path | None) -> Answer:
-    """Show a proof's verdict and figures, and write its certificate if there is one."""
+    """Show a proof's verdict and figures, and write its certificate.
+
+    Not every proof has a certificate.
+    """
     from dpcontrol.foundation.files import write_whole
 
     lines = [proof.statement, f"  {proof.status}"]

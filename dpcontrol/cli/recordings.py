@@ -53,12 +53,13 @@ def import_command(
     force: bool = force_option(),
     yes: bool = YES,
 ) -> Answer:
-    """Import a recording of the bench, MATLAB, CSV, Parquet, MCAP or a ROS bag, as a log.
+    """Import a recording of the bench as a log.
 
-    Gaps, repeated times, missing numbers, wrapped angles and contradicting columns are rejected with their row.
-    --repair selects the faults to correct, and the log records the corrections. Segments count from 0, rows from 1.
-    Unusual but possible data cause a remark: a constant angle, and with --model a recording that its arms cannot have
-    made. --simulated gives data with known truth for `identify` and `replay`.
+    The formats are MATLAB, CSV, Parquet, MCAP and ROS bags. Gaps, repeated times, missing numbers, wrapped angles and
+    contradicting columns are rejected with their row. --repair selects the faults to correct, and the log records the
+    corrections. Segments count from 0, rows from 1. Unusual but possible data cause a remark: a constant angle, and
+    with --model a recording that its arms cannot have made. --simulated gives data with known truth for `identify` and
+    `replay`.
     """
     from dpcontrol import api
     from dpcontrol.foundation.errors import remark
@@ -119,10 +120,10 @@ def identify_command(
     force: bool = force_option(),
     picture: Path | None = file_option(suffix=".png", help="Picture of the result (.png)."),
 ) -> Answer:
-    """Identify a model from LOGS that `dpcontrol import` wrote: inertia ratios, friction laws, encoder zeros.
+    """Identify a model from LOGS that `dpcontrol import` wrote.
 
-    Every third segment is held out, and the friction laws are chosen by the error on these segments. --design needs no
-    log.
+    The result has inertia ratios, friction laws and encoder zeros. Every third segment is held out, and the friction
+    laws are chosen by the error on these segments. --design needs no log.
     """
     if design:
         if logs:
@@ -224,11 +225,12 @@ def replay_command(
     out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME-replay.mcap]."),
     force: bool = force_option(),
 ) -> Answer:
-    """Predict a recording by a model, run an estimator on its angles, and write both beside the measurements.
+    """Predict a recording by a model, and run an estimator.
 
-    Each segment is predicted in one piece from its best initial state. The prediction is the reference of the log, so
-    `dpcontrol review` shows both. If the cart moved, as in a log of `dpcontrol run`, its command or its recorded motion
-    is the input of the model. The encoder zeros of the model file are subtracted.
+    The estimator runs on the recording's angles. Both results are written beside the measurements. Each segment is
+    predicted in one piece from its best initial state. The prediction is the reference of the log, so `dpcontrol
+    review` shows both. If the cart moved, as in a log of `dpcontrol run`, its command or its recorded motion is the
+    input of the model. The encoder zeros of the model file are subtracted.
     """
     from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file

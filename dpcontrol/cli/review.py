@@ -87,7 +87,11 @@ _WHY = "  why      "
 
 
 def score_text(verdict: "Score") -> Iterator[str]:
-    """Yield the lines of a score."""
+    """Yield the lines of a score.
+
+    Args:
+        verdict: score of one log.
+    """
     pace = "" if verdict.real_time_factor is None else f", {verdict.real_time_factor:.1f} × real time"
     yield verdict.log
     yield f"  {verdict.sentence}"
@@ -106,7 +110,11 @@ def score_text(verdict: "Score") -> Iterator[str]:
 
 
 def shortfall(verdict: "Score") -> str:
-    """Return the reason why a run is not completed, or ""."""
+    """Return the reason why a run is not completed, or "".
+
+    Args:
+        verdict: score of one log.
+    """
     return f"not completed: {verdict.reason}" if verdict.completed is False else ""
 
 
@@ -183,7 +191,9 @@ def report_command(
     ),
     margins: bool = option(help="For a log: limits of gain, delay and lag along the reference, in some seconds."),
 ) -> Answer:
-    """Write one page on a log, a long run or a campaign with matplotlib.
+    """Write one page on a log, a long run or a campaign.
+
+    matplotlib draws it.
 
     The page of a log has the planned and the actual itinerary, a film strip, angles, rates, cart, command, errors,
     energy and phase planes. It also compares the further estimates with the truth, if that is in the log. The page of a
@@ -267,7 +277,9 @@ _LONG = 200
 
 @verb("info", example="dpcontrol info logs/outer-turn-0.mcap")
 def info_command(*, log: Path = argument()) -> Answer:
-    """Show the contents of a log: topics, types, units, rates, counts, duration, metadata, attachments.
+    """Show a log's topics, types, rates, duration, metadata and attachments.
+
+    Topics also have units and counts.
 
     All checksums are verified. A truncated or damaged log is rejected, and the message suggests a remedy.
     """
@@ -307,7 +319,9 @@ def recover_command(
     ),
     force: bool = force_option(),
 ) -> Answer:
-    """Rebuild a log of a killed run, or a truncated or damaged log, and report the losses.
+    """Rebuild a truncated or damaged log, and report the losses.
+
+    The log can also be that of a killed run.
 
     Intact records are copied bit for bit, sorted and verified. The old file is kept.
     """

@@ -1,5 +1,6 @@
-"""The verbs that run the loop, and the options that override a scene's run settings: run, export, rig, commission,
-campaign, preflight.
+"""The verbs that run the loop: run, export, rig, commission, campaign, preflight.
+
+Their options override a scene's run settings.
 """
 
 import os
@@ -108,7 +109,10 @@ class _Values(_Setting):
 
 
 def run_settings() -> Any:
-    """Declare the options of the named settings and `--set` as one parameter, a mapping by path."""
+    """Declare run settings and `--set` as one parameter.
+
+    The parameter is a mapping by path of the named settings.
+    """
     help = "Any setting by its path, or by the unique last part; repeatable. See `dpcontrol guide settings`."
     each = Option(
         ["--set", "settings"], type=_Setting(), multiple=True, group=SETTINGS, help=help,
@@ -184,7 +188,9 @@ def run_command(
     force: bool = force_option(),
     yes: bool = YES,
 ) -> Answer:
-    """Run an itinerary in closed loop on the simulated bench, or on a rig, and write its log.
+    """Run an itinerary in closed loop and write its log.
+
+    The bench is simulated, or is a rig.
 
     The itinerary is planned first if its plan is not cached. The exit code is 1 if the run is not completed. A rig has
     no true state, so the exit code is 1 if the run ended early, or if by the estimate a symbol was not done. With
@@ -348,11 +354,12 @@ def export_command(
     force: bool = option("--force", group=OUTPUT, help="Replacement of existing files with these names."),
     yes: bool = YES,
 ) -> Answer:
-    """Write the controller of an itinerary as C99 for your own target: estimator, law and supervisor in one call.
+    """Write the controller of an itinerary as C99.
 
-    The itinerary is planned first if its plan is not cached. The folder has a Makefile, a replay program and a page on
-    the wiring. Only laws with gains by time can be exported: tvlqr, adaptive, lqr, feedforward. Settings of the bench,
-    such as --mismatch, only change the simulated run that `make check` replays.
+    It is for your own target, with estimator, law and supervisor in one call. The itinerary is planned first if its
+    plan is not cached. The folder has a Makefile, a replay program and a page on the wiring. Only laws with gains by
+    time can be exported: tvlqr, adaptive, lqr, feedforward. Settings of the bench, such as --mismatch, only change the
+    simulated run that `make check` replays.
     """
     from dpcontrol.control.export import COARSER, kibibytes
     from dpcontrol.plans.itinerary import load_itinerary
@@ -436,11 +443,11 @@ def rig_command(
     settings: dict[str, Any] = run_settings(),
     yes: bool = YES,
 ) -> None:
-    """Start an example bench: the arms and cart of the itinerary, simulated in real time, with packets over UDP.
+    """Start an example bench for runs over UDP in real time.
 
-    It prints its address for `dpcontrol run ITINERARY --rig ADDRESS` and serves one run after another until Ctrl-C.
-    The arms start at the beginning of the itinerary. `dpcontrol guide packets` describes the packets. If other
-    computers can reach --host, loops need the key of the bench.
+    It simulates the arms and cart of the itinerary. It prints its address for `dpcontrol run ITINERARY --rig ADDRESS`
+    and serves one run after another until Ctrl-C. The arms start at the beginning of the itinerary. `dpcontrol guide
+    packets` describes the packets. If other computers can reach --host, loops need the key of the bench.
     """
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.rig.bench import BenchServerSettings
@@ -492,12 +499,12 @@ def commission_command(
         group=OUTPUT, help="Update of [run] in ITINERARY with the measured delay, lag, zeros and counts."
     ),
 ) -> Answer:
-    """Measure a rig before its first run: signs, scales, zeros, delay, lag, switches.
+    """Measure a rig before its first run: signs, delay, lag, zeros.
 
-    The arms must hang, and the cart must stand at the centre. The cart moves a few millimetres, then follows a chirp
-    within 10 mm. The motion of cart and arms gives signs, order, counts and zeros of the encoders, and direction and
-    gain of the drive. Ctrl-C brakes the cart. The exit code is 1 if a finding is wrong. Settings and faults apply to
-    the example bench. For more, see `dpcontrol guide commission`.
+    Scales and switches are measured too. The arms must hang, and the cart must stand at the centre. The cart moves a
+    few millimetres, then follows a chirp within 10 mm. The motion of cart and arms gives signs, order, counts and zeros
+    of the encoders, and direction and gain of the drive. Ctrl-C brakes the cart. The exit code is 1 if a finding is
+    wrong. Settings and faults apply to the example bench. For more, see `dpcontrol guide commission`.
     """
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text, rig_link
@@ -688,11 +695,12 @@ def preflight_command(
     picture: Path | None = file_option(suffix=(".pdf", ".png"), help="Page to write [logs/NAME-preflight.pdf]."),
     yes: bool = YES,
 ) -> Answer:
-    """Predict whether the first run on a rig completes, the likely endings, and helpful changes.
+    """Predict whether the first run on a rig completes.
 
-    The arms are drawn from the identified uncertainty of the model, or from a mismatch if the model file has none. The
-    bench is that of [run], which `dpcontrol commission --write` fills with measurements. The limit of a disturbance is
-    the value at which the itinerary completes half as often. A repeated command resumes after an interruption.
+    The result also has the likely endings and helpful changes. The arms are drawn from the identified uncertainty of
+    the model, or from a mismatch if the model file has none. The bench is that of [run], which `dpcontrol commission
+    --write` fills with measurements. The limit of a disturbance is the value at which the itinerary completes half as
+    often. A repeated command resumes after an interruption.
     """
     from dpcontrol.pages.layout import save_figure
     from dpcontrol.plans.itinerary import load_itinerary

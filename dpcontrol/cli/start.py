@@ -41,10 +41,11 @@ def demo_command(
     force: bool = force_option(),
     yes: bool = YES,
 ) -> Answer:
-    """Plan, run, score and picture one itinerary: a full turn of the outer arm at no cost in energy.
+    """Plan, run, score and picture one itinerary.
 
-    All steps are computed: Lyapunov orbit, tube, connections, and the reference with friction and cart. The closed
-    loop has encoders, an estimator, and a plant that differs from the model.
+    By default, it is a full turn of the outer arm at no cost in energy. All steps are computed: Lyapunov orbit, tube,
+    connections, and the reference with friction and cart. The closed loop has encoders, an estimator, and a plant that
+    differs from the model.
     """
 
     began = time.perf_counter()
@@ -95,7 +96,10 @@ def model_command(
     model: str = argument(),
     mjcf: Path | None = file_option(suffix=".xml", help="MuJoCo model to write, with arms and cart (.xml)."),
 ) -> Answer:
-    """Show a model's parameters with units, and its equilibria (frictionless, pivot at rest)."""
+    """Show a model's parameters with units, and its equilibria.
+
+    Equilibria are frictionless, with the pivot at rest.
+    """
     from dpcontrol.foundation.files import picked
     from dpcontrol.orbits.lyapunov import equilibria
     from dpcontrol.plans.model import load_model
@@ -191,9 +195,10 @@ def config_command() -> Answer:
 
 @verb("schema", example="dpcontrol schema itinerary")
 def schema_command(*, of: Literal["itinerary", "model"] = argument()) -> Answer:
-    """Print the JSON Schema of itineraries or models, which editors use to complete and check files.
+    """Print the JSON Schema of itineraries or models.
 
-    Save it beside the files, and name it in their first line, such as #:schema itinerary.schema.json.
+    Editors use it to complete and check files. Save it beside the files, and name it in their first line, such as
+    #:schema itinerary.schema.json.
     """
     import json
 

@@ -1,4 +1,6 @@
-"""Shared parts of verbs: options as parameters of a function, and its answer as text or as JSON on stdout.
+"""Shared parts of verbs: options, answers as text or as JSON.
+
+Options are parameters of a function. Answers are printed on stdout.
 
 @verb("score", example="dpcontrol score logs/outer-turn-0.mcap")
 def score_command(*, logs: tuple[Path, ...] = argument(), seed: int = option(default=0, help="…")) -> Answer:
@@ -31,7 +33,10 @@ OUTPUT, WORK = "Output", "Work"
 
 @dataclass
 class Call:
-    """State of one call: JSON output, tracebacks, whether its answer was shown, and its files."""
+    """State of one call.
+
+    It has JSON output, tracebacks, whether its answer was shown, and its files.
+    """
 
     as_json: bool = False
     debug: bool = False
@@ -40,7 +45,12 @@ class Call:
 
 
 def claim(file: Path) -> Path:
-    """Prevent other commands from writing a file until this one ends; return the file.
+    """Prevent other commands from writing a file until the end.
+
+    The lock ends with this command. The file is returned.
+
+    Args:
+        file: file to write.
 
     Raises:
         InputError: another command is writing it.
@@ -56,14 +66,24 @@ def claim(file: Path) -> Path:
 
 
 def claim_free(file: Path, make: Callable[[Path], T]) -> T:
-    """Return the result of `make` for the first free name: `file`, NAME.2, NAME.3 …; see `free_name`."""
+    """Return the result of `make` for the first free name.
+
+    The names are NAME, NAME.2, NAME.3 …; see `free_name`.
+
+    Args:
+        file: the first name.
+        make: see `free_name`.
+    """
     from dpcontrol.foundation.files import free_name
 
     return click.get_current_context().with_resource(free_name(file, make))
 
 
 class TextTable(NamedTuple):
-    """A table in the terminal, with the first column aligned left and the others right."""
+    """A table in the terminal.
+
+    The first column is aligned left and the others right.
+    """
 
     title: str
     columns: Sequence[str]
@@ -77,19 +97,33 @@ class Markdown(NamedTuple):
 
 
 def table(title: str, items: Iterable[Any], columns: Mapping[str, str | Callable[[Any], str]]) -> TextTable:
-    """Return a table with a row for each item. A column has a heading and a format or a function of the item."""
+    """Return a table with a row for each item.
+
+    Args:
+        title: title above the table.
+        items: objects, one for each row.
+        columns: heading -> format or function of the item.
+    """
     rows = [[show.format(one) if isinstance(show, str) else show(one) for show in columns.values()] for one in items]
     return TextTable(title, tuple(columns), rows)
 
 
 def spaced(values: Iterable[float], form: str) -> str:
-    """Return numbers side by side."""
+    """Return numbers side by side.
+
+    Args:
+        values: numbers.
+        form: format of each number.
+    """
     return "  ".join(format(value, form) for value in values)
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer of a verb: its JSON document, its text, and the reason why the goal was missed, or ""."""
+    """The answer of a verb: its JSON document and its text.
+
+    `missed` is the reason why the goal was missed, or "".
+    """
 
     document: Mapping[str, Any]
     text: Iterable[str | TextTable | Markdown]
@@ -103,8 +137,12 @@ _LARGEST = 2**63 - 1
 class Option(click.Option):
     """An option that help lists under a group, with its default.
 
-    suffixes: allowed endings of the file to write, if any. absent: the default in words, which help texts can also give
-    in brackets.
+    Args:
+        arguments: see `click.Option`.
+        group: heading in the help.
+        suffixes: allowed endings of the file to write, if any.
+        absent: the default in words, which help texts can also give in brackets.
+        others: see `click.Option`.
     """
 
     def __init__(
@@ -124,7 +162,12 @@ class Option(click.Option):
             self.help += f" [default: {absent}]"
 
     def check(self, value: Any) -> None:
-        """Reject file names with the suffix of another format, and integers beyond any use.
+        """Reject wrong file names and useless integers.
+
+        File names must not have the suffix of another format.
+
+        Args:
+            value: value or values of the option.
 
         Raises:
             InputError: names the option, the file and the suffix it needs, or the number.
@@ -203,15 +246,27 @@ class Several(NamedTuple):
 
 
 def argument(**settings: Any) -> Any:
-    """Declare a verb's parameter as an argument, by its annotation: required unless that allows None."""
+    """Declare a verb's parameter as an argument, by its annotation.
+
+    It is required unless the annotation allows None.
+
+    Args:
+        settings: further arguments of `click.Argument`.
+    """
     return _Declared(click.Argument, (), settings)
 
 
 def option(*names: str, help: str, default: Any = None, **settings: Any) -> Any:
-    """Declare a verb's parameter as an option, --its-name without other `names`; help lists it under its `group`.
+    """Declare a verb's parameter as an option.
 
     The annotation is its type. Without a default the option is required, unless it is a flag or a tuple of any length,
     or allows None.
+
+    Args:
+        names: names on the command line; without any, --its-name.
+        help: a noun phrase with its unit.
+        default: default value.
+        settings: `group` of the help, and further arguments of `Option`.
     """
     return _Declared(Option, names, {"help": help, "default": default, **settings})
 
@@ -220,12 +275,20 @@ FILE, FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(file_okay=
 
 
 def file_option(*, suffix: str | tuple[str, ...] = (), help: str) -> Any:
-    """Declare a parameter as an option for a file to write, with a name that ends in (one of) `suffix`."""
+    """Declare a parameter as an option for a file to write.
+
+    Args:
+        suffix: allowed ends of the name; () for any.
+        help: a noun phrase with the file's format.
+    """
     return option(type=FILE, group=OUTPUT, suffixes=(suffix,) if isinstance(suffix, str) else suffix, help=help)
 
 
 def force_option() -> Any:
-    """Declare a parameter as the option that lifts the one rule of all writers of logs, tables and models."""
+    """Declare a parameter as the option --force.
+
+    It lifts the one rule of all writers of logs, tables and models.
+    """
     text = "Replace an existing file, whatever made it. [without: only a file that the same command made]"
     return option("--force", group=OUTPUT, help=text)
 
@@ -262,9 +325,15 @@ def _click_type(held: Any) -> Any:
 def verb(
     name: str, *, example: str, help: str | None = None, note: str = ""
 ) -> Callable[[Callable[..., Answer | None]], click.Command]:
-    """Return a decorator that turns a function into a verb with --json and shows its answer.
+    """Return a decorator that turns a function into a verb.
 
-    example: a command line for the help; note: further text beside it.
+    The verb has --json and shows the function's answer.
+
+    Args:
+        name: name of the verb.
+        example: a command line for the help.
+        help: text of the help; by default the function's docstring.
+        note: further text beside the example.
     """
 
     def decorate(function: Callable[..., Answer | None]) -> click.Command:
@@ -300,7 +369,12 @@ def verb(
 
 
 def show(answer: Answer) -> None:
-    """Print an answer as one JSON document with numbers at full precision, or as lines and tables.
+    """Print an answer as one JSON document, or as text.
+
+    The document has numbers at full precision. The text has lines and tables.
+
+    Args:
+        answer: answer of the verb.
 
     Raises:
         GoalMissed: the goal of the verb was missed, with the reason of the answer.
@@ -317,14 +391,22 @@ def show(answer: Answer) -> None:
 
 
 def print_json(document: Mapping[str, Any]) -> None:
-    """Print the one JSON document of a call."""
+    """Print the one JSON document of a call.
+
+    Args:
+        document: nested mappings, lists, arrays and scalars.
+    """
     from dpcontrol.foundation.files import plain
 
     click.echo(printable(json.dumps(plain(document), indent=1, ensure_ascii=False), json=True))
 
 
 def print_message(text: str) -> None:
-    """Print a line on stderr, beside the answer."""
+    """Print a line on stderr, beside the answer.
+
+    Args:
+        text: one line.
+    """
     click.echo(printable(text), err=True)
 
 
@@ -342,7 +424,10 @@ def _print(item: str | TextTable | Markdown) -> None:
 
 
 def _print_table(shown: TextTable) -> None:
-    """Print a table on stdout, at full width if stdout is not a terminal. Brackets in it are not markup."""
+    """Print a table on stdout.
+
+    It has full width if stdout is not a terminal. Brackets in it are not markup.
+    """
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -362,12 +447,23 @@ def _print_table(shown: TextTable) -> None:
 
 
 def drawn_to(picture: Path | None) -> list[str]:
-    """Return the line that names a picture, if there is one."""
+    """Return the line that names a picture, if there is one.
+
+    Args:
+        picture: file of the picture, or None.
+    """
     return [] if picture is None else [f"drawn to {picture}"]
 
 
 def multiplier_text(value: complex, digits: int = 11) -> str:
-    """Return a Floquet multiplier as text, real if possible. The pair at one has some twelve digits."""
+    """Return a Floquet multiplier as text, real if possible.
+
+    The pair at one has some twelve digits.
+
+    Args:
+        value: the multiplier.
+        digits: number of significant digits.
+    """
     value = complex(value)
     if abs(value.imag) < 1e-12:
         return f"{value.real:.{digits}g}"
@@ -375,18 +471,33 @@ def multiplier_text(value: complex, digits: int = 11) -> str:
 
 
 def multiplier_texts(values: Iterable[complex], digits: int = 11) -> str:
-    """Return Floquet multipliers side by side."""
+    """Return Floquet multipliers side by side.
+
+    Args:
+        values: multipliers.
+        digits: significant digits of each.
+    """
     return "  ".join(multiplier_text(value, digits) for value in values)
 
 
 def extended_text(state: Sequence[str], indent: str) -> list[str]:
-    """Return the lines of a state (N,) in decimal digits: positions, then rates."""
+    """Return the lines of a state in decimal digits.
+
+    Positions come first, then rates.
+
+    Args:
+        state: decimals (N,).
+        indent: blanks before each line.
+    """
     half = len(state) // 2
     return [f"{indent}{'position' if k < half else 'rate'} {k % half + 1}  {value}" for k, value in enumerate(state)]
 
 
 class Hits(click.ParamType):
-    """Crossings of the section: N for both tubes, or N,M for the unstable and the stable one."""
+    """Crossings of the section: N, or N,M.
+
+    N is for both tubes, N,M for the unstable and the stable one.
+    """
 
     name = "n[,m]"
 
@@ -398,7 +509,10 @@ class Hits(click.ParamType):
 
 
 class DecimalNumber(click.ParamType):
-    """A number kept as the decimal that was typed, for extended precision: 0.2 is one fifth."""
+    """A number kept as the decimal that was typed.
+
+    It is for extended precision: 0.2 is one fifth.
+    """
 
     name = "number"
 
@@ -424,6 +538,11 @@ Precision = Literal["double", "extended"]
 
 
 def hits_option(default: str, *, group: str = "") -> Any:
-    """Declare the option for crossings of the section; `default` is in words."""
+    """Declare the option for crossings of the section.
+
+    Args:
+        default: the default in words.
+        group: heading in the help.
+    """
     text = "Section crossings of the connections: the N-th of both tubes, or N,M for the unstable and the stable one."
     return option(type=Hits(), group=group, help=f"{text} [default: {default}]")

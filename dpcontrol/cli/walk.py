@@ -111,11 +111,12 @@ def walk_command(
     film: Path | None = file_option(suffix=FILMS, help="Film of the orbit of the walk, in real time."),
     yes: bool = YES,
 ) -> Answer:
-    """List, count and create walks on the connection graph of an energy, and the orbits that follow them.
+    """List, count and create walks on the connection graph.
 
-    Give one walk by its symbols (-s) or its stops (--through). --length lists all walks of a length, and --random draws
-    some. Without these options, the graph itself is shown. --solve computes the orbit of each walk, with an estimate of
-    its error. The orbit is homoclinic, heteroclinic, or with --periodic periodic.
+    The graph is that of an energy. --solve computes the orbit that follows each walk, with an estimate of its error.
+    The orbit is homoclinic, heteroclinic, or with --periodic periodic. Give one walk by its symbols (-s) or its stops
+    (--through). --length lists all walks of a length, and --random draws some. Without these options, the graph itself
+    is shown.
 
     A symbol selects the connection at the largest angle. At other energies this can be another connection; --compare
     reports the energies of such changes.
@@ -260,7 +261,10 @@ def _solve(
     picture: Path | None,
     film: Path | None,
 ) -> Answer:
-    """Solve, save and draw walks, and refine them if the exact energy is given."""
+    """Solve, save and draw walks.
+
+    They are refined if the exact energy is given.
+    """
     from dpcontrol import api
     from dpcontrol.walks.shadowing import WalkSolver
     from dpcontrol.walks.walks import refined_answer, save_walk, solved
@@ -301,7 +305,10 @@ def _solve(
 
 
 def _answer_text(number: int, answer: "WalkAnswer", file: Path | None) -> Iterator[str]:
-    """Yield the text on a solved walk, its error estimate, and its file."""
+    """Yield the text on a solved walk.
+
+    It includes the error estimate and the file.
+    """
     yield f"walk {number}: " + "  ".join(c.name for c in answer.request.chain)
     orbit = answer.orbit
     if orbit is None or not answer.converged:
