@@ -47,13 +47,23 @@ _SHOWN = 90
 
 
 def unit_of(label: str) -> str:
-    """Return the unit after the last comma of an axis label, or ""."""
+    """Return the unit of an axis label, or "".
+
+    It follows the last comma.
+
+    Args:
+        label: quantity, with or without a unit.
+    """
     unit = label.rpartition(", ")[2] if ", " in label else ""
     return unit if unit in UNITS else ""
 
 
 def name_of(label: str) -> str:
-    """Return an axis label without its unit."""
+    """Return an axis label without its unit.
+
+    Args:
+        label: quantity, with or without a unit.
+    """
     return label.rpartition(", ")[0] if unit_of(label) else label
 
 
@@ -148,7 +158,13 @@ class Diagram:
     timed: bool = True
 
     def titled(self, title: str, x_label: str, y_label: str, **more: Any) -> "Diagram":
-        """Return the diagram with these titles and labels; `more` are further fields."""
+        """Return the diagram with other titles and labels.
+
+        Args:
+            title: title of the diagram.
+            x_label, y_label: quantities with their units.
+            more: further fields.
+        """
         return replace(self, title=title, x_label=x_label, y_label=y_label, **more)
 
     @property
@@ -181,6 +197,9 @@ class Diagram:
         """Return the distance of a point from the front.
 
         It is a share, 0 on the front.
+
+        Args:
+            point: point of this diagram.
         """
         error = self._error(point)
         fastest = min(p.seconds for p, e in self._running if e <= error)
@@ -190,11 +209,18 @@ class Diagram:
         return min(point.seconds / fastest, wrong) - 1
 
     def standing(self, point: Point) -> str:
-        """Return the position of a point in words."""
+        """Return the position of a point in words.
+
+        Args:
+            point: point of this diagram.
+        """
         return "on the front" if point in self.front else f"{self.off_front(point):.0%} off the front"
 
     def finding(self) -> str:
-        """Return the diagram's result in one sentence: the first default beside the best other method."""
+        """Return the diagram's result in one sentence.
+
+        It compares the first default with the best other method.
+        """
         if not self.defaults:
             best = min(self.points, key=lambda p: (self._error(p), p.seconds))
             return f"{best.name} has the smallest error, {self._shown(best)}"
@@ -269,6 +295,10 @@ def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
     """Return success if at least half of the answers succeed.
 
     Otherwise return the number of failures and one message.
+
+    Args:
+        answers: outcomes of runs.
+        lost: what failed runs did, for the message.
     """
     messages = [answer.says for answer in answers if not answer.works]
     if 2 * len(messages) <= len(answers):
@@ -341,6 +371,12 @@ def find_border(
     Both values are positive, in either order.
 
     Args:
+        probe: function of a value, which tries it.
+        x: place of the border on its map.
+        line: name of the border.
+        near: value that works.
+        far: value that fails.
+        predicted: value from theory, or None.
         ratio: largest final ratio of the sides.
         unit: restricts values to its multiples; the search ends at neighbours.
     """
@@ -393,7 +429,10 @@ class EdgeMap:
     agrees: float = AGREES
 
     def finding(self) -> str:
-        """Return the map's result in one sentence: the range of its borders, and how well theory predicts them."""
+        """Return the map's result in one sentence.
+
+        It has the range of the borders, and how well theory predicts them.
+        """
         measured = [b.measured for b in self.borders if b.measured is not None]
         if not measured:
             return f"no line {self.far}"
@@ -466,7 +505,9 @@ class Search:
 
 @dataclass(frozen=True)
 class Searches:
-    """A diagram of success rates and costs: for each way to search, the share of tries that find a solution.
+    """A diagram of success rates and costs.
+
+    For each way to search, it has the share of tries that find a solution.
 
     Attributes:
         good: description of a good solution.
@@ -477,7 +518,10 @@ class Searches:
     good: str
 
     def finding(self) -> str:
-        """Return the result in one sentence: the default beside the best other search."""
+        """Return the result in one sentence.
+
+        It compares the default with the best other search.
+        """
         ours = next(s for s in self.searches if s.default)
         other = min((s for s in self.searches if not s.default), key=lambda s: (s.seconds_to_good, -s.found))
         rate, cost = f"{ours.good / ours.tries:.0%}", quantity(ours.seconds_to_good, "s")
@@ -534,7 +578,10 @@ class ChartPage:
 
     @property
     def pages(self) -> dict[str, tuple[Any, ...]]:
-        """The diagrams of each picture, by the end of its file's name: the leading ones, then the appendix."""
+        """The diagrams of each picture.
+
+        They are by the end of its file's name: the leading ones, then the appendix.
+        """
         first, rest = (self.parts[:LEADING], self.parts[LEADING:]) if self.lead is None else ((self.lead,), self.parts)
         sheets = [rest[k : k + 2 * LEADING] for k in range(0, len(rest), 2 * LEADING)]
         return {"": first, **{f"-more{f'-{k + 1}' if k else ''}": sheet for k, sheet in enumerate(sheets)}}
@@ -582,7 +629,9 @@ def measured_maps(
 ) -> tuple[EdgeMap, ...]:
     """Return each map with its borders at its values.
 
-    The input has (map without borders, border at a value, values).
+    Args:
+        progress: called with a label and the completed share.
+        plans: (map without borders, border at a value, values).
     """
     total, maps, done = sum(len(values) for *_, values in plans), [], 0
     for one, border, values in plans:
@@ -622,6 +671,9 @@ SPREAD, AT_ONCE = ("payoff",), 8
 
 def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the charts to draw, each once: those named, or all.
+
+    Args:
+        names: charts or groups of charts; none for all.
 
     Raises:
         InputError: a name is unknown.

@@ -1,4 +1,6 @@
-"""Charts of controllers and of estimators: error against the time of a tick.
+"""Charts of controllers and estimators: error against time.
+
+The time is that of a tick.
 
 *Controllers*: error and failures against the time of a tick, and effort against error. Three tasks on the same bench:
 follow one turn of the outer arm, sustain the orbit about Down-Up, hold both arms up. Every controller of a task has
@@ -89,7 +91,12 @@ class ControlTask:
 
 
 def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart; quick: fewer seeds, sections and weights, and shorter holds."""
+    """Return the chart of controllers.
+
+    Args:
+        quick: fewer seeds, sections and weights, and shorter holds.
+        progress: called with a label and the completed share.
+    """
     seeds = 4 if quick else 20
     progress("control, one turn", 0.0)
     tracking = _tracking(seeds)
@@ -120,6 +127,12 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
     """Return error against the seconds of a tick.
 
     Only successful controllers have points; the others have reasons.
+
+    Args:
+        task: reference, arms and judge.
+        made: controllers by method and setting.
+        seeds: runs at each mismatch.
+        default: method and setting of the default.
     """
     start_up: dict[str, float] = {}
     judged: dict[tuple[str, str], Judged | str] = {}
@@ -137,12 +150,16 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
 
 
 def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *, seeds: int) -> Judged | str:
-    """Return the results of `seeds` runs at each mismatch.
+    """Return the results of runs at each mismatch.
 
-    If none succeeded at the small one, return a note.
+    If none succeeded at the small one, return a note. The error is that of completed runs. Others: shares of completed
+    runs at both, rms of the feedback in m/s² at the small one.
 
-    The error is that of completed runs. Others: shares of completed runs at both, rms of the feedback in m/s² at the
-    small one.
+    Args:
+        task: reference, arms and judge.
+        controller: law of the runs.
+        settings: settings of the loop.
+        seeds: runs at each mismatch.
     """
     lanes = [(seed, mismatch) for mismatch in (SMALL, LARGE) for seed in range(seeds)]
     assembly = Assembly(task.reference, task.arms, settings, law=controller)
@@ -168,9 +185,12 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
     """Return a judge of runs that hold an orbit.
 
-    They must last to their end, with angles within `near` rad of the orbit (M, n).
+    They must last to their end, near the orbit. The last period is judged, by the least distance over phases and turns.
 
-    The last period is judged, by the least distance over phases and turns.
+    Args:
+        orbit_angles: angles (M, n) along the orbit, rad.
+        period: period of the orbit, s.
+        near: largest distance of the angles, rad.
     """
 
     def judge(run: BatchRun) -> bool:
@@ -202,6 +222,11 @@ def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -
     """Return a function to time that runs a tick.
 
     The loop moves along the path without its bench.
+
+    Args:
+        task: reference and arms.
+        controller: law of the loop.
+        settings: settings of the loop.
     """
     ticker = Assembly(task.reference, task.arms, settings, law=controller).ticker()
     where = ticker.program.model.position_indices
@@ -282,7 +307,10 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagr
 
 
 def _hold(weights: tuple[float, ...], seeds: int) -> Diagram:
-    """Return the panel of both arms held up; `weights` are multiples of the default effort weight."""
+    """Return the panel of both arms held up.
+
+    `weights` are multiples of the default effort weight.
+    """
     start = np.array([np.pi, np.pi, 0.0, 0.0])
     whole = np.concatenate([start, [0.0, 0.0]])
     place = still(whole, 1.0, method=method_named("radau-5"), limits=Limits(), interval=0.1)
@@ -325,9 +353,11 @@ _WHY = (
 
 
 def estimation_chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart of estimation.
+    """Return diagrams of the estimators' error against time.
 
-    If quick, it has two resolutions, one second of one swing, and the UKF with and without zeros only.
+    Args:
+        quick: two resolutions, one second of one swing, and the UKF with and without zeros only.
+        progress: called with a label and the completed share.
     """
     arms = load_model("lab").arms
     resolutions = (4000, 40_000) if quick else (512, 4000, 40_000, 400_000)
@@ -370,7 +400,8 @@ class KnownSwing:
     def measured(self, counts: int) -> Array:
         """Return absolute angles and the cart's position (K, n+1).
 
-        Encoders have `counts` per turn.
+        Args:
+            counts: encoder counts per turn.
         """
         n = self.joints.shape[1] - 1
         steps = np.array([2 * np.pi / counts] * n + [CART_RESOLUTION])
@@ -381,7 +412,12 @@ class KnownSwing:
 def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: float, zero_error: float) -> KnownSwing:
     """Return a free-hand swing under a sine of 0.5 m/s².
 
-    Parameters are off by `mismatch`, zeros by `zero_error` rad.
+    Args:
+        arms: arms of the model.
+        seconds: duration, s.
+        seed: seed of the plant and the zeros.
+        mismatch: relative error of the plant's parameters.
+        zero_error: largest error of the encoder zeros, rad.
     """
     random = np.random.default_rng(seed)
     plant = arms.mismatched(mismatch, random)
@@ -432,6 +468,11 @@ def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: i
     """Return an estimator's error and consistency over the swings.
 
     Consistency is the shares of NIS and NEES inside their 95 % bands.
+
+    Args:
+        estimator: filter, which starts at each swing's first measurement.
+        swings: swings with known states.
+        counts: encoder counts per turn.
     """
     errors, nis, normalised = [], [], []
     m = swings[0].joints.shape[1]
@@ -466,13 +507,16 @@ def _nees(estimator: Estimator, estimate: Estimate, truth: Array, bias: Array, z
 def differences(rates: Array, last: Array, measured: Array, cutoff: float) -> Array:
     """Return rates (m,) from two measurements of position.
 
-    They are `measured` (m,) and `last` (m,) one period earlier.
-
         v_k = a v_{k-1} + (1 - a) (z_k - z_{k-1}) / T,      a = e^{-2π f T}
 
-    `cutoff` is f in Hz of the first-order low pass, infinite for none. A difference is half a period old and has the
-    noise q/T of one count q; the low pass trades noise against a lag of 1/(2πf).
-    Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., section 6.1.
+    A difference is half a period old and has the noise q/T of one count q; the low pass trades noise against a lag of
+    1/(2πf). Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., section 6.1.
+
+    Args:
+        rates: last rates (m,).
+        last: measurement (m,) of the last period.
+        measured: measurement (m,).
+        cutoff: f of the first-order low pass, Hz, infinite for none.
     """
     kept = math.exp(-2 * math.pi * cutoff * PERIOD)
     return kept * rates + (1 - kept) * (measured - last) / PERIOD
@@ -482,6 +526,11 @@ def derivative_trial(cutoff: float, swings: list[KnownSwing], *, counts: int) ->
     """Return the error of measured positions and rates by `differences`.
 
     There is no covariance.
+
+    Args:
+        cutoff: cutoff of `differences`, Hz.
+        swings: swings with known states.
+        counts: encoder counts per turn.
     """
     errors = []
     for flown in swings:
@@ -508,6 +557,8 @@ def _scaled(away: Array, n: int) -> Array:
 def noise_of(arms: ArmChainParameters, counts: int) -> Array:
     """Return the estimators' noise covariance (n+1, n+1).
 
-    The encoders have `counts` per turn.
+    Args:
+        arms: n arms.
+        counts: encoder counts per turn.
     """
     return SensorSettings(counts=counts, cart_resolution=CART_RESOLUTION).covariance(arms.count)

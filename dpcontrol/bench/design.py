@@ -48,7 +48,12 @@ SLOWER, WIDER = 51.0, 1e6
 
 
 def connections_chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart of orbits and connections."""
+    """Return the chart of orbits and connections.
+
+    Args:
+        quick: fewer settings and connections.
+        progress: called with a label and the completed share.
+    """
     system = load_model("lab").system
     progress("connections: orbits", 0.0)
     orbits = orbit_panel(part_of(progress, 0.0, 0.2), quick=quick)
@@ -75,7 +80,14 @@ def connections_chart(quick: bool, progress: Progress) -> PrecisionChart:
 
 
 def orbit_panel(progress: Progress, *, quick: bool) -> Diagram:
-    """Return the diagram of Lyapunov orbits: continuation step and tolerance against error."""
+    """Return the diagram of Lyapunov orbits.
+
+    It shows continuation step and tolerance against error.
+
+    Args:
+        progress: called with a label and the completed share.
+        quick: fewer settings.
+    """
     system = load_model("lab").system
     found = lyapunov_orbit(system, "down-up", energy=ENERGY)
     truth = refine_orbit(found).state.astype(float)
@@ -102,7 +114,13 @@ Truth = tuple[Array, Array]
 
 
 def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
-    """Return `count` connections of the orbit to itself, without mirror images.
+    """Return connections of an orbit to itself.
+
+    Mirror images are left out.
+
+    Args:
+        orbit: Lyapunov orbit.
+        count: number of connections.
 
     Raises:
         GoalMissed: one could not be refined.
@@ -117,9 +135,14 @@ def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
 
 
 def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]) -> float:
-    """Return the largest scaled error of the states matching `truths`.
+    """Return the largest scaled error of matching states.
 
     It is infinite if one is missing.
+
+    Args:
+        orbit: orbit of the connections.
+        states: states found (N,).
+        truths: states to match.
     """
     if not len(states):
         return float("inf")
@@ -131,6 +154,12 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
     """Return the diagram of searches.
 
     It varies distance of the seeds, first phases, chord and tolerance.
+
+    Args:
+        orbit: orbit of the connections.
+        truths: states to match.
+        progress: called with a label and the completed share.
+        quick: fewer settings.
     """
     base = ConnectionSettings()
     expected = len(find_connections(orbit, orbit).connections)
@@ -160,7 +189,10 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
 
 
 def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
-    """Return the intersections of cuts from seeds at `distance`, as states without refinement."""
+    """Return the intersections of cuts, without refinement.
+
+    They are states. The seeds of the cuts are at `distance`.
+    """
     system, settings = orbit.system, ConnectionSettings(distance=distance)
     section = system.section_between(orbit.saddle, orbit.saddle)
     manifold = local_manifold(orbit, distance)
@@ -173,6 +205,9 @@ def three_body_panel(*, quick: bool) -> Diagram:
     """Return the diagram of the three-body problem's L1-L2 connection.
 
     It includes hiten's stored point.
+
+    Args:
+        quick: fewer repetitions.
     """
     system = load_model("three-body").system
 
@@ -218,7 +253,12 @@ ROCKIT = {25: (16.4, 1.32e-3), 50: (31.9, 3.28e-4), 100: (63.5, 8.16e-5), 200: (
 
 
 def transcription_chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart of transcription."""
+    """Return diagrams of collocation: time against error and cost.
+
+    Args:
+        quick: fewer settings.
+        progress: called with a label and the completed share.
+    """
     progress("transcription: the orbit to follow", 0.0)
     problem = crossing_problem()
     return PrecisionChart(
@@ -262,7 +302,11 @@ def crossing_problem() -> ReferenceProblem:
 def transcribed(problem: ReferenceProblem, name: str, interval: float, solver: str = "ipopt") -> Solved:
     """Return the program's solution from the problem's guess.
 
-    Even intervals have about `interval` s.
+    Args:
+        problem: problem with a guess.
+        name: collocation method.
+        interval: length of the even intervals, about, s.
+        solver: "ipopt" or "fatrop".
     """
     settings = ReferenceSettings(method=name, solver=solver, interval=interval)
     first = first_trajectory(problem, method_named(name), even_mesh(problem.duration, interval))
@@ -273,6 +317,11 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     """Return the diagrams of error between nodes and of cost.
 
     Both come from the same solutions.
+
+    Args:
+        problem: problem with a guess.
+        progress: called with a label and the completed share.
+        quick: fewer settings.
     """
     finest = transcribed(problem, *FINEST).cost
     cases = [("ipopt", *case) for case in (QUICK if quick else QUICK + WHOLE)]
@@ -312,6 +361,11 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     """Return the diagram of whole searches.
 
     They refine the mesh to the tolerance between nodes.
+
+    Args:
+        problem: problem with a guess.
+        progress: called with a label and the completed share.
+        quick: fewer settings.
     """
     chosen = ReferenceSettings()
     starts = (("radau-5", 0.02), ("radau-7", 0.05), ("radau-9", 0.09))
@@ -338,6 +392,11 @@ def rockit_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) 
     """Return the diagram of the crossing's start.
 
     There is no weight on the guess. If rockit is installed, it solves the problem too.
+
+    Args:
+        problem: problem with a guess.
+        progress: called with a label and the completed share.
+        quick: fewer settings.
     """
     short = replace(problem, duration=STRETCH)
     settings = ReferenceSettings(pendulum_weight=0.0)
@@ -380,13 +439,18 @@ def rockit_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) 
 
 
 def by_rockit(problem: ReferenceProblem, settings: ReferenceSettings, intervals: int) -> tuple[Array, Array]:
-    """Return times (K,) s and states (K, N) of rockit's optimum.
+    """Return times (K,), s, and states (K, N) of rockit's optimum.
 
     It uses Radau collocation with 4 points an interval.
 
     Equations, cost, ends and first guess are equal. rockit holds its input over an interval, so its optimum differs a
     little. The cost excludes the pendulum's distance from the guess, so `settings` must not weigh it.
     Source: Gillis et al., Effortless modeling of optimal control problems with rockit (2020).
+
+    Args:
+        problem: problem with a guess.
+        settings: weights of the cost.
+        intervals: number of intervals.
     """
     import rockit  # pyright: ignore[reportMissingImports]
 

@@ -1,4 +1,6 @@
-"""Pictures of charts: pages of at most three diagrams, each with its result as title, by the layout engine of pages.
+"""Pictures of charts: pages of at most three diagrams.
+
+Each diagram has its result as title. The layout engine of pages places them.
 
 A page of up to two methods has a key for them; with more, each method's name is beside its best mark. Settings are
 beside the marks on the front and the defaults. Axes have units with SI prefixes.
@@ -35,7 +37,13 @@ _FEW, _MANY = 6.0, 100.0
 
 
 def save_chart(page: ChartPage, picture: Path, parts: Sequence[Any] | None = None, *, dark: bool = False) -> None:
-    """Draw some of a chart's diagrams, by default all, to a PNG; `dark` is its variant for dark web pages.
+    """Draw some of a chart's diagrams to a PNG.
+
+    Args:
+        page: page of the chart.
+        picture: file to write.
+        parts: diagrams, by default all.
+        dark: variant for dark web pages.
 
     Raises:
         InputError: the file cannot be written.
@@ -47,6 +55,11 @@ def figure(page: ChartPage, parts: Sequence[Any], *, dark: bool = False) -> Figu
     """Return a picture of some of a chart's diagrams, side by side.
 
     Each method has one colour and mark throughout.
+
+    Args:
+        page: page of the chart.
+        parts: diagrams of one kind.
+        dark: variant for dark web pages.
     """
     if isinstance(parts[0], Searches):
         return _searches_page(parts[0]).figure(dark=dark)
@@ -64,7 +77,10 @@ def figure(page: ChartPage, parts: Sequence[Any], *, dark: bool = False) -> Figu
 
 
 def _draw(axes: Axes, part: Any, looks: dict[str, tuple[str, str]], *, first: bool) -> None:
-    """Draw a diagram or a map; the first of a row names the cases of all."""
+    """Draw a diagram or a map.
+
+    The first of a row names the cases of all.
+    """
     axes.margins(0.12, 0.1)
     quiet(axes, f"{part.title}: {part.finding()}", x=name_of(part.x_label), y=name_of(part.y_label))
     if isinstance(part, Diagram):
@@ -74,7 +90,10 @@ def _draw(axes: Axes, part: Any, looks: dict[str, tuple[str, str]], *, first: bo
 
 
 def _searches_page(lead: Searches) -> Page:
-    """Return a page of success rates on the left and of the time to a good solution on the right."""
+    """Return a page of success rates and times.
+
+    Success rates are on the left, times to a good solution on the right.
+    """
     names = [s.method[:1].upper() + s.method[1:] for s in lead.searches]
 
     def rates(axes: Axes) -> None:
@@ -109,7 +128,10 @@ def _searches_page(lead: Searches) -> Page:
 
 
 def _draw_map(axes: Axes, one: EdgeMap, *, first: bool) -> None:
-    """Draw a map upright, or with lines across if they have names, such as itineraries, instead of numbers."""
+    """Draw a map upright, or with lines across.
+
+    Lines are across if they have names, such as itineraries, instead of numbers.
+    """
     names = {b.x: b.line for b in sorted(one.borders, key=lambda b: b.x)}
     across = not one.log_x and list(names) == list(range(len(names)))
     borders = [{"x": b.x, "measured": b.measured, "predicted": b.predicted} for b in one.borders]
@@ -252,7 +274,10 @@ def _label_settings(axis: Any, panel: Diagram, looks: dict[str, tuple[str, str]]
 
 
 def _labels(panel: Diagram, *, named: bool) -> dict[int, str]:
-    """Return the label of each point that has one: settings on the front and of defaults, and each method once."""
+    """Return the label of each point that has one.
+
+    These are settings on the front and of defaults, and each method once.
+    """
     chosen = {id(p) for p in (*panel.front, *panel.defaults)}
     few = len(panel.points) <= MOST_LABELS
     labels = {id(p): p.setting for p in panel.points if few or id(p) in chosen}
@@ -280,7 +305,9 @@ def _common(boxes: Array, other: Array) -> Array:
 
 
 def _readable_ticks(axis: Any, unit: str, many: float = _MANY) -> None:
-    """Thin labels of a logarithmic axis, and give them their unit with an SI prefix.
+    """Thin labels of a logarithmic axis, and give them units.
+
+    The unit has an SI prefix.
 
     Powers of ten remain, with 1, 2, 5 on short ranges, otherwise a few round numbers.
     """

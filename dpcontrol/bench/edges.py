@@ -1,4 +1,6 @@
-"""Maps of failure: the limit of each method, beside the prediction of a formula of a few lines.
+"""Maps of failure: each method's limit beside a prediction.
+
+The prediction is a formula of a few lines.
 
 *Control.* An error ξ of the unstable direction obeys ξ' = λξ + bu with |u| ≤ a. At the first command it has grown to
 ξ e^{λd}. A command can correct it only below a·b/λ: d < ln(a |b| / (λ |ξ|)) / λ. For a wrong model, plant, prediction
@@ -99,14 +101,21 @@ class LoopCase:
         return Attempt(last < self.near, f"finished, but {last:.2g} rad away over its last tenth")
 
     def drawn_error(self, size: float) -> Array:
-        """Return the initial error (N,) of runs, up to `size` rad."""
+        """Return the initial error (N,) of runs.
+
+        Args:
+            size: largest error, rad.
+        """
         drawn = replace(self.settings, initial_error=size).draw(self.arms, ticks=2).initial_error
         return np.concatenate([drawn, np.zeros(self.model.dimension - len(drawn))])
 
     def linear(self, mismatch: float = 0.0) -> tuple[Array, Array]:
         """Return A (N, N) and B (N,) over a tick.
 
-        They belong to the controller's first state and a plant with `mismatch`.
+        They belong to the controller's first state.
+
+        Args:
+            mismatch: relative error of the plant's parameters.
         """
         plant = self.settings.draw(self.arms, ticks=2, mismatch=mismatch).plant.arms if mismatch else self.arms
         model = sampled_model(plant, self.settings.rate)
@@ -118,13 +127,20 @@ def farthest_at_last(run: BatchRun) -> float:
     """Return the largest final distance of the angles, rad.
 
     It is measured from the reference over a run's last tenth.
+
+    Args:
+        run: run along a reference.
     """
     tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
     return float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
 
 
 def held_at_rest(rate: float, *, seconds: float = 8.0) -> LoopCase:
-    """Return the lab's arms held at Down-Up for `seconds`.
+    """Return the lab's arms held at Down-Up.
+
+    Args:
+        rate: rate of the loop, Hz.
+        seconds: duration, s.
 
     Raises:
         InputError, GoalMissed: the equilibrium cannot be held at this rate.
@@ -139,7 +155,11 @@ def held_at_rest(rate: float, *, seconds: float = 8.0) -> LoopCase:
 
 @cache
 def moving(rate: float) -> LoopCase:
-    """Return the planned turn of the outer arm, followed by TVLQR."""
+    """Return the planned turn of the outer arm, followed by TVLQR.
+
+    Args:
+        rate: rate of the loop, Hz.
+    """
     scene = load_itinerary(WALK)
     model = sampled_model(scene.model.arms, rate)
     reference = make_plan(scene).reference
@@ -156,7 +176,9 @@ WRONG = EdgeMap(
 def control_chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart of arms held at an equilibrium.
 
-    If quick, it has fewer rates and delays.
+    Args:
+        quick: fewer rates and delays.
+        progress: called with a label and the completed share.
     """
     ratio = 1.15 if quick else 1.06
     late = replace(LATE, theory=f"the first command comes when {WEAK:g} m/s² can no longer turn the fall")
@@ -182,7 +204,12 @@ def control_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of a moving reference; quick: one rate, one delay."""
+    """Return the chart of a moving reference.
+
+    Args:
+        quick: one rate, one delay.
+        progress: called with a label and the completed share.
+    """
     return EdgeChart(
         name="edges-moving",
         title="Where control ends on a moving reference: one turn of the outer arm, TVLQR",
@@ -204,9 +231,13 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def delay_border(loop_case: LoopCase, *, error: float, ratio: float, predicted: float | None = None) -> Border:
-    """Return the border of the known delay in s.
+    """Return the border of the known delay, s.
 
-    The runs start with an error in rad.
+    Args:
+        loop_case: controller on its model.
+        error: largest initial error, rad.
+        ratio: precision of the border, as a ratio.
+        predicted: predicted delay, s.
     """
     rate, middle = loop_case.settings.rate, predicted or 0.2
     return find_border(
@@ -218,7 +249,13 @@ def delay_border(loop_case: LoopCase, *, error: float, ratio: float, predicted: 
 def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float, predicted: float | None = None) -> Border:
     """Return the border of the plant's mismatch at a delay.
 
-    The delay is in s. All parameters change in one direction.
+    All parameters change in one direction.
+
+    Args:
+        loop_case: controller on its model.
+        delay: known delay, s.
+        ratio: precision of the border, as a ratio.
+        predicted: predicted mismatch.
     """
     near, far = (predicted / 4, min(2.5 * predicted, 0.6)) if predicted else (0.01, 0.6)
     return find_border(
@@ -228,9 +265,13 @@ def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float, predicte
 
 
 def held_delay_border(rate: float, *, ratio: float) -> Border:
-    """Return the border of the delay for held arms, with prediction.
+    """Return the border of the delay for held arms, s.
 
-    The delay is in s, `rate` in Hz.
+    It has its prediction.
+
+    Args:
+        rate: rate of the loop, Hz.
+        ratio: precision of the border, as a ratio.
     """
     loop_case = held_at_rest(rate)
     predicted = longest_delay(loop_case, loop_case.drawn_error(HELD_ERROR), acceleration=WEAK)
@@ -238,9 +279,12 @@ def held_delay_border(rate: float, *, ratio: float) -> Border:
 
 
 def longest_delay(loop_case: LoopCase, error: Array, *, acceleration: float) -> float:
-    """Return the longest delay in s that can be corrected.
+    """Return the longest delay that can be corrected, s.
 
-    The limit is `acceleration` m/s², the initial `error` is (N,).
+    Args:
+        loop_case: controller on its model.
+        error: initial error (N,).
+        acceleration: limit of the cart, m/s².
     """
     a, b = loop_case.linear()
     values, left = np.linalg.eig(a.T)
@@ -253,9 +297,13 @@ def longest_delay(loop_case: LoopCase, error: Array, *, acceleration: float) -> 
 
 
 def held_mismatch_border(delay: float, *, ratio: float) -> Border:
-    """Return the border of mismatch for held arms, with its prediction.
+    """Return the border of mismatch for held arms.
 
-    The delay is in s.
+    It has its prediction.
+
+    Args:
+        delay: known delay, s.
+        ratio: precision of the border, as a ratio.
     """
     loop_case = held_at_rest(MISMATCH_RATE, seconds=20.0)
     controller, assumed = loop_case.controller, loop_case.linear()
@@ -282,6 +330,7 @@ def loop_matrix(
         plant: A (N, N), B (N,) between ticks of the plant.
         assumed: A (N, N), B (N,) of the predicting model.
         gain: (N,).
+        delay: delay of the commands, ticks.
     """
     n = len(gain)
     ahead = np.eye(n, n + delay)
@@ -307,18 +356,25 @@ def held_orbit() -> SustainedOrbit:
 
 
 def pulses(orbit: SustainedOrbit, sections: int, *, seconds: float) -> OgyController:
-    """Return the law that holds an orbit by `sections` pulses.
+    """Return the law that holds an orbit by pulses.
 
     A pulse has at most LIMIT m/s². The law does not learn.
+
+    Args:
+        orbit: sustained orbit.
+        sections: pulses per period.
+        seconds: duration, s.
     """
     settings = OgySettings(sections=sections, pulse_limit=LIMIT, parameter_error=0.0)
     return ogy_controller(orbit, sampled_model(load_model("lab").arms, RATE), settings, seconds=seconds)
 
 
 def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of OGY.
+    """Return maps of the pulses and counts that OGY needs.
 
-    If quick, it has fewer sections and seeds, wider borders, and shorter runs.
+    Args:
+        quick: fewer sections and seeds, wider borders, and shorter runs.
+        progress: called with a label and the completed share.
     """
     orbit = held_orbit()
     sections, seeds, ratio, seconds = ((8,), 8, 1.6, 4.0) if quick else ((1, 2, 3, 4, 8, 16), 16, 1.12, 6.0)
@@ -354,6 +410,12 @@ def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, se
     """Return success if at least half of the runs hold the orbit.
 
     Otherwise return the ending of the first failure.
+
+    Args:
+        orbit: sustained orbit.
+        controller: law of the runs.
+        counts: encoder counts per turn.
+        seeds: number of runs.
     """
     whole = max(round(counts), 1)
     sensors = SensorSettings(counts=whole, cart_resolution=1e-6, zero_error=np.pi / whole)
@@ -372,7 +434,14 @@ def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, se
 
 
 def limit_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
-    """Return the smallest limit of pulses that holds an orbit, m/s²."""
+    """Return the smallest limit of pulses that holds an orbit, m/s².
+
+    Args:
+        orbit: sustained orbit.
+        law: law with any limit of pulses.
+        seeds: number of runs.
+        ratio: precision of the border, as a ratio.
+    """
 
     def probe(limit: float) -> Attempt:
         return holds(orbit, replace(law, pulse_limit=limit), counts=COUNTS, seeds=seeds)
@@ -384,6 +453,12 @@ def counts_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, rati
     """Return the fewest counts per turn that hold an orbit.
 
     Encoders range from coarse to impossibly fine.
+
+    Args:
+        orbit: sustained orbit.
+        law: law of the runs.
+        seeds: number of runs.
+        ratio: precision of the border, as a ratio.
     """
 
     def probe(counts: float) -> Attempt:
@@ -401,7 +476,12 @@ MOVED, STILL = 0.02, 0.015
 
 
 def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of estimates; quick: one rate, one phase, fewer seeds."""
+    """Return the chart of estimates.
+
+    Args:
+        quick: one rate, one phase, fewer seeds.
+        progress: called with a label and the completed share.
+    """
     model = load_model("lab")
     orbit = held_orbit()
     lost = EdgeMap(
@@ -433,9 +513,14 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
 
 
 def arriving(rate: float, *, missing: float, seconds: float) -> float:
-    """Return the least rate of samples without gaps in half the runs.
+    """Return the least rate of samples without gaps.
 
-    The rate is in samples per s; a gap is longer than `missing` s.
+    Half the runs have no gap. The rate is in samples per s.
+
+    Args:
+        rate: rate of the loop, Hz.
+        missing: longest time without samples that is no gap, s.
+        seconds: duration of a run, s.
     """
     ticks, gap = seconds * rate, math.floor(missing * rate + 1e-9) + 1
     # The number of gaps grows with p up to p = m / (m + 1); the border lies below.
@@ -450,6 +535,12 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
     """Return the least rate of samples to hold the equilibrium.
 
     Half of the runs must hold it for ten seconds; the rate is in samples per s.
+
+    Args:
+        arms: arms of plant and model.
+        equilibrium: state (N,) to hold.
+        rate: rate of the loop, Hz.
+        seeds: number of runs.
     """
     settings = LoopSettings(seed=0, rate=rate, controller=HoldSettings(), initial_error=0.01)
     controller = hold_controller(equilibrium, sampled_model(arms, rate), HoldSettings(), seconds=SECONDS)
@@ -471,7 +562,12 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
 def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> float:
     """Return the time until a stuck reading is distinguishable, s.
 
-    The reading is stuck at `since` s, and the arm is not still.
+    The arm is not still.
+
+    Args:
+        orbit: sustained orbit.
+        since: time at which the reading is stuck, s.
+        sensor: index of the encoder.
     """
     after = np.arange(0.0, orbit.period, 1e-3)
     angles = orbit.state(since + after)
@@ -483,6 +579,11 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
     """Return the time from a stuck encoder to the run's end.
 
     The run holds an orbit; the time is in s.
+
+    Args:
+        arms: arms of plant and model.
+        orbit: sustained orbit to hold.
+        phase: phase at which the encoder is stuck, 1 for a period.
     """
     model = sampled_model(arms, RATE)
     at = round((math.ceil(BEFORE / orbit.period) + phase) * orbit.period, 3)
@@ -532,7 +633,12 @@ class FollowedReference:
     def run(self, *, gain: float = 1.0, delay: float = 0.0, lag: float = 0.0) -> Attempt:
         """Return success if half of the seeds stay at the reference.
 
-        The drive deviates from the model by gain, delay s and lag s.
+        The drive deviates from the model.
+
+        Args:
+            gain: gain of the drive.
+            delay: additional delay, s.
+            lag: time constant, s.
         """
         assumed, rate = self.assembly.delay, self.assembly.settings.rate
         drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=assumed + delay * rate)
@@ -554,7 +660,15 @@ def _failure_reason(run: BatchRun) -> str:
 
 @cache
 def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
-    """Return an itinerary followed by a law; a stay for `STAYED` s."""
+    """Return an itinerary followed by a law.
+
+    A stay lasts for `STAYED` s.
+
+    Args:
+        itinerary: name of the itinerary.
+        law: name of the controller.
+        seeds: number of runs in a trial.
+    """
     scene = load_itinerary(itinerary).with_run({"controller": law, "travel": 0.8})
     reference, arms = make_plan(scene).reference, scene.model.arms
     settings = LoopSettings(
@@ -569,7 +683,14 @@ def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
 
 
 def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float) -> Border:
-    """Return the border of gain_low, gain_high, delay or lag, with its margin."""
+    """Return the border of a margin, with its prediction.
+
+    Args:
+        name: gain_low, gain_high, delay or lag.
+        case: itinerary and law.
+        seeds: number of runs in a trial.
+        ratio: precision of the border, as a ratio.
+    """
     loop, key = followed(*case, seeds), name.partition("_")[0]
     predicted = loop.margins[name]
     near, far = {"gain_low": (1.0, predicted / 4), "gain_high": (1.0, min(4 * predicted, TRIED))}.get(
@@ -582,7 +703,12 @@ def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float)
 
 
 def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of margins beside campaigns; quick: fewer itineraries and seeds."""
+    """Return the chart of margins beside campaigns.
+
+    Args:
+        quick: fewer itineraries and seeds.
+        progress: called with a label and the completed share.
+    """
     cases, seeds, ratio = (FOLLOWED[:3], 8, 1.15) if quick else (FOLLOWED, 32, 1.08)
 
     def border(case: tuple[str, str], name: str) -> Border:

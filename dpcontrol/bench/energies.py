@@ -35,6 +35,10 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
 
     It shows the effort of the reference, and of the loop at ±5 %.
 
+    Args:
+        itinerary: one walk at one energy.
+        progress: called with a label and the completed share.
+
     Raises:
         InputError: the itinerary is not one walk at one energy.
         GoalMissed: its energy cannot be planned, or no run completes.
@@ -117,6 +121,11 @@ def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, floa
     """Return effort and share of completed runs of a walk.
 
     The effort is that of reference and loop, at the walk's energy.
+
+    Args:
+        itinerary: itinerary of the walk.
+        walk: walk at another energy.
+        runs: number of runs at ±5 %.
     """
     # The plan is not cached: its notes quote the itinerary's text, which has another energy.
     reference, notes, arrays = planned(replace(itinerary, parts=(walk,)))
@@ -139,6 +148,10 @@ def energy_text(own: float, points: Sequence[Point]) -> str:
     """Return a sentence on energies with less effort under feedback.
 
     Most completed runs count first.
+
+    Args:
+        own: energy of the itinerary, J.
+        points: effort over energies.
     """
     loops = [p for p in points if p.method == "loop"]
     most = max(p.others["completed"] for p in loops)

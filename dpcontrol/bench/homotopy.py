@@ -1,4 +1,6 @@
-"""A homotopy from any curve to a flight, without tubes: virtual accelerations of the arms at rising prices.
+"""A homotopy from any curve to a flight, without tubes.
+
+The arms have virtual accelerations at rising prices.
 
     minimise ∫ u² + ρ |v|² dt      subject to  ẋ = f(x, u) + (0, v, 0), the cart's limits, the ends;   ρ: rising
 
@@ -21,9 +23,12 @@ from dpcontrol.references.problem import ReferenceProblem, state_scale
 
 @dataclass(frozen=True)
 class HomotopySettings:
-    """Settings of the homotopy.
+    """Mesh, prices and effort of the homotopy.
 
-    They are the step of the mesh, s, prices of the virtual accelerations, and solver iterations per price.
+    Attributes:
+        step: step of the mesh, s.
+        prices: prices of the virtual accelerations, rising.
+        iterations: solver iterations per price.
     """
 
     step: float = 0.025
@@ -32,9 +37,13 @@ class HomotopySettings:
 
 
 def by_homotopy(problem: ReferenceProblem, settings: HomotopySettings | None = None) -> tuple[Array, Array, float]:
-    """Return states (K, N) and inputs (K,) from a homotopy.
+    """Return states (K, N), inputs (K,) and their step, s.
 
-    It starts at the problem's guess. The last result is their step, s.
+    The homotopy starts at the problem's guess.
+
+    Args:
+        problem: problem with a guess.
+        settings: step and prices.
     """
     settings = settings or HomotopySettings()
     e, nx = problem.equations, problem.equations.dimension

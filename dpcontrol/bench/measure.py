@@ -1,4 +1,6 @@
-"""Times of repeated work: processor time of this process on one core, with the first call separate.
+"""Times of repeated work, with the first call separate.
+
+They are processor time of this process on one core.
 
 Processor time excludes other programs on a busy machine. However, a processor can run at half speed, for a tenth of a
 second or for many. The candidates are therefore measured in turns, with a yardstick of scipy alone between the turns.
@@ -86,9 +88,14 @@ def timed_in_turns(
     Each of `rounds` measures every function for at least `grain` s.
 
     Args:
+        functions: works by key.
+        rounds: measurements of each function.
+        grain: shortest measurement, s.
         most: measuring time of a function, s, after which it is skipped once measured `least` times.
+        least: measurements before a function can be skipped.
         worth: decides by key and first result; without worth the first call is the only one.
         starts_up: False for work without compilation, whose first call counts like the others.
+        clock: function that returns a time, s.
         beside: duration of the yardstick, s.
         progress: called at each first call and each round.
     """
@@ -227,10 +234,18 @@ def compare(
 ) -> Diagram:  # fmt: skip
     """Time alternatives in turns and judge their first results.
 
-    If the judgement is a text, the point is missing for this reason.
+    If the judgement is a text, the point is missing for this reason. Work that raises an ArithmeticError, RuntimeError
+    or GoalMissed has no point.
 
-    Returns the points as a diagram without a title. Work that raises an ArithmeticError, RuntimeError or GoalMissed has
-    no point. `rounds`, `starts_up` and `turns` are passed to `timed_in_turns`.
+    Args:
+        alternatives: works to time.
+        judge: function of an alternative and its first result.
+        rounds: see `timed_in_turns`.
+        starts_up: see `timed_in_turns`.
+        turns: further arguments of `timed_in_turns`.
+
+    Returns:
+        The points as a diagram without a title.
     """
     judged: dict[int, Judged | str] = {}
 

@@ -1,4 +1,6 @@
-"""Chart of the value of tubes: flights found along tubes against direct optimisation without them.
+"""Chart of the value of tubes.
+
+It compares flights found along tubes with direct optimisation without them.
 
 Every flight is one program, regardless of the method:
 
@@ -115,6 +117,12 @@ def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> C
 
     The orbits are those of the lab's arms, at their phase 0.
 
+    Args:
+        name: name of the flight.
+        walk: symbols of the walk.
+        energy: energy of the orbits, J.
+        wraps: periods at each stop.
+
     Raises:
         GoalMissed: an orbit was not found.
     """
@@ -142,7 +150,12 @@ def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> C
 
 
 def lasting(problem: ReferenceProblem, duration: float) -> ReferenceProblem:
-    """Return the problem with the same ends and another duration, s."""
+    """Return the problem with another duration and equal ends.
+
+    Args:
+        problem: problem with fixed ends.
+        duration: duration, s.
+    """
     start, end = problem.end_states()
     guess = smooth_guess(start[:4], end[:4], duration)
     return ReferenceProblem(problem.equations, problem.parameters, guess, duration, problem.limits, problem.ends)
@@ -177,6 +190,9 @@ class Recomputed:
         """True for a motion between the ends within limits.
 
         Rounding is tolerated.
+
+        Args:
+            limits: limits of the cart.
         """
         near = 1 + 1e-6
         inside = self.position <= near * limits.position and self.velocity <= near * limits.velocity
@@ -184,12 +200,17 @@ class Recomputed:
 
 
 def motion_rate(arms: ArmChainParameters, x: Array, u: Array) -> Array:
-    """Return ẋ (6, K) of states (6, K) under cart accelerations (K,).
+    """Return ẋ (6, K) of two arms on a cart.
 
         A ω₁' + C cos(θ₁-θ₂) ω₂' = -C sin(θ₁-θ₂) ω₂² - G₁ sin θ₁ - (G₁/g) cos θ₁ u - k₁ ω₁ - k₂ (ω₁ - ω₂)
         B ω₂' + C cos(θ₁-θ₂) ω₁' =  C sin(θ₁-θ₂) ω₁² - G₂ sin θ₂ - (G₂/g) cos θ₂ u - k₂ (ω₂ - ω₁)
 
     A = m₁a₁² + m₂ℓ₁² + J₁, B = m₂a₂² + J₂, C = m₂ℓ₁a₂, G₁ = (m₁a₁ + m₂ℓ₁)g, G₂ = m₂a₂g.
+
+    Args:
+        arms: parameters of the arms.
+        x: states (6, K).
+        u: accelerations of the cart (K,), m/s².
     """
     (m1, m2), (a1, a2), (j1, j2), l1 = arms.mass, arms.centre_of_mass, arms.inertia, arms.length[0]
     g, (k1, k2) = arms.gravity, arms.viscous
@@ -209,6 +230,11 @@ def recomputed(arms: ArmChainParameters, motion: Trajectory, ends: tuple[Array, 
     """Return the scipy evaluation of a motion.
 
     All intervals run in parallel, each from its first state.
+
+    Args:
+        arms: parameters of the arms.
+        motion: motion to evaluate.
+        ends: required first and last state (6,).
     """
     lengths, scale = np.diff(motion.mesh), state_scale(6, LIMITS)
     inputs = BarycentricInterpolator(motion.method.points, motion.inputs[..., 0].T)
@@ -258,7 +284,11 @@ class Try:
 def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = None, *, spent: float = 0.0) -> Try:
     """Return the collocation result from a first trajectory.
 
-    The default is the guess; `spent` s went into finding it.
+    Args:
+        method: name of the method in the chart.
+        problem: problem with a guess.
+        first: first trajectory, by default the guess.
+        spent: time that went into finding it, s.
     """
     began = time.process_time()
     if first is None:
@@ -272,6 +302,11 @@ def led(method: str, problem: ReferenceProblem, generator: np.random.Generator) 
     """Return the collocation result from a homotopy.
 
     It starts at the guess with random waves.
+
+    Args:
+        method: name of the method in the chart.
+        problem: problem with a guess.
+        generator: random generator, which is advanced.
     """
     began = time.process_time()
     states, inputs, step = by_homotopy(replace(problem, guess=with_waves(problem, generator)))
@@ -282,6 +317,9 @@ def along_tubes(one: ChartedFlight) -> Try:
     """Return the collocation result from the shadowing orbit.
 
     Its seconds include tubes and connections.
+
+    Args:
+        one: flight along tubes.
     """
     return searched(TUBES, one.problem, spent=one.seconds)
 
@@ -296,6 +334,10 @@ def with_waves(problem: ReferenceProblem, generator: np.random.Generator) -> Gue
     """Return the problem's guess with random waves on its angles.
 
     The rates match them.
+
+    Args:
+        problem: problem with a guess.
+        generator: random generator, which is advanced.
     """
     base, order = problem.guess, np.arange(1, HARMONICS + 1)
     heights = generator.normal(size=(HARMONICS, 2)) * (WAVE / order)[:, None]
@@ -320,9 +362,13 @@ def _shot(arms: ArmChainParameters) -> Compiled:
 
 
 def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> Array:
-    """Return the states from one start (6,) under held inputs.
+    """Return the states (K + 1, 6, S) from one start.
 
-    States are (K + 1, 6, S), inputs (K, S), each held for a step, s.
+    Args:
+        arms: parameters of the arms.
+        start: first state (6,).
+        inputs: held inputs (K, S), m/s².
+        step: time for which an input is held, s.
     """
     machine, (count, lanes) = _shot(arms), inputs.shape
     rows = np.empty((machine.size_in, lanes))
@@ -339,7 +385,13 @@ def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> 
 def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) -> Trajectory:
     """Return a shot motion as a first trajectory.
 
-    It has states (K + 1, 6) and held inputs (K,) on the even mesh.
+    It is on the even mesh.
+
+    Args:
+        problem: problem with its duration.
+        states: states (K + 1, 6).
+        inputs: held inputs (K,), m/s².
+        step: time for which an input is held, s.
     """
     method, mesh = method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval)
     times, clock = times_on(mesh, method.support), step * np.arange(len(states))
@@ -349,7 +401,13 @@ def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) 
 
 
 def with_inputs(problem: ReferenceProblem, arms: ArmChainParameters, generator: np.random.Generator) -> Trajectory:
-    """Return the motion from the start under random inputs."""
+    """Return the motion from the start under random inputs.
+
+    Args:
+        problem: problem with a fixed start.
+        arms: parameters of the arms.
+        generator: random generator, which is advanced.
+    """
     count = int(np.ceil(problem.duration / _STEP))
     step = problem.duration / count
     knots = generator.normal(size=KNOTS) * PUSH
@@ -382,6 +440,12 @@ def by_cem(
     """Return the best motion of the cross-entropy method.
 
     Its scaled miss at the end is the second value.
+
+    Args:
+        problem: problem with fixed ends.
+        arms: parameters of the arms.
+        generator: random generator, which is advanced.
+        settings: settings of the method.
     """
     start, end = problem.end_states()
     holds = int(np.ceil(problem.duration / settings.hold))
@@ -410,13 +474,24 @@ def refined(problem: ReferenceProblem, motion: Trajectory) -> Reference | None:
     """Return a motion on a refined mesh, or None on failure.
 
     The mesh reaches the package's error between nodes.
+
+    Args:
+        problem: problem of the motion.
+        motion: solution on a coarse mesh.
     """
     found = find_reference(problem, SETTINGS, near=motion)
     return found if found.converged else None
 
 
 def resampled(motion: Trajectory, duration: float) -> Trajectory:
-    """Return a motion stretched to another duration, s, on the even mesh."""
+    """Return a motion stretched to another duration.
+
+    It is on the even mesh.
+
+    Args:
+        motion: motion of six states.
+        duration: duration, s.
+    """
     slower = duration / motion.duration
     states = motion.states.copy()
     states[..., 2:4] /= slower
@@ -449,7 +524,12 @@ class FollowedFlight:
 
 
 def between_orbits(one: ChartedFlight, motion: Reference) -> Reference:
-    """Return a period of each orbit and the flight as one reference."""
+    """Return a period of each orbit and the flight as one reference.
+
+    Args:
+        one: flight with its orbits.
+        motion: reference of the flight.
+    """
     start, end = one.ends
     pieces = [motion]
     for orbit, state, place in ((one.orbits[0], start, 0), (one.orbits[1], end, 2)):
@@ -468,6 +548,12 @@ def followed(one: ChartedFlight, motion: Reference, *, seeds: int, blows: bool =
     """Return the results of the shipped law on a flight.
 
     The plants are off by 5 %.
+
+    Args:
+        one: flight with its orbits.
+        motion: reference of the flight.
+        seeds: number of runs.
+        blows: find the largest blow survived.
     """
     arms = load_model("lab").arms
     scene = load_itinerary("outer-turn").loop
@@ -564,6 +650,9 @@ class Compared:
         """Return seconds and effort of a method's tries.
 
         The effort of failures is infinite.
+
+        Args:
+            method: name of the method.
         """
         return [(seconds, effort) for name, seconds, effort in self.tries if name == method]
 
@@ -574,7 +663,13 @@ class Compared:
 
 
 def tries_of(one: ChartedFlight, effort: Effort, generator: np.random.Generator) -> Iterator[Try]:
-    """Yield the tries of every method without tubes."""
+    """Yield the tries of every method without tubes.
+
+    Args:
+        one: flight along tubes.
+        effort: number of tries.
+        generator: random generator, which is advanced.
+    """
     arms, smooth = load_model("lab").arms, lasting(one.problem, one.problem.duration)
     yield searched(STRAIGHT, smooth)
     for _ in range(effort.waves):
@@ -596,7 +691,14 @@ def charted(
 ) -> Charted | None:
     """Return the cheapest of some tries refined and checked.
 
-    With seeds it is also followed. The result is None if all are invalid.
+    None if all are invalid.
+
+    Args:
+        one: flight along tubes.
+        problem: problem of the tries.
+        tries: results to choose from.
+        seeds: number of runs that follow it; 0 for none.
+        blows: see `followed`.
     """
     for first in sorted(tries, key=lambda t: t.effort)[:_LOOKED_AT]:
         fine = None if first.motion is None else refined(problem, first.motion)
@@ -613,6 +715,12 @@ def by_method(one: ChartedFlight, tries: Sequence[Try], effort: Effort, *, feedb
     """Return all tries, and the cheapest valid one of each method.
 
     The tubes' flight and the best other one have loop results.
+
+    Args:
+        one: flight along tubes.
+        tries: results of all methods.
+        effort: number of runs.
+        feedback: run the loop.
     """
     cheapest = min((t for t in tries if t.method != TUBES), key=lambda t: t.effort).method
     best: dict[str, Charted] = {}
@@ -627,7 +735,12 @@ def by_method(one: ChartedFlight, tries: Sequence[Try], effort: Effort, *, feedb
 
 
 def compared(which: tuple[str, tuple[str, ...], float], effort: Effort) -> Compared:
-    """Return one flight by every method, at its duration along tubes."""
+    """Return one flight by every method, at its duration along tubes.
+
+    Args:
+        which: name, walk and energy (J) of the flight.
+        effort: number of tries.
+    """
     one = flight(*which)
     generator = np.random.default_rng([20, *which[0].encode()])
     return by_method(one, [along_tubes(one), *tries_of(one, effort, generator)], effort, feedback=True)
@@ -638,7 +751,10 @@ def front(which: tuple[str, tuple[str, ...], float], effort: Effort, *, resting:
 
     They lie off tubes and along them, with and without additional wobbles.
 
-    `resting` flights join the equilibria of the saddles, without orbits and tubes.
+    Args:
+        which: name, walk and energy (J) of the flight.
+        effort: number of tries.
+        resting: join the equilibria of the saddles, without orbits and tubes.
     """
     one, arms = flight(*which), load_model("lab").arms
     problem = one.problem
@@ -673,6 +789,11 @@ def with_wobbles(one: ChartedFlight, arms: ArmChainParameters, effort: Effort) -
     """Return the flight along tubes, with and without additional wobbles.
 
     Their number grows up to the front's longest time.
+
+    Args:
+        one: flight along tubes.
+        arms: parameters of the arms.
+        effort: times of the front, and runs that follow it.
     """
     ours = along_tubes(one)
     fine = None if ours.motion is None else refined(one.problem, ours.motion)
@@ -695,6 +816,10 @@ def stop_by_stop(problem: ReferenceProblem, count: int) -> ReferenceProblem:
     """Return the problem with a guess from the walk's turns.
 
     Smooth curves join stops at even times.
+
+    Args:
+        problem: problem of a walk.
+        count: number of turns.
     """
     start, end = problem.end_states()
     change, each = np.append((end - start)[:2] / count, [0.0, 0.0]), problem.duration / count
@@ -709,9 +834,13 @@ def stop_by_stop(problem: ReferenceProblem, count: int) -> ReferenceProblem:
 
 
 def walked(count: int, effort: Effort) -> Compared:
-    """Return a walk of `count` turns of the outer arm.
+    """Return a walk of some turns of the outer arm.
 
     It is found by tubes and by methods without them.
+
+    Args:
+        count: number of turns.
+        effort: number of tries.
     """
     one = flight(f"{count} turns", ("down-up +",) * count, FLIGHTS[0][2])
     stops = stop_by_stop(one.problem, count)
@@ -725,7 +854,11 @@ Work = tuple[str, Any, Effort]
 
 
 def job_done(job: Work) -> Any:
-    """Run one of the chart's jobs, in any process."""
+    """Run one of the chart's jobs, in any process.
+
+    Args:
+        job: kind, flight or count, and effort.
+    """
     kind, what, effort = job
     if kind == "flight":
         return compared(what, effort)
@@ -747,7 +880,9 @@ def jobs_of(effort: Effort) -> list[Work]:
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the chart of the value of tubes.
 
-    If quick, it has two flights and fewer tries.
+    Args:
+        quick: two flights and fewer tries.
+        progress: called with a label and the completed share.
     """
     effort, found = QUICK if quick else WHOLE, {}
     jobs = jobs_of(effort)
@@ -761,7 +896,11 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
 
 
 def page(results: dict[str, list[Any]]) -> PrecisionChart:
-    """Return the page of all results, by kind of job."""
+    """Return the page of all results, by kind of job.
+
+    Args:
+        results: results of the jobs, by kind.
+    """
     flights: list[Compared] = results["flight"]
     walks: list[Compared] = results["walk"][::-1]
     pairs = zip((flights[0], flights[-1]), results["front"], strict=False)
@@ -791,6 +930,10 @@ def with_best_known(front: Sequence[Charted], one: Compared) -> list[Charted]:
     """Return a front with the cheapest flight off the tubes.
 
     That flight, at the tubes' time, is chosen from all tries, not only the front's.
+
+    Args:
+        front: flights at several times.
+        one: the same flight by every method.
     """
     others = [c for method, c in one.best.items() if method != TUBES]
     if not others:
@@ -825,6 +968,10 @@ def as_cheap(one: Compared, method: str) -> int:
     """Return the number of a method's tries with little effort.
 
     They are as cheap as the flight along tubes.
+
+    Args:
+        one: flight by every method.
+        method: name of the method.
     """
     return sum(effort <= AS_CHEAP * one.ours.checked.effort for _, effort in one.of(method))
 
@@ -932,6 +1079,10 @@ def front_panel(title: str, found: Sequence[Charted]) -> Diagram:
     """Return the diagram of effort against time.
 
     It shows references and the loops that follow them.
+
+    Args:
+        title: title of the diagram.
+        found: flights of the front.
     """
     points = [Point(c.method, "", c.duration, c.checked.effort, default=c.method == TUBES, others=numbers(c))
               for c in found]  # fmt: skip
@@ -997,12 +1148,22 @@ def robustness_panel(flights: Sequence[Compared]) -> Diagram:
 
 
 def short(name: str) -> str:
-    """Return a flight's name for a label."""
+    """Return a flight's name for a label.
+
+    Args:
+        name: name such as "outer turn, 0.1 J".
+    """
     return name.replace("outer turn, ", "outer ").replace("inner turn, ", "inner ").replace("crossing, ", "cross ")
 
 
 def verdict(flights: Sequence[Compared], walks: Sequence[Compared], fronts: Mapping[str, Sequence[Charted]]) -> str:
-    """Return the chart's finding in a few sentences, for either outcome."""
+    """Return the chart's finding in a few sentences, for either outcome.
+
+    Args:
+        flights: flights by every method.
+        walks: longer walks by every method.
+        fronts: fronts by name of the flight.
+    """
     plain = [name for name in _methods(flights) if name != TUBES]
     tries = {name: [t for one in flights for t in one.of(name)] for name in plain}
     cheap = {name: sum(as_cheap(one, name) for one in flights) for name in plain}
@@ -1052,6 +1213,10 @@ def cheaper_text(name: str, found: Sequence[Charted]) -> str:
     """Return a sentence on the cheapest flight off the tubes.
 
     It reports the time and saving on a front.
+
+    Args:
+        name: name of the flight.
+        found: flights of its front.
     """
     (ours,) = [c for c in found if c.method == TUBES]
     off = [c for c in found if c.method == OFF]

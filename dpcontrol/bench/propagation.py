@@ -1,4 +1,6 @@
-"""Chart of propagation: trajectories of a tube, a chaotic swing of 10 s, a tick of the closed loop.
+"""Chart of propagation.
+
+The work is trajectories of a tube, a chaotic swing of 10 s, and a tick of the closed loop.
 
 All methods start from the same states and are judged at the same time against 113-bit arithmetic. The energy drift is
 the largest change of H over the flight's end states, over the energy scale.
@@ -45,15 +47,23 @@ def classical_step(equations: Equations) -> ca.Function:
     """Return the classical step of order 4 with held inputs.
 
     The function is (state, inputs, duration, parameters) -> following.
+
+    Args:
+        equations: equations with N states and m inputs.
     """
     f, u, p, h = equations.function(), equations.inputs, equations.parameters, ca.SX.sym("h")
     return _step(equations, h, runge_kutta_4(lambda state, _: f(state, u, p), equations.state, h))
 
 
 def symplectic_gauss(equations: Equations, stages: int) -> ca.Function:
-    """Return (state, inputs, duration, parameters) -> following: Gauss collocation in canonical coordinates.
+    """Return a step by Gauss collocation in canonical coordinates.
 
-    State is (θ, ω) on both sides; order 2 `stages`. For equations without input.
+    It maps (state, inputs, duration, parameters) to the following state. State is (θ, ω) on both sides; order 2
+    `stages`. For equations without input.
+
+    Args:
+        equations: conservative equations.
+        stages: number of stages.
     """
     n = equations.dimension // 2
     x, p, h = equations.state, equations.parameters, ca.SX.sym("h")
@@ -95,9 +105,13 @@ class Stepper:
         self._given[self._step.slices["parameters"]] = parameters.reshape(-1, *([1] * len(shape)))
 
     def fly(self, states: Array, duration: float, *, step: float, command: float = 0.0) -> Array:
-        """Return the states (N,) or (N, S) after `duration` s.
+        """Return the states (N,) or (N, S) after a duration.
 
-        Steps have about `step` s.
+        Args:
+            states: states (N,) or (N, S) at the start.
+            duration: time, s.
+            step: length of a step, about, s.
+            command: value of all inputs.
         """
         given, slices, call = self._given, self._step.slices, self._step
         count = max(1, round(duration / step))
@@ -112,7 +126,12 @@ class Stepper:
 def buffered_rate(equations: Equations, parameters: Array, command: float = 0.0) -> Callable[[float, Array], Array]:
     """Return the equations' rate (t, x) -> (N,) for scipy.
 
-    The input is held at `command`. It uses casadi's buffers.
+    It uses casadi's buffers.
+
+    Args:
+        equations: equations with N states.
+        parameters: values (p,).
+        command: value of all inputs.
     """
     arguments = [equations.state, equations.inputs, equations.parameters]
     function = ca.Function("rate", arguments, [ca.densify(equations.rate)])
@@ -153,7 +172,12 @@ TICK_ROUNDING = 1e-15
 
 
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart of propagation."""
+    """Return the chart of propagation.
+
+    Args:
+        quick: fewer trajectories, settings and repetitions.
+        progress: called with a label and the completed share.
+    """
     model = load_model("lab")
     system = model.system
     progress("propagation: truth in 113 bits", 0.0)
@@ -213,17 +237,30 @@ class Work:
         return self.system.numeric.hamiltonian(self.states)
 
     def error(self, arrived: Array) -> float:
-        """Return the largest scaled error of arrivals (K, N)."""
+        """Return the largest scaled error of arrivals.
+
+        Args:
+            arrived: final states (K, N), or the first ones of them.
+        """
         return float(np.abs((arrived - self.truth[: len(arrived)]) / self.system.scale).max())
 
     def drift(self, arrived: Array) -> float:
-        """Return the largest change of the energy over the energy scale."""
+        """Return the largest change of the energy over the energy scale.
+
+        Args:
+            arrived: final states (K, N), or the first ones of them.
+        """
         change = self.system.numeric.hamiltonian(arrived) - self.energies[: len(arrived)]
         return float(np.abs(change).max() / self.system.energy_scale)
 
 
 def work_of(system: System, states: Array, duration: float) -> Work:
     """Return the work with its truth.
+
+    Args:
+        system: Hamiltonian system.
+        states: first states (K, N).
+        duration: time, s.
 
     Raises:
         GoalMissed: this build of heyoka has no 113-bit reals.
@@ -234,7 +271,14 @@ def work_of(system: System, states: Array, duration: float) -> Work:
 
 
 def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Diagram:
-    """Fly each candidate; failures are missing with their reason."""
+    """Fly each candidate; failures are missing with their reason.
+
+    Args:
+        tried: methods.
+        work: states with their truth.
+        quick: fewer rounds.
+        progress: called with a label and the completed share.
+    """
 
     def judge(_: Alternative[Array], arrived: Array) -> Judged | str:
         if not np.isfinite(arrived).all():
@@ -247,7 +291,12 @@ def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progre
 def candidates(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Array]]:
     """Return all methods for a work's states.
 
-    Slow ones fly fewer. `batches` adds many trajectories at once.
+    Slow ones fly fewer.
+
+    Args:
+        work: states with their truth.
+        batches: add many trajectories at once.
+        quick: fewer settings and states.
     """
     few = work.states[: 2 if quick else 4]
     return [
@@ -355,6 +404,9 @@ def tick_states(arms: ArmChainParameters) -> Array:
     """Return states (LANES, N) along 3 s of free swing.
 
     The swing starts from high up, with the cart moving.
+
+    Args:
+        arms: arms on a driven cart.
     """
     equations = equations_of(arms, Level.CART)
     flow = PolynomialInputPropagator(equations, arms.base(), degree=0)
@@ -365,7 +417,13 @@ def tick_states(arms: ArmChainParameters) -> Array:
 
 
 def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array:
-    """Return the states one tick later, from 113-bit arithmetic."""
+    """Return the states one tick later, from 113-bit arithmetic.
+
+    Args:
+        equations: equations with an input.
+        parameters: values (p,).
+        states: states (K, N).
+    """
     # The held input joins the parameters, which the extended propagator uses exactly.
     held = replace(equations, inputs=ca.SX.zeros(0), parameters=ca.vertcat(equations.parameters, equations.inputs))
     flow = ExtendedPropagator(held, np.append(parameters, COMMAND))
@@ -380,6 +438,10 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diag
 
     The arms have friction, and the cart's acceleration is held for a millisecond. Plants take one step of DOP853, in
     one run or in many. The filter's model takes one step of order 4. Each is the default of its use.
+
+    Args:
+        arms: arms with friction.
+        quick: fewer rounds.
     """
     equations, parameters = equations_of(arms, Level.CART), arms.base()
     states = tick_states(arms)

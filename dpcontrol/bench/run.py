@@ -1,4 +1,6 @@
-"""Draw charts: each to NAME.png, an appendix to NAME-more.png, and NAME.json with points, machine and versions.
+"""Draw charts to pictures and data.
+
+Each is drawn to NAME.png, an appendix to NAME-more.png. NAME.json has points, machine and versions.
 
 A chart can be compared with an earlier drawing: methods keep their order on each front, defaults their quality.
 
@@ -59,7 +61,12 @@ _MEMORY = 4e8
 
 
 def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
-    """Return the expected cost of charts."""
+    """Return the expected cost of charts.
+
+    Args:
+        names: charts to draw.
+        quick: shorter measurements.
+    """
     mapped = sum(name in GROUPS["edges"] for name in names)
     at_once = max(min(processors(), mapped), 1)
     spread, many = sum(name in SPREAD for name in names), min(processors(), AT_ONCE)
@@ -78,7 +85,11 @@ def draw_charts(
     times and are drawn in parallel on all cores.
 
     Args:
+        names: charts or groups of charts.
+        folder: folder to write to.
+        quick: shorter measurements.
         yes: accept any duration.
+        progress: called with a label and the completed share.
 
     Raises:
         InputError: a name is unknown, the folder is not writable, or the charts would take too long.
@@ -117,7 +128,14 @@ def _named(name: str, progress: Progress) -> Progress:
 def draw_chart(
     name: str, *, folder: Path, made_with: Mapping[str, Any], progress: Progress = no_progress
 ) -> DrawnChart:
-    """Make one chart and write its pictures and data to `folder`."""
+    """Make one chart and write its pictures and data.
+
+    Args:
+        name: name of the chart.
+        folder: folder to write to.
+        made_with: `quick`, machine and versions, for the data.
+        progress: called with a label and the completed share.
+    """
     began = time.perf_counter()
     chart = CHARTS[name](made_with["quick"], progress)
     seconds = time.perf_counter() - began
@@ -161,7 +179,11 @@ WORSE = 3.0
 
 
 def earlier_panels(folder: Path, name: str) -> tuple[Diagram, ...]:
-    """Return a chart's panels from an earlier drawing in `folder`.
+    """Return a chart's panels from an earlier drawing.
+
+    Args:
+        folder: folder of the drawing.
+        name: name of the chart.
 
     Raises:
         InputError: the drawing is missing or invalid.
@@ -185,7 +207,11 @@ def _panel(document: Mapping[str, Any]) -> Diagram:
 
 
 def changes(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
-    """Return a sentence for each changed front, except ties."""
+    """Return a sentence for each changed front, except ties.
+
+    Args:
+        before, after: panels of both drawings.
+    """
     known = {panel.title: panel for panel in before}
     found = []
     for panel in after:
@@ -212,7 +238,11 @@ def _changes(before: Diagram, after: Diagram) -> list[str]:
 
 
 def losses(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
-    """Return a sentence for each default that became slower or less accurate."""
+    """Return a sentence for each default that became slower or less accurate.
+
+    Args:
+        before, after: panels of both drawings.
+    """
     return slower(before, after) + less_accurate(before, after)
 
 
@@ -220,6 +250,9 @@ def slower(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ..
     """Return a sentence for each default with a larger x value.
 
     It is compared with the earlier one.
+
+    Args:
+        before, after: panels of both drawings.
     """
     found = []
     for panel, was, now in _defaults(before, after):
@@ -233,7 +266,11 @@ def slower(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ..
 
 
 def less_accurate(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
-    """Return a sentence for each default with a larger error than before."""
+    """Return a sentence for each default with a larger error than before.
+
+    Args:
+        before, after: panels of both drawings.
+    """
     return tuple(
         f"{panel.title}: {now.name} errs by {now.error:.2g}, and did by {was.error:.2g}"
         for panel, was, now in _defaults(before, after)
