@@ -1,4 +1,6 @@
-"""The functions of `import dpcontrol as dp`: from a model to runs that are scored, as values in memory.
+"""The functions of `import dpcontrol as dp`, with values in memory.
+
+They lead from a model to runs that are scored.
 
     lab = dp.load_model("lab")
     orbit = dp.orbit(lab, "down-up", energy=-0.07)
@@ -2080,7 +2082,10 @@ def _closed(planned: "Plan | str", settings: Mapping[str, Any], *, yes: bool, pr
 def _settings(
     settings: Mapping[str, object] | None, options: Mapping[str, object] | None = None, **named: object
 ) -> dict[str, Any]:
-    """Return settings by path: those of the deprecated options, of the mapping, and of arguments by name."""
+    """Return settings by path.
+
+    They are those of the deprecated options, of the mapping, and of arguments by name.
+    """
     if options is not None and not isinstance(options, RunOptions):
         warnings.warn("options= will go: use settings= instead", DeprecationWarning, stacklevel=4)
     if isinstance(named.get("plant"), Path):
