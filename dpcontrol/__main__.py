@@ -1,4 +1,7 @@
-"""The program: `dpcontrol`, or `python -m dpcontrol`. Ctrl-C ends it from the first moment to the last."""
+"""The program: `dpcontrol`, or `python -m dpcontrol`.
+
+Ctrl-C ends it from the first moment to the last.
+"""
 
 import atexit
 import os
@@ -51,7 +54,10 @@ def _open_streams() -> None:
 
 
 def _discard_unwritable_output() -> None:
-    """Empty the buffer of a full or closed stdout. Python's own attempt at exit would replace the exit code by 120."""
+    """Empty the buffer of a full or closed stdout.
+
+    Python's own attempt at exit would replace the exit code by 120.
+    """
     try:
         sys.stdout.flush()
     except OSError:
@@ -66,7 +72,10 @@ def _ended_at_once(number: int, frame: FrameType | None) -> None:
 
 
 def _end_quickly(code: int) -> None:
-    """End with exit handlers, but without unloading modules, which takes a second for compiled code."""
+    """End with exit handlers, but without unloading modules.
+
+    Unloading takes a second for compiled code.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):

@@ -49,7 +49,12 @@ class BenchEnv(gymnasium.Env[Array, Array]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Draw the bench's arms, initial errors and blows from a seed."""
+        """Draw the bench's arms, initial errors and blows from a seed.
+
+        Args:
+            seed: seed of this and further episodes; None to continue.
+            options: ignored.
+        """
         super().reset(seed=seed)
         own, drawn = self.assembly, int(self.np_random.integers(1 << 31))
         draw = own.draw(seed=drawn)
@@ -69,7 +74,11 @@ class BenchEnv(gymnasium.Env[Array, Array]):
         return np.concatenate([*parts, [self.forward[self.tick] / self.most]]).astype(np.float32)
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Apply the agent's action for some ticks or until the run ends."""
+        """Apply the agent's action for some ticks or until the run ends.
+
+        Args:
+            action: command beside the feedforward (1,), -1 to 1 of its limit.
+        """
         own, last = float(np.clip(action, -1.0, 1.0)[0]) * self.most, len(self.states) - 1
         self.before, reason, distance = self.measured, "", 0.0
         for _ in range(self.ticks):
@@ -101,7 +110,13 @@ class BenchEnv(gymnasium.Env[Array, Array]):
 
 # %%
 def rewards(env: BenchEnv, gain: float, *, seed: int) -> list[float]:
-    """Return the rewards of an episode with proportional feedback of the angles."""
+    """Return the rewards of an episode with proportional feedback of the angles.
+
+    Args:
+        env: environment.
+        gain: action per rad.
+        seed: seed of the episode.
+    """
     seen, _ = env.reset(seed=seed)
     found, over, n = list[float](), False, env.arms
     while not over:

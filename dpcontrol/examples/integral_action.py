@@ -31,7 +31,11 @@ model = dp.closed_loop(plan).assembly.model
 
 
 def gains(weight: float) -> NDArray[np.float64]:
-    """Return the gains on the errors and the cart's weighted integral."""
+    """Return the gains on the errors and the cart's weighted integral.
+
+    Args:
+        weight: weight of the cart's integral.
+    """
     a, b = (one[0] for one in model.linearised(plan.reference.state(0.0)[None], np.zeros(1)))
     integrates = np.eye(7)
     integrates[:6, :6], integrates[6, :6] = a, model.period * np.eye(6)[CART]
@@ -43,7 +47,11 @@ def gains(weight: float) -> NDArray[np.float64]:
 
 
 def law(weight: float) -> dp.SymbolicLaw:
-    """Return the regulator, without integral action if the weight is 0."""
+    """Return the regulator, without integral action if the weight is 0.
+
+    Args:
+        weight: weight of the cart's integral.
+    """
     gain = gains(max(weight, 1e-9))
 
     def lqr(state: ca.SX, reference: dp.Setpoint, memory: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX]:

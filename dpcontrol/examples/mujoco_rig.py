@@ -64,7 +64,12 @@ class MujocoRig:
 
 
 def flown(name: str, seeds: Sequence[int]) -> list[Run]:
-    """Simulate runs of an itinerary in MuJoCo."""
+    """Simulate runs of an itinerary in MuJoCo.
+
+    Args:
+        name: name of the itinerary.
+        seeds: seed of each run.
+    """
     plan = dp.plan(name)
     loop = dp.closed_loop(plan, drive_lag=LAG)
     return [loop.run(rig=MujocoRig(plan, seed=seed)) for seed in seeds]

@@ -14,7 +14,10 @@ import dpcontrol as dp
 
 @dataclass
 class Damped:
-    """Feedforward with a correction by the inner arm's rate; `gain` is in m/s."""
+    """Feedforward with a correction by the inner arm's rate.
+
+    `gain` is in m/s.
+    """
 
     gain: float
     called: int = 0
