@@ -160,6 +160,9 @@ def _object(kind: type) -> dict[str, Any]:
         own["description"] = helps[name] + (f" Unit: {bounds.unit}." if bounds.unit else "")
     made.pop("$defs", None)
     made.pop("title", None)
+    for one in (made, made["properties"].get("blows", {}).get("items", {})):
+        if "description" in one:
+            one["description"] = one["description"].partition("\n\n")[0]
     return {**made, "additionalProperties": False}
 
 

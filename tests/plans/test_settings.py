@@ -53,6 +53,7 @@ def test_the_guides_page_on_settings_is_the_one_that_the_declarations_give() -> 
 def test_the_schema_is_valid_accepts_every_shipped_file_and_rejects_mistakes(of: Any, folder: str) -> None:
     schema = dp.schema(of)
     Draft202012Validator.check_schema(schema)
+    assert "Attributes:" not in json.dumps(schema)
     assert json.loads(json.dumps(schema, allow_nan=False)) == dpcontrol("schema", of, "--json").document
     valid = Draft202012Validator(schema).is_valid
     files = sorted(folders(folder)[1].glob("*.toml"))
