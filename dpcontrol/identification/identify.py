@@ -297,7 +297,7 @@ LAWS: tuple[tuple[Friction, ...], ...] = (
 
 @dataclass(frozen=True)
 class IdentificationSettings(Settings, table="identify"):
-    """Settings of the identification."""
+    """Terms to try, and segments to hold out."""
 
     zeros: str = setting("chosen", choices=("free", "none", "chosen"))
     """"free", "none", or "chosen" by the held-out error."""

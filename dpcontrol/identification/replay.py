@@ -389,7 +389,7 @@ _CART_FLOOR = 1e-5
 
 @dataclass(frozen=True)
 class ReplaySettings(Settings, table="replay"):
-    """Settings of a replay.
+    """Encoders, means and spans of the comparison with a model.
 
     None selects 15 ms and 5 s with the cart clamped. With a moving cart it selects single samples, since commands
     change within a mean, and half a second, since errors near a saddle grow fiftyfold in that time.

@@ -101,7 +101,7 @@ class Assembly:
 
     @cached_property
     def controller(self) -> Controller:
-        """The controller.
+        """The given law, or that of the settings for the reference.
 
         Raises:
             InputError: the reference did not converge or belongs to other arms.

@@ -35,7 +35,7 @@ class UserLaw(Protocol):
 
 
 class UserEstimator(Protocol):
-    """An estimator.
+    """Converts readings to states in a run.
 
     It may have `reset()`, and `sigmas` (N,), the standard deviations of its estimate.
     """

@@ -602,7 +602,7 @@ class JudgedTicks:
         ending: Ending,
         reason: str,
     ) -> BatchRun:
-        """Return one run.
+        """Return the stored ticks of one run, with its figures.
 
         Args:
             lane: number of the run.

@@ -234,7 +234,7 @@ class _Arms(_Sourced, table="arms"):
 
 @dataclass(frozen=True)
 class _Gravity(_Sourced, table="gravity"):
-    """Gravity."""
+    """The gravity in which the arms swing."""
 
     acceleration: float = setting(unit="m/s²", help="Acceleration of gravity.")
 

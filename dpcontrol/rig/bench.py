@@ -162,7 +162,7 @@ class BenchRecord:
 
 
 class RecordedRig:
-    """A record as a `Rig`.
+    """Replays a bench's record as a `Rig`.
 
     It ends when its loop stopped the cart or was last heard.
 

@@ -150,7 +150,7 @@ _MOST_REFUSED = 256
 
 @dataclass(frozen=True)
 class LinkSettings(Settings, table="link"):
-    """Settings of the link."""
+    """Time limits of the packets from the bench."""
 
     answer: float = setting(10.0, above=0, most=3600, unit="s")
     """Time limit for the bench's welcome and first reading, s."""

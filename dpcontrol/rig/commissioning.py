@@ -83,7 +83,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class CommissioningSettings(Settings, table="commissioning"):
-    """Settings of commissioning."""
+    """Durations and sizes of the motions that measure a rig."""
 
     wait: float = setting(60.0, least=0, most=3600, unit="s")
     """Time limit for the arms to hang still, s."""

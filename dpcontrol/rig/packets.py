@@ -169,7 +169,7 @@ Content = Start | Welcome | ReadingPacket | CommandPacket | str | None
 
 
 class ReceivedPacket(NamedTuple):
-    """A received packet.
+    """Head and content of a packet.
 
     new: True if its sequence number is above all earlier ones.
     """
