@@ -1,4 +1,6 @@
-"""Calming: bring the arms to hang at rest from any motion, within the track.
+"""Calming: bring the arms to rest from any motion.
+
+The cart stays within the track.
 
 Far from rest, the controlled cart behaves like an apparent mass m on a spring and a damper, pulled by the arms. Their
 total energy never increases; the damper dissipates it.
@@ -102,12 +104,19 @@ class CalmingController(Brief):
         return CalmingSession(self, near=False)
 
     def begin_many(self, count: int) -> "CalmingSession":
-        """Return a session that computes `commands` for `count` runs."""
+        """Return a session that computes `commands` for `count` runs.
+
+        Args:
+            count: number of runs.
+        """
         return CalmingSession(self, near=np.zeros(count, dtype=bool), lanes=MANY)
 
 
 class CalmingSession(ClockedSession):
-    """One or many runs of calming, with a flag for the active regulator."""
+    """One or many runs of calming.
+
+    A flag marks each run whose regulator is active.
+    """
 
     def __init__(self, law: CalmingController, *, near: Any, lanes: Lanes = ONE) -> None:
         self._law, self._near, self.lanes = law, near, lanes
@@ -120,7 +129,15 @@ class CalmingSession(ClockedSession):
         self._out = np.empty((law.law.size_out, count))
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return zero feedforward, the feedback in m/s² and the nearest hanging state, for (N,) or (S, N) states."""
+        """Return zero feedforward, the feedback and the nearest hanging state.
+
+        Args:
+            tick: the tick in which the command acts.
+            states: state (N,) of one run, or states (S, N).
+
+        Returns:
+            Feedforward and feedback, m/s², and the reference, in the shape of the states.
+        """
         law, n = self._law, self._arms
         columns = np.atleast_2d(states)
         self._inputs[: columns.shape[1]] = columns.T
@@ -140,13 +157,21 @@ class CalmingSession(ClockedSession):
         return np.zeros(len(columns)), feedback, wanted
 
     def _leaves(self, states: Array) -> NDArray[np.bool_]:
-        """True for each cart (S,) that must brake now to stay on the track."""
+        """True for each cart (S,) that must brake now.
+
+        Otherwise it would leave the track.
+        """
         law, position, velocity = self._law, states[:, -2], states[:, -1]
         stops = np.sign(velocity) * (position + velocity * law.reaction) + velocity**2 / (2 * law.brake)
         return stops > (1 - SWITCH_MARGIN) * law.limits.position
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Do nothing: calming has no clock."""
+        """Do nothing: calming has no clock.
+
+        Args:
+            tick: ignored.
+            state: ignored.
+        """
         return ""
 
 
@@ -158,6 +183,9 @@ def calming_controller(
     The cart ends in the middle of the track.
 
     Args:
+        model: model of arms and drive from tick to tick.
+        limits: the cart's limits.
+        settings: parameters of the virtual cart, spring and damper.
         reaction: time until a command acts, s.
         seconds: duration of the controller, s.
 

@@ -40,13 +40,27 @@ from dpcontrol.foundation.errors import InputError
 
 
 def packed(matrix: Array) -> Array:
-    """Return the lower triangle of `matrix` (…, n, n), row by row, as (…, n(n+1)/2)."""
+    """Return the lower triangle of a matrix, row by row.
+
+    Args:
+        matrix: matrix (…, n, n).
+
+    Returns:
+        Entries (…, n(n+1)/2).
+    """
     rows, columns = np.tril_indices(matrix.shape[-1])
     return matrix[..., rows, columns]
 
 
 def unpacked(triangle: Array) -> Array:
-    """Return the symmetric matrix (…, n, n) of its lower triangle (…, n(n+1)/2)."""
+    """Return the symmetric matrix of a lower triangle.
+
+    Args:
+        triangle: lower triangle (…, n(n+1)/2), row by row.
+
+    Returns:
+        Matrix (…, n, n).
+    """
     n = int(np.sqrt(2 * triangle.shape[-1]))
     rows, columns = np.tril_indices(n)
     out = np.empty((*triangle.shape[:-1], n, n))
@@ -56,10 +70,21 @@ def unpacked(triangle: Array) -> Array:
 
 
 def pack(matrix: ca.SX) -> ca.SX:
+    """Return the lower triangle of an expression, row by row.
+
+    Args:
+        matrix: symmetric matrix (n, n).
+    """
     return ca.vertcat(*(matrix[i, j] for i in range(matrix.shape[0]) for j in range(i + 1)))
 
 
 def unpack(triangle: ca.SX, n: int) -> ca.SX:
+    """Return the symmetric matrix of an expression's lower triangle.
+
+    Args:
+        triangle: lower triangle (n(n+1)/2,), row by row.
+        n: size of the matrix.
+    """
     out = ca.SX(n, n)
     for i in range(n):
         for j in range(i + 1):
@@ -68,7 +93,15 @@ def unpack(triangle: ca.SX, n: int) -> ca.SX:
 
 
 def propagated(jacobian: ca.SX, covariance: ca.SX, noise: ca.SX) -> ca.SX:
-    """Return the lower triangle of A P Aᵀ + Q, row by row."""
+    """Return the lower triangle of A P Aᵀ + Q.
+
+    Its entries are row by row.
+
+    Args:
+        jacobian: A (N+E, N+E).
+        covariance: P (N+E, N+E).
+        noise: Q (N+E, N+E).
+    """
     # The upper triangle, transposed: the rows of A below the state's are diagonal, so half of A P can be used directly.
     return pack((jacobian @ covariance @ jacobian.T + noise).T)
 
@@ -142,7 +175,10 @@ class FilterEquations:
 
     @cached_property
     def observation(self) -> Array:
-        """Return H (n+1, N+E), which maps the augmented state to the measured positions."""
+        """Return H (n+1, N+E).
+
+        It maps the augmented state to the measured positions.
+        """
         n = self.arms
         out = np.zeros((n + 1, self.dimension))
         out[np.arange(n + 1), [*range(n), 2 * n]] = 1.0
@@ -176,8 +212,11 @@ class FilterEquations:
     def noise_inputs(self, covariance: ca.SX, change: ca.SX | float = 0.0, nis: ca.SX | float = 1.0) -> ca.SX:
         """Return the inputs (3,) of Q other than the state.
 
-        These are the mean variance of the parameters' logarithms (0 if not estimated), the change of acceleration
-        from one period to the next in m/s² (0 if unknown), and the mean NIS per position.
+        Args:
+            covariance: covariance (N+E, N+E), from which the mean variance of the parameters' logarithms follows (0 if
+                they are not estimated).
+            change: change of acceleration from one period to the next, m/s², default 0 if unknown.
+            nis: mean NIS per position, default 1.
         """
         variance = sum((covariance[i, i] for i in self.shares), ca.SX(0)) / max(len(self.shares), 1)
         return ca.vertcat(variance, change, nis)
@@ -202,7 +241,10 @@ class FilterEquations:
         return found
 
     def _braked(self, e: ca.SX, parameters: ca.SX) -> ca.SX:
-        """Return the largest accelerations (n,) from dry friction, modelled or estimated, each arm moving alone."""
+        """Return the largest accelerations (n,) from dry friction.
+
+        The friction is modelled or estimated, and each arm moves alone.
+        """
         n, found = self.arms, self._parameters(parameters, dict(zip(self.extra_names, ca.vertsplit(e), strict=True)))
         if self.equations.linear_parameters is None:
             return ca.SX(n, 1)
@@ -211,7 +253,10 @@ class FilterEquations:
 
     @cached_property
     def _slopes(self) -> ca.Function:
-        """(x, e, command, parameters) -> the state's rate, its Jacobians by x, by e and by the command."""
+        """(x, e, command, parameters) -> the state's rate and its Jacobians.
+
+        The Jacobians are those by x, by e and by the command.
+        """
         size, n = self.equations.dimension, self.arms
         x, e = ca.SX.sym("x", size), ca.SX.sym("e", len(self.extra_names))
         command, parameters = ca.SX.sym("command"), ca.SX.sym("parameters", self.inputs["parameters"])
@@ -238,6 +283,10 @@ class FilterEquations:
         """Return the next z, its Jacobian and Q, both for T z.
 
         Args:
+            z: present z (N+E,).
+            command: acceleration of the cart during the period, m/s².
+            parameters: base parameters (p,).
+            process: noise parameters, see `FilterSettings.process`.
             noise_inputs: inputs of Q, see `noise_inputs`.
             origin: offset (N+E,) subtracted from z; None for zero.
         """
@@ -291,10 +340,17 @@ class FilterEquations:
     def updated(
         self, z: ca.SX, covariance: ca.SX, measured: ca.SX, present: ca.SX, noise: ca.SX, timing: Timing | None = None
     ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return z, P of T z, innovation, NIS, S⁻¹ times the innovation, and the rates.
+        """Return an estimate after a measurement.
+
+        The results are z, P of T z, innovation, NIS, S⁻¹ times the innovation, and the rates.
 
         Args:
-            measured: positions at the tick, extrapolated by the rates of z if `timing` has an age.
+            z: predicted z (N+E,).
+            covariance: its covariance P (N+E, N+E), that of T z.
+            measured: positions (n+1,) at the tick, rad and m, extrapolated by the rates of z if `timing` has an age.
+            present: 1 for each valid position (n+1,), else 0.
+            noise: lower triangle of R, row by row.
+            timing: timing of the reading; None for a reading of the tick.
         """
         n, m = self.arms, self.arms + 1
         h, w = _sparse(self.observation), ca.diag(present)
@@ -323,11 +379,12 @@ class FilterEquations:
     def function(self, *, predicts: bool) -> ca.Function:
         """Return the step as a casadi function.
 
-        Without `predicts`, only the measurement update.
-
         Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters,
         process (`FilterSettings.process`). Outputs: memory, standard deviations (N+E), innovation (n+1), NIS, number
         of positions present, and a number that is finite exactly if the estimate is finite.
+
+        Args:
+            predicts: True for a whole step, False for the measurement update only.
         """
         z, command, parameters, process, _ = (ca.SX.sym(name, size) for name, size in self.inputs.items())
         m, size = self.arms + 1, self.dimension
@@ -354,7 +411,13 @@ class FilterEquations:
         return ca.Function("filter", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
 
     def prediction(self, *, with_jacobian: bool) -> ca.Function:
-        """Return (z, command, parameters, process, noise_inputs) -> next z, or next z, Jacobian and Q by columns."""
+        """Return the prediction as a casadi function.
+
+        Its inputs are z, command, parameters, process and noise_inputs.
+
+        Args:
+            with_jacobian: True to return the next z, its Jacobian and Q by columns, False for the next z only.
+        """
         inputs = {name: ca.SX.sym(name, size) for name, size in self.inputs.items()}
         following, jacobian, q = self.predicted(*inputs.values())
         parts = [following, ca.vec(ca.densify(jacobian)), ca.vec(ca.densify(q))] if with_jacobian else [following]
@@ -370,6 +433,10 @@ RESTART_VELOCITY = 1.0
 
 def checked_noise(noise: Array, arms: int) -> Array:
     """Return R (n+1, n+1), a covariance of the measured positions.
+
+    Args:
+        noise: the given matrix, rad² and m².
+        arms: number n of arms.
 
     Raises:
         InputError: The shape is wrong or the matrix is not a covariance.
@@ -396,7 +463,7 @@ def _compiled(
 
 
 class EkfProgram:
-    """The filter of one model, its inputs and outputs laid out for one run or for many.
+    """The filter of one model, laid out for one or many runs.
 
     `step` and `update` take `inputs` (M,) or (M, S); `slices` holds the slices of memory, command, measured, present,
     noise, parameters and process. Outputs begin with the memory for the next tick; `out` holds the slices of the
@@ -425,9 +492,10 @@ class EkfProgram:
         return self.step.slices
 
     def first(self, state: Array, sigmas: Array | None = None) -> Array:
-        """Return the memory for the initial `state` (N,) or states (N, S).
+        """Return the memory for an initial state.
 
         Args:
+            state: state (N,) or states (N, S).
             sigmas: standard deviations (N+E,); defaults to those of the settings.
         """
         arms, shape = self.model.arms, np.shape(state)[1:]
@@ -437,7 +505,11 @@ class EkfProgram:
         return np.concatenate([np.asarray(state, dtype=float), extra, covariance])
 
     def restarted(self, state: Array, measured: Array) -> tuple[Array, Array]:
-        """Return memory and standard deviations (N+E,) of an estimate reset to `measured` (n+1,).
+        """Return memory and standard deviations (N+E,) of a reset estimate.
+
+        Args:
+            state: last estimate (N,), whose finite rates are kept.
+            measured: positions (n+1,), rad and m.
 
         Raises:
             InputError: a measured position is missing or not finite.
@@ -456,7 +528,16 @@ class EkfProgram:
         return self.first(x, sigmas), sigmas
 
     def inputs(self, noise: Array, *, runs: int | None = None) -> Array:
-        """Return inputs (M,), or (M, runs), with noise R (n+1, n+1), all positions present, and zeros elsewhere.
+        """Return the inputs of the filter's functions.
+
+        All positions are present, and everything unknown is zero.
+
+        Args:
+            noise: covariance R (n+1, n+1) of the measured positions.
+            runs: number of runs; None for one.
+
+        Returns:
+            Inputs (M,), or (M, runs).
 
         Raises:
             InputError: the noise has the wrong shape or is no covariance.
@@ -491,7 +572,8 @@ class KalmanFilter(ABC):
     def first(self, state: Array) -> Estimate:
         """Return the estimate before any measurement.
 
-        `state` (N,) with the settings' standard deviations.
+        Args:
+            state: initial state (N,), to which the settings give the standard deviations.
 
         Raises:
             InputError: the state has the wrong shape.
@@ -502,9 +584,13 @@ class KalmanFilter(ABC):
         return self._begun(self.program.first(x), self.settings.first_sigmas(self.model.arms))
 
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
-        """Return an estimate reset to the positions `measured` (n+1,), for recovery.
+        """Return an estimate reset to measured positions, for recovery.
 
         Finite rates are kept with a large variance; the extras are reset.
+
+        Args:
+            estimate: last estimate.
+            measured: positions (n+1,), rad and m.
 
         Raises:
             InputError: a measured position is missing or not finite.
@@ -513,7 +599,10 @@ class KalmanFilter(ABC):
 
     @abstractmethod
     def _begun(self, memory: Array, sigmas: Array) -> Estimate:
-        """Return the estimate of a program's first memory, with its standard deviations (N+E,)."""
+        """Return the estimate of a program's first memory.
+
+        The standard deviations are (N+E,).
+        """
 
 
 class CompiledEkf(KalmanFilter):
@@ -531,11 +620,11 @@ class CompiledEkf(KalmanFilter):
         return Estimate(memory[out["state"]], memory[out["extra"]], sigmas, still, float("nan"), 0, memory)
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,).
-
-        Angles in rad, cart in m.
+        """Return the estimate after a measurement.
 
         Args:
+            estimate: estimate before it.
+            measured: positions (n+1,), rad and m.
             present: flags (n+1,) of the valid positions.
 
         Raises:
@@ -545,9 +634,16 @@ class CompiledEkf(KalmanFilter):
         return self._called(self.program.update, estimate, measured, present)
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate a period later, after the cart accelerated by `command` m/s².
+        """Return the estimate a period later.
 
-        `measured`, `present` and the errors raised are those of `update`.
+        Args:
+            estimate: estimate one tick earlier.
+            command: acceleration of the cart during the period, m/s².
+            measured: positions (n+1,), rad and m.
+            present: True for each valid position (n+1,), None if all are valid.
+
+        Raises:
+            InputError, ArithmeticError: see `update`.
         """
         self._inputs[self.program.slices["command"]] = command
         return self._called(self.program.step, estimate, measured, present)
@@ -582,6 +678,10 @@ class CompiledEkf(KalmanFilter):
 
         The extras act during the prediction. This compensates the delay: a new command is computed for the state at
         which it takes effect.
+
+        Args:
+            estimate: present estimate.
+            commands: pending commands, oldest first, m/s².
         """
         inputs, n = self._ahead_inputs, self.program.out["z"].stop
         z = estimate.memory[:n]
@@ -591,5 +691,9 @@ class CompiledEkf(KalmanFilter):
         return z[: self.model.dimension]
 
     def covariance(self, estimate: Estimate) -> Array:
-        """Return the covariance (N+E, N+E) of state and extra."""
+        """Return the covariance (N+E, N+E) of state and extra.
+
+        Args:
+            estimate: estimate of this filter.
+        """
         return unpacked(estimate.memory[self.program.out["covariance"]])

@@ -1,4 +1,6 @@
-"""Assumptions of the estimators: process noise, initial uncertainty, and quantities estimated in addition to the state.
+"""Assumptions of the estimators: noise, initial uncertainty, extra quantities.
+
+Extra quantities are estimated in addition to the state:
 
     zeros        errors b_i of the arms' encoders, constants added to the measured angles
 
@@ -40,7 +42,10 @@ from dpcontrol.foundation.settings import Settings, setting
 
 
 class Augment(StrEnum):
-    """Quantities that an estimator can add to the state, in their order in `extra`."""
+    """Quantities that an estimator can add to the state.
+
+    They are in the order of `extra`.
+    """
 
     ZEROS = "zeros"
     DISTURBANCE = "disturbance"
@@ -55,7 +60,14 @@ _DRIFT = 1e-6
 
 
 def extra_names(arms: int, augment: tuple[Augment, ...]) -> tuple[str, ...]:
-    """Return the names of the extra quantities: zero_1 …, disturbance_1 …, drive, friction_1 …, dry_1 …, M11 …, S1 …"""
+    """Return the names of the extra quantities.
+
+    They are zero_1 …, disturbance_1 …, drive, friction_1 …, dry_1 …, M11 …, S1 …
+
+    Args:
+        arms: number of arms.
+        augment: kinds of quantities, in any order.
+    """
     joints = range(1, arms + 1)
     inertias = [f"M{i}{j}" for i in joints for j in range(i, arms + 1)]
     fixed = "M12" if arms > 1 else "M11"
@@ -78,7 +90,9 @@ _MOST = 1e6
 
 @dataclass(frozen=True)
 class FilterSettings(Settings, table="estimator"):
-    """Noise that a filter assumes, and quantities that it estimates in addition to the state.
+    """Noise that a filter assumes, and quantities that it estimates.
+
+    The quantities are estimated in addition to the state.
 
     Q's density for relative errors of the accelerations is 2 · time · (share · acceleration)².
 
@@ -148,7 +162,11 @@ class FilterSettings(Settings, table="estimator"):
         return tuple(kind for kind in Augment if kind in self.augment)
 
     def first_sigmas(self, arms: int) -> Array:
-        """Return the initial standard deviations of state and extra, (N+E,)."""
+        """Return the initial standard deviations of state and extra, (N+E,).
+
+        Args:
+            arms: number of arms.
+        """
         state = [self.first_angle] * arms + [self.first_rate] * arms + [self.first_cart] * 2
         return np.array([*state, *(self._sigma(name) for name in extra_names(arms, self.augments))])
 
@@ -176,6 +194,10 @@ class FilterSettings(Settings, table="estimator"):
             The relative density for a variance of 1 of the parameters. surprise. late_drive.
 
             The density for dry friction of 1 rad/s². Decay (E,) and variance (E,) of the extras per period.
+
+        Args:
+            arms: number of arms.
+            period: time between ticks, s.
         """
         names = extra_names(arms, self.augments)
         densities = [self.rate_noise**2, 2 * self.correlation_time * (self.parameter_error / period) ** 2]
@@ -197,9 +219,13 @@ class FilterSettings(Settings, table="estimator"):
         return np.array([*densities, *path, squares, self.surprise, late, dry, *decay, *variance])
 
     def with_command_noise(self, noise: float, *, period: float, keeps: float = 0.0) -> Self:
-        """Return the settings for a drive whose commands have white noise, drawn in each period, m/s².
+        """Return the settings for a drive with noise on commands.
 
-        keeps: share of an acceleration that a known lag leaves after a period. The noise passes through this lag.
+        Args:
+            noise: standard deviation of white noise, drawn in each period, m/s².
+            period: time between ticks, s.
+            keeps: share of an acceleration that a known lag leaves after a period, default 0. The noise passes through
+                this lag.
         """
         if keeps:
             lagging = noise * ((1 - keeps) / (1 + keeps)) ** 0.5
@@ -247,7 +273,9 @@ class FilterpyEkfSettings(FilterSettings):
 
 @dataclass(frozen=True)
 class UkfSettings(FilterSettings):
-    """filterpy's unscented Kalman filter, with sigma points at `spread` · √(N+E) standard deviations.
+    """filterpy's unscented Kalman filter.
+
+    The sigma points are at `spread` · √(N+E) standard deviations.
 
     weight: Merwe's beta for the distribution's fourth moment; 2 for a Gaussian.
     """
@@ -304,7 +332,12 @@ EstimatorSettings = EkfSettings | FilterpyEkfSettings | UkfSettings
 
 @cache
 def chi_square_band(freedom: int, *, share: float = 0.95) -> tuple[float, float]:
-    """Return the central interval that contains `share` of a chi-square variable."""
+    """Return the central interval of a chi-square variable.
+
+    Args:
+        freedom: degrees of freedom.
+        share: probability of the interval, default 0.95.
+    """
     # Imported here because most runs need no band.
     from scipy.special import chdtri
 
@@ -312,7 +345,14 @@ def chi_square_band(freedom: int, *, share: float = 0.95) -> tuple[float, float]
 
 
 def share_inside(values: Array, freedom: int) -> float:
-    """Return the share of NIS or NEES `values` (any shape) in the 95 % band of a consistent filter."""
+    """Return the share of values in their 95 % band.
+
+    The band is that of a consistent filter.
+
+    Args:
+        values: NIS or NEES, of any shape.
+        freedom: degrees of freedom.
+    """
     low, high = chi_square_band(freedom)
     return float(((values >= low) & (values <= high)).mean())
 
@@ -322,20 +362,36 @@ MEANS_OF = 50
 
 
 def mean_band(freedom: int) -> tuple[float, float]:
-    """Return the interval that contains 95 % of the means of `MEANS_OF` chi-square variables."""
+    """Return the 95 % interval of means of chi-square variables.
+
+    Each mean is that of `MEANS_OF` variables.
+
+    Args:
+        freedom: degrees of freedom of each variable.
+    """
     low, high = chi_square_band(MEANS_OF * freedom)
     return low / MEANS_OF, high / MEANS_OF
 
 
 def means_of(values: Array) -> Array:
-    """Return successive means (K // MEANS_OF,) of values (K,), or the values if they are fewer."""
+    """Return means of successive values, or the values if too few.
+
+    Args:
+        values: values (K,).
+
+    Returns:
+        Means (K // MEANS_OF,).
+    """
     count = len(values) // MEANS_OF
     return values[: count * MEANS_OF].reshape(count, MEANS_OF).mean(axis=1) if count else values
 
 
 @dataclass(frozen=True)
 class NisMeans:
-    """Average of a NIS, its expected value, and the share of its means of `MEANS_OF` in their 95 % band."""
+    """Average of a NIS, and its consistency.
+
+    It includes the expected value, and the share of its means of `MEANS_OF` in their 95 % band.
+    """
 
     mean: float
     expected: int
@@ -361,7 +417,12 @@ _LESS = "set counts and noise under [sensors] to those of the encoders, or lower
 def nis_means(values: Array, freedom: int) -> NisMeans | None:
     """Average the finite values (K,) of a NIS.
 
-    None if there are too few for one mean.
+    Args:
+        values: NIS (K,), NaN where unknown.
+        freedom: degrees of freedom.
+
+    Returns:
+        The average, or None if there are too few values for one mean.
     """
     known = values[np.isfinite(values)]
     if len(known) < MEANS_OF:
@@ -371,5 +432,10 @@ def nis_means(values: Array, freedom: int) -> NisMeans | None:
 
 
 def nees(error: Array, covariance: Array) -> Array:
-    """Return the normalised estimation error squared (…) of truth minus estimate (…, n) and covariance (…, n, n)."""
+    """Return the normalised estimation error squared (…).
+
+    Args:
+        error: truth minus estimate (…, n).
+        covariance: covariance (…, n, n).
+    """
     return (error * np.linalg.solve(covariance, error[..., None])[..., 0]).sum(-1)

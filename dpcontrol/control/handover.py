@@ -1,4 +1,6 @@
-"""Programs of controllers with handovers: OGY stabilises a Lyapunov orbit, TVLQR tracks the connections.
+"""Programs of controllers with handovers.
+
+OGY stabilises a Lyapunov orbit, and TVLQR tracks the connections.
 
 A stay at an orbit ends after the requested number of periods, at the orbit phase nearest to the first state of the
 next flight. A flight ends with its reference; the next orbit is entered at the phase nearest to the state. Flights
@@ -25,20 +27,32 @@ SLOWER = 0.05
 
 
 class Keeper(Controller, Protocol):
-    """A controller that can take over any state near its orbit or equilibrium."""
+    """A controller that takes over states near its orbit or equilibrium."""
 
     def join(self, tick: int, state: Array) -> Session:
-        """Return a session that starts at `tick` from `state` (N,)."""
+        """Return a session from a tick on.
+
+        Args:
+            tick: first tick.
+            state: state (N,) at that tick.
+        """
         ...
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance of the pendulum's `state` (N,), modulo turns."""
+        """Return the scaled distance of the pendulum, modulo turns.
+
+        Args:
+            state: state (N,).
+        """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Keep:
-    """A stay at an orbit for `wraps` periods, to within half a period."""
+    """A stay at an orbit for `wraps` periods.
+
+    The duration is exact to half a period.
+    """
 
     name: str
     controller: OgyController | OrbitController
@@ -86,7 +100,10 @@ class Program:
 
 
 class ProgramSession:
-    """The active segment, its session, its start, and the turns between flight and reference."""
+    """The active segment and its session.
+
+    It also holds the segment's start, and the turns between flight and reference.
+    """
 
     def __init__(self, program: Program) -> None:
         self._program = program
@@ -97,7 +114,13 @@ class ProgramSession:
         self._past = np.nan
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the commands for the period from `tick` at `state` (N,)."""
+        """Return the commands for the period from a tick.
+
+        Args:
+            tick: the tick in which the command acts.
+            state: predicted state (N,) at the tick.
+            extra: estimated extras (E,).
+        """
         event = self._hand_over(tick, state) if self._due(tick) else ""
         action = self._session.command(tick, state - self._lift, extra)
         return action._replace(reference=action.reference + self._lift, event=event or action.event)
@@ -129,7 +152,12 @@ class ProgramSession:
         return f"hand over to {segment.controller.kind}: {segment.name}"
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Synchronise the active segment's clock with `state` (N,), and describe the change."""
+        """Synchronise the active segment's clock, and describe the change.
+
+        Args:
+            tick: present tick.
+            state: state (N,) at that tick.
+        """
         return self._session.resynchronise(tick, state - self._lift)
 
 
@@ -137,6 +165,7 @@ def program(segments: Sequence[Segment], *, period: float, kind: str = "program"
     """Return the program of these segments.
 
     Args:
+        segments: stays and flights in order.
         period: period of the loop, s.
         kind: name used in logs.
 
@@ -199,7 +228,15 @@ class NearestKeeper:
         self._keepers = dict(keepers)
 
     def session(self, tick: int, state: Array) -> tuple[Session, str]:
-        """Return a session that holds the fallback nearest to `state` (N,), and its description."""
+        """Return a session that holds the nearest fallback.
+
+        Args:
+            tick: first tick.
+            state: state (N,) at that tick.
+
+        Returns:
+            The session, and a description of the fallback.
+        """
         distances = {name: keeper.distance(state) for name, keeper in self._keepers.items()}
         name = min(distances, key=distances.__getitem__)
         text = f"holds {name}, {distances[name]:.2g} (scaled) away, by {self._keepers[name].kind}"

@@ -52,17 +52,31 @@ class Mode(IntEnum):
 
 
 def clip_number(value: float, low: float, high: float) -> float:
-    """Return a number limited to two bounds; faster than min and max."""
+    """Return a number limited to two bounds; faster than min and max.
+
+    Args:
+        value: the number.
+        low: lower bound.
+        high: upper bound.
+    """
     return high if value > high else low if value < low else value
 
 
 def clip_lanes(value: Array, low: Array | float, high: Array | float) -> Array:
-    """Return numbers (S,) of many runs limited to two bounds."""
+    """Return numbers (S,) of many runs limited to two bounds.
+
+    Args:
+        value: numbers (S,).
+        low: lower bounds, one number or (S,).
+        high: upper bounds, one number or (S,).
+    """
     return np.minimum(np.maximum(value, low), high)
 
 
 class Lanes(NamedTuple):
-    """Arithmetic on plain floats for one run (`ONE`), or on arrays (S,) for S lockstep runs (`MANY`).
+    """Arithmetic for one run or for S lockstep runs.
+
+    `ONE` uses plain floats for one run, `MANY` arrays (S,).
 
     numpy needs ten times as long for short arrays as Python for floats, so shared code uses these functions. `nearest`
     and `below` return whole numbers for counting, `rounded` whole numbers for arithmetic. `dot` takes (N,) or rows (S,
@@ -91,7 +105,11 @@ MANY = Lanes(
 
 
 def whole_turns(angles: Array) -> Array:
-    """Return the nearest multiples of 2π to the angles, rad, in the same shape."""
+    """Return the nearest multiples of 2π, rad.
+
+    Args:
+        angles: angles of any shape, rad.
+    """
     return np.rint(angles / (2 * np.pi)) * (2 * np.pi)
 
 
@@ -99,14 +117,25 @@ def pendulum_scale(arms: int) -> Array:
     """Return the scale (2n,) of the pendulum's state.
 
     Distances ignore the cart, which has no effect on the phase.
+
+    Args:
+        arms: number n of arms.
     """
     return np.array([ANGLE_SCALE] * arms + [RATE_SCALE] * arms)
 
 
 def interpolated(states: Array, place: Any, lanes: Lanes) -> Array:
-    """Return interpolated states (N,) or (S, N) of a table (K, N).
+    """Return interpolated states of a table.
 
     Places beyond its ends are clipped.
+
+    Args:
+        states: table (K, N).
+        place: fractional row, or rows (S,).
+        lanes: `ONE` or `MANY`.
+
+    Returns:
+        States (N,) or (S, N).
     """
     k = lanes.clip(lanes.below(place), 0, len(states) - 2)
     before = states[k]
@@ -146,27 +175,58 @@ class Estimator(Protocol):
         ...
 
     def first(self, state: Array) -> Estimate:
-        """Return the estimate before any measurement, at `state` (N,)."""
+        """Return the estimate before any measurement.
+
+        Args:
+            state: initial state (N,).
+        """
         ...
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,), of which `present` are valid."""
+        """Return the estimate after a measurement.
+
+        Args:
+            estimate: estimate before it.
+            measured: positions (n+1,), rad and m.
+            present: True for each valid position (n+1,), None if all are valid.
+        """
         ...
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate after a period with `command` m/s² and a new measurement."""
+        """Return the estimate after a period and a new measurement.
+
+        Args:
+            estimate: estimate one tick earlier.
+            command: acceleration of the cart during the period, m/s².
+            measured: positions (n+1,), rad and m.
+            present: True for each valid position (n+1,), None if all are valid.
+        """
         ...
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
-        """Return the state (N,) after the pending commands, one per period."""
+        """Return the state (N,) after the pending commands.
+
+        Args:
+            estimate: present estimate.
+            commands: pending commands, one per period, oldest first, m/s².
+        """
         ...
 
     def covariance(self, estimate: Estimate) -> Array:
-        """Return the covariance (N+E, N+E) of state and extra."""
+        """Return the covariance (N+E, N+E) of state and extra.
+
+        Args:
+            estimate: estimate of this estimator.
+        """
         ...
 
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
-        """Return an estimate reset to the positions `measured` (n+1,), for recovery."""
+        """Return an estimate reset to measured positions, for recovery.
+
+        Args:
+            estimate: last estimate.
+            measured: positions (n+1,), rad and m.
+        """
         ...
 
 
@@ -189,38 +249,78 @@ class Session(Protocol):
     """A controller during one run; it may have a state."""
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from `tick`, given the predicted state (N,) and the extras."""
+        """Return the action for the period from a tick.
+
+        Args:
+            tick: the tick in which the command acts.
+            state: predicted state (N,) at the tick.
+            extra: estimated extras (E,).
+        """
         ...
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the reference's clock to the phase nearest to `state` and return a sentence, or ""."""
+        """Move the reference's clock to the nearest phase.
+
+        Args:
+            tick: present tick.
+            state: state (N,) at that tick.
+
+        Returns:
+            A sentence for the log, or "".
+        """
         ...
 
 
 class ClockedSession(ABC):
-    """A session with its own clock, for one run or (S,) lockstep runs."""
+    """A session with its own clock, for one or many runs.
+
+    S runs in lockstep have clocks (S,).
+    """
 
     mode = Mode.HOLDING
     lanes: Lanes
 
     @abstractmethod
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback, m/s², and the reference, at `tick` for state (N,) or states (S, N)."""
+        """Return feedforward and feedback, m/s², and the reference.
+
+        Args:
+            tick: the tick in which the command acts.
+            states: state (N,) of one run, or states (S, N).
+        """
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from `tick` at `state` (N,)."""
+        """Return the action for the period from a tick.
+
+        Args:
+            tick: the tick in which the command acts.
+            state: predicted state (N,) at the tick.
+            extra: ignored.
+        """
         forward, feedback, wanted = self.steer(tick, state)
         return Action(float(forward), float(feedback), wanted, self.mode)
 
     def commands(self, tick: int, states: Array, extras: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return feedforwards (S,) and feedbacks (S,), m/s², and references (N, S) for `states` (N, S) at `tick`."""
+        """Return the commands of S runs.
+
+        Args:
+            tick: the tick in which the commands act.
+            states: predicted states (N, S) at the tick.
+            extras: ignored.
+
+        Returns:
+            Feedforwards (S,) and feedbacks (S,), m/s², and references (N, S).
+        """
         forward, feedback, wanted = self.steer(tick, states.T)
         return forward, feedback, wanted.T
 
 
 @dataclass(frozen=True, eq=False)
 class GainSchedule(Brief):
-    """Inputs, gains and references by the loop's clock, for K ticks, N states, E extras and n arms."""
+    """Inputs, gains and references by the loop's clock.
+
+    K is the number of ticks, N of states, E of extras and n of arms.
+    """
 
     rows: Array
     """Rows (K, ·), see `TickEquations.row`."""
@@ -238,7 +338,11 @@ class GainSchedule(Brief):
     """A user's law (`dpcontrol.control.symbolic`) that acts in addition to the gains."""
 
     def turned(self, turns: Array) -> "GainSchedule":
-        """Return the schedule with `turns` (n,) rad added to all its angles."""
+        """Return the schedule with turns added to all its angles.
+
+        Args:
+            turns: angles (n,), rad.
+        """
         n, size = len(turns), self.references.shape[1]
         rows, references = self.rows.copy(), self.references.copy()
         for angles in (rows[:, 1 + size : 1 + size + n], rows[:, -n:], references[:, :n]):
@@ -271,13 +375,22 @@ class Controller(Protocol):
 
 
 def schedule_of(controller: Controller, lead: int) -> GainSchedule | None:
-    """Return the gains of a law by the loop's clock, for `lead` ticks ahead; None for other laws."""
+    """Return a law's gains by the loop's clock, or None.
+
+    Only laws that follow this clock have such gains.
+
+    Args:
+        controller: the law.
+        lead: number of ticks between the computation of a command and its action.
+    """
     made = getattr(controller, "schedule", None)
     return None if made is None else made(lead)
 
 
 class SampledModel:
-    """The cart-level equations over `period` s, with base parameters (p,) and the drive's `lag` in s.
+    """The cart-level equations over one period.
+
+    The period and the drive's `lag` are in s, the base parameters are (p,).
 
     An instance must not be shared between threads, since its buffers are reused.
 
@@ -310,7 +423,10 @@ class SampledModel:
 
     @cached_property
     def machine(self) -> Any:
-        """The compiled step from state, command and parameters, (N+1+p, S), to the next states (N, S)."""
+        """The compiled step.
+
+        It maps state, command and parameters, (N+1+p, S), to the next states (N, S).
+        """
         return Compiled(self._plain).machine
 
     @cached_property
@@ -319,7 +435,10 @@ class SampledModel:
 
     @cached_property
     def _buffered(self) -> tuple[Any, Any, Array, Array, Array]:
-        """Return (trigger, its owner, state, input, result), which share memory with the step's arguments."""
+        """Return (trigger, its owner, state, input, result).
+
+        They share memory with the step's arguments.
+        """
         buffer, trigger = self._plain.buffer()
         x, u, following = np.zeros(self.dimension), np.zeros(1), np.zeros(self.dimension)
         for k, array in enumerate((x, u, self.parameters)):
@@ -329,7 +448,12 @@ class SampledModel:
         return trigger, (buffer, x, u, following), x, u, following
 
     def step(self, state: Array, command: float) -> Array:
-        """Return the state (N,) one period later under the constant acceleration `command`, m/s²."""
+        """Return the state (N,) one period later.
+
+        Args:
+            state: state (N,).
+            command: constant acceleration of the cart, m/s².
+        """
         trigger, _, x, u, following = self._buffered
         x[:] = state
         u[0] = command
@@ -337,9 +461,16 @@ class SampledModel:
         return following.copy()
 
     def lagging(self, a: Array, b: Array) -> tuple[Array, Array]:
-        """Return A (K, N+1, N+1) and B (K, N+1) of `linearised`, with the cart's acceleration as the last state.
+        """Return A and B of `linearised` for a lagging drive.
 
-        Without lag, A and B are returned unchanged.
+        The cart's acceleration becomes the last state. Without lag, A and B are returned unchanged.
+
+        Args:
+            a: A (K, N, N).
+            b: B (K, N).
+
+        Returns:
+            A (K, N+1, N+1) and B (K, N+1).
         """
         if not self.lag:
             return a, b
@@ -351,7 +482,12 @@ class SampledModel:
         return whole, push
 
     def linearised(self, states: Array, commands: Array) -> tuple[Array, Array]:
-        """Return A (K, N, N) and B (K, N) at `states` (K, N) and `commands` (K,)."""
+        """Return the Jacobians A (K, N, N) and B (K, N).
+
+        Args:
+            states: states (K, N).
+            commands: accelerations of the cart (K,), m/s².
+        """
         count, n = np.shape(states)
         parameters = np.repeat(self.parameters[:, None], count, axis=1)
         _, a, b = self._function.map(count)(states.T, np.asarray(commands)[None, :], parameters)

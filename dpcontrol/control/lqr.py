@@ -47,7 +47,12 @@ class QuadraticWeights(Settings, table="controller"):
     effort: float = setting(1.0, above=0, help="Weight of the cart's acceleration.")
 
     def weights(self, arms: int, period: float) -> tuple[Array, float]:
-        """Return Q's diagonal (N,) and r for a period in s."""
+        """Return Q's diagonal (N,) and r.
+
+        Args:
+            arms: number of arms.
+            period: time between ticks, s.
+        """
         scaled = [self.angle / ANGLE_SCALE**2] * arms + [self.rate / RATE_SCALE**2] * arms
         cart = [self.position, self.velocity / CART_VELOCITY_SCALE**2]
         return np.array(scaled + cart) * period, self.effort * period
@@ -81,7 +86,9 @@ class HoldSettings(QuadraticWeights):
 
 @dataclass(frozen=True, eq=False)
 class HoldController(Brief):
-    """Gain (N,) about the equilibrium `state` (N,) with the cart in the middle.
+    """Gain (N,) about an equilibrium.
+
+    `state` (N,) is the equilibrium with the cart in the middle.
 
     Attributes:
         ticks: number of periods.
@@ -108,7 +115,11 @@ class HoldController(Brief):
         return HoldSession(self, self.state)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the gain schedule, with the same row at every tick."""
+        """Return the gain schedule, with the same row at every tick.
+
+        Args:
+            lead: number of ticks between the computation of a command and its action.
+        """
         n, count = (len(self.state) - 2) // 2, self.ticks + 1
         drive = [] if self.drive_gain is None else [0.0, self.drive_gain]
         extras = [] if self.extra_gains is None else self.extra_gains
@@ -119,14 +130,23 @@ class HoldController(Brief):
         )
 
     def join(self, tick: int, state: Array) -> "HoldSession":
-        """Return a session that holds the equilibrium, with turns nearest to `state` (N,)."""
+        """Return a session that holds the equilibrium with the nearest turns.
+
+        Args:
+            tick: ignored.
+            state: present state (N,).
+        """
         n = (len(state) - 2) // 2
         wanted = self.state.copy()
         wanted[:n] += whole_turns(state[:n] - wanted[:n])
         return HoldSession(self, wanted)
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance of the pendulum's `state` (N,) from the equilibrium, modulo turns."""
+        """Return the scaled distance from the equilibrium, modulo turns.
+
+        Args:
+            state: state (N,), whose cart is ignored.
+        """
         n = (len(state) - 2) // 2
         away = np.asarray(state[: 2 * n] - self.state[: 2 * n])
         away[:n] -= whole_turns(away[:n])
@@ -134,13 +154,22 @@ class HoldController(Brief):
 
 
 class HoldSession:
-    """A hold during one run, about `wanted` (N,), the equilibrium with the run's turns."""
+    """A hold during one run.
+
+    `wanted` (N,) is the equilibrium with the run's turns.
+    """
 
     def __init__(self, controller: HoldController, wanted: Array) -> None:
         self._gain, self._extra_gains, self._wanted = controller.gain, controller.extra_gains, wanted
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from `tick` at `state` (N,)."""
+        """Return the action for the period from a tick.
+
+        Args:
+            tick: ignored.
+            state: predicted state (N,) at the tick.
+            extra: estimated extras (E,).
+        """
         feedback = 0.0
         for product in (self._gain * (self._wanted - state)).tolist():
             feedback += product
@@ -149,7 +178,12 @@ class HoldSession:
         return Action(0.0, feedback, self._wanted, Mode.HOLDING)
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Do nothing: an equilibrium has no clock."""
+        """Do nothing: an equilibrium has no clock.
+
+        Args:
+            tick: ignored.
+            state: ignored.
+        """
         return ""
 
 
@@ -180,6 +214,9 @@ def hold_controller(
 
     Args:
         state: equilibrium (2n,) of the pendulum.
+        model: model of arms and drive from tick to tick.
+        settings: weights and additional damping.
+        seconds: duration of the hold, s.
         extras: extra quantities that receive gains.
 
     Raises:

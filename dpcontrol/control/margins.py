@@ -1,4 +1,6 @@
-"""Stability margins of the loop with its filter: gain, further delay and further lag.
+"""Stability margins of the loop with its filter.
+
+The margins are those of gain, further delay and further lag.
 
 Along the reference, the plant, the filter's state, the pending commands and a clock by phase form one linear system
 from tick to tick. Law and filter are not modelled again. Their part is the Jacobian of the tick's expression
@@ -90,11 +92,13 @@ class LinearLoop(Brief):
     """Change (K, d) of w per tick of lateness of the clock, its last entry; None without such a clock."""
 
     def transitions(self, first: NDArray[np.int_], count: int, *, gain: Array, delay: Array, lag: Array) -> Array:
-        """Return the transitions (W, M, M) over `count` ticks from ticks `first` (W,).
+        """Return the transitions (W, M, M) of several windows.
 
         The state is w, then the state of the lag, then the pending commands, oldest first.
 
         Args:
+            first: first ticks (W,) of the windows.
+            count: number of ticks of a window.
             gain: gain (W,) of the plant.
             delay: delay (W,) beyond the model, s.
             lag: lag (W,) beyond the model, s.
@@ -133,7 +137,12 @@ class LinearLoop(Brief):
     ) -> Array:
         """Return the largest multiplier (W,) of each window.
 
-        Arguments as in `transitions`, or scalars.
+        Args:
+            first: first ticks (W,) of the windows.
+            count: number of ticks of a window.
+            gain: gain of the plant, a number or (W,), default 1.
+            delay: delay beyond the model, s, a number or (W,), default 0.
+            lag: lag beyond the model, s, a number or (W,), default 0.
         """
         changes = {"gain": gain, "delay": delay, "lag": lag}
         each = {name: np.broadcast_to(np.asarray(value, dtype=float), first.shape) for name, value in changes.items()}
@@ -200,14 +209,17 @@ class Margins(Brief):
         )
 
     def least(self) -> dict[str, tuple[float, float]]:
-        """Return each margin by name, with the time of loss or of the smallest margin, s.
+        """Return each margin by name, with a time, s.
 
-        The time is NaN at a bound of the search.
+        The time is that of the loss or of the smallest margin. It is NaN at a bound of the search.
         """
         return dict(self.simulated or self.least_of_windows())
 
     def least_of_windows(self) -> dict[str, tuple[float, float]]:
-        """Return the smallest margin over the windows by name, with the start of that window, s."""
+        """Return the smallest margin over the windows by name.
+
+        Each has the start of its window, s.
+        """
         worst = {
             "gain_low": (self.low, np.argmax), "gain_high": (self.high, np.argmin), "delay": (self.delay, np.argmin),
             "lag": (self.lag, np.argmin),
@@ -323,7 +335,9 @@ def _by_the_clock(law: Any, *, ticks: int, lags: bool) -> TimedController | Phas
 
 
 class _Course:
-    """Inputs of a tick at each of K ticks along a law's reference: memory, reading and row, as columns.
+    """Inputs of a tick along a law's reference.
+
+    Memory, reading and row are columns, one for each of K ticks.
 
     Arms and sensors match the model, so readings equal the filter's prediction.
 
@@ -377,7 +391,10 @@ class _Course:
         self.covariance = program.memory[memory["covariance"], 0].copy()
 
     def margins(self, first: NDArray[np.int_], window: int, limits: Array) -> list[Array]:
-        """Return growth and margins (W,), see `Margins`, of windows that begin at ticks `first`."""
+        """Return growth and margins (W,) of windows.
+
+        The windows begin at ticks `first`; see `Margins`.
+        """
         parts: list[list[Array]] = []
         for k in range(0, len(first), _BATCH):
             batch = first[k : k + _BATCH]
@@ -433,7 +450,10 @@ class _Course:
         return out
 
     def _with_clock(self, seen: Array, forward: Array, ticks: NDArray[np.int_]) -> tuple[Array, Array]:
-        """Append the clock's lateness, in ticks, as last column and last row of a tick's matrix."""
+        """Append the clock's lateness, in ticks, to a tick's matrix.
+
+        It is the last column and the last row.
+        """
         law = self.phase
         assert law is not None
         count, rows, width = seen.shape
@@ -453,8 +473,9 @@ class _Course:
 
 @lru_cache(maxsize=8)
 def _tick_jacobian(equations: TickEquations) -> tuple[ca.Function, int]:
-    """Return (memory, reading, row, numbers) -> Jacobian of memory, command and predicted state, and the memory's
-    length.
+    """Return the Jacobian of a tick, and the memory's length.
+
+    The function maps (memory, reading, row, numbers) to the Jacobian of memory, command and predicted state.
 
     The derivatives are with respect to the relevant parts of the memory, the measurement and the feedforward.
     """
@@ -475,7 +496,10 @@ def _tick_jacobian(equations: TickEquations) -> tuple[ca.Function, int]:
 
 @lru_cache(maxsize=8)
 def _prediction_jacobian(equations: TickEquations) -> ca.Function:
-    """Return (z, command, numbers) -> Jacobian of the next state by state and command, (N, N+1)."""
+    """Return (z, command, numbers) -> Jacobian of the next state.
+
+    The Jacobian (N, N+1) is that by state and command.
+    """
     size = equations.filter.equations.dimension
     z, command = ca.SX.sym("z", equations.filter.dimension), ca.SX.sym("command")
     numbers = ca.SX.sym("numbers", equations.numbers.size)

@@ -1,4 +1,4 @@
-"""OGY control: stabilisation of an unstable orbit by one bounded pulse per section.
+"""OGY control: one bounded pulse per section stabilises an unstable orbit.
 
     at the crossing of section j:   clock := phase of section j,   ξ = x̂ - x*,   p_j = -K_j ξ - s_j · δ̂,  |p_j| ≤
     limit
@@ -80,9 +80,12 @@ class Learning(Brief):
 
     def updated(self, section: NDArray[np.intp] | int, guess: Array, covariance: Array, surprise: Array
                 ) -> tuple[Array, Array]:  # fmt: skip
-        """Return δ̂ (…, m) and its covariance (…, m, m) after flights from `section` (…).
+        """Return δ̂ (…, m) and its covariance (…, m, m) after flights.
 
         Args:
+            section: section (…) at which each flight began.
+            guess: δ̂ (…, m) before.
+            covariance: its covariance (…, m, m).
             surprise: measured minus predicted state (…, 2n) of the pendulum at the next section.
         """
         d = self.sensitivities[section]
@@ -95,7 +98,12 @@ class Learning(Brief):
 
 
 def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
-    """Return the gains (k, N) whose pulses remove the unstable direction at the next section.
+    """Return the gains (k, N) of classic OGY.
+
+    Their pulses remove the unstable direction at the next section.
+
+    Args:
+        maps: maps from each of k sections to the next.
 
     Raises:
         GoalMissed: a pulse does not move the unstable direction.
@@ -120,6 +128,10 @@ def parameter_directions(equations: Equations, parameters: Array) -> Array:
     Inertia, weights with couplings, friction × 5.
 
     Weight G_i and coupling S_i = G_i/g change together, since gravity is constant.
+
+    Args:
+        equations: equations of the model.
+        parameters: base parameters (p,), SI.
     """
     n = (equations.dimension - 2) // 2
     inertias = n * (n + 1) // 2
@@ -129,9 +141,14 @@ def parameter_directions(equations: Equations, parameters: Array) -> Array:
 
 
 def sensitivities(orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", directions: Array) -> Array:
-    """Return D (k, N, m), the derivatives of section-to-section flights by plant `directions` (m, p).
+    """Return D (k, N, m), derivatives of section-to-section flights.
 
     They are central differences of Runge-Kutta flights under the orbit's input.
+
+    Args:
+        orbit: the sustained orbit.
+        maps: maps from each of k sections to the next.
+        directions: changes (m, p) of the plant's base parameters.
     """
     k, m, duration = len(maps), len(directions), maps[0].duration
     count = max(int(np.ceil(duration / _STEP)), 1)
@@ -154,7 +171,15 @@ def learning(
     orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", gains: Array, *, weights: Array, effort: float,
     share: float,
 ) -> Learning:  # fmt: skip
-    """Return the learning data for parameters with relative errors of `share`.
+    """Return the learning data for relative errors of the parameters.
+
+    Args:
+        orbit: the sustained orbit.
+        maps: maps from each of k sections to the next.
+        gains: gains (k, N) of the pulses.
+        weights: diagonal (N,) of Q.
+        effort: weight r of a pulse.
+        share: standard deviation of the relative errors.
 
     Raises:
         GoalMissed: the shifts do not converge.
@@ -177,7 +202,16 @@ def learning(
 def disturbance_shifts(
     maps: "tuple[SectionMap, ...]", gains: Array, disturbances: Array, *, weights: Array, effort: float
 ) -> Array:
-    """Return shifts s (k, m) of the pulses for each unit of known periodic disturbances D (k, N, m).
+    """Return shifts s (k, m) of the pulses, in m/s².
+
+    They are those for each unit of known periodic disturbances.
+
+    Args:
+        maps: maps from each of k sections to the next.
+        gains: gains (k, N) of the pulses.
+        disturbances: disturbances D (k, N, m).
+        weights: diagonal (N,) of Q.
+        effort: weight r of a pulse.
 
     Raises:
         GoalMissed: the shifts do not converge.
@@ -282,22 +316,39 @@ class OgyController(Brief):
         return OgySession(self)
 
     def begin_many(self, count: int) -> "OgySession":
-        """Return a session that computes `commands` for `count` runs, each with its own clock."""
+        """Return a session for many runs, each with its own clock.
+
+        Args:
+            count: number of runs.
+        """
         return OgySession(self, count)
 
     def join(self, tick: int, state: Array) -> "OgySession":
-        """Return a session from `tick` at the phase nearest to `state` (N,), with its turns."""
+        """Return a session from a tick at the nearest phase.
+
+        It keeps the state's turns.
+
+        Args:
+            tick: first tick.
+            state: state (N,) at that tick.
+        """
         session = self.begin()
         session.resynchronise(tick, state)
         return session
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance of the pendulum's `state` (N,) from the orbit, modulo turns."""
+        """Return the scaled distance from the orbit, modulo turns.
+
+        Args:
+            state: state (N,), whose cart is ignored.
+        """
         return self.table.distance(state)
 
 
 class OgySession(ClockedSession):
-    """The last crossed section, the time since, the active pulse, and the estimated plant errors.
+    """The section, pulse and estimated plant errors of a run.
+
+    The session holds the last crossed section, the time since, the active pulse, and the errors.
 
     With `count`, the session serves as many lockstep runs from the first state. The values are then arrays (S,), since
     runs cross their sections at different ticks.
@@ -343,7 +394,13 @@ class OgySession(ClockedSession):
         return (self._times[self._section] + self._elapsed) % self.orbit_period
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from `tick` at `state` (N,)."""
+        """Return the action for the period from a tick.
+
+        Args:
+            tick: the tick in which the command acts.
+            state: predicted state (N,) at the tick.
+            extra: ignored.
+        """
         forward, feedback, wanted = self.steer(tick, state)
         event = ""
         if self._lost is not None:
@@ -352,7 +409,12 @@ class OgySession(ClockedSession):
         return Action(float(forward), float(feedback), wanted, Mode.PULSING if feedback else Mode.HOLDING, event)
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback in m/s², and the reference, at `tick` for the state (N,) or states (S, N)."""
+        """Return feedforward and feedback, m/s², and the reference.
+
+        Args:
+            tick: the tick in which the command acts.
+            states: state (N,) of one run, or states (S, N).
+        """
         law, lanes, period, passed = self._law, self.lanes, self._law.model.period, tick - self._tick
         self._elapsed = self._elapsed + passed * period
         self._tick, self._lost = tick, None
@@ -377,7 +439,10 @@ class OgySession(ClockedSession):
         return feedforward, feedback, law.table.state(clock, lanes) + self._lift
 
     def _where(self, holds: Any, change: Callable[..., None], *given: Any) -> None:
-        """Apply a change to this run if `holds`, or to the lockstep runs for which it is True."""
+        """Apply a change to this run if `holds`.
+
+        In lockstep, apply it to the runs for which `holds` is True.
+        """
         if self.lanes is ONE:
             if holds:
                 change(self, *given)
@@ -411,7 +476,10 @@ class OgySession(ClockedSession):
         self.missed = self.missed + 1
 
     def _found(self, states: Array) -> Any:
-        """Move the clock to the phase nearest to state (N,) or states (S, N); return the shift, s."""
+        """Move the clock to the nearest phase; return the shift, s.
+
+        The argument is a state (N,) or states (S, N).
+        """
         law, expected = self._law, self.time
         time, _, self._lift = law.table.nearest(states)
         since = np.mod(time[..., None] - law.times, self.orbit_period)
@@ -420,9 +488,13 @@ class OgySession(ClockedSession):
         return law.table.shift(time, expected)
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the phase nearest to `state` (N,) and return a sentence.
+        """Move the clock to the nearest phase and return a sentence.
 
         The next crossing starts a pulse.
+
+        Args:
+            tick: present tick.
+            state: state (N,) at that tick.
         """
         self._elapsed = self._elapsed + (tick - self._tick) * self._law.model.period
         self._tick = tick
@@ -430,7 +502,10 @@ class OgySession(ClockedSession):
 
 
 def _many_steps(model: SampledModel, count: int) -> Callable[[Array, Array], Array]:
-    """Return a function that advances states (S, N) under commands (S,) by a period."""
+    """Return a function that advances states (S, N) by a period.
+
+    The commands are (S,).
+    """
     function = model.equations.discrete_step(model.period)
     step = Compiled(function.factory("plain", function.name_in(), [function.name_out(0)]))
     states_at, commands_at, parameters_at = (step.slices[name] for name in function.name_in())
@@ -447,7 +522,13 @@ def _many_steps(model: SampledModel, count: int) -> Callable[[Array, Array], Arr
 def ogy_controller(
     orbit: "SustainedOrbit", model: SampledModel, settings: OgySettings | ClassicOgySettings, *, seconds: float
 ) -> OgyController:
-    """Return the controller that holds `orbit` for `seconds` by pulses.
+    """Return the controller that holds an orbit by pulses.
+
+    Args:
+        orbit: the sustained orbit.
+        model: model of arms and drive from tick to tick.
+        settings: sections, largest pulse and weights.
+        seconds: duration of the hold, s.
 
     Raises:
         InputError: the orbit did not converge or belongs to other arms, or its sections are less than two ticks apart.

@@ -1,4 +1,4 @@
-"""Orbits for controllers: the nearest phase of a state, and periodic linear-quadratic feedback.
+"""Orbits for controllers: the nearest phase, and periodic linear-quadratic feedback.
 
 The nearest phase ignores whole turns of the arms. It also ignores the cart, whose position does not depend on the
 phase:
@@ -65,26 +65,54 @@ class PhaseTable(Brief):
         return self.period / (len(self.states) - 1)
 
     def state(self, time: Any, lanes: Lanes = ONE) -> Array:
-        """Return the state (N,) at a time in s, or states (S, N) at times (S,), modulo the period."""
+        """Return the states at times, modulo the period.
+
+        Args:
+            time: time, s, or times (S,).
+            lanes: `ONE` or `MANY`.
+
+        Returns:
+            State (N,), or states (S, N).
+        """
         return interpolated(self.states, time % self.period / self.step, lanes)
 
     def input(self, time: Any, lanes: Lanes = ONE) -> Any:
-        """Return the input in m/s² of the entry nearest to a time in s, or inputs (S,), modulo the period."""
+        """Return the inputs of the nearest entries, m/s².
+
+        Args:
+            time: time, s, or times (S,), modulo the period.
+            lanes: `ONE` or `MANY`.
+        """
         return self.inputs[lanes.nearest(time % self.period / self.step)]
 
     def shift(self, time: Any, expected: Any) -> Any:
-        """Return the delay of a time against an expected one, s, within half a period."""
+        """Return the delay of a time, s, within half a period.
+
+        Args:
+            time: time, s, or times of any shape.
+            expected: expected time, s, in the same shape.
+        """
         half = self.period / 2
         return (time - expected + half) % (2 * half) - half
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance of the pendulum's `state` (N,) from the orbit, modulo turns."""
+        """Return the scaled distance from the orbit, modulo turns.
+
+        Args:
+            state: state (N,), whose cart is ignored.
+        """
         return float(self.nearest(state)[1])
 
     def nearest(self, states: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return times (…) s, scaled distances (…) and turns (…, N) rad of the phases nearest to (…, N).
+        """Return the nearest phases.
 
         The distance is the largest component of the pendulum's state, with angles scaled by π and rates by 10 rad/s.
+
+        Args:
+            states: states (…, N).
+
+        Returns:
+            Times (…), s, scaled distances (…) and turns (…, N), rad.
         """
         x = np.asarray(states, dtype=float)
         size = x.shape[-1] - 2
@@ -103,13 +131,25 @@ class PhaseTable(Brief):
         return times.reshape(x.shape[:-1]), distance.reshape(x.shape[:-1]), turns.reshape(x.shape)
 
     def rates(self, index: NDArray[np.intp]) -> Array:
-        """Return the pendulum's time derivative (K, 2n) at entries (K,), by central differences."""
+        """Return the pendulum's time derivative by central differences.
+
+        Args:
+            index: entries (K,) of the table.
+
+        Returns:
+            Derivatives (K, 2n), rad/s and rad/s².
+        """
         count, n = len(self.states) - 1, self.states.shape[1] - 2
         return (self.states[(index + 1) % count, :n] - self.states[(index - 1) % count, :n]) / (2 * self.step)
 
 
 def phase_table(orbit: "SustainedOrbit", *, entries: int = ENTRIES) -> PhaseTable:
-    """Return one period of a sustained orbit."""
+    """Return one period of a sustained orbit.
+
+    Args:
+        orbit: the sustained orbit.
+        entries: number of entries of the table.
+    """
     times = np.arange(entries + 1) / entries * orbit.period
     states = orbit.state(times)
     states[-1] = states[0]
@@ -153,7 +193,15 @@ def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort:
 
 
 def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArray[np.complex128]:
-    """Return the multipliers (N,) of a period under p = -K ξ, largest first; the loop is stable below 1."""
+    """Return the multipliers (N,) of a period, largest first.
+
+    They are those under p = -K ξ. The loop is stable below 1.
+
+    Args:
+        matrices: A (m, N, N) of each part of the period.
+        responses: B (m, N).
+        gains: K (m, N).
+    """
     product = np.eye(matrices.shape[-1])
     for a, b, gain in zip(matrices, responses, gains, strict=True):
         product = (a - np.outer(b, gain)) @ product
@@ -163,7 +211,10 @@ def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArr
 
 @dataclass(frozen=True, eq=False)
 class OrbitController(Brief):
-    """Stabilises a sustained orbit with gains at every tick, as a TVLQR without end."""
+    """Stabilises a sustained orbit with gains at every tick.
+
+    It is a TVLQR without end.
+    """
 
     kind: str
     table: PhaseTable
@@ -190,16 +241,31 @@ class OrbitController(Brief):
         return OrbitSession(self, 0, 0.0, np.zeros(len(self.first_state)))
 
     def begin_many(self, count: int) -> "OrbitSession":
-        """Return a session that computes `commands` for `count` runs, each with its own clock."""
+        """Return a session for many runs, each with its own clock.
+
+        Args:
+            count: number of runs.
+        """
         return OrbitSession(self, 0, np.zeros(count), np.zeros(len(self.first_state)), MANY)
 
     def join(self, tick: int, state: Array) -> "OrbitSession":
-        """Return a session from `tick` at the phase nearest to `state` (N,), with its turns."""
+        """Return a session from a tick at the nearest phase.
+
+        It keeps the state's turns.
+
+        Args:
+            tick: first tick.
+            state: state (N,) at that tick.
+        """
         time, _, turns = self.table.nearest(state)
         return OrbitSession(self, tick, float(time), turns)
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance of the pendulum's `state` (N,) from the orbit, modulo turns."""
+        """Return the scaled distance from the orbit, modulo turns.
+
+        Args:
+            state: state (N,), whose cart is ignored.
+        """
         return self.table.distance(state)
 
 
@@ -221,7 +287,12 @@ class OrbitSession(ClockedSession):
         return self._time % self.orbit_period
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback in m/s², and the reference, at `tick` for the state (N,) or states (S, N)."""
+        """Return feedforward and feedback, m/s², and the reference.
+
+        Args:
+            tick: the tick in which the command acts.
+            states: state (N,) of one run, or states (S, N).
+        """
         law, lanes, x = self._law, self.lanes, states - self._lift
         table, count = law.table, len(law.gains)
         time = self._time + (tick - self._tick) * law.period
@@ -236,7 +307,12 @@ class OrbitSession(ClockedSession):
         return law.feedforward[k], lanes.dot(law.gains[k], wanted - x), wanted + self._lift
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the phase nearest to `state` (N,) and return a sentence."""
+        """Move the clock to the nearest phase and return a sentence.
+
+        Args:
+            tick: present tick.
+            state: state (N,) at that tick.
+        """
         law, expected = self._law, self._time + (tick - self._tick) * self._law.period
         time, _, self._lift = law.table.nearest(state)
         self._tick, self._time = tick, float(time)
@@ -246,9 +322,15 @@ class OrbitSession(ClockedSession):
 def orbit_controller(
     orbit: "SustainedOrbit", model: SampledModel, settings: TvlqrSettings, *, seconds: float
 ) -> OrbitController:
-    """Return the controller that holds `orbit` for `seconds` by feedback at every tick of the model.
+    """Return the controller that holds an orbit at every tick.
 
-    settings.schedule: "time" or "phase". The period is cut into equal ticks next to the model's own in length.
+    The period is cut into equal ticks next to the model's own in length.
+
+    Args:
+        orbit: the sustained orbit.
+        model: model of arms and drive from tick to tick.
+        settings: weights, and the schedule "time" or "phase".
+        seconds: duration of the hold, s.
 
     Raises:
         InputError: the orbit did not converge, or is of another number of arms.
@@ -274,6 +356,10 @@ def orbit_controller(
 
 def check_orbit(orbit: "SustainedOrbit", model: SampledModel) -> None:
     """Reject an orbit that cannot be held with this model.
+
+    Args:
+        orbit: the sustained orbit.
+        model: model of the controller.
 
     Raises:
         InputError: the orbit did not converge, or is of another number of arms.

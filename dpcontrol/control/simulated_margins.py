@@ -1,4 +1,6 @@
-"""Margins by simulation: limits of gain, further delay and further lag for the nonlinear loop.
+"""Margins by simulation: limits for the nonlinear loop.
+
+The limits are those of gain, further delay and further lag.
 
 Multipliers (`dpcontrol.control.margins`) describe small errors in a short window. They do not show the oscillation of a
 loop with dry friction, whose amplitude grows as the gain falls. They also ignore that a flight may pass through a
@@ -106,10 +108,16 @@ class NominalLoop:
 
 
 def simulated_margins(loop: NominalLoop) -> dict[str, tuple[float, float]]:
-    """Return gain_low, gain_high, delay and lag in s, each with the time of loss just beyond, s.
+    """Return the margins of gain, delay and lag by simulation.
 
     If no run is lost, the margin is the largest value tried and the time is NaN. If the nominal loop is lost, the
     margins are 1 and 0.
+
+    Args:
+        loop: loop whose arms and drive match the model.
+
+    Returns:
+        gain_low, gain_high, and delay and lag in s, each with the time of loss just beyond, s.
     """
     (nominal,) = loop.lost_at(np.ones(1), np.zeros(1), np.zeros(1))
     near: dict[str, float] = dict(_NEAREST)
@@ -132,7 +140,10 @@ def simulated_margins(loop: NominalLoop) -> dict[str, tuple[float, float]]:
 
 
 def _of_all(loop: NominalLoop, tried: dict[str, Array]) -> dict[str, Array]:
-    """Return the times of loss by margin, from one batch of all runs."""
+    """Return the times of loss by margin.
+
+    One batch computes all runs.
+    """
     drives: dict[str, Array] = {}
     sizes = np.cumsum([0, *(len(values) for values in tried.values())])
     for key, usual in (("gain", 1.0), ("delay", 0.0), ("lag", 0.0)):

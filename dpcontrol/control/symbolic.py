@@ -1,4 +1,6 @@
-"""A user's law as casadi expressions: part of the compiled tick, so of lockstep runs, margins, C and FMU as well.
+"""A user's law as casadi expressions.
+
+It is part of the compiled tick, and so of lockstep runs, margins, C and FMU as well:
 
     command, m⁺ = function(x̂, reference, m, parameters)
 
@@ -66,6 +68,10 @@ class SymbolicLaw:
     def expression(self, states: int, parameters: int) -> ca.Function:
         """Return (state, wanted, feedforward, memory, parameters) -> command and next memory, (1+M,).
 
+        Args:
+            states: number N of states.
+            parameters: number of base parameters.
+
         Raises:
             InputError: the function raises, or returns other values than such expressions.
         """
@@ -91,18 +97,30 @@ class SymbolicLaw:
 
 @dataclass(frozen=True, eq=False)
 class SymbolicController(TimedController):
-    """A symbolic law on a reference, for the model with which its commands are computed."""
+    """A symbolic law on a reference, for one model.
+
+    Its commands are computed with this model.
+    """
 
     law: SymbolicLaw = field(kw_only=True)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the reference's schedule with this law."""
+        """Return the reference's schedule with this law.
+
+        Args:
+            lead: number of ticks between the computation of a command and its action.
+        """
         made, arms = super().schedule(lead), len(self.first_state) // 2 - 1
         return replace(made, rows=np.insert(made.rows, -arms, 1.0, axis=1), law=self.law)
 
 
 def symbolic_controller(law: SymbolicLaw, reference: Reference, model: SampledModel) -> SymbolicController:
     """Return a law on a reference.
+
+    Args:
+        law: the law.
+        reference: reference to follow.
+        model: model of arms and drive from tick to tick.
 
     Raises:
         InputError: the reference did not converge or belongs to other arms, or the law does not return valid

@@ -1,4 +1,6 @@
-"""The tick: response of the controller to one reading, as one function of memory, reading and a row of a table.
+"""The tick: response of the controller to one reading.
+
+It is one function of memory, reading and a row of a table:
 
     estimate   the extended Kalman filter's update with the measured positions (`dpcontrol.control.ekf`)
     ahead      the state when the command will act, predicted through the pending commands
@@ -223,16 +225,32 @@ class Layout:
         self.size = int(ends[-1])
 
     def symbols(self, name: str) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """Return a vector of symbols and its parts."""
+        """Return a vector of symbols and its parts.
+
+        Args:
+            name: name of the vector.
+        """
         vector = ca.SX.sym(name, self.size)
         return vector, {part: vector[where] for part, where in self.slices.items()}
 
     def joined(self, parts: Mapping[str, ca.SX]) -> ca.SX:
-        """Return the vector of these parts."""
+        """Return the vector of these parts.
+
+        Args:
+            parts: all parts by name, (length,).
+        """
         return ca.densify(ca.vertcat(*(parts[name] for name in self.slices)))
 
     def filled(self, parts: Mapping[str, Array | float], runs: int | None = None) -> Array:
-        """Return the vector (size,), or (size, runs), of numbers or arrays (length,) or (length, runs)."""
+        """Return the vector of numbers, with zeros for missing parts.
+
+        Args:
+            parts: values by name, numbers, (length,) or (length, runs).
+            runs: number of runs; None for one.
+
+        Returns:
+            Vector (size,), or (size, runs).
+        """
         out = np.zeros(self.size if runs is None else (self.size, runs))
         for name, value in parts.items():
             given = np.asarray(value, dtype=float)
@@ -282,7 +300,13 @@ class KnownMechanics(NamedTuple):
         return 2 * (_SHAPED_DAMPING - self.damping) / (2 * np.pi * self.belt) if self.belt else 0.0
 
     def notch(self, period: float) -> Array:
-        """Return b0, b1, b2, a1, a2 of (s² + 2ζωs + ω²)/(s² + 2ζ'ωs + ω²) by the bilinear transform, exact at ω."""
+        """Return the coefficients b0, b1, b2, a1, a2 of the notch.
+
+        They are those of (s² + 2ζωs + ω²)/(s² + 2ζ'ωs + ω²) by the bilinear transform, exact at ω.
+
+        Args:
+            period: time between ticks, s.
+        """
         k = 1 / np.tan(np.pi * self.belt * period)
         own, wide = 2 * self.damping * k, 2 * _SHAPED_DAMPING * k
         below = k**2 + wide + 1
@@ -300,7 +324,9 @@ class _Known(NamedTuple):
 
 
 class _Acts(NamedTuple):
-    """State (N,) at which the command acts, and the cart's acceleration `drive` then, m/s².
+    """State (N,) at which the command acts.
+
+    drive m/s²: the cart's acceleration then.
 
     back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, if already known.
     """
@@ -340,7 +366,10 @@ class _Means(NamedTuple):
 
 
 class _Verdict(NamedTuple):
-    """The outcome, that which stopped the run or 0, the number of a stuck sensor or 0, and the watch's memory."""
+    """The decision of a tick.
+
+    It has the outcome, that which stopped the run or 0, the number of a stuck sensor or 0, and the watch's memory.
+    """
 
     outcome: ca.SX
     stopped: ca.SX
@@ -617,7 +646,9 @@ class TickEquations:
     def _without_play(
         self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], c: Mapping[str, ca.SX], apart: ca.SX
     ) -> tuple[ca.SX, ca.SX, dict[str, ca.SX]]:
-        """Corrections (n+1,) from the encoders' angles to the joints', their covariance, and the new marks.
+        """Return corrections (n+1,) from the encoders' angles to the joints'.
+
+        Their covariance and the new marks follow.
 
         apart (n+1,): readings minus predictions. A joint that moves its encoder is at the side of the play to which it
         turns. Any other joint is at the filter's prediction inside the play, or at the nearest side.
@@ -641,7 +672,9 @@ class TickEquations:
         return ca.vertcat(sums @ ca.vertcat(*shifts), 0), ca.diagcat(spread, 0), {"mark": ca.vertcat(*marks)}
 
     def _timing(self, m: Mapping[str, ca.SX], aligned: ca.SX, weight: ca.SX, sound: ca.SX) -> dict[str, ca.SX]:
-        """The variance of the readings' age, the information in it, and their recent mean, after an update.
+        """Return the estimated variance of the readings' age.
+
+        The results are the variance, the information in it, and their recent mean, after an update.
 
         aligned, weight: ωᵀS⁻¹y and ωᵀS⁻¹ω, whose ratio is the apparent age of this innovation. Let a and b be the same
             for time in periods. Then the log likelihood has the slope (a² - b) / 2 by the variance, and b² / 2 is the
@@ -664,7 +697,9 @@ class TickEquations:
     def _slipped(
         self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], apart: ca.SX, innovation: ca.SX
     ) -> tuple[ca.SX, ca.SX]:
-        """Whole turns between each reading and its prediction (n,), and 1 if one of them is new.
+        """Return whole turns between readings and predictions (n,).
+
+        The second result is 1 if one of them is new.
 
         apart (n+1,): the innovation before it is wrapped. The filter cannot detect a whole turn, so it would continue
         with diverged rates. The encoders count turns.
@@ -689,7 +724,9 @@ class TickEquations:
         return out
 
     def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """Return the mean acceleration of the cart over the period and the one at its end, in m/s².
+        """Return the cart's accelerations in the period, m/s².
+
+        They are the mean and the one at the end.
 
         The drive keeps its velocity reference within its limit. If that already exceeds the limit, the drive returns it
         with at most its largest acceleration, see `DriveLimits.acting`.
@@ -703,7 +740,18 @@ class TickEquations:
         return given + c["lag"] / period * (1 - keeps) * (drive - given), given + keeps * (drive - given)
 
     def law(self, row: Mapping[str, Any], ahead: Any, drive: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
-        """Return the feedback, m/s², and the number of the last extra beyond its trust, from 1, or 0."""
+        """Return the feedback of a row, m/s².
+
+        Args:
+            row: one row of the table, by the names of `TickEquations.row`.
+            ahead: state (N,) at which the command acts.
+            drive: the cart's acceleration then, m/s².
+            extra: estimated extras (E,).
+            trust: largest error of a share on which the law acts.
+
+        Returns:
+            The feedback, and the number of the last extra beyond its trust, from 1, or 0.
+        """
         feedback, untrusted = 0.0, 0.0
         for i in range(ahead.shape[0]):
             feedback += row["gains"][i] * (row["state"][i] - ahead[i])
@@ -733,7 +781,9 @@ class TickEquations:
         return ca.if_else(row["own"], command - row["feedforward"], 0), {"own": memory}
 
     def _stuck(self, known: "_Known", nis: ca.SX, taken: ca.SX | None) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """The number of the first stuck sensor, from 1, and the watch's memory.
+        """Return the number of the first stuck sensor, from 1.
+
+        The watch's memory follows.
 
         taken (2n,): changes of predicted angles and rates by the filter's update, if known.
         """
@@ -793,7 +843,9 @@ class TickEquations:
     def _frozen_scale(
         self, m: Mapping[str, ca.SX], c: Mapping[str, ca.SX], moved: ca.SX, same: ca.SX
     ) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """True if the cart's scale has frozen, and the expected cart after a reading.
+        """True if the cart's scale has frozen.
+
+        The second result is the expected cart after a reading.
 
         moved m: the step of the reading. same: 1 if it is zero.
         """
@@ -850,7 +902,10 @@ class TickEquations:
         return _Law(row["feedforward"], feedback, finite, untrusted, by_own, own)
 
     def _means(self, known: "_Known", e: Mapping[str, ca.SX], *, predicts: bool) -> "_Means":
-        """Means of innovations and of the distance from the reference, and the time without measurement."""
+        """Return means of innovations and of distances.
+
+        The distances are those from the reference. The time without measurement is included.
+        """
         m, r, c, n, period = known.memory, known.reading, known.numbers, self.filter.arms, self.filter.period
         judged = ca.logic_and(e["used"] > 0, e["sound"])
         # A blow ends within a tick, and is not evidence of a lost estimate.
@@ -912,7 +967,10 @@ class TickEquations:
         return _Verdict(outcome, stopped, sensor, watch)
 
     def _farthest(self, known: "_Known", acts: "_Acts") -> ca.SX:
-        """Resting place of the cart if it brakes now, m from the centre."""
+        """Return the cart's resting place if it brakes now.
+
+        It is in m from the centre.
+        """
         m, c, n = known.memory, known.numbers, self.filter.arms
         x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m["velocity"]
         farthest = self._stopping_point(x, v, c)
@@ -922,7 +980,10 @@ class TickEquations:
     def _path(
         self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", law: "_Law", verdict: "_Verdict"
     ) -> "_Path":
-        """The command within the drive's limits, and the acceleration in the coming period."""
+        """Return the command within the drive's limits.
+
+        The acceleration in the coming period is included.
+        """
         m, c, period, n = known.memory, known.numbers, self.filter.period, self.filter.arms
         most, fastest, sent, stop = c["acceleration"], c["velocity"], m["velocity"], verdict.stopped > 0
         forward = ca.if_else(ca.logic_or(stop, ca.logic_not(law.finite)), 0, law.forward)
@@ -987,7 +1048,10 @@ class TickEquations:
     def _predicted(
         self, known: "_Known", e: Mapping[str, ca.SX], means: "_Means", acting: ca.SX, *, predicts: bool
     ) -> dict[str, ca.SX]:
-        """The filter's prediction over the coming period, or without `predicts` its unchanged memory."""
+        """Return the filter's prediction over the coming period.
+
+        Without `predicts`, its memory is unchanged.
+        """
         m, c = known.memory, known.numbers
         if not predicts:
             return {"z": m["z"], "covariance": m["covariance"]}
@@ -1027,7 +1091,9 @@ class TickEquations:
         }  # fmt: skip
 
     def _stopping_point(self, position: ca.SX, velocity: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
-        """Resting place of the cart if it brakes now, from the centre in the direction of its motion, m.
+        """Return the cart's resting place if it brakes now.
+
+        It is measured from the centre in the direction of the cart's motion, m.
 
         It is negative on the side of its start, and includes the margin.
         """
@@ -1072,6 +1138,9 @@ class TickEquations:
         ahead (N,), drive m/s²: state for which the command is computed, and the cart's acceleration then. back m/s²:
         feedback in addition to the row's. coming m/s²: last input, the acceleration in the coming period, if the memory
         lacks the pending commands. Without `predicts`, the filter's memory is unchanged.
+
+        Args:
+            predicts: True to predict the next state, False to keep the filter's memory.
         """
         (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
         sensed, e = self.sensed.symbols("sensed")
@@ -1101,7 +1170,14 @@ class TickEquations:
 
 
 def on_their_way(sent: Any, share: Any, *, whole: int, lead: int) -> list[Any]:
-    """Return the accelerations in the next `lead` periods due to the commands `sent`, oldest first, m/s²."""
+    """Return the accelerations in the next periods, m/s².
+
+    Args:
+        sent: sent commands, oldest first, m/s².
+        share: share of a period in which the earlier command acts.
+        whole: whole periods of the delay.
+        lead: number of the next periods.
+    """
     # The next command to act is one place newer than the last.
     return [share * sent[k] + (1 - share) * sent[min(k + 1, whole + 1)] for k in range(1, lead + 1)]
 
@@ -1115,14 +1191,20 @@ def _tick_equations(
     equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int] | None,
     shares: tuple[bool, ...] | None, lags: bool, mechanics: tuple[bool, bool], own: "SymbolicLaw | None",
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
-    """Return a tick's equations and their machine code so far, shared by all runs of a process."""
+    """Return a tick's equations and their machine code so far.
+
+    All runs of a process share them.
+    """
     filters = FilterEquations(equations, period, augments, as_measured=True)
     whole, lead = path or (0, 0)
     return TickEquations(filters, whole, lead, shares, path is not None, lags, *mechanics, own), {}
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
-    """Return a delay's whole periods, and the periods of prediction for the command.
+    """Return a delay's whole periods, and the periods of prediction.
+
+    Args:
+        delay: delay of a command, in periods.
 
     Raises:
         InputError: the delay is negative or absurd.
@@ -1133,7 +1215,9 @@ def whole_periods(delay: float) -> tuple[int, int]:
 
 
 class TickProgram:
-    """The tick of one model, filter, delay and law as machine code, for `runs` runs in lockstep.
+    """The tick of one law as machine code.
+
+    It belongs to one model, filter, delay and law, and computes `runs` runs in lockstep.
 
     Arrays have a column for each run and fill whole vectors of the processor, because partial vectors round
     differently. So a single run equals one of many. bounds: see `BOUNDS`.
@@ -1211,7 +1295,8 @@ class TickProgram:
     def machine(self, name: str) -> Compiled:
         """Return one of the functions as machine code.
 
-        Tick, sense, moved, finish, or judge (finish without filter).
+        Args:
+            name: "tick", "sense", "moved", "finish", or "judge" (finish without filter).
         """
         if name not in self._made:
             equations = self.equations
@@ -1223,9 +1308,12 @@ class TickProgram:
         return self._made[name]
 
     def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
-        """Fill the memory for a first state (N,), and pending commands (lead, runs), m/s².
+        """Fill the memory for the start of a run.
 
-        velocity m/s: of the cart.
+        Args:
+            first: first state (N,).
+            queued: pending commands (lead, runs), oldest first, m/s².
+            velocity: velocity of the cart, m/s.
         """
         most, fastest = (self._numbers[self.equations.numbers.slices[name], 0] for name in ("acceleration", "velocity"))
         sent = np.zeros(self._sent.shape)
@@ -1251,7 +1339,13 @@ class TickProgram:
         self._sent[:] = sent
 
     def spread(self, values: Array) -> Array:
-        """Return values (…, runs) or (…, 1) for all lanes, (…, lanes), padded with the last run's."""
+        """Return values for all lanes, (…, lanes).
+
+        The last run's values fill the rest.
+
+        Args:
+            values: values (…, runs) or (…, 1).
+        """
         count = values.shape[-1]
         return values if count == self.lanes else np.concatenate(
             [values, np.repeat(values[..., -1:], self.lanes - count, axis=-1)], axis=-1
@@ -1260,9 +1354,12 @@ class TickProgram:
     def take(self, positions: Array, present: Present, switch: Any, rate_error: Array | None, age: Any = None) -> None:
         """Take a reading.
 
-        Positions (n+1, 1) or (n+1, lanes), present (n+1,) or (n+1, lanes), the limit switch.
-
-        age s: of the reading, if known.
+        Args:
+            positions: positions (n+1, 1) or (n+1, lanes), rad and m.
+            present: True for each new position (n+1,) or (n+1, lanes), None if all are new.
+            switch: limit switch, see `Reading.switch`.
+            rate_error: error (n, 1) or (n, lanes) of the rates that the law receives, rad/s; None to keep the last.
+            age: age of the reading, s, None if unknown.
         """
         self._measured[:] = positions
         if present is not None:
@@ -1289,7 +1386,11 @@ class TickProgram:
         return self.machine("tick").machine
 
     def prepare(self, names: Sequence[str]) -> None:
-        """Compile these functions now."""
+        """Compile these functions now.
+
+        Args:
+            names: names of functions, see `machine`.
+        """
         for name in names:
             _ = self.machine(name).machine
 
@@ -1299,7 +1400,12 @@ class TickProgram:
         return self._numbers[:, 0].copy()
 
     def set_number(self, name: str, value: float) -> None:
-        """Change one of the `BOUNDS`."""
+        """Change one of the `BOUNDS`.
+
+        Args:
+            name: name of the bound.
+            value: its new value.
+        """
         self._numbers[self.equations.numbers.slices[name]] = value
 
     # Split, for laws with internal timing and for delays too long to unroll.
@@ -1317,19 +1423,31 @@ class TickProgram:
 
     @property
     def drive(self) -> Array:
-        """The carts' accelerations (lanes,) at the start of the coming period, for lagging drives, m/s²."""
+        """The carts' accelerations (lanes,) for lagging drives, m/s².
+
+        They are those at the start of the coming period.
+        """
         at = self.equations.memory.slices.get("drive")
         return np.zeros(self.lanes) if at is None else self.memory[at][0]
 
     def look_ahead(self, z: Array) -> tuple[Array, Array]:
-        """Return states (N, lanes) for which commands are computed, from estimates z (N+E, lanes), and `drive` then."""
+        """Return states (N, lanes) for which commands are computed.
+
+        `drive` at that time follows.
+
+        Args:
+            z: estimates (N+E, lanes).
+        """
         drive = self.drive
         for command in self.on_their_way():
             z, drive = self.moved(z, drive, command)
         return self.with_rate_error(z[: self.model.dimension]), drive
 
     def acting_on_their_way(self) -> tuple[list[Array], Array]:
-        """Return the mean accelerations (lanes,) due to pending commands, period by period, and `drive` then."""
+        """Return the mean accelerations (lanes,) due to pending commands.
+
+        There is one entry for each period; `drive` at the end follows.
+        """
         means, drive, model = [], self.drive, self.model
         for command in self.on_their_way():
             means.append(command + model.lag / self.period * (1 - model.lag_keeps) * (drive - command))
@@ -1337,13 +1455,26 @@ class TickProgram:
         return means, drive
 
     def with_rate_error(self, states: Array) -> Array:
-        """Return states (N, lanes) as the law receives them."""
+        """Return states (N, lanes) as the law receives them.
+
+        Args:
+            states: states (N, lanes).
+        """
         out = states.copy()
         out[self.model.arms : 2 * self.model.arms] += self._rate_error
         return out
 
     def moved(self, z: Array, drive: Array, command: Array) -> tuple[Array, Array]:
-        """Return states and extras (N+E, lanes), and `drive`, a period later under commands (lanes,)."""
+        """Return the estimates and `drive` a period later.
+
+        Args:
+            z: states and extras (N+E, lanes).
+            drive: accelerations (lanes,) of the carts, m/s².
+            command: commands (lanes,) that act in the period, m/s².
+
+        Returns:
+            States and extras (N+E, lanes), and `drive` (lanes,).
+        """
         made = self.machine("moved")
         inputs = np.concatenate([z, drive[None], command[None], self._numbers])
         out = made.machine(inputs, np.empty((made.size_out, self.lanes)))
@@ -1352,7 +1483,12 @@ class TickProgram:
     def finish(self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True) -> None:
         """Compute the rest of a tick with the row in `row`.
 
-        back (lanes,) m/s²: additional feedback.
+        Args:
+            sensed: output (size, lanes) of `sense`.
+            ahead: states (N, lanes) for which commands are computed.
+            drive: accelerations (lanes,) of the carts then, m/s².
+            back: feedback in addition to the row's, a number or (lanes,), m/s².
+            predicts: True to predict the filter's next state, default True.
         """
         made = self.machine("finish" if predicts else "judge")
         parts = [self._inputs, sensed, ahead, drive[None], np.broadcast_to(back, (1, self.lanes))]

@@ -120,7 +120,11 @@ class TimedController(ReferenceController):
     drive: Array | None = field(default=None, kw_only=True)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the gain schedule for commands computed `lead` ticks ahead."""
+        """Return the gain schedule.
+
+        Args:
+            lead: number of ticks between the computation of a command and its action.
+        """
         return GainSchedule(self._rows(lead), self.reference_states, self.feedforward[:lead], Mode.TRACKING)
 
     def _rows(self, lead: int, *more: Array) -> Array:
@@ -134,7 +138,10 @@ class TimedController(ReferenceController):
 
 @dataclass(frozen=True, eq=False)
 class PhaseController(ReferenceController):
-    """A controller whose clock is corrected to the nearest phase at every tick; normals n (K+1, N)."""
+    """A controller whose clock follows the nearest phase.
+
+    The clock is corrected at every tick, by the normals n (K+1, N).
+    """
 
     normals: Array
 
@@ -143,22 +150,43 @@ class PhaseController(ReferenceController):
         return PhaseSession(self)
 
     def begin_many(self, count: int) -> "PhaseSession":
-        """Return a session that computes `commands` for `count` runs, each with its own clock."""
+        """Return a session for many runs, each with its own clock.
+
+        Args:
+            count: number of runs.
+        """
         return PhaseSession(self, place=np.zeros(count), lanes=MANY)
 
     def join(self, tick: int, state: Array) -> "PhaseSession":
-        """Return a session from `tick`, at the place of the reference nearest to `state` (N,)."""
+        """Return a session from a tick at the reference's nearest place.
+
+        Args:
+            tick: first tick.
+            state: state (N,) at that tick.
+        """
         return PhaseSession(self, tick=tick, place=self.nearest(state))
 
     def nearest(self, state: Array) -> int:
-        """Return the tick at which the pendulum's reference is nearest to `state` (N,)."""
+        """Return the tick of the reference nearest to a state.
+
+        Args:
+            state: state (N,), whose cart is ignored.
+        """
         scale = pendulum_scale(len(state) // 2 - 1)
         away = (self.reference_states[:, : len(scale)] - state[: len(scale)]) / scale
         return int(np.argmin(np.square(away).sum(1)))
 
 
 def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Array, period: float) -> PhaseController:
-    """Return the controller for feedforward (K,), gains (K, N) and states (K+1, N), `period` s apart."""
+    """Return the controller by phase for tabulated gains.
+
+    Args:
+        kind: name of the law.
+        states: reference states (K+1, N).
+        feedforward: accelerations (K,), m/s².
+        gains: gains (K, N).
+        period: time between ticks, s.
+    """
     scale = pendulum_scale(states.shape[1] // 2 - 1)
     rates = np.gradient(states[:, : len(scale)], axis=0) / scale
     normals = np.zeros_like(states)
@@ -168,7 +196,10 @@ def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Arr
 
 
 class PhaseSession(ClockedSession):
-    """One or many runs of a law, from the reference's tick `place`, or ticks (S,), at the loop's `tick`."""
+    """One or many runs of a law.
+
+    They start from the reference's tick `place`, or ticks (S,), at the loop's `tick`.
+    """
 
     mode = Mode.TRACKING
 
@@ -177,7 +208,12 @@ class PhaseSession(ClockedSession):
         self._tick, self.place = tick, place
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback, m/s², and the reference, at `tick` for state (N,) or states (S, N)."""
+        """Return feedforward and feedback, m/s², and the reference.
+
+        Args:
+            tick: the tick in which the command acts.
+            states: state (N,) of one run, or states (S, N).
+        """
         law, lanes, last = self._law, self.lanes, len(self._law.feedforward)
         place = self.place + max(tick - self._tick, 0)
         self._tick = tick
@@ -189,7 +225,12 @@ class PhaseSession(ClockedSession):
         return law.feedforward[j], lanes.dot(law.gains[j], wanted - states), wanted
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the phase nearest to `state` (N,) and return a sentence."""
+        """Move the clock to the nearest phase and return a sentence.
+
+        Args:
+            tick: present tick.
+            state: state (N,) at that tick.
+        """
         expected = self.place + tick - self._tick
         self._tick, self.place = tick, float(self._law.nearest(state))
         return f"clock of the reference moved by {self.place - expected:+.0f} ticks"
@@ -197,7 +238,10 @@ class PhaseSession(ClockedSession):
 
 @dataclass(frozen=True)
 class FeedforwardSettings:
-    """The reference's input alone, to show that even a correct reference needs feedback."""
+    """The reference's input alone.
+
+    It shows that even a correct reference needs feedback.
+    """
 
     kind: str = "feedforward"
 
@@ -228,12 +272,20 @@ class TrackingController(TimedController):
         return self.join(0, self.first_state)
 
     def join(self, tick: int, state: Array) -> "TrackingSession":
-        """Return a session that starts at `tick`."""
+        """Return a session from a tick on.
+
+        Args:
+            tick: first tick.
+            state: ignored.
+        """
         return TrackingSession(self, tick)
 
 
 class TrackingSession:
-    """A tracking controller during a flight with the loop's clock, from tick `start`."""
+    """A tracking controller during a flight, from tick `start`.
+
+    Its clock is that of the loop.
+    """
 
     def __init__(self, controller: TrackingController, start: int = 0) -> None:
         self._law, self._start = controller, start
@@ -242,6 +294,11 @@ class TrackingSession:
         """Return the action for the period from `tick`.
 
         After the last, its gain holds the end.
+
+        Args:
+            tick: the tick in which the command acts.
+            state: predicted state (N,) at the tick.
+            extra: ignored.
         """
         law, tick = self._law, max(tick - self._start, 0)
         k = min(tick, law.ticks - 1)
@@ -249,13 +306,20 @@ class TrackingSession:
         return Action(float(law.feedforward[k]), float(law.gains[k].dot(wanted - state)), wanted, Mode.TRACKING)
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Do nothing: gains by time have no other clock."""
+        """Do nothing: gains by time have no other clock.
+
+        Args:
+            tick: ignored.
+            state: ignored.
+        """
         return ""
 
 
 @dataclass(frozen=True)
 class AdaptiveSettings(ClosingWeights):
-    """Weights like those of "tvlqr", but smaller except at the end, since known errors need no feedback.
+    """Weights like those of "tvlqr", but smaller.
+
+    They are smaller except at the end, since known errors need no feedback.
 
     Attributes:
         trust: largest error log(p/p₀) of a parameter that the law uses; errors of 0.3 in masses and lengths cause at
@@ -273,7 +337,9 @@ class AdaptiveSettings(ClosingWeights):
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveController(TimedController):
-    """Gains by time on the state, on the extras (K, E), and on products of all pairs of shares (K, P).
+    """Gains by time on the state and on the extras.
+
+    There are gains on the extras (K, E), and on products of all pairs of shares (K, P).
 
     Attributes:
         shares: True for extras (E,) that are relative errors of parameters.
@@ -288,7 +354,11 @@ class AdaptiveController(TimedController):
     trust: float
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the gain schedule for commands computed `lead` ticks ahead."""
+        """Return the gain schedule.
+
+        Args:
+            lead: number of ticks between the computation of a command and its action.
+        """
         return GainSchedule(
             self._rows(lead, self.extra_gains, self.pair_gains), self.reference_states, self.feedforward[:lead],
             Mode.TRACKING, tuple(self.shares.tolist()), self.names, self.trust,
@@ -296,7 +366,13 @@ class AdaptiveController(TimedController):
 
 
 def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Array, effort: float) -> Array:
-    """Return P (N, N) of the discrete algebraic Riccati equation with A (N, N), B (N,), Q (N, N), r.
+    """Return P (N, N) of the discrete algebraic Riccati equation.
+
+    Args:
+        state_jacobian: A (N, N).
+        input_jacobian: B (N,).
+        weights: Q (N, N).
+        effort: weight r of the input.
 
     Raises:
         GoalMissed: the pair cannot be stabilised.
@@ -323,14 +399,17 @@ def riccati_gains(
     terminal: Array,
     extras: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return gains on state (K, N) and extras (K, E) of the backward recursion, and P (K+1, N, N).
+    """Return gains of the backward recursion, and P (K+1, N, N).
+
+    There are gains on the state (K, N) and on the extras (K, E).
 
     Args:
-        state_jacobians: a (K, N, N).
-        input_jacobians: b (K, N).
+        state_jacobians: A (K, N, N).
+        input_jacobians: B (K, N).
         weights: diagonal (N,) of Q, or Q at each tick (K, N, N).
-        terminal: p (N, N) at the end.
-        extras: e (K, N, E) and decay factors D (E,) per period; E = 0 without them.
+        effort: weight r of the input.
+        terminal: P (N, N) at the end.
+        extras: E (K, N, E) and decay factors D (E,) per period; E = 0 without them.
     """
     gains = np.empty_like(input_jacobians)
     effects, kept = extras or (np.empty((len(gains), gains.shape[1], 0)), np.empty(0))
@@ -361,11 +440,16 @@ def riccati_gains(
 def tracking_controller(
     reference: Reference, model: SampledModel, settings: ControllerSettings
 ) -> TrackingController | PhaseController:
-    """Return the controller for `reference` at the model's period.
+    """Return the controller for a reference at the model's period.
 
     The terminal cost is that of the model frozen at the reference's end. Its influence decays within a few tenths of a
     second, so the simplest positive definite matrix is sufficient. The Riccati solution of the periodic orbit would
     require the orbit, which friction changes.
+
+    Args:
+        reference: reference to follow.
+        model: model of arms and drive from tick to tick.
+        settings: weights of the law.
 
     Raises:
         InputError: the reference did not converge or has another number of states than the model.
@@ -394,7 +478,9 @@ def tracking_controller(
 
 
 def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, Array]:
-    """Return states (K+1, N), mean inputs (K,) and inputs (K+1,) of a reference at a model's ticks.
+    """Return states (K+1, N) and inputs at a model's ticks.
+
+    The inputs are means (K,) over the periods, and values (K+1,) at the ticks.
 
     Raises:
         InputError: the reference did not converge or has another number of states than the model.
@@ -413,7 +499,10 @@ def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, 
 
 
 def _widened(weights: Array, model: SampledModel) -> Array:
-    """Return Q (…, N, N) with zero weight on the cart's acceleration if the model's drive lags."""
+    """Return Q (…, N, N), widened if the model's drive lags.
+
+    The cart's acceleration then has zero weight.
+    """
     return np.pad(weights, [(0, 0)] * (weights.ndim - 2) + [(0, 1), (0, 1)]) if model.lag else weights
 
 
@@ -433,7 +522,14 @@ def _by_time(reference: Reference, model: SampledModel, commands: Array, drive: 
 
 
 def costs_to_go(reference: Reference, model: SampledModel, settings: QuadraticWeights) -> tuple[Array, Array]:
-    """Return states (K+1, N) at the model's ticks and P (K+1, N, N) of the cost-to-go eᵀPe.
+    """Return states (K+1, N) and P (K+1, N, N) at the ticks.
+
+    P is that of the cost-to-go eᵀPe.
+
+    Args:
+        reference: reference to follow.
+        model: model of arms and drive from tick to tick.
+        settings: weights of the cost.
 
     Raises:
         InputError: the reference did not converge or has another number of states than the model.
@@ -448,14 +544,29 @@ def costs_to_go(reference: Reference, model: SampledModel, settings: QuadraticWe
 
 
 def tick_count(reference: Reference, period: float) -> int:
-    """Return the number of periods that cover the reference."""
+    """Return the number of periods that cover the reference.
+
+    Args:
+        reference: the reference.
+        period: time between ticks, s.
+    """
     return max(int(np.ceil(reference.duration / period - 1e-6)), 1)
 
 
 def extra_jacobians(
     model: SampledModel, augment: tuple[Augment, ...], states: Array, commands: Array, process: Array
 ) -> tuple[Array, Array]:
-    """Return E (K, N, E) and D (E,) at states (K, N) and commands (K,), from the estimator's prediction."""
+    """Return effects E (K, N, E) and decay factors D (E,).
+
+    They come from the estimator's prediction.
+
+    Args:
+        model: model of arms and drive from tick to tick.
+        augment: kinds of extras.
+        states: states (K, N).
+        commands: accelerations of the cart (K,), m/s².
+        process: noise parameters, see `FilterSettings.process`.
+    """
     equations = FilterEquations(model.equations, model.period, augment)
     size, n, count = equations.dimension, model.dimension, len(states)
     program = Compiled(equations.prediction(with_jacobian=True))
@@ -470,9 +581,14 @@ def extra_jacobians(
 
 
 def closing_weights(settings: ClosingWeights, states: Array, model: SampledModel) -> Array:
-    """Return Q (K, N, N) at the ticks of reference states (K+1, N).
+    """Return Q (K, N, N) at the ticks of a reference.
 
     Towards the end, angles have a larger weight across their path than along it.
+
+    Args:
+        settings: weights along the reference.
+        states: reference states (K+1, N).
+        model: model of arms and drive from tick to tick.
     """
     n, count = model.arms, len(states) - 1
     diagonal, _ = settings.weights(n, model.period)
@@ -487,7 +603,9 @@ def closing_weights(settings: ClosingWeights, states: Array, model: SampledModel
 def _shifted(
     a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effort: float, terminal: Array
 ) -> tuple[Array, Array, Array]:
-    """Return F (K, E) for feedback `gains`, and the shifts of states X (K+1, N, E) and inputs (K, E).
+    """Return F (K, E) for given feedback gains.
+
+    The shifts of states X (K+1, N, E) and inputs (K, E) follow.
 
     The gains (K, N) follow the reference that is optimal by `weights` for known constants, to first order. X_{k+1} = (A
     - B K̂) X_k + E - B F̂, X_0 = 0, with K̂ and F̂ the gains by `weights`. Then F = F̂ + (K̂ - K) X.
@@ -512,7 +630,9 @@ def _of_second_order(
     model: SampledModel, estimator: FilterSettings, states: Array, commands: Array, *, moved: Array, pushed: Array,
     which: NDArray[np.intp],
 ) -> Array:  # fmt: skip
-    """Return E' (K, N, P) of all pairs of m parameters with errors in the extras `which` (m,).
+    """Return E' (K, N, P) of all pairs of m parameters.
+
+    `which` (m,) are the extras with the errors.
 
     Args:
         moved: shift (K+1, N, m) of the states by a unit of each error.
@@ -550,7 +670,13 @@ def _of_second_order(
 def adaptive_controller(
     reference: Reference, model: SampledModel, settings: AdaptiveSettings, *, estimator: FilterSettings
 ) -> AdaptiveController:
-    """Return the controller for `reference` at the model's period and the estimator's extras.
+    """Return the controller for a reference and the estimator's extras.
+
+    Args:
+        reference: reference to follow.
+        model: model of arms and drive from tick to tick.
+        settings: weights of the law.
+        estimator: settings of the estimator, which must estimate the parameters.
 
     Raises:
         InputError: the reference did not converge or has another number of states than the model, or the estimator does

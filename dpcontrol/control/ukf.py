@@ -47,7 +47,15 @@ class FilterpyEstimator(KalmanFilter):
         self._linear = Compiled(self.program.equations.prediction(with_jacobian=True))
 
     def following(self, points: Array, command: float) -> Array:
-        """Return the next z (N+E,) or (N+E, S) of `points` of the same shape."""
+        """Return the next z of several points.
+
+        Args:
+            points: points (N+E,) or (N+E, S).
+            command: acceleration of the cart, m/s².
+
+        Returns:
+            Points of the same shape.
+        """
         inputs = np.empty((self.program.ahead.size_in, *points.shape[1:]))
         column = (slice(None), *(None for _ in points.shape[1:]))
         inputs[: self.size] = points
@@ -57,7 +65,13 @@ class FilterpyEstimator(KalmanFilter):
         return self.program.ahead(inputs, np.empty(points.shape))
 
     def linearised(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array, Array]:
-        """Return the next z (N+E,), its Jacobian and Q (N+E, N+E)."""
+        """Return the next z (N+E,), its Jacobian and Q (N+E, N+E).
+
+        Args:
+            z: present estimate (N+E,).
+            covariance: its covariance (N+E, N+E).
+            command: acceleration of the cart, m/s².
+        """
         variance = covariance.diagonal()[self._shares].mean() if self._shares else 0.0
         inputs = np.concatenate([z, [command], self.model.parameters, self.program.process, [variance, 0.0, 1.0]])
         out, n = self._linear(inputs, np.empty(self._linear.size_out)), self.size
@@ -81,10 +95,18 @@ class FilterpyEstimator(KalmanFilter):
     def _updated(
         self, z: Array, covariance: Array, measured: Array, observation: Array, noise: Array
     ) -> tuple[Array, Array, Array, float]:
-        """Return z, P, innovation (m,) and NIS after m measured values = `observation` (m, N+E) z and noise."""
+        """Return z, P, innovation (m,) and NIS after a measurement.
+
+        The m measured values are `observation` (m, N+E) z and noise.
+        """
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,), of which `present` are valid.
+        """Return the estimate after a measurement.
+
+        Args:
+            estimate: estimate before it.
+            measured: positions (n+1,), rad and m.
+            present: True for each valid position (n+1,), None if all are valid.
 
         Raises:
             InputError: the measurement has the wrong shape.
@@ -108,9 +130,15 @@ class FilterpyEstimator(KalmanFilter):
         return self._estimate(after, left, innovation, nis, len(rows))
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate after a period with `command` m/s² and a new measurement.
+        """Return the estimate after a period and a new measurement.
 
         It raises the errors of `update`.
+
+        Args:
+            estimate: estimate one tick earlier.
+            command: acceleration of the cart during the period, m/s².
+            measured: positions (n+1,), rad and m.
+            present: True for each valid position (n+1,), None if all are valid.
         """
         z, covariance = estimate.memory
         with _arithmetic():
@@ -118,14 +146,25 @@ class FilterpyEstimator(KalmanFilter):
         return self.update(estimate._replace(memory=memory), measured, present)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
-        """Return the state (N,) after the pending commands, including the effect of the extras."""
+        """Return the state (N,) after the pending commands.
+
+        The extras act during the prediction.
+
+        Args:
+            estimate: present estimate.
+            commands: pending commands, one per period, oldest first, m/s².
+        """
         z = estimate.memory[0]
         for command in commands:
             z = self.following(z, command)
         return z[: self.model.dimension]
 
     def covariance(self, estimate: Estimate) -> Array:
-        """Return the covariance (N+E, N+E) of state and extra."""
+        """Return the covariance (N+E, N+E) of state and extra.
+
+        Args:
+            estimate: estimate of this filter.
+        """
         return estimate.memory[1]
 
 

@@ -1,4 +1,6 @@
-"""Fit of parameter ratios, encoder zeros and initial states to swings, by robust multiple shooting.
+"""Fit of ratios, zeros and initial states to swings.
+
+Parameter ratios and encoder zeros are fitted by robust multiple shooting:
 
     min Σ ρ(y_k - θ(t_k; x_j, p) - z),   x_{j+1} = φ(x_j, p) from window to window,   p_i ≥ 0 for friction
     ρ(e) = ½e² for |e| ≤ d, else d(|e| - ½d)        (Huber)
@@ -67,7 +69,9 @@ LONGEST_STEP = 2e-3
 
 
 class Swings:
-    """Integrator for swings of arms with the count, gravity and friction laws of `arms`.
+    """Integrator for swings of arms.
+
+    The arms have the count, gravity and friction laws of `arms`.
 
     Each call sets the values of the parameters. An instance must not be shared between threads.
     """
@@ -87,7 +91,9 @@ class Swings:
         accelerations: Array | float = 0.0,
         velocities: Array | float = 0.0,
     ) -> tuple[Array, Array]:
-        """Return states (W, K, N) and sensitivities (W, K, N, N+m) from each start.
+        """Return states and sensitivities from each start.
+
+        They are (W, K, N) and (W, K, N, N+m).
 
         Args:
             starts: initial states (W, N).
@@ -121,7 +127,10 @@ class Swings:
 
 
 def _nominal(arms: ArmChainParameters) -> ArmChainParameters:
-    """Return arms that represent all with the same count, gravity, friction laws and smoothing."""
+    """Return arms that represent all of the same kind.
+
+    They have the same count, gravity, friction laws and smoothing.
+    """
     one = (1.0,) * arms.count
     names = ("mass", "centre_of_mass", "length", "inertia", "viscous", *arms.friction)
     return replace(arms, **dict.fromkeys(names, one))
@@ -129,7 +138,10 @@ def _nominal(arms: ArmChainParameters) -> ArmChainParameters:
 
 @cache
 def _compiled(arms: ArmChainParameters) -> Compiled:
-    """Return the compiled step (x, vec S, p, (h, u, v)) -> (x, vec S); compiling takes longer than most fits."""
+    """Return the compiled step of all swings.
+
+    It maps (x, vec S, p, (h, u, v)) to (x, vec S). Compiling takes longer than most fits.
+    """
     n, m = 2 * arms.count, len(ratio_names(arms))
     rate = equations_of(arms, Level.CART).function()
     x, p, drive = ca.SX.sym("x", n), ca.SX.sym("p", m), ca.SX.sym("drive", 3)
@@ -166,7 +178,9 @@ class Swing(Brief):
 
 
 class Windows:
-    """All swings, cut into windows of about `length` s and integrated together.
+    """All swings, cut into windows that are integrated together.
+
+    Windows are about `length` s long.
 
     Attributes:
         of_swing: windows of each swing, by number.
@@ -199,7 +213,10 @@ class Windows:
                         self.drive[row, w, : rows.stop - rows.start] = values[rows]
 
     def guess(self) -> Array:
-        """Return starts (W, 2n) from the measured angles, with rates by a local polynomial."""
+        """Return starts (W, 2n) from the measured angles.
+
+        Rates come from a local polynomial.
+        """
         starts = []
         for swing, windows in zip(self.swings, self.of_swing, strict=True):
             rates = smoothed_derivative(swing.angles, swing.period)
@@ -207,7 +224,9 @@ class Windows:
         return np.array(starts)
 
     def linearised(self, starts: Array, values: Array, where: NDArray[np.intp]) -> "Linearised":
-        """Integrate all windows from `starts` (W, 2n) and chain their derivatives along each swing.
+        """Integrate all windows and chain their derivatives.
+
+        The chains follow each swing.
 
         Args:
             starts: initial states (W, 2n) of the windows.
@@ -281,13 +300,21 @@ class Linearised:
     finite: bool
 
     def loss(self, threshold: float) -> float:
-        """Return the loss of the residuals."""
+        """Return the loss of the residuals.
+
+        Args:
+            threshold: size of a residual from which the loss is linear, rad.
+        """
         sizes = np.abs(np.concatenate([one.residual.ravel() for one in self.swings]))
         bent = np.minimum(sizes, threshold)
         return float((bent * (sizes - bent / 2)).sum())
 
     def merit(self, threshold: float) -> float:
-        """Return the merit function of a step: loss plus gaps."""
+        """Return the merit function of a step: loss plus gaps.
+
+        Args:
+            threshold: size of a residual from which the loss is linear, rad.
+        """
         scale = threshold if np.isfinite(threshold) else 1e-3
         return self.loss(threshold) / scale**2 + _GAP_WEIGHT * self.gaps / scale
 
@@ -360,9 +387,13 @@ def fit_swings(
     Coefficients of friction remain non-negative.
 
     Args:
+        model: integrator of the arms.
+        swings: measured swings.
         parameters: first guess or fixed values (m,).
         zeros: first guess or fixed values (groups, n), rad.
         free: free parameters (m,).
+        free_zeros: True to fit the zeros.
+        settings: windows, robust loss and convergence.
         near: first guess (W, 2n) of the windows' starts, default the measured angles.
 
     Raises:
@@ -491,7 +522,10 @@ def _normal(now: Linearised, threshold: float) -> _Normal:
 
 
 def _step(normal: _Normal, values: Array, lower: Array) -> tuple[Array, list[Array]]:
-    """Return the bounded change of the unknowns (f,), and the change (2n,) of each swing's start."""
+    """Return the bounded change of the unknowns (f,).
+
+    The change (2n,) of each swing's start follows.
+    """
     f = len(values)
     step = np.zeros(f)
     if f:
@@ -507,7 +541,10 @@ def _step(normal: _Normal, values: Array, lower: Array) -> tuple[Array, list[Arr
 
 
 def _scores(one: _Chain, mixed: Array, threshold: float) -> Array:
-    """Return each sample's gradient (K, f) of the loss by the unknowns, with the start eliminated."""
+    """Return each sample's gradient (K, f) of the loss.
+
+    It is that by the unknowns, with the start eliminated.
+    """
     n = len(mixed)
     along = one.slope[..., n:] - one.slope[..., :n] @ mixed
     return np.einsum("kaf,ka->kf", along, np.clip(one.residual, -threshold, threshold))
@@ -539,7 +576,9 @@ class DesignSettings(Settings, table="design"):
 
 @dataclass(frozen=True, eq=False)
 class Experiment(Brief):
-    """One recording: "swing" from rest at angles (n,) rad, or "cart" with a sinusoidal acceleration.
+    """One recording: "swing" or "cart".
+
+    A swing starts from rest at angles (n,) rad. A cart has a sinusoidal acceleration.
 
     Attributes:
         information: digits of information.
@@ -578,7 +617,10 @@ class Design:
         return sorted((e for e in self.experiments if e.usable), key=lambda e: -e.information)
 
     def best_pair(self) -> tuple[Experiment, Experiment]:
-        """Return the most informative experiment and the best one to add, possibly the same."""
+        """Return the most informative experiment and the best addition.
+
+        They may be the same.
+        """
         ranked = self.ranked()
         first = ranked[0]
         return first, max(ranked, key=lambda e: digits(first.matrix + e.matrix))
@@ -595,7 +637,14 @@ class Design:
 
 
 def digits(matrix: Array) -> float:
-    """Return ½ log₁₀ det / f of an information matrix (f, f), -inf if it is singular."""
+    """Return the digits of an information matrix, ½ log₁₀ det / f.
+
+    Args:
+        matrix: information matrix (f, f).
+
+    Returns:
+        The digits, -inf for a singular matrix.
+    """
     sign, logarithm = np.linalg.slogdet(matrix)
     return float(logarithm / np.log(10) / 2 / len(matrix)) if sign > 0 else -np.inf
 
@@ -603,7 +652,14 @@ def digits(matrix: Array) -> float:
 def design_experiments(
     arms: ArmChainParameters, *, settings: DesignSettings | None = None, progress: Progress = no_progress
 ) -> Design:
-    """Compare free swings over a grid of angles, and sines of the cart, as experiments.
+    """Compare experiments by their information.
+
+    They are free swings over a grid of angles, and sines of the cart.
+
+    Args:
+        arms: model of the arms.
+        settings: experiments to compare.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: no experiment is usable.
@@ -664,7 +720,9 @@ def design_experiments(
 
 
 def _information(slopes: Array, values: Array, used: NDArray[np.intp], counts: int) -> tuple[Array, float]:
-    """Return the information (f, f) on the logarithms of the ratios in use, and the growth of errors.
+    """Return the information (f, f) on the ratios in use.
+
+    It refers to their logarithms. The growth of errors follows.
 
     Args:
         slopes: derivatives (K, n, 2n+m) of the angles by start and ratios.

@@ -86,7 +86,14 @@ _MOST_TURNED = 1e6
 def cut_into_swings(
     recordings: Sequence[Recording], arms: int, longest: float | None
 ) -> tuple[list[Swing], list[Segment]]:
-    """Return the recordings' segments as swings, with long ones cut into equal pieces.
+    """Return the recordings' segments as swings.
+
+    Long ones are cut into equal pieces.
+
+    Args:
+        recordings: the recordings.
+        arms: number of arms of the model.
+        longest: longest duration of a piece, s; None for the default.
 
     Raises:
         InputError: a recording has another number of arms, hardly moves, or has a long gap.
@@ -164,9 +171,14 @@ ALIKE = 0.95
 
 
 def correlation_time(residuals: Sequence[Array]) -> float:
-    """Return the integrated autocorrelation time of residuals (K, n), in samples, at least 1.
+    """Return the integrated autocorrelation time of residuals, in samples.
+
+    It is at least 1.
 
     The sum ends when the autocorrelation, pooled over swings and angles, first falls below 0.05.
+
+    Args:
+        residuals: residuals (K, n) of each swing.
     """
     longest = min(len(r) for r in residuals)
     power = np.zeros(longest)
@@ -184,10 +196,14 @@ def correlation_time(residuals: Sequence[Array]) -> float:
 
 
 def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the covariance (f, f) of the fit's unknowns and their standard errors (f,).
+    """Return covariance (f, f) and standard errors (f,) of the unknowns.
 
     Unknowns at a bound, `bound` (f,), count as fixed for the others and have no variance. Their own standard errors
     ignore the bound.
+
+    Args:
+        fit: the fit.
+        bound: True for unknowns (f,) at a bound.
     """
     covariance = np.zeros((len(bound), len(bound)))
     covariance[np.ix_(~bound, ~bound)] = _covariance(fit, ~bound)
@@ -229,6 +245,10 @@ def undetermined_of(
     """Return sentences on undetermined numbers (f,) and indistinguishable pairs.
 
     Args:
+        names: names of the numbers (f,).
+        values: their values (f,).
+        errors: their standard errors (f,), infinite if undetermined.
+        covariance: their covariance (f, f).
         friction: True for coefficients of friction (f,).
     """
     sentences: list[str] = []
@@ -253,7 +273,13 @@ def undetermined_of(
 
 
 def correlation_of(covariance: Array) -> Array:
-    """Return the correlation matrix (f, f), zero for numbers without variance or undetermined."""
+    """Return the correlation matrix (f, f).
+
+    It is zero for numbers without variance or undetermined.
+
+    Args:
+        covariance: covariance (f, f).
+    """
     deviations = np.sqrt(np.diag(covariance))
     scale = np.where((deviations > 0) & np.isfinite(deviations), deviations, np.inf)
     return covariance / np.outer(scale, scale)
@@ -271,7 +297,7 @@ LAWS: tuple[tuple[Friction, ...], ...] = (
 
 @dataclass(frozen=True)
 class IdentificationSettings(Settings, table="identify"):
-    """Settings of the identification."""
+    """Terms to try, and segments to hold out."""
 
     zeros: str = setting("chosen", choices=("free", "none", "chosen"))
     """"free", "none", or "chosen" by the held-out error."""
@@ -291,7 +317,10 @@ class IdentificationSettings(Settings, table="identify"):
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Brief):
-    """A set of terms, its fit, and the rms error (L,) in rad on each held-out segment."""
+    """A set of terms, its fit, and its errors.
+
+    The rms errors (L,) are those on each held-out segment, in rad.
+    """
 
     laws: tuple[Friction, ...]
     zeros: bool
@@ -466,10 +495,15 @@ def identify(
 
 
 def choose(candidates: Sequence[Candidate]) -> int:
-    """Return the index of the simplest candidate within one standard error of the best.
+    """Return the index of the simplest candidate near the best.
+
+    It is within one standard error of the best.
 
     The standard error is that of the best candidate's mean over the held-out segments. Among candidates with equally
     many unknowns, the better one is chosen. Differences due to rounding are ignored.
+
+    Args:
+        candidates: fitted candidates.
     """
     squares = [c.left_out**2 for c in candidates]
     best = min(squares, key=lambda s: float(s.mean()))
@@ -503,7 +537,10 @@ def _fitted(
 
 
 def _predicted(model: Swings, swings: list[Swing], parameters: Array, zeros: Array, settings: FitSettings) -> SwingFit:
-    """Return the swings' starts by least squares, with ratios (m,) and zeros (groups, n) fixed."""
+    """Return the swings' starts by least squares.
+
+    The ratios (m,) and the zeros (groups, n) are fixed.
+    """
     return fit_swings(
         model,
         swings,
@@ -534,7 +571,14 @@ class LossProfile(Brief):
 
 
 def profiles(found: Identification, *, progress: Progress = no_progress) -> tuple[LossProfile, ...]:
-    """Return the profile of each unknown within three standard errors, with the others fitted again."""
+    """Return the profile of each unknown within three standard errors.
+
+    The others are fitted again.
+
+    Args:
+        found: result of an identification.
+        progress: receiver of progress reports.
+    """
     fit = found.candidates[found.chosen].fit
     settings = FitSettings(bend=fit.bend, tolerance=1e-5)
     model = Swings(found.arms)

@@ -79,7 +79,9 @@ class CartDrive(Brief):
 
 
 class FreeMotion:
-    """Arms on a fixed or moving pivot, sampled every `period` s, for many motions at once.
+    """Arms on a fixed or moving pivot, for many motions.
+
+    They are sampled every `period` s.
 
     An instance must not be shared between threads.
 
@@ -97,7 +99,9 @@ class FreeMotion:
         self._base = arms.base()
 
     def paths(self, states: Array, samples: int, cart: CartDrive | None = None) -> Array:
-        """Return the arms' states (samples, N, S) that follow from `states` (N, S), inclusive.
+        """Return the arms' states (samples, N, S).
+
+        They follow from `states` (N, S), inclusive.
 
         Args:
             states: initial states.
@@ -128,7 +132,14 @@ class FreeMotion:
 
 
 def first_guess(angles: Array, period: float) -> Array:
-    """Return an initial state (2n,) from a parabola through the first valid 20 ms of `angles` (K, n)."""
+    """Return an initial state (2n,) from a parabola.
+
+    The parabola goes through the first valid 20 ms.
+
+    Args:
+        angles: angles (K, n), rad, NaN where missing.
+        period: sampling period, s.
+    """
     count = int(np.clip(round(_GUESS_SECONDS / period), 5, len(angles)))
     rows = np.flatnonzero(np.isfinite(angles).all(axis=1))[:count]
     if not len(rows):
@@ -272,6 +283,7 @@ def estimate_recording(
         carts: cart motion of each segment. Empty if clamped.
         counts: encoder counts per turn.
         mean_over: duration of each mean, s. Samples within a millisecond share their rounding and count as one.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: a segment is shorter than a mean.
@@ -286,7 +298,10 @@ def estimate_recording(
     estimator = make_estimator(filters, model, noise=noise)
 
     def change(state: Array, drive: Array) -> Array:
-        """Return the derivative of the arms' state (2n,) for the cart's velocity and acceleration."""
+        """Return the derivative of the arms' state (2n,).
+
+        `drive` has the cart's velocity and acceleration.
+        """
         whole = np.concatenate([state, [0.0, drive[0]]])
         return np.asarray(rate(whole, drive[1], arms.base())).ravel()[: 2 * n]
 
@@ -344,7 +359,10 @@ def estimate_recording(
 
 
 def _nearby(state: Array, acceleration: Array, times: Array) -> Array:
-    """Return the states (M, 2n) at `times` (M,) s from `state` (2n,), a few ms away."""
+    """Return the states (M, 2n) a few ms away.
+
+    They are at `times` (M,) s from `state` (2n,).
+    """
     n = len(acceleration)
     angles = state[:n] + np.outer(times, state[n:]) + np.outer(times**2 / 2, acceleration)
     return np.column_stack([angles, state[n:] + np.outer(times, acceleration)])
@@ -371,7 +389,7 @@ _CART_FLOOR = 1e-5
 
 @dataclass(frozen=True)
 class ReplaySettings(Settings, table="replay"):
-    """Settings of a replay.
+    """Encoders, means and spans of the comparison with a model.
 
     None selects 15 ms and 5 s with the cart clamped. With a moving cart it selects single samples, since commands
     change within a mean, and half a second, since errors near a saddle grow fiftyfold in that time.
@@ -419,7 +437,13 @@ class Replay(Brief):
 
     @checked
     def summary(self, model: str) -> str:
-        """Return a sentence on the model's prediction errors and the estimator's consistency."""
+        """Return a sentence on prediction errors and consistency.
+
+        The errors are those of the model, the consistency that of the estimator.
+
+        Args:
+            model: name of the model.
+        """
         rms = sorted(1e3 * fit.rms for fit in self.fits)
         seconds = max(end - first for _, first, end in self.stretches) * self.recording.dt
         whole = len(self.nis) * self.recording.dt
@@ -431,7 +455,10 @@ class Replay(Brief):
 
     @property
     def cart(self) -> str:
-        """Return the source of the cart's acceleration, or "" if it was clamped."""
+        """Return the source of the cart's acceleration.
+
+        It is "" if the cart was clamped.
+        """
         if not self.carts:
             return ""
         commanded = sum(cart.commanded for cart in self.carts)
@@ -445,7 +472,7 @@ class Replay(Brief):
 
     @property
     def status(self) -> str:
-        """Return a sentence on the number of stretches that the model could follow."""
+        """Return a sentence on the stretches that the model could follow."""
         lost = [stretch for stretch, fit in zip(self.stretches, self.fits, strict=True) if not fit.converged]
         if not lost:
             return f"predicted {len(self.fits)} stretches"
@@ -467,7 +494,10 @@ class Replay(Brief):
         return rows
 
     def document(self) -> dict[str, Any]:
-        """Return the output of `dpcontrol replay --json`, except the names of log and model."""
+        """Return the output of `dpcontrol replay --json`.
+
+        The names of log and model are missing.
+        """
         return {
             "segments": self.stretch_errors,
             **picked(self, "nis_inside_95", "nis_below_95", "rates_rms", "cart", "status"),
@@ -477,12 +507,16 @@ class Replay(Brief):
 
 
 def filter_settings(name: str, *, model_error: float = 0.003) -> EstimatorSettings:
-    """Return the settings of an estimator for a given relative error of the model's accelerations.
+    """Return the settings of an estimator for a model's error.
 
     The defaults, including that of `mean_over`, were tuned on two thirds of the rig's recording with its identified
     model. They have the shortest means whose share of NIS in the band is within 0.2 % of the maximum. The share is 90.7
     % there and 90.2 % on the held-out third, for EKF and UKF. Most values above the band occur while the inner joint is
     slow.
+
+    Args:
+        name: kind of the estimator.
+        model_error: relative error of the model's accelerations.
 
     Raises:
         InputError: the kind is unknown, or the relative error is negative.
@@ -505,7 +539,7 @@ def replay_recording(
     zeros: Sequence[float] = (),
     progress: Progress = no_progress,
 ) -> Replay:
-    """Compare a recording with a model's prediction, and run an estimator over it.
+    """Compare a recording with a model's prediction and an estimator.
 
     Args:
         recording: angles in segments.
@@ -589,14 +623,27 @@ def _carts(recording: Recording) -> tuple[CartMotion, ...]:
 
 
 def driven(recording: Recording, carts: tuple[CartMotion, ...]) -> tuple[Array, Array]:
-    """Return the cart's velocity and acceleration (K,) over all segments, zero if clamped."""
+    """Return the cart's velocity and acceleration (K,).
+
+    They cover all segments, and are zero if the cart was clamped.
+
+    Args:
+        recording: the recording.
+        carts: motion of the cart in each segment, empty if it was clamped.
+
+    Returns:
+        Velocities, m/s, and accelerations, m/s².
+    """
     if not carts:
         return np.zeros(len(recording.time)), np.zeros(len(recording.time))
     return np.concatenate([c.velocity for c in carts]), np.concatenate([c.acceleration for c in carts])
 
 
 def _stretches(recording: Recording, span: float) -> tuple[tuple[int, int, int], ...]:
-    """Return (segment, first, end) of the stretches predicted in one piece, which cover all samples."""
+    """Return (segment, first, end) of the stretches.
+
+    Each is predicted in one piece. Together they cover all samples.
+    """
     found = []
     for index, (first, end) in enumerate(recording.segments):
         parts = int(np.ceil((end - first) * recording.dt / span))
@@ -637,9 +684,17 @@ def _ahead(
 def write_replay(result: Replay, path: Path | str, *, model: str, model_text: str, force: bool = False) -> Path:
     """Write measured angles, the estimate, and the prediction as reference.
 
-    Return the log's path.
-
     If the cart moved, its motion is the input of both estimate and prediction.
+
+    Args:
+        result: the replay.
+        path: log to write.
+        model: name of the model.
+        model_text: text of the model's file.
+        force: True to replace any file, default False.
+
+    Returns:
+        Path of the log.
 
     Raises:
         InputError: the file cannot be written.

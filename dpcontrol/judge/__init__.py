@@ -1,1 +1,4 @@
-"""Verdicts on runs: what was decoded of a flight, and its score; nothing here draws."""
+"""Verdicts on runs: decoded flights and their scores.
+
+Nothing here draws.
+"""

@@ -100,7 +100,10 @@ class CampaignSummary(Shown):
 
     @property
     def good(self) -> bool | None:
-        """True if at least nine of ten runs complete, False if less than half do, None in between."""
+        """True if nine of ten runs complete, False below half.
+
+        It is None in between.
+        """
         return self.share.likely
 
     def document(self) -> dict[str, Any]:
@@ -130,6 +133,9 @@ def _share_document(share: Share) -> dict[str, Any]:
 
 def campaign_summary(path: Path) -> CampaignSummary:
     """Return the summary of a campaign's Parquet table.
+
+    Args:
+        path: Parquet file of the table.
 
     Raises:
         InputError: the file is missing, not a Parquet table, has no runs, or no column of completed runs.
@@ -180,14 +186,17 @@ Rows = NDArray[np.bool_]
 
 
 def _merged(table: dict[str, list[Any]]) -> bool:
-    """True if the columns of groups and levels do not separate all cases."""
+    """True if groups and levels do not separate all cases."""
     columns = [table[name] for name in (*_WHAT, "mismatch") if name in table]
     places = list(zip(*columns, strict=True)) if columns else [()] * len(table[_CASE])
     return len(set(zip(places, table[_CASE], strict=True))) > len(set(places))
 
 
 def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list[tuple[Group, Rows]]:
-    """Return the groups of runs with equal values in columns, and the rows (K,) of each."""
+    """Return the groups of runs with equal values in columns.
+
+    The rows (K,) of each group follow.
+    """
     keys = [tuple(str(table[name][k]) for name in columns) for k in range(len(done))]
     found = []
     for key in sorted(set(keys)):
@@ -216,7 +225,10 @@ def _share(done: Rows, chosen: Rows) -> Share:
 
 
 def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
-    """Return a column as numbers, nan for missing values, or None if it has no numbers."""
+    """Return a column as numbers, nan for missing values.
+
+    It is None if it has no numbers.
+    """
     try:
         values = np.array([np.nan if v is None else float(v) for v in table.get(name, [])])
     except (TypeError, ValueError):
@@ -260,7 +272,11 @@ def _reasons(table: dict[str, list[Any]], done: Rows) -> tuple[tuple[str, int], 
 
 
 def plain_reason(reason: str) -> str:
-    """Return the reason for a run's failure, without numbers and remedy."""
+    """Return the reason for a run's failure, without numbers and remedy.
+
+    Args:
+        reason: reason with numbers and remedy, as in a log.
+    """
     text = _NUMBER.sub("…", _EARLY.split(reason)[-1].split(";")[0].strip())
     return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"
 

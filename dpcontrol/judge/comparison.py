@@ -1,4 +1,6 @@
-"""Several runs on one clock, aligned at the crossing of one symbol's section.
+"""Several runs on one clock, aligned at a symbol.
+
+The clocks agree at the crossing of the symbol's section.
 
 The crossing time is decoded from the run's true angles, or from the estimated ones if the truth is unknown. For a
 symbol without a section, or one that the run did not complete, the plan's time is used. A log without a plan is aligned
@@ -70,7 +72,11 @@ class RunComparison(Shown):
 
 
 def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
-    """Return runs on one clock, aligned at a symbol, counted from 1.
+    """Return runs on one clock, aligned at a symbol.
+
+    Args:
+        runs: views of the runs.
+        symbol: number of the symbol, counted from 1.
 
     Raises:
         InputError: there are too many runs, their pendulums differ, or the symbol is missing in all.

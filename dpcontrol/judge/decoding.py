@@ -1,4 +1,6 @@
-"""Decode the completed stops, symbols and wraps of a plan from the arms' angles.
+"""Decode the completed part of a plan from the arms' angles.
+
+The part consists of stops, symbols and wraps.
 
 A plan gives the time, the angles and the direction of each symbol's section crossing. The decoder searches the run for
 the same crossings in sequence. They relate the run's clock to the plan's: at each tick the nearest crossing gives the
@@ -71,21 +73,33 @@ class Decoded:
 
 
 def orbit_index(notes: PlanNotes, stop: StopNote) -> int:
-    """Return the index of a stop's orbit among the plan's."""
+    """Return the index of a stop's orbit among the plan's.
+
+    Args:
+        notes: notes of the plan.
+        stop: one of its stops.
+    """
     if "orbit" in stop:
         return int(stop["orbit"])
     return [o["saddle"] for o in notes["orbits"]].index(stop["saddle"])
 
 
 def shortest_period(notes: PlanNotes) -> float:
-    """Return the shortest period of a plan's orbits, s."""
+    """Return the shortest period of a plan's orbits, s.
+
+    Args:
+        notes: notes of the plan.
+    """
     return min(orbit["period"] for orbit in notes["orbits"])
 
 
 def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
-    """Decode angles (K, n) at times (K,) s.
+    """Decode the completed part of a plan.
 
-    The first time is on the plan's clock.
+    Args:
+        time: times (K,), s; the first one is on the plan's clock.
+        angles: angles (K, n), rad, not wrapped.
+        plan: reference with the plan's notes.
     """
     notes = plan_notes(plan)
     due = _due(plan, angles.shape[1])
@@ -266,7 +280,12 @@ def planned_wraps(notes: PlanNotes, stop: int) -> float | None:
 
     They are counted from 0 and result from the plan's times.
 
-    None beside a transfer, and at stops that change the orbit.
+    Args:
+        notes: notes of the plan.
+        stop: number of the interior stop, counted from 0.
+
+    Returns:
+        The wraps; None beside a transfer, and at stops that change the orbit.
     """
     arriving, leaving = notes["symbols"][stop], notes["symbols"][stop + 1]
     if arriving["section"] is None or leaving["section"] is None or "arrived_on" in notes["stops"][stop + 1]:
@@ -310,9 +329,16 @@ def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
 def last_gap(time: Array, angles: Array, plan: Reference, *, rate_hz: float) -> float:
     """Return the distance of the last period from the last orbit, rad.
 
-    Angles are (K, n). The result is 0 if they are near enough.
-
     At an equilibrium the last period is at most as long as the plan's stay there.
+
+    Args:
+        time: times (K,), s.
+        angles: angles (K, n), rad.
+        plan: reference with the plan's notes.
+        rate_hz: rate of the ticks, Hz.
+
+    Returns:
+        The distance, or 0 if it is small enough.
     """
     notes, n = plan_notes(plan), angles.shape[1]
     stop = notes["stops"][-1]
@@ -339,6 +365,9 @@ def shortfall(plan: Reference) -> str:
     """Return the reason why an exact run of the reference fails.
 
     The text includes a remedy; it is "" if the run succeeds.
+
+    Args:
+        plan: reference with the plan's notes.
     """
     notes = plan_notes(plan)
     stops, symbols = notes["stops"], notes["symbols"]
@@ -381,7 +410,10 @@ def _longer(notes: PlanNotes) -> str:
 def orbit_distance(states: Array, stop: StopNote, plan: Reference) -> float:
     """Return the least scaled distance between states and a stop's orbit.
 
-    States are (K, 2n+2); the orbit is taken on the stop's turns.
+    Args:
+        states: states (K, 2n+2).
+        stop: a stop of the plan, on whose turns the orbit is taken.
+        plan: reference with the plan's notes.
     """
     notes, n = plan_notes(plan), len(stop["angles"])
     curve = plan.extra[f"orbit_{orbit_index(notes, stop)}"][:, : 2 * n] / np.repeat([1.0, _RATE_UNIT], n)

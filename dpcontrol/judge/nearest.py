@@ -1,4 +1,7 @@
-"""What matters first about a run: its largest values against their limits, the closest of them, and its filter."""
+"""What matters first about a run: limits and filter.
+
+The largest values are compared with their limits. The closest of them is reported, and the state of the filter.
+"""
 
 from dataclasses import dataclass
 
@@ -41,10 +44,15 @@ class NearestLimit:
 
 
 def limit_uses(view: RunView) -> tuple[NearestLimit, ...]:
-    """Return the use of each limit that a view has, the nearest to its limit first.
+    """Return the use of each limit, the nearest to its limit first.
+
+    The limits are those that the view has.
 
     Limits are those of the cart, and the distance from the reference beyond which an itinerary counts as lost. After an
     abort nothing follows the reference any more, so these ticks do not count.
+
+    Args:
+        view: data of the run.
     """
     found: list[NearestLimit] = []
     counts = np.ones(len(view.time), dtype=bool)
@@ -71,7 +79,13 @@ def limit_uses(view: RunView) -> tuple[NearestLimit, ...]:
 
 
 def closest_approach(view: RunView) -> str:
-    """Return the closest approach to a limit in a sentence, or "" without limits."""
+    """Return the closest approach to a limit in a sentence.
+
+    It is "" without limits.
+
+    Args:
+        view: data of the run.
+    """
     uses = limit_uses(view)
     if not uses:
         return ""
@@ -81,10 +95,15 @@ def closest_approach(view: RunView) -> str:
 
 
 def nis_reading(view: RunView) -> str:
-    """Return the meaning of a run's NIS relative to the 95 % band of a consistent filter, or "" without one.
+    """Return the meaning of a run's NIS, or "" without one.
+
+    The NIS is compared with the 95 % band of a consistent filter.
 
     The filters assume more noise and larger model errors than they meet, so that a wrong model does not lose the
     arms. Means below the band are therefore expected. Only means above it show overconfidence.
+
+    Args:
+        view: data of the run.
     """
     means = means_of(view.nis[np.isfinite(view.nis)]) if view.nis is not None else np.zeros(0)
     if not len(means):

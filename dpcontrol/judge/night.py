@@ -1,4 +1,6 @@
-"""Evaluate a long run from the folder of its logs: times on and off the itinerary, and the reasons.
+"""Evaluate a long run from the folder of its logs.
+
+The results are the times on and off the itinerary, and the reasons.
 
     uptime = time on the itinerary / known time
 
@@ -83,7 +85,11 @@ class Drift:
 
 
 def cause_of(text: str) -> str:
-    """Return the reason for giving up the itinerary, in a few words."""
+    """Return the reason for giving up the itinerary, in a few words.
+
+    Args:
+        text: text of the logged event.
+    """
     # A braking cart has not hit its stop.
     for mark, words in (("is stuck", "sensor stuck"), ("no measurement", "no measurement"),
                         ("limit switch", "limit switch"), ("cart at its stop", "cart near its stop")):  # fmt: skip
@@ -363,6 +369,9 @@ def _followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], l
 
 def read_night(folder: Path) -> Night:
     """Return the long run in a folder.
+
+    Args:
+        folder: folder of the logs.
 
     Raises:
         InputError: the folder holds none, or one of its files is damaged or from another run.

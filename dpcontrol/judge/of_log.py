@@ -1,4 +1,6 @@
-"""Data to draw of a log, a reference or a sustained orbit, from their files.
+"""Data to draw of a log, a reference or an orbit.
+
+They are read from their files. An orbit is a sustained one.
 
 A plan's tubes lead from a stop's orbit to the section of the next symbol, and on to the next stop. Its notes hold each
 connection's name, with the hits and the section, and the section's lifted height. The unstable tube of the stop's orbit
@@ -66,6 +68,10 @@ def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
     """Return the tubes in a plan's notes, each once.
 
     Symbols whose tubes cannot be computed are skipped.
+
+    Args:
+        notes: notes of the plan.
+        system: conservative pendulum of the plan.
     """
     made: dict[tuple[Any, ...], TubeCurve] = {}
     flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
@@ -140,6 +146,9 @@ def run_view(log: RunLog) -> RunView:
 
     A log without a plan, as from a bench, has few.
 
+    Args:
+        log: log of a run or a recording.
+
     Raises:
         InputError: the plan in the log is damaged.
     """
@@ -204,6 +213,9 @@ def limits_of(plan: Reference) -> tuple[float, float, float]:
     """Return the cart's limits in a plan.
 
     They are position in m, velocity in m/s, and acceleration in m/s².
+
+    Args:
+        plan: reference with limits.
     """
     return plan.limits.position, plan.limits.velocity, plan.limits.acceleration
 
@@ -212,6 +224,10 @@ def plan_view(plan: Reference, *, system: System | None) -> PlanView:
     """Return the requirements of a plan.
 
     Tubes are included if the pendulum is known.
+
+    Args:
+        plan: reference with the plan's notes.
+        system: conservative pendulum of the plan; None if it is unknown.
 
     Raises:
         InputError: the notes are not those of a plan.
@@ -278,7 +294,10 @@ def _without_plan(log: RunLog) -> str:
 
 
 def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
-    """Return the arm parameters in a log's metadata under a name, or None."""
+    """Return the arm parameters under a name, or None.
+
+    They are in a log's metadata.
+    """
     try:
         values: dict[str, Any] = json.loads(log.metadata[name])
         plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
@@ -288,7 +307,10 @@ def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
 
 
 def _system(log: RunLog) -> System | None:
-    """Return the conservative pendulum of the log's model, or None if it names none."""
+    """Return the conservative pendulum of the log's model, or None.
+
+    It is None if the log names no model.
+    """
     arms = _arms(log, MODEL_METADATA)
     return None if arms is None else pendulum_system(log.metadata.get("model", "model"), arms)
 
@@ -300,6 +322,10 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
 
     With the cart's acceleration as input only ratios to M12 count (one arm: M11), so the errors are those of ratios.
     The drive's error is the cart's acceleration in excess of the loop's command.
+
+    Args:
+        log: log of a run.
+        view: data of that run.
     """
     found: dict[str, Array | float] = {}
     if log.extras is None:
@@ -322,7 +348,10 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
 
 
 def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> dict[str, float]:
-    """Return the relative differences between the plant's and the model's ratios, by extra."""
+    """Return the relative errors of the model's ratios, by extra.
+
+    They are differences between the plant's and the model's ratios.
+    """
     n = model.count
     names = [f"M{i}{j}" for i in range(1, n + 1) for j in range(i, n + 1)]
     # Weights lie between inertias and couplings and share the couplings' errors.
@@ -359,6 +388,9 @@ def read_reference_view(file: Path) -> RunView:
 
     Its error between nodes is measured again.
 
+    Args:
+        file: file of a reference (.npz).
+
     Raises:
         InputError: the file is not a reference, or its notes are not those of a plan.
     """
@@ -373,6 +405,10 @@ def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
     """Return the data to draw of a reference.
 
     Its input is the command.
+
+    Args:
+        summary: reference with its figures.
+        path: its file.
 
     Raises:
         InputError: its notes are not those of a plan.
@@ -409,7 +445,11 @@ def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
 def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> RunView:
     """Return the data to draw of a sustained orbit's period.
 
-    Its Lyapunov orbit is beside it; arm_lengths are in m.
+    Its Lyapunov orbit is beside it.
+
+    Args:
+        orbit: the sustained orbit.
+        arm_lengths: lengths (n,), m.
     """
     lyapunov = orbit.lyapunov
     time = np.arange(0.0, orbit.period, 1 / _RATE)

@@ -1,4 +1,6 @@
-"""A preflight's forecast: completed runs on the bench as described, endings, borders, and gains of changes.
+"""A preflight's forecast for the bench as described.
+
+It holds completed runs, endings, borders, and gains of changes.
 
 `dpcontrol.runs.preflight` computes it.
 """
@@ -14,7 +16,11 @@ from dpcontrol.foundation.statistics import Share
 
 
 def shown_number(value: float) -> str:
-    """Return a value for display: three digits, and whole numbers unchanged."""
+    """Return a value for display: three digits, and whole numbers unchanged.
+
+    Args:
+        value: any number.
+    """
     return f"{value:,.3g}" if abs(value) < 1000 else f"{value:,.0f}"
 
 

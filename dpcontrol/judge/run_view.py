@@ -1,4 +1,6 @@
-"""Data to draw of a run and its plan, shared by the viewer and the pages.
+"""Data to draw of a run and its plan.
+
+The viewer and the pages share them.
 
 A simulated run has truth, estimate, reference and command. A recording from the bench has only the measured angles, in
 segments. A plan has stays and symbols over time, and orbits and tubes in phase space.
@@ -71,7 +73,11 @@ class Stay:
     wanted: bool = True
 
     def delayed(self, seconds: float) -> "Stay":
-        """Return the stay `seconds` later."""
+        """Return the stay at a later time.
+
+        Args:
+            seconds: delay, s.
+        """
         return replace(self, first=self.first + seconds, last=self.last + seconds)
 
 
@@ -98,7 +104,11 @@ class PlanView:
     duration: float | None = None
 
     def delayed(self, seconds: float) -> "PlanView":
-        """Return the plan with its times `seconds` later."""
+        """Return the plan at a later time.
+
+        Args:
+            seconds: delay, s.
+        """
         return replace(
             self,
             symbols=tuple((at + seconds, name) for at, name in self.symbols),
@@ -236,7 +246,11 @@ class RunView(Brief):
         return self.state[:, 2 * self.arms] if self.has_cart else np.zeros(len(self.time))
 
     def delayed(self, seconds: float) -> "RunView":
-        """Return the view with all its times `seconds` later."""
+        """Return the view at a later time.
+
+        Args:
+            seconds: delay, s.
+        """
         events = tuple(event._replace(time=event.time + seconds) for event in self.events)
         return replace(
             self,
@@ -250,7 +264,11 @@ class RunView(Brief):
 
 
 def series_of(log: RunLog) -> RunView:
-    """Return the series of a log for drawing, without plan and verdict."""
+    """Return the series of a log for drawing, without plan and verdict.
+
+    Args:
+        log: log of a run or a recording.
+    """
     n = len(log.arm_lengths)
     states = {part: clean(values) for part, values in log.states.items()}
     truth, estimate, reference = (states.get(part) for part in ("truth", "estimate", "reference"))
@@ -318,6 +336,9 @@ def clean(values: Array) -> Array:
     """Return values with nan for absurd ones.
 
     Unchanged arrays are not copied, since logs are long.
+
+    Args:
+        values: values of any shape.
     """
     with np.errstate(invalid="ignore"):
         sound = np.abs(values) < LARGEST

@@ -1,4 +1,6 @@
-"""Score a run from its log: was the itinerary completed? The true state is used if it is known.
+"""Score a run from its log, by whether the itinerary was completed.
+
+The true state is used if it is known.
 
 A run is completed if every symbol was realised in order with its winding, wraps are as required and the cart stayed
 inside its limits. Over the last full period the angles must also stay within 0.1 rad of the last orbit (least over
@@ -108,6 +110,9 @@ class Score:
 def plan_of(log: RunLog) -> Reference:
     """Return the reference in the log, with the plan's notes.
 
+    Args:
+        log: log of a run.
+
     Raises:
         InputError: the reference is missing or damaged.
     """
@@ -125,7 +130,10 @@ def plan_of(log: RunLog) -> Reference:
 
 
 def _whole(reference: Reference, log: RunLog) -> bool:
-    """True if a reference has all notes of a plan, for the arms of this log."""
+    """True if a reference has all notes of a plan.
+
+    The plan must be for the arms of this log.
+    """
     notes: Any = dict(reference.notes)
     n = len(log.arm_lengths)
     try:
@@ -206,6 +214,10 @@ def counted(flights: Sequence[Flight], *, rate_hz: float) -> list[tuple[NDArray[
     Times are those of the plan's reference, s. No flight is omitted.
 
     Ticks after the restart point of a later flight do not count.
+
+    Args:
+        flights: flights in order.
+        rate_hz: rate of the ticks, Hz.
     """
     again, out = [flight.at for flight in flights], []
     for k, flight in enumerate(flights):
@@ -223,6 +235,10 @@ def spliced(flown: Flown, plan: Reference) -> Flown:
     It consists of each flight up to the restart of a later one.
 
     Symbols completed before a fall remain completed; of a repeated part the last flight counts.
+
+    Args:
+        flown: run with flights.
+        plan: reference with the plan's notes.
     """
     n, pieces = flown.reference_angles.shape[1], []
     for rows, times in counted(flown.flights, rate_hz=flown.rate_hz):
@@ -238,7 +254,12 @@ def spliced(flown: Flown, plan: Reference) -> Flown:
 
 
 def verdict_on(flown: Flown, plan: Reference) -> Verdict:
-    """Judge a run against its plan."""
+    """Judge a run against its plan.
+
+    Args:
+        flown: basis of the verdict.
+        plan: reference with the plan's notes.
+    """
     if flown.flights:
         verdict = verdict_on(spliced(flown, plan), plan)
         return verdict if verdict.problem else replace(verdict, problem=_limits(flown))
@@ -248,6 +269,9 @@ def verdict_on(flown: Flown, plan: Reference) -> Verdict:
 
 def score(log: RunLog) -> Score:
     """Score a run from its log.
+
+    Args:
+        log: log of a run.
 
     Raises:
         InputError: the log has no plan.
@@ -317,6 +341,9 @@ def flights_of(log: RunLog) -> tuple[Flight, ...]:
     """Return the last lap's periods on the itinerary, from events.
 
     Without recovery the result is empty.
+
+    Args:
+        log: log of a run.
     """
     flights: list[Flight] = []
     under_way: Flight | None = None
@@ -368,7 +395,11 @@ def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | No
 
 
 def recovered_note(log: RunLog) -> str:
-    """Return a note on the losses of a recovered log."""
+    """Return a note on the losses of a recovered log.
+
+    Args:
+        log: recovered log.
+    """
     return f"the log was recovered and lacks {log.recovered}"
 
 
@@ -386,7 +417,10 @@ def _done(wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
 
 
 def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
-    """Return the reason why the run is not completed, naming the symbol, or an empty string."""
+    """Return the reason why the run is not completed.
+
+    It names the symbol. It is an empty string if the run is completed.
+    """
     if unknown := _unobserved(flown):
         return unknown
     notes, matched, lost = plan_notes(plan), decoded.matched, decoded.lost

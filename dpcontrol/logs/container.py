@@ -1,4 +1,6 @@
-"""Write an MCAP file chunk by chunk, from blocks of prepared message records.
+"""Write an MCAP file chunk by chunk.
+
+The chunks are blocks of prepared message records.
 
 The writer of the mcap package takes one message at a time, 3–4 µs each: more than the control loop costs. Here a chunk
 is passed as a whole, with the times and offsets of its messages as arrays. All other records come from that package.
@@ -149,7 +151,12 @@ class McapFile:
         self._position += len(data)
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Write a metadata record."""
+        """Write a metadata record.
+
+        Args:
+            name: name of the record.
+            data: text by key.
+        """
         record = _bytes_of(Metadata(name=name, metadata=dict(data)))
         self._metadata.append(MetadataIndex(offset=self._position, length=len(record), name=name))
         self._write(record)
@@ -158,6 +165,10 @@ class McapFile:
         """Write an attachment with times zero.
 
         Simulated time has no date.
+
+        Args:
+            name: name of the attachment, whose ending gives its media type.
+            data: content.
         """
         guessed = "application/toml" if name.endswith(".toml") else mimetypes.guess_type(name)[0]
         media_type = guessed or "application/octet-stream"
@@ -189,7 +200,12 @@ class McapFile:
             self._unwritten.append(_bytes_of(channel))
 
     def add_chunk(self, data: bytes, messages: Iterable[ChunkMessages]) -> None:
-        """Write one compressed chunk with its indexes, and flush it."""
+        """Write one compressed chunk with its indexes, and flush it.
+
+        Args:
+            data: message records of the chunk.
+            messages: times and places of the messages, by channel.
+        """
         messages = [part for part in messages if len(part.times)]
         head = b"".join(self._unwritten)
         self._unwritten.clear()
@@ -267,9 +283,12 @@ SUFFIX = ".partial"
 
 
 def open_partial(path: Path) -> tuple[Path, FileIO]:
-    """Create the unbuffered partial file of the log `path`.
+    """Create the unbuffered partial file of a log.
 
     Return its name and the open file.
+
+    Args:
+        path: path of the complete log.
 
     Raises:
         OSError: the file cannot be created.
@@ -285,9 +304,12 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
 
 
 def partials_of(path: Path) -> tuple[Path, ...]:
-    """Return the partial files of the log `path`, oldest first.
+    """Return the partial files of a log, oldest first.
 
     They are abandoned or still growing.
+
+    Args:
+        path: path of the complete log.
     """
     with suppress(OSError):
         names = [file for file in path.parent.iterdir() if file.suffix == SUFFIX and file.name.startswith(path.name)]
@@ -296,7 +318,12 @@ def partials_of(path: Path) -> tuple[Path, ...]:
 
 
 def moved_away(path: Path, stream: FileIO) -> bool:
-    """True if `path` is no longer the file open as `stream`."""
+    """True if a path is no longer that of an open file.
+
+    Args:
+        path: path of the file.
+        stream: the open file.
+    """
     try:
         found, own = os.stat(path), os.fstat(stream.fileno())
     except OSError:
@@ -305,7 +332,11 @@ def moved_away(path: Path, stream: FileIO) -> bool:
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush a rename in `folder` to the disk, if supported."""
+    """Flush a rename in a folder to the disk, if supported.
+
+    Args:
+        folder: folder of the renamed file.
+    """
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -318,7 +349,11 @@ _KEY = "crc32"
 
 
 def sealed(name: str, values: Mapping[str, str]) -> dict[str, str]:
-    """Return `values` with the checksum of the record `name`.
+    """Return the values of a record with their checksum.
+
+    Args:
+        name: name of the record.
+        values: text by key.
 
     Raises:
         ValueError: a key equals the checksum's key.
@@ -332,6 +367,10 @@ def unsealed(name: str, record: Mapping[str, str]) -> dict[str, str] | None:
     """Return the values of a record without its checksum.
 
     The result is None if the checksum is missing or wrong.
+
+    Args:
+        name: name of the record.
+        record: text by key, with the checksum.
     """
     values = {key: value for key, value in record.items() if key != _KEY}
     return values if record.get(_KEY) == _checksum(name, values) else None

@@ -47,9 +47,12 @@ class Message:
         self.data.extend(bytes(-(len(self.data) - len(ENCAPSULATION)) % size))
 
     def number(self, kind: str, value: int = 0, *, name: str | None = None) -> None:
-        """Append an integer of numpy format `kind` ("<u4", "<i4", "u1").
+        """Append an integer.
 
-        A `name` makes it a field.
+        Args:
+            kind: numpy format, "<u4", "<i4" or "u1".
+            value: the integer, default 0.
+            name: name of the field that it becomes; None for no field.
         """
         size = int(kind[-1])
         self._aligned(size)
@@ -58,32 +61,58 @@ class Message:
         self.data += value.to_bytes(size, "little", signed=kind[-2] == "i")
 
     def doubles(self, count: int, *, name: str) -> None:
-        """Append `count` float64 zeros as one field, without a length prefix."""
+        """Append float64 zeros as one field, without a length prefix.
+
+        Args:
+            count: number of zeros.
+            name: name of the field.
+        """
         self._aligned(8)
         self.fields[name] = (f"({count},)<f8", len(self.data))
         self.data += bytes(8 * count)
 
     def double_sequence(self, count: int, *, name: str) -> None:
-        """Append a sequence of `count` float64 zeros with a length prefix."""
+        """Append a sequence of float64 zeros with a length prefix.
+
+        Args:
+            count: number of zeros.
+            name: name of the field.
+        """
         self.number("<u4", count)
         if count:
             self.doubles(count, name=name)
 
     def string(self, text: str) -> None:
-        """Append a string without NUL, which ends a CDR string."""
+        """Append a string.
+
+        Args:
+            text: any text; NUL is removed, since it ends a CDR string.
+        """
         content = text.replace("\0", "").encode() + b"\0"
         self.number("<u4", len(content))
         self.data += content
 
     def stamp(self, name: str, time_ns: int = 0) -> None:
-        """Append a time as the fields `name.sec` and `name.nanosec`."""
+        """Append a time as two fields, `name.sec` and `name.nanosec`.
+
+        Args:
+            name: beginning of the fields' names.
+            time_ns: time, ns, default 0.
+        """
         seconds, rest = divmod(time_ns, 1_000_000_000)
         self.number("<i4", seconds, name=f"{name}.sec")
         self.number("<u4", rest, name=f"{name}.nanosec")
 
 
 def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
-    """Return sensor_msgs/JointState: fields `stamp.*`, `position` and, if requested, `velocity`."""
+    """Return sensor_msgs/JointState.
+
+    Its fields are `stamp.*`, `position` and, if requested, `velocity`.
+
+    Args:
+        names: names of the joints.
+        velocities: True for a field `velocity`.
+    """
     message = Message()
     message.stamp("stamp")
     message.string("")
@@ -100,6 +129,9 @@ def transforms(frames: Sequence[tuple[str, str]]) -> Message:
     """Return tf2_msgs/TFMessage for (parent, child) frames.
 
     Fields of the i-th transform: `i.stamp.*`, and `i.pose` with x, y, z and the quaternion's x, y, z, w.
+
+    Args:
+        frames: parent and child of each transform.
     """
     message = Message()
     message.number("<u4", len(frames))
@@ -112,14 +144,27 @@ def transforms(frames: Sequence[tuple[str, str]]) -> Message:
 
 
 def string(text: str) -> bytes:
-    """Return std_msgs/String."""
+    """Return std_msgs/String.
+
+    Args:
+        text: content of the message.
+    """
     message = Message()
     message.string(text)
     return bytes(message.data)
 
 
 def log(time_ns: int, level: int, *, name: str, text: str) -> bytes:
-    """Return rcl_interfaces/Log at `time_ns`; file, function and line are left empty."""
+    """Return rcl_interfaces/Log.
+
+    File, function and line are left empty.
+
+    Args:
+        time_ns: time, ns.
+        level: number of the level, see `LEVELS`.
+        name: originating part.
+        text: a sentence.
+    """
     message = Message()
     message.stamp("stamp", time_ns)
     message.number("u1", level)
@@ -131,6 +176,9 @@ def log(time_ns: int, level: int, *, name: str, text: str) -> bytes:
 
 def read_log_message(data: bytes) -> tuple[int, str, str]:
     """Return level, name and text of an rcl_interfaces/Log message.
+
+    Args:
+        data: message in CDR.
 
     Raises:
         ValueError: the message has a different layout.
@@ -258,7 +306,12 @@ _CONTROL_HEAD = ("command", "feedforward", "feedback", "applied", "saturated", "
 
 
 def joint_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
-    """Return `arm_1 … arm_n`, followed by `cart` if the rig has one."""
+    """Return `arm_1 … arm_n`, followed by `cart` if the rig has one.
+
+    Args:
+        arms: number n of arms.
+        has_cart: True if the rig has a cart.
+    """
     return tuple(f"arm_{i + 1}" for i in range(arms)) + (("cart",) if has_cart else ())
 
 
@@ -270,6 +323,10 @@ def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
     Deviations of the drive from it appear in the cart velocity of the truth. `saturated` is 0 or 1, `nis` the
     normalised innovation squared (nan in a tick without a measurement), `mode` a number of `Mode`. `sigma_1 …` are
     the standard deviations of the estimate in state order, in rad, rad/s, m and m/s.
+
+    Args:
+        arms: number of arms.
+        has_cart: True if the rig has a cart.
     """
     size = 2 * arms + (2 if has_cart else 0)
     return (*_CONTROL_HEAD, *(f"sigma_{i + 1}" for i in range(size)))
@@ -279,6 +336,10 @@ def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
     """Return the names of the state's entries in order.
 
     They are `angle_1 …`, `rate_1 …`, then the cart's.
+
+    Args:
+        arms: number of arms.
+        has_cart: True if the rig has a cart.
     """
     arms_part = tuple(f"{what}_{i + 1}" for what in ("angle", "rate") for i in range(arms))
     return arms_part + (("cart_position", "cart_velocity") if has_cart else ())
@@ -407,7 +468,11 @@ class TickLayout:
 
 
 def record_type(message: Message) -> np.dtype:
-    """Return the structured type of the record of `message`."""
+    """Return the structured type of the record of `message`.
+
+    Args:
+        message: message with its fields.
+    """
     places = {name: (kind, offset) for name, (kind, offset, *_) in RECORD_HEADER.fields.items()}  # type: ignore[union-attr]
     places |= {name: (kind, RECORD_HEADER.itemsize + offset) for name, (kind, offset) in message.fields.items()}
     formats, offsets = zip(*places.values(), strict=True)
@@ -439,7 +504,9 @@ _JOINS = re.compile(r"on the itinerary from t = (\d+\.\d+) s of the reference: (
 def joined_text(at: float, what: str) -> str:
     """Return the log text for joining the itinerary.
 
-    The time `at` s is that of the reference.
+    Args:
+        at: time on the reference, s.
+        what: symbol and attempt, as text.
     """
     return _JOINED.format(at, what)
 
@@ -450,6 +517,9 @@ def joined_at(text: str) -> tuple[float, int, int] | None:
     The result is None for other texts.
 
     Symbol and attempt count from 1, and are 0 if the text lacks them.
+
+    Args:
+        text: text of an event.
     """
     found = _JOINS.match(text)
     return None if found is None else (float(found[1]), int(found[2] or 0), int(found[3] or 0))

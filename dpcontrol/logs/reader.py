@@ -1,4 +1,6 @@
-"""Read a log into arrays, summarise it by topic, or compare it with another message by message.
+"""Read a log into arrays, summarise it, or compare two logs.
+
+Summaries are by topic, comparisons message by message.
 
 No record is trusted before the checksums agree. Checking indexes and single chunks is not enough: an index can point
 elsewhere, and two chunks can be swapped without invalidating their checksums. The file is therefore read from front to
@@ -93,7 +95,12 @@ class VerifiedFile:
     loose: list[memoryview] = field(default_factory=list)
 
     def note(self, opcode: int, body: memoryview | bytes) -> None:
-        """Store a record; kinds that are not needed are skipped."""
+        """Store a record; kinds that are not needed are skipped.
+
+        Args:
+            opcode: kind of the record.
+            body: content of the record.
+        """
         match parsed(opcode, body):
             case Header(library=library):
                 self.library = library
@@ -122,6 +129,9 @@ class VerifiedFile:
         """Return the values of a metadata record.
 
         The result is empty if the record is missing or its checksum differs.
+
+        Args:
+            name: name of the record.
         """
         return unsealed(name, self.metadata.get(name, {})) or {}
 
@@ -208,7 +218,10 @@ class VerifiedFile:
         return f" (written by {self.library})" if self.library else ""
 
     def _no_measurements(self) -> str:
-        """Return the reason why /joint_states of a foreign file is unusable; "" if it is usable."""
+        """Return the reason why a foreign file's /joint_states is unusable.
+
+        It is "" if it is usable.
+        """
         decompressor = zstandard.ZstdDecompressor()
         # A foreign file can hold anything; unreadable chunks count as having no channels.
         with suppress(*MALFORMED):
@@ -233,7 +246,10 @@ def _message(body: bytes) -> tuple[int, int, bytes]:
 
 
 def _other_messages(channel: Channel, schemas: Mapping[int, Schema], name: str, definition: bytes) -> str:
-    """Describe the messages in a channel that are not `name` in CDR; "" if they are."""
+    """Describe the messages in a channel that are unexpected.
+
+    Expected are messages `name` in CDR. The result is "" if all are expected.
+    """
     schema = schemas.get(channel.schema_id)
     encoding = channel.message_encoding or "no encoding"
     if schema is None or schema.name != name or encoding != "cdr":
@@ -247,6 +263,13 @@ def check_channels(
     """Reject a log whose channels differ from its layout.
 
     Rewriting by another program can cause this.
+
+    Args:
+        path: path of the log, for messages.
+        tick: layout of the ticks.
+        schemas: schemas of the log, by number.
+        channels: channels of the log, by number.
+        writer: phrase on the writing program, for messages.
 
     Raises:
         InputError: a topic is missing, holds other messages or has another number.
@@ -274,6 +297,10 @@ def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> byt
 
     One decompressor serves any number of chunks.
 
+    Args:
+        chunk: body of the chunk's record.
+        decompressor: decompressor of zstd.
+
     Raises:
         Exception: one of `MALFORMED`: the chunk does not unpack, or its checksum differs.
     """
@@ -297,7 +324,13 @@ def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> byt
 
 
 def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> NoReturn:
-    """Raise the InputError for a file whose bytes have changed."""
+    """Raise the InputError for a file whose bytes have changed.
+
+    Args:
+        path: path of the file.
+        reason: what has changed.
+        cause: exception that led to this error, None for none.
+    """
     raise InputError(f"{path} is damaged ({reason}); copy it again from its source, or {_recover(path)}") from cause
 
 
@@ -308,13 +341,21 @@ _PARSED: dict[int, type[Header | Metadata | Attachment | Schema | Channel]] = {
 
 
 def parsed(opcode: int, body: memoryview | bytes) -> Header | Metadata | Attachment | Schema | Channel | None:
-    """Return the parsed record, or None for other kinds."""
+    """Return the parsed record, or None for other kinds.
+
+    Args:
+        opcode: kind of the record.
+        body: content of the record.
+    """
     kind = _PARSED.get(opcode)
     return kind.read(ReadDataStream(BytesIO(body))) if kind else None
 
 
 def recorded_bytes(path: Path) -> bytes:
     """Return the bytes of a file of any kind.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: the file is missing, unreadable or empty.
@@ -333,7 +374,10 @@ def recorded_bytes(path: Path) -> bytes:
 
 
 def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
-    """Return opcode and the body's start and end of each record up to the footer."""
+    """Return opcode, start and end of each record.
+
+    Start and end are those of its body. The footer is the last.
+    """
     found: list[tuple[int, int, int]] = []
     place, closed = len(MAGIC), False
     while place + layout.LENGTH_FROM <= len(data) and not closed:
@@ -382,7 +426,10 @@ def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool
 
 
 def open_verified(path: Path) -> VerifiedFile:
-    """Read `path`, compare its checksums and find its tick layout.
+    """Read a log, compare its checksums and find its tick layout.
+
+    Args:
+        path: the log.
 
     Raises:
         InputError: the file is missing, empty, no MCAP file, cut off, damaged or not a log of this program.
@@ -457,7 +504,12 @@ class Batch:
             raise ValueError("a record runs over the end of its chunk")
 
     def extras(self, tick: TickLayout) -> Array:
-        """Return times (M, 1) in s, standard deviations and values of extras.
+        """Return the rows of the estimated parameters.
+
+        A row has the time, s, then standard deviations and values.
+
+        Args:
+            tick: layout of the ticks.
 
         Raises:
             ValueError: a message differs from the layout.
@@ -472,6 +524,9 @@ class Batch:
         """Return the ticks' times (K,) in s, and rows by part.
 
         Rows are (K, width).
+
+        Args:
+            tick: layout of the ticks.
 
         Raises:
             ValueError: the messages of a tick differ from the layout.
@@ -492,7 +547,12 @@ class Batch:
 
 
 def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
-    """Return a copy of the records of type `kind` at `offsets`.
+    """Return a copy of records of one type.
+
+    Args:
+        data: bytes with the records.
+        offsets: places of the records, in increasing order.
+        kind: structured type of a record.
 
     Raises:
         ValueError: a record extends beyond the end.
@@ -511,7 +571,14 @@ _SLOWEST, _FASTEST = 1e-6, 1e9
 
 
 def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
-    """Return the tick layout in a metadata record; errors as in `VerifiedFile.tick`."""
+    """Return the tick layout in a metadata record.
+
+    Errors are those of `VerifiedFile.tick`.
+
+    Args:
+        path: path of the log, for messages.
+        described: values of the record.
+    """
     if described.get("format") != layout.FORMAT:
         raise InputError(
             f"{path} has layout {described.get('format')!r}, and this version of dpcontrol reads layout "
@@ -690,9 +757,12 @@ class RunLog(Shown):
 
 
 def read_log(path: Path | str) -> RunLog:
-    """Return the run logged in `path`.
+    """Return the run in a log.
 
     A log that another program has rewritten is read by its topics.
+
+    Args:
+        path: the log.
 
     Raises:
         InputError: the file is missing, empty, cut off, damaged, not an MCAP file or not a log of a run.
@@ -773,7 +843,10 @@ def check_replaced(
 
 
 def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
-    """Return the keys whose values differ between two records, except incidental ones and those in `also`."""
+    """Return the keys whose values differ between two records.
+
+    Incidental keys and those in `also` are not compared.
+    """
     names = [k for k in {**metadata, **there} if k not in (*_INCIDENTAL, *also)]
     return ", ".join(name for name in names if metadata.get(name) != there.get(name))
 
@@ -781,7 +854,10 @@ def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: t
 def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, ...] = ()) -> None:
     """Reject the log of a run that a different command made.
 
-    Keys in `also` are not compared.
+    Args:
+        path: the existing log.
+        metadata: metadata of the run.
+        also: keys that are not compared either.
 
     Raises:
         InputError: the log is not readable, or entries differ.
@@ -937,7 +1013,10 @@ class LogSummary:
 
 
 def summarise(path: Path | str) -> LogSummary:
-    """Return a summary of the log `path` after checking its checksums.
+    """Return a summary of a log after checking its checksums.
+
+    Args:
+        path: the log.
 
     Raises:
         InputError: the file is missing, cut off, damaged or not a log of this program.
@@ -1023,6 +1102,10 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
 
     If `one` was recovered or ends early, the messages it lacks are skipped in `other`.
 
+    Args:
+        one: a log.
+        other: another log.
+
     Raises:
         InputError: a log is missing, damaged or not of this program.
     """
@@ -1048,7 +1131,7 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
 
 
 def _pieces(side: VerifiedFile) -> Iterator[bytes]:
-    """Yield the bytes of each tick and of each other message, in order."""
+    """Yield the bytes of each tick and other message, in order."""
     with side.decoding():
         for batch in side.batches():
             places = [(place, len(side.tick.block_template)) for place in batch.ticks]

@@ -1,4 +1,6 @@
-"""Rebuild a log from the remains of a killed run, a cut copy or a damaged file.
+"""Rebuild a log from its remains.
+
+Remains are those of a killed run, a cut copy or a damaged file.
 
 Chunks are sorted by the sequence numbers of their messages. Swapped chunks are reordered, duplicates are dropped and
 gaps are counted. Messages are copied bit for bit, and no gap is filled.
@@ -112,7 +114,12 @@ class Salvage:
 
 
 def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
-    """Return the valid records in the bytes of a log."""
+    """Return the valid records in the bytes of a log.
+
+    Args:
+        data: bytes of the log.
+        progress: receiver of progress reports.
+    """
     found = Salvage()
     view, place = memoryview(data), 0
     while (match := _BEGINNING.search(data, place)) is not None:
@@ -392,7 +399,10 @@ def _write(
     done: Recovery,
     progress: Progress,
 ) -> None:
-    """Write the new log, read it back and move it to its final name."""
+    """Write the new log and read it back.
+
+    It is then moved to its final name.
+    """
     with whole_file(done.log) as temporary:
         with FileIO(temporary, "wb") as stream:
             file = McapFile(stream, library=f"dpcontrol {dpcontrol.__version__}")

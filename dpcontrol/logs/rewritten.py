@@ -44,9 +44,14 @@ class Topic:
 def by_topic(
     messages: Iterable[tuple[int, int, bytes]], channels: Mapping[int, Channel], schemas: Mapping[int, Schema]
 ) -> dict[str, Topic]:
-    """Return the CDR topics of messages (channel, time in ns, body).
+    """Return the CDR topics of messages.
 
     Channels may be added during iteration.
+
+    Args:
+        messages: channel, time in ns and body of each message.
+        channels: channels by number.
+        schemas: schemas by number.
     """
     found: dict[str, Topic] = {}
     for number, time, body in messages:
@@ -64,6 +69,9 @@ def mixed(topics: Mapping[str, Topic]) -> str:
     """Return a topic with different messages at one time, or "".
 
     Such a topic is a sign of two runs.
+
+    Args:
+        topics: messages of each topic.
     """
     for name in (one for one in _TICKED if one in topics):
         times, bodies = topics[name].times, topics[name].bodies

@@ -1,4 +1,6 @@
-"""Log a long run to many files, each a complete log of some minutes with a digest beside it.
+"""Log a long run to many files.
+
+Each is a complete log of some minutes with a digest beside it:
 
     logs/NAME-SEED/NAME-SEED-0001.mcap      a log that can be opened alone, with all metadata and attachments
     logs/NAME-SEED/NAME-SEED-0001.json      its digest, which remains when the log is thinned out
@@ -96,6 +98,9 @@ class Digest:
     def of(cls, text: str) -> "Digest":
         """Return the digest in a JSON text.
 
+        Args:
+            text: JSON text.
+
         Raises:
             ValueError, TypeError, KeyError: the text is not a digest.
         """
@@ -105,11 +110,22 @@ class Digest:
         return cls(**values)
 
     def following(self, number: int) -> "Digest":
-        """Return the digest of the next file of the same session."""
+        """Return the digest of the next file of the same session.
+
+        Args:
+            number: number of the next file.
+        """
         return Digest(number, self.session, on=self._now_on, limit=self.limit)
 
     def add_event(self, time: float, level: str, name: str, text: str) -> None:
-        """Add an event; all earlier ticks must have been added."""
+        """Add an event; all earlier ticks must have been added.
+
+        Args:
+            time: time, s.
+            level: a key of `LEVELS`.
+            name: originating part.
+            text: a sentence.
+        """
         if name in _RECORDED or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
             self.events.append((time, level, name, text))
         else:
@@ -149,14 +165,19 @@ class Digest:
             self._last_sigmas = extras[-1]
 
     def add_result(self, values: Mapping[str, str]) -> None:
-        """Add the results of a session at its end."""
+        """Add the results of a session at its end.
+
+        Args:
+            values: results by name, as text.
+        """
         own = {name.removeprefix(_DEADLINES): value for name, value in values.items() if name.startswith(_DEADLINES)}
         self.deadlines = {name: float(value) for name, value in own.items()}
 
     def close(self, names: tuple[str, ...]) -> None:
         """Complete the digest at the end of the file.
 
-        The `names` are those of the extras.
+        Args:
+            names: names of the extras.
         """
         if self._counted and names:
             sigmas, means = self._last_sigmas[: len(names)], self._sums[len(names) :] / self._counted
@@ -181,7 +202,9 @@ def resident_memory() -> float:
 def digest_of_log(log: RunLog, *, size: int) -> Digest:
     """Return the digest of one file of a night.
 
-    It is computed from the log.
+    Args:
+        log: log of that file.
+        size: size of the file, bytes.
 
     Raises:
         InputError: the log is not a file of a night.
@@ -267,7 +290,9 @@ class RollingLog:
     def path(self, number: int, suffix: str = ".mcap") -> Path:
         """Return the path of a file or of its companion.
 
-        The suffix selects the companion.
+        Args:
+            number: number of the file.
+            suffix: ending, ".mcap" for the log or ".json" for the digest.
         """
         return self.folder / f"{self.name}-{number:04d}{suffix}"
 
@@ -283,7 +308,9 @@ class RollingLog:
     def ticks(self, time_s: Any, **parts: Array | None) -> None:
         """Log K periods of the loop; see `LogWriter.ticks`.
 
-        Times count from the start of this session.
+        Args:
+            time_s: times (K,) since the start of this session, s.
+            **parts: rows (K, …) by name.
         """
         times = np.asarray(time_s, dtype=float) + self._begin
         done = 0
@@ -301,7 +328,14 @@ class RollingLog:
             done = until
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Log an event; see `LogWriter.event`."""
+        """Log an event; see `LogWriter.event`.
+
+        Args:
+            time_s: time since the start of this session, s.
+            level: a key of `LEVELS`.
+            name: originating part.
+            text: a sentence.
+        """
         time = time_s + self._begin
         if time >= self._until - _SOON:
             self._roll(time)
@@ -309,7 +343,11 @@ class RollingLog:
         self._try(lambda writer: writer.event(time, level, name, text))
 
     def result(self, **values: str) -> None:
-        """Record the results of the run in the last file."""
+        """Record the results of the run in the last file.
+
+        Args:
+            **values: results by name.
+        """
         self._digest.add_result(values)
         self._try(lambda writer: writer.result(**values))
 
@@ -374,7 +412,10 @@ class RollingLog:
                 write_whole(self.path(digest.number, ".json"), digest.text())
 
     def _thin(self, number: int) -> None:
-        """Delete a file unless it is one to keep or its digest is missing."""
+        """Delete a file unless it must be kept.
+
+        It is kept if its digest is missing, or if it is one of those to keep.
+        """
         if number < 1 or (number - 1) % self._keep_every == 0:
             return
         with suppress(OSError, ValueError, TypeError, KeyError):

@@ -1,4 +1,6 @@
-"""Write a log: `ticks` for periods of the loop, `event` for everything between them.
+"""Write a log of ticks and events.
+
+`ticks` writes periods of the loop, `event` everything between them.
 
 One writer serves simulation, rig, import and replay. A tick requires only the measured positions. Rates, estimate,
 reference, truth and control are each present in every tick of a log or in none; the first tick decides.
@@ -57,6 +59,11 @@ def link_frames(arms: int, *, has_cart: bool, prefix: str = "") -> tuple[tuple[s
     """Return (parent, child) of every moving frame.
 
     The order is that of `link_poses`, starting with `world` to base.
+
+    Args:
+        arms: number of arms.
+        has_cart: True if the pivot is on a cart.
+        prefix: beginning of all names but `world`.
     """
     names = ["base", *(["cart_link"] if has_cart else [])]
     for i in range(1, arms + 1):
@@ -362,7 +369,10 @@ class ChunkEncoder:
 def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the number of the last slow message due at each time.
 
-    Numbers count from 0; `times` (K,) are in ns.
+    Numbers count from 0.
+
+    Args:
+        times: times (K,), ns.
     """
     return np.floor(times * (layout.SLOW_RATE / _SECOND) + 1e-6).astype(np.int64)
 
@@ -382,6 +392,10 @@ class TickBuffer:
     def checked(self, times: Row, given: Mapping[str, Row | None]) -> dict[str, Row]:
         """Return the given rows (K, …) of `measured` and parts, by name.
 
+        Args:
+            times: times (K,), s.
+            given: rows (K, …) by name, None for missing parts.
+
         Raises:
             ValueError: rows of another shape, decreasing times, or a part in some ticks only.
         """
@@ -400,7 +414,13 @@ class TickBuffer:
         return rows
 
     def put(self, times: Row, rows: Mapping[str, Row], *, since: int) -> int:
-        """Copy as many rows from `since` on as fit; return their number."""
+        """Copy as many rows as fit; return their number.
+
+        Args:
+            times: times (K,), s.
+            rows: rows (K, …) by name.
+            since: first row to copy.
+        """
         count = min(self.size - self.filled, len(times) - since)
         into, taken = slice(self.filled, self.filled + count), slice(since, since + count)
         self._time[into] = times[taken]
@@ -597,7 +617,13 @@ class LogWriter:
                 self._write_chunk()
 
     def tick(self, time_s: float, *, measured: Row, **parts: Row | None) -> None:
-        """Log one period: arguments as in `ticks`, one row each."""
+        """Log one period.
+
+        Args:
+            time_s: time, s.
+            measured: measured positions (n+1,), rad and m.
+            **parts: row of each part, see `ticks`.
+        """
         rows = {name: None if row is None else row[None] for name, row in parts.items()}
         self.ticks([time_s], measured=measured[None], **rows)
 
@@ -605,13 +631,20 @@ class LogWriter:
         """Add results as metadata at the end of the log.
 
         They may differ when the run is repeated.
+
+        Args:
+            **values: results by name.
         """
         self._result.update(values)
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
         """Log an event.
 
-        The level is debug, info, warn, error or fatal, and `name` is the originating part.
+        Args:
+            time_s: time, s.
+            level: debug, info, warn, error or fatal.
+            name: originating part.
+            text: a sentence.
         """
         if level not in layout.LEVELS:
             raise ValueError(f"event level {level!r}: must be one of {', '.join(layout.LEVELS)}")

@@ -1,4 +1,4 @@
-"""Assemble the parts of a closed loop once for any number of runs.
+"""Assemble the parts of a closed loop for any number of runs.
 
 An assembly holds a reference, the arms of the model and the settings of a run. It builds the controller, fallback,
 recovery, ticker and bench when they are first needed. Single runs, runs in lockstep, runs on a rig and the margins all
@@ -52,7 +52,7 @@ _WOBBLE = 0.8
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """Reference, model arms and settings of a run, and the parts built from them."""
+    """Reference, model arms and settings of a run, with their parts."""
 
     reference: Reference
     arms: ArmChainParameters
@@ -65,7 +65,11 @@ class Assembly:
     """Delay that the loop assumes, in periods; None for the drive's delay."""
 
     def under(self, settings: LoopSettings) -> "Assembly":
-        """Return the parts built so far under other settings of bench, supervisor or seed."""
+        """Return the parts built so far under other settings.
+
+        Args:
+            settings: settings that differ in bench, supervisor or seed only.
+        """
         other = replace(self, settings=settings)
         parts = ("controller", "fallback", "recovery")
         other.__dict__.update({name: self.__dict__[name] for name in parts if name in self.__dict__})
@@ -86,7 +90,10 @@ class Assembly:
 
     @property
     def model(self) -> SampledModel:
-        """Model of controller and filter, without dry friction if a hold estimates disturbances."""
+        """Model of controller and filter.
+
+        It has no dry friction if a hold estimates disturbances.
+        """
         settings = self.settings
         leaves = isinstance(settings.controller, HoldSettings) and Augment.DISTURBANCE in settings.estimator.augments
         arms = replace(self.arms, coulomb=()) if leaves else self.arms
@@ -94,7 +101,7 @@ class Assembly:
 
     @cached_property
     def controller(self) -> Controller:
-        """The controller.
+        """The given law, or that of the settings for the reference.
 
         Raises:
             InputError: the reference did not converge or belongs to other arms.
@@ -133,7 +140,11 @@ class Assembly:
         return self.planned_recovery()
 
     def planned_recovery(self, *, later: bool = False) -> RecoveryPlan | None:
-        """Return `recovery`; with `later`, starts may be added while the itinerary runs."""
+        """Return `recovery`, which a run may extend.
+
+        Args:
+            later: True if starts may be added while the itinerary runs, default False.
+        """
         reference, settings = self.reference, self.settings
         s = settings.supervisor
         if s.on_fall == "stop":
@@ -166,7 +177,7 @@ class Assembly:
         )  # fmt: skip
 
     def start(self, note: StartNote, lead_in: Reference | None, main: GainSchedule) -> StartController:
-        """Return a start controller from rest to a stop and onward along the reference.
+        """Return a controller from rest to a stop and along the reference.
 
         Args:
             note: stop and place at which the start joins the reference.
@@ -196,7 +207,7 @@ class Assembly:
         return StartController(note["stop"], note["at"], ticks, turns, whole)
 
     def ticker(self, *, runs: int = 1, library: Path | None = None) -> Ticker:
-        """Return controller, estimator and supervisor for one run or several side by side.
+        """Return controller, estimator and supervisor for one or more runs.
 
         Args:
             runs: number of runs, default 1.
@@ -262,7 +273,9 @@ class Assembly:
         """Return a loop for any rig, simulated or real.
 
         Args:
+            sink: receiver of ticks and events, default none.
             rate_noise: noise (n, 1) added to the rates in each tick, rad/s.
+            recovery: recovery from falls, by default `recovery` of this assembly.
             until: tick until which the itinerary repeats; 0 to run it once.
             keep: if False, rows are not kept in memory.
             library: see `ticker`.
@@ -285,7 +298,12 @@ class Assembly:
         )  # fmt: skip
 
     def draw(self, *, seed: int | None = None, mismatch: float | None = None) -> BenchDraw:
-        """Return a draw for one run; seed and mismatch override the settings."""
+        """Return a draw for one run.
+
+        Args:
+            seed: seed of the random numbers, by default that of the settings.
+            mismatch: relative error of the plant's parameters, by default that of the settings.
+        """
         ticks = self.controller.ticks + 1
         return self.settings.draw(self.arms, ticks=ticks, uncertainty=self.uncertainty, seed=seed, mismatch=mismatch)
 
@@ -306,7 +324,12 @@ class Assembly:
         Args:
             seed: seed that overrides the settings.
             mismatch: mismatch that overrides the settings.
+            sink: receiver of ticks and events, default none.
+            recovery: recovery from falls, by default `recovery` of this assembly.
             until: tick until which the itinerary repeats after falls; 0 to run it once.
+            keep: if False, rows are not kept in memory.
+            library: see `ticker`.
+            progress: receiver of progress reports.
 
         Raises:
             InputError: the reference did not converge or belongs to other arms, or the settings need an uncertainty
@@ -359,7 +382,9 @@ class Assembly:
         return Lockstep(ticker, bench, draws).run()[: len(seeds)]
 
     def margins(self) -> Margins:
-        """Return the margins of gain, further delay and further lag along the reference.
+        """Return the margins of gain, delay and lag along the reference.
+
+        Delay and lag are those beyond the assumed ones.
 
         The plant has the parameters of the model. Any filter other than the extended one is replaced by it, with the
         same settings.

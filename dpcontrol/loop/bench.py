@@ -1,4 +1,4 @@
-"""Bench between model and world: sensors, drive, disturbances, and the plant with these arms.
+"""Bench between model and world: sensors, drive, disturbances and plant.
 
 Relative encoders that count, a cart's scale, and their faults; angles count from hanging, q is one count:
 
@@ -113,7 +113,10 @@ class SensorSettings(Settings, table="sensors"):
 
     @property
     def steps(self) -> tuple[float, float]:
-        """The rounding steps of a relative angle, rad, and of the cart, m; zero for none."""
+        """The rounding steps of the readings; zero for none.
+
+        They are that of a relative angle, rad, and of the cart, m.
+        """
         return (2 * np.pi / self.counts if self.counts else 0.0), self.cart_resolution
 
     def covariance(self, arms: int) -> Array:
@@ -123,6 +126,9 @@ class SensorSettings(Settings, table="sensors"):
 
         cov(angle_i, angle_j) = (min(i, j) + 1)(q²/12 + noise²). Ideal sensors get the steps `_FINEST_ANGLE` and
         `_FINEST_CART`, because a filter needs a positive covariance.
+
+        Args:
+            arms: number n of arms.
         """
         angle, cart = self.steps
         angle = angle or (0.0 if self.noise else _FINEST_ANGLE)
@@ -179,7 +185,11 @@ class DriveSettings(Settings, table="drive"):
     )
 
     def limits(self, limits: Limits) -> Limits:
-        """Return the bounds of the drive, by default those of the itinerary."""
+        """Return the bounds of the drive.
+
+        Args:
+            limits: bounds of the itinerary, which apply where the drive has none.
+        """
         return Limits(
             position=self.track if math.isfinite(self.track) else limits.position,
             velocity=self.velocity if math.isfinite(self.velocity) else limits.velocity,
@@ -188,9 +198,12 @@ class DriveSettings(Settings, table="drive"):
         )
 
     def within(self, limits: Limits, period: float, *, clip: Clip = clip_number) -> "DriveLimits":
-        """Return the drive's bounds for demands `period` s apart.
+        """Return the drive's bounds on successive demands.
 
-        clip: `clip_lanes` for several runs.
+        Args:
+            limits: bounds of the itinerary, which apply where the drive has none.
+            period: time between demands, s.
+            clip: function that clips one number (default), or `clip_lanes` for several runs.
         """
         own = self.limits(limits)
         step = self.jerk * period if math.isfinite(self.jerk) else math.inf
@@ -199,7 +212,9 @@ class DriveSettings(Settings, table="drive"):
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """Bounds of the drive on demands, which are floats or, with `clip_lanes`, arrays (S,).
+    """Bounds of the drive on demands.
+
+    Demands are floats or, with `clip_lanes`, arrays (S,).
 
     acceleration m/s², velocity m/s, jerk_step m/s² per period (inf for none), response.
     """
@@ -211,20 +226,36 @@ class DriveLimits:
     clip: Clip
 
     def demanded(self, command: Any, noise: Any, last: Any) -> Any:
-        """Return the demand that results from `command`, given the `last` demand."""
+        """Return the demand that results from a command, m/s².
+
+        Args:
+            command: commanded acceleration, m/s², a number or (S,).
+            noise: noise on the command, m/s², a number or (S,).
+            last: demand of the last period, m/s², a number or (S,).
+        """
         wanted = self.clip(self.response * command + noise, -self.acceleration, self.acceleration)
         return self.clip(wanted, last - self.jerk_step, last + self.jerk_step)
 
     def acting(self, demanded: Any, velocity: Any, duration: float) -> Any:
-        """Return the acceleration for `duration` s that keeps the velocity reference, now `velocity`, in bounds.
+        """Return the acceleration that keeps the velocity reference in bounds, m/s².
 
         After a knock out of these bounds, the reference returns as fast as the drive can.
+
+        Args:
+            demanded: demanded acceleration, m/s², a number or (S,).
+            velocity: present velocity reference, m/s, a number or (S,).
+            duration: time for which the acceleration acts, s.
         """
         low, high = (-self.velocity - velocity) / duration, (self.velocity - velocity) / duration
         return self.clip(self.clip(demanded, low, high), -self.acceleration, self.acceleration)
 
     def braking(self, velocity: Any, duration: float) -> Any:
-        """Return the acceleration that brings `velocity` to zero, as fast as the drive can."""
+        """Return the acceleration towards standstill, as fast as the drive can.
+
+        Args:
+            velocity: present velocity reference, m/s, a number or (S,).
+            duration: time for which the acceleration acts, s.
+        """
         return self.clip(-velocity / duration, -self.acceleration, self.acceleration)
 
 
@@ -337,7 +368,11 @@ class MechanicsSettings(Settings, table="mechanics"):
     )
 
     def of_each(self, name: str, arms: int) -> tuple[float, ...]:
-        """Return the values of `play`, `known_play` or `stiction` for each arm.
+        """Return the values of a setting for each arm.
+
+        Args:
+            name: `play`, `known_play` or `stiction`.
+            arms: number of arms.
 
         Raises:
             InputError: their number differs from that of the arms.
@@ -353,7 +388,9 @@ class MechanicsSettings(Settings, table="mechanics"):
     def components(self, arms: int, offsets: Array) -> tuple[SymbolicPlant, ...]:
         """Return the components of a plant.
 
-        offsets (n,): encoder positions in their play, -0.5 to 0.5.
+        Args:
+            arms: number n of arms.
+            offsets: encoder positions (n,) in their play, -0.5 to 0.5.
         """
         found: list[SymbolicPlant] = []
         play, stiction = self.of_each("play", arms), self.of_each("stiction", arms)
@@ -380,7 +417,9 @@ class BenchSettings:
     def plant(self, arms: ArmChainParameters, offsets: Array | None = None) -> PlantParameters:
         """Return these arms on this drive and track.
 
-        offsets: see `MechanicsSettings.components`, zero by default.
+        Args:
+            arms: parameters of the n arms.
+            offsets: encoder positions (n,) in their play, -0.5 to 0.5, default zero.
 
         Raises:
             InputError: the drive or the tilt is impossible.
@@ -430,11 +469,20 @@ class Stream(Brief):
     """Ticks before the first."""
 
     def first(self, count: int) -> NDArray[Any]:
-        """Return the first `count` ticks."""
+        """Return the numbers (count, …) of the first ticks.
+
+        Args:
+            count: number of ticks.
+        """
         return self.make(np.random.default_rng(self.seed), self.begin + count)[self.begin :]
 
     def reader(self, rows: Callable[[NDArray[Any]], Any], *, ticks: int = _BLOCK) -> "StreamReader":
-        """Return a reader from the first tick on, with a conversion `rows` of blocks and an optional length `ticks`."""
+        """Return a reader from the first tick on.
+
+        Args:
+            rows: conversion of a block (count, …) into a sequence of one entry per tick.
+            ticks: length of the run, which limits the size of a block.
+        """
         return StreamReader(self, rows, block=min(max(ticks, 1), _BLOCK))
 
 
@@ -519,12 +567,21 @@ class BenchDraw(Brief):
     rate_noise = _drawn("rate_noise")
 
     def reader(self, name: str, rows: Callable[[NDArray[Any]], Any] = np.ndarray.tolist) -> StreamReader | None:
-        """Return a reader of a stream, or None if it is not used; see `Stream.reader`."""
+        """Return a reader of a stream, or None if it is unused.
+
+        Args:
+            name: name of the stream in `streams`.
+            rows: conversion of blocks, see `Stream.reader`; by default to lists.
+        """
         stream = self.streams.get(name)
         return None if stream is None else stream.reader(rows, ticks=self.ticks)
 
     def endless(self, *, since: int = 0) -> "BenchDraw":
-        """Return the draw for a run of any length, or its rest from tick `since` on."""
+        """Return the draw for a run of any length.
+
+        Args:
+            since: first tick of the run in this draw, default 0.
+        """
 
         def later() -> Iterator[tuple[int, Blow]]:
             return ((tick - since, blow) for tick, blow in self.random_blows() if tick >= since)
@@ -663,7 +720,10 @@ def _random_blows(
 def _blows(
     settings: BenchSettings, arms: int, clock: tuple[int, float], pushes: Array, knocks: Array
 ) -> dict[int, Blow]:
-    """Return blows by tick from draws in [0, 1): pushes (time, arm, size), knocks (time, size)."""
+    """Return blows by tick from draws in [0, 1).
+
+    The pushes are (time, arm, size), the knocks (time, size).
+    """
     d, (ticks, period) = settings.disturbances, clock
     strokes: list[tuple[int, int, float, float, float]] = []
     for when, which, size in pushes.tolist():

@@ -1,4 +1,4 @@
-"""Build the controller and the estimator of a run from a reference and settings.
+"""Build controller and estimator of a run from reference and settings.
 
 The notes of a reference that stays on one orbit or at one equilibrium have the entry `stay`. Laws that hold orbits or
 equilibria need this entry. Laws that track accept any reference.
@@ -89,12 +89,20 @@ ADAPTIVE_ESTIMATORS: dict[str, type[EstimatorSettings]] = {one.adaptive.kind: on
 
 
 def filter_of(settings: EstimatorSettings | OwnEstimator) -> Filter:
-    """Return the kind of estimator of these settings."""
+    """Return the kind of estimator of these settings.
+
+    Args:
+        settings: settings of an estimator, built in or a user's.
+    """
     return next(one for one in FILTERS if isinstance(settings, one.settings))
 
 
 def estimators_of(law: "ControllerSettings") -> dict[str, type[EstimatorSettings]]:
-    """Return the settings of each kind of estimator, with the defaults that go with a law."""
+    """Return the settings of each kind of estimator.
+
+    Args:
+        law: settings of the law, which decide the defaults.
+    """
     if isinstance(law, AdaptiveSettings):
         return ADAPTIVE_ESTIMATORS
     return {**ESTIMATORS, "ekf": HoldEkfSettings} if isinstance(law, HoldSettings) else ESTIMATORS
@@ -103,7 +111,10 @@ def estimators_of(law: "ControllerSettings") -> dict[str, type[EstimatorSettings
 def make_estimator(settings: EstimatorSettings | OwnEstimator, model: SampledModel, *, noise: Array) -> Estimator:
     """Return the estimator of `settings` for `model`.
 
-    noise (n+1, n+1): covariance of the measured positions.
+    Args:
+        settings: settings of the estimator, which select its kind.
+        model: model of the n arms that predicts the state.
+        noise: covariance (n+1, n+1) of the measured positions, rad² and m².
 
     Raises:
         InputError: the noise has the wrong shape or is no covariance.
@@ -118,7 +129,14 @@ KEEPERS = ("none", "ogy", "ogy-classic", "tvlqr")
 def keeping_controller(
     reference: Reference, parameters: ArmChainParameters, model: SampledModel, *, flies: TvlqrSettings, keep: str
 ) -> Program:
-    """Return the program that keeps the stays of `reference` with `keep` and flies between them with `flies`.
+    """Return the program that keeps the stays of a reference.
+
+    Args:
+        reference: reference that was planned with stays.
+        parameters: parameters of the model's arms.
+        model: model of arms and drive from tick to tick.
+        flies: settings of the law between the stays.
+        keep: law that keeps the stays, one of `KEEPERS`.
 
     Raises:
         InputError: the reference was planned without stays, or is of other arms.
@@ -170,7 +188,11 @@ def _part(reference: Reference, entry: Mapping[str, Any]) -> Reference:
 def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmChainParameters) -> "SustainedOrbit":
     """Return the sustained orbit of an entry.
 
-    Keep (the saddle), energy, family, lyapunov_period, rows, turns.
+    Args:
+        reference: reference that contains the orbit.
+        entry: entry of the program, with keep (the saddle), energy (J), family, lyapunov_period (s), rows and turns
+            (rad).
+        parameters: parameters of the model's arms.
 
     Raises:
         InputError: it is of other arms.
@@ -192,6 +214,10 @@ def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmCh
 def stay_orbit(reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
     """Return the sustained orbit on which a reference stays (notes, `stay`).
 
+    Args:
+        reference: reference whose notes have the entry `stay`.
+        parameters: parameters of the model's arms.
+
     Raises:
         InputError: it is of other arms.
     """
@@ -207,9 +233,17 @@ def _stay_entry(reference: Reference) -> dict[str, Any]:
 def nearest_keeper(
     reference: Reference, parameters: ArmChainParameters, model: SampledModel, *, flies: TvlqrSettings
 ) -> NearestKeeper:
-    """Return the laws that hold the reference's orbits and equilibria, and the hanging arms, after tracking is lost.
+    """Return the laws that hold a motion after tracking is lost.
+
+    They hold the reference's orbits and equilibria, and the hanging arms.
 
     Orbits are held by feedback at every tick, at the nearest phase. No other law holds them from a larger distance.
+
+    Args:
+        reference: planned reference, with orbits in its notes.
+        parameters: parameters of the model's arms.
+        model: model of arms and drive from tick to tick.
+        flies: settings of the feedback.
 
     Raises:
         InputError: the reference is of other arms.
@@ -357,7 +391,11 @@ CONTROLLERS: dict[str, type[ControllerSettings]] = {one.settings.kind: one.setti
 
 
 def law_of(settings: ControllerSettings) -> Law:
-    """Return the kind of controller of these settings."""
+    """Return the kind of controller of these settings.
+
+    Args:
+        settings: settings of a controller.
+    """
     return next(one for one in LAWS if isinstance(settings, one.settings))
 
 

@@ -1,4 +1,7 @@
-"""The closed loop of many simulated runs: one call computes a tick of all runs."""
+"""The closed loop of many simulated runs in lockstep.
+
+One call computes a tick of all runs.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace

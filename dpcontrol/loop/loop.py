@@ -1,4 +1,6 @@
-"""The closed loop of one run on any rig or of many simulated runs in lockstep: read, decide, command in each tick.
+"""The closed loop: read, decide and command in each tick.
+
+It serves one run on any rig, or many simulated runs in lockstep.
 
 All random numbers of a simulated run come from its seed. Controller and estimator use the model's parameters and the
 drive's nominal limits and delay, but none of the drawn values.
@@ -110,13 +112,21 @@ class ControlLoop:
         return self.ticker.queued[:, 0].tolist()
 
     def rehearse(self) -> None:
-        """Load all code and data before the first deadline by ticks without output."""
+        """Load all code and data before the first deadline.
+
+        It computes ticks without output.
+        """
         self.ticker.rehearse()
 
     def run(self, rig: Rig) -> LoopResult:
-        """Run to the controller's last tick, or until the supervisor has stopped the cart.
+        """Run to the last tick, or until the cart is stopped.
+
+        The supervisor stops the cart.
 
         With a recovery, the run continues after falls. If it is interrupted, the sink receives the rows so far.
+
+        Args:
+            rig: bench, simulated or real.
 
         Raises:
             InputError: the sink cannot be written.
@@ -211,7 +221,10 @@ class ControlLoop:
         return result if recovery is None else replace(result, falls=recovery.falls, flights=recovery.flights(done))
 
     def _fail(self, k: int, failure: ArithmeticError) -> None:
-        """Record the failure of the plant or a user's object, which ends the run at tick k."""
+        """Record a failure that ends the run at tick k.
+
+        The plant or a user's object failed.
+        """
         own = isinstance(failure, OwnFailure)
         self.ending = Ending.OBJECT_FAILED if own else Ending.PLANT_FAILED
         self.reason = f"{failure}, at t = {k * self._period:.3f} s" if own else str(failure)
@@ -259,7 +272,10 @@ class ControlLoop:
             rig.stop()
 
     def _recover(self, k: int, outcome: Outcome, why: str, rig: Rig) -> None:
-        """Return from a fall at tick k, or end the run if no attempt is left."""
+        """Return from a fall at tick k, or end the run.
+
+        The run ends if no attempt is left.
+        """
         recovery = self._recovery
         assert recovery is not None
         self._fall = None
@@ -354,7 +370,10 @@ class LoopSettings(Settings, table="run"):
     supervisor: SupervisorSettings = field(default_factory=SupervisorSettings)
 
     def _check_together(self) -> None:
-        """Check that the keeper of stops fits the controller, and that a plant is drawn in one way."""
+        """Check that settings fit together.
+
+        The keeper of stops must fit the controller, and a plant is drawn in one way.
+        """
         if self.plant is not None and self.model_uncertainty:
             raise self.refusal("model_uncertainty", "the plant's arms differ from the model's; use a mismatch")
         mechanics = replace(self.mechanics, initial_rate=0.0, initial_cart=0.0)
@@ -379,7 +398,11 @@ class LoopSettings(Settings, table="run"):
         return BenchSettings(self.sensors, self.drive, self.disturbances, self.mechanics)
 
     def known_mechanics(self, arms: int) -> KnownMechanics:
-        """Return the loop's model of the bench's mechanics."""
+        """Return the loop's model of the bench's mechanics.
+
+        Args:
+            arms: number of arms.
+        """
         own = self.mechanics
         return KnownMechanics(own.of_each("known_play", arms), self.known_belt, own.belt_damping)
 
@@ -410,9 +433,14 @@ class LoopSettings(Settings, table="run"):
         seed: int | None = None,
         mismatch: float | None = None,
     ) -> BenchDraw:
-        """Return the draw for a run of `ticks` ticks with these arms as the model; see `draw_bench`.
+        """Return the draw for one run; see `draw_bench`.
 
-        seed, mismatch: override the settings.
+        Args:
+            arms: parameters of the model's arms.
+            ticks: number of ticks of the run.
+            uncertainty: standard errors of the model, None if unknown.
+            seed: seed of the random numbers, by default that of the settings.
+            mismatch: relative error of the plant's parameters, by default that of the settings.
         """
         plant = self.plant
         own = plant.own if isinstance(plant, OwnPlant) else None
@@ -435,7 +463,10 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def lockstep(self) -> bool:
-        """True if runs of these settings can be computed in lockstep, given a law that supports it."""
+        """True if runs of these settings can be computed in lockstep.
+
+        The law must support it too.
+        """
         sensors, supervisor = self.sensors, self.supervisor
         faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
         hands_over = self.keep != "none" or supervisor.hold != "none" or supervisor.resynchronise
@@ -451,15 +482,21 @@ class LoopSettings(Settings, table="run"):
     def limits(self, reference: Reference) -> Limits:
         """Return the cart's limits in this run.
 
-        The reference's, with the travel of the settings if given.
+        Args:
+            reference: reference with limits, whose travel the settings can replace.
         """
         return replace(reference.limits, position=self.travel) if self.travel else reference.limits
 
 
 def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:
-    """Return the cart-level model of these arms between ticks at `rate` Hz with a drive lag of `lag` s.
+    """Return the cart-level model of these arms between ticks.
 
     It always has dry friction, possibly zero, for a filter that estimates it.
+
+    Args:
+        parameters: parameters of the arms.
+        rate: rate of the ticks, Hz.
+        lag: time constant of the drive, s, default 0.
     """
     parameters = replace(parameters, coulomb=parameters.coulomb or (0.0,) * parameters.count)
     equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)

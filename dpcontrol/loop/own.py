@@ -1,4 +1,4 @@
-"""Users' Python objects in the loop: a law, an estimator, a plant or a rig.
+"""Users' Python objects in the loop: law, estimator, plant or rig.
 
     controller    control(time, state, reference) -> acceleration, m/s²
     estimator     update(reading, acceleration) -> state (N,)
@@ -95,7 +95,7 @@ def _timed(function: Callable[..., Any], arguments: Sequence[Any], longest: floa
 
 
 class OwnObject:
-    """A user's object in the role of a controller, estimator, plant or rig.
+    """A user's object as controller, estimator, plant or rig.
 
     Args:
         role: the role of the object.
@@ -143,6 +143,9 @@ class OwnObject:
     def attribute(self, name: str) -> Any:
         """Return an attribute, or None if there is none.
 
+        Args:
+            name: name of the attribute.
+
         Raises:
             InputError: reading it raised.
         """
@@ -159,6 +162,10 @@ class OwnObject:
     def call(self, method: str, *arguments: Any) -> Any:
         """Call a method and return its value.
 
+        Args:
+            method: name of the method.
+            *arguments: its arguments.
+
         Raises:
             OwnFailure: the method raised or exceeded its time limit.
         """
@@ -171,7 +178,11 @@ class OwnObject:
             raise OwnFailure(f"{self.name}.{method} raised {_error_text(error)}") from error
 
     def number(self, method: str, *arguments: Any) -> float:
-        """Call a method and return its result as an acceleration.
+        """Call a method and return its result, an acceleration in m/s².
+
+        Args:
+            method: name of the method.
+            *arguments: its arguments.
 
         Raises:
             OwnFailure: the method failed, or did not return a finite number within bounds.
@@ -188,6 +199,11 @@ class OwnObject:
     def numbers(self, method: str, value: Any, size: int) -> Array:
         """Return the array (size,) that a method returned.
 
+        Args:
+            method: name of the method, for the message.
+            value: the returned value.
+            size: required number of entries.
+
         Raises:
             OwnFailure: the value has another shape, or entries that are not finite or out of bounds.
         """
@@ -200,7 +216,13 @@ class OwnObject:
         return array
 
     def invalid_value(self, method: str, value: Any, needed: str) -> OwnFailure:
-        """Return the error for an invalid value of a method."""
+        """Return the error for an invalid value of a method.
+
+        Args:
+            method: name of the method.
+            value: the returned value.
+            needed: description of valid values.
+        """
         try:
             text = " ".join(repr(value).split())
         except Exception:  # noqa: BLE001 - the value is the user's, and so is its __repr__
@@ -210,9 +232,11 @@ class OwnObject:
 
 
 def wrong_command(law: str, value: float) -> OwnFailure | None:
-    """Return the error for a symbolic law's command in m/s².
+    """Return the error for a command, or None if it is valid.
 
-    None if it is valid.
+    Args:
+        law: name of the symbolic law.
+        value: its command, m/s².
     """
     if abs(value) <= LARGEST:
         return None
@@ -230,6 +254,10 @@ def _error_text(error: BaseException) -> str:
 def own_object(role: str, value: Any) -> OwnObject:
     """Return a user's object, loaded from FILE.py:CLASS if necessary.
 
+    Args:
+        role: role of the object, "controller", "estimator", "plant" or "rig".
+        value: the object, or FILE.py:CLASS.
+
     Raises:
         InputError: the object cannot be loaded, or lacks a method.
     """
@@ -237,7 +265,13 @@ def own_object(role: str, value: Any) -> OwnObject:
 
 
 def load_own(role: str, source: str) -> OwnObject:
-    """Load FILE.py:CLASS and return an instance made without arguments, or the named object.
+    """Load FILE.py:CLASS and return an instance or the named object.
+
+    Instances are made without arguments.
+
+    Args:
+        role: role of the object, "controller", "estimator", "plant" or "rig".
+        source: FILE.py:CLASS.
 
     Raises:
         InputError: the file or class does not exist, the constructor raised, or a method is missing.
@@ -324,7 +358,11 @@ class OwnController:
         return self.flown.ticks
 
     def begin_after(self, lead: int) -> "OwnSession":
-        """Return a session for one run whose first `lead` commands come from the reference."""
+        """Return a session for one run.
+
+        Args:
+            lead: number of first commands that come from the reference.
+        """
         return OwnSession(self, lead)
 
 
@@ -339,7 +377,13 @@ class OwnSession:
         self.failure: OwnFailure | None = None
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from `tick`, given the predicted state (N,)."""
+        """Return the action for the period from a tick.
+
+        Args:
+            tick: the tick in which the command acts.
+            state: predicted state (N,) at the tick.
+            extra: estimated further parameters (E,), which the law does not receive.
+        """
         law, flown = self._law, self._law.flown
         wanted = flown.reference_states[min(tick, flown.ticks)]
         forward = float(flown.feedforward[min(tick, flown.ticks - 1)])
@@ -356,7 +400,12 @@ class OwnSession:
         return Action(forward, value - forward, wanted, Mode.TRACKING)
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Do nothing: the loop owns the clock."""
+        """Do nothing: the loop owns the clock.
+
+        Args:
+            tick: ignored.
+            state: ignored.
+        """
         return ""
 
 
@@ -385,17 +434,34 @@ class OwnEstimates:
         return self.own.attribute("sigmas") is not None
 
     def first(self, state: Array) -> Estimate:
-        """Return the estimate before any measurement, at `state` (N,)."""
+        """Return the estimate before any measurement.
+
+        Args:
+            state: nominal initial state (N,).
+        """
         self.failure, self.sent, self._count = None, 0.0, 0
         none = np.full(len(state), np.nan)
         return Estimate(state.copy(), np.empty(0), none, np.zeros(self._model.arms + 1), 0.0, 0, None)
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate at the first tick."""
+        """Return the estimate at the first tick.
+
+        Args:
+            estimate: estimate at the start.
+            measured: positions (n+1,), rad and m.
+            present: True for each new position (n+1,), None if all are new.
+        """
         return self._updated(estimate, estimate.state, measured, present)
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate after a period with `command` m/s² and a new measurement."""
+        """Return the estimate after a period and a new measurement.
+
+        Args:
+            estimate: estimate one tick earlier.
+            command: acceleration during the period, m/s².
+            measured: positions (n+1,), rad and m.
+            present: True for each new position (n+1,), None if all are new.
+        """
         return self._updated(estimate, self._model.step(estimate.state, command), measured, present)
 
     def _updated(self, estimate: Estimate, expected: Array, measured: Array, present: Present) -> Estimate:
@@ -421,18 +487,32 @@ class OwnEstimates:
         return Estimate(state, estimate.extra, sigmas, estimate.innovation, nis, len(rows), None)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
-        """Return the state (N,) that the model predicts after the pending commands."""
+        """Return the state (N,) that the model predicts after the pending commands.
+
+        Args:
+            estimate: present estimate.
+            commands: pending commands, one per period, oldest first, m/s².
+        """
         state = estimate.state
         for command in commands:
             state = self._model.step(state, command)
         return state
 
     def covariance(self, estimate: Estimate) -> Array:
-        """Return the covariance (N, N) of the state."""
+        """Return the covariance (N, N) of the state.
+
+        Args:
+            estimate: estimate with standard deviations (N,).
+        """
         return np.diag(estimate.sigmas**2)
 
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
-        """Leave the estimate to the object."""
+        """Leave the estimate to the object.
+
+        Args:
+            estimate: estimate that is returned unchanged.
+            measured: ignored.
+        """
         return estimate
 
 
@@ -460,7 +540,13 @@ class OwnArms:
         return self.values[self._cart + 1]
 
     def move(self, acceleration: Any, duration: Any, *, time: Any, span: float = 0.0) -> None:
-        """Advance the plant by `duration` s from `time` s with a constant demand in m/s².
+        """Advance the plant with a constant demand.
+
+        Args:
+            acceleration: demanded acceleration of the cart, m/s².
+            duration: duration, s.
+            time: time at its start, s.
+            span: ignored.
 
         Raises:
             OwnFailure: the object failed.
@@ -479,7 +565,12 @@ class OwnArms:
         self._set_state(state)
 
     def strike(self, blow: Blow, run: int = 0) -> None:
-        """Apply a blow."""
+        """Apply a blow.
+
+        Args:
+            blow: impulses and jumps.
+            run: ignored.
+        """
         self._set_state(
             after_blow(self._parameters, self.state, impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
         )
@@ -528,7 +619,11 @@ class OwnRig:
         return value._replace(time=now, positions=positions)
 
     def command(self, acceleration: float) -> None:
-        """Send the demanded acceleration of the cart, m/s²."""
+        """Send a command to the object.
+
+        Args:
+            acceleration: demanded acceleration of the cart, m/s².
+        """
         try:
             self.own.call("command", acceleration)
         except OwnFailure as failure:

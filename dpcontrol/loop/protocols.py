@@ -1,4 +1,4 @@
-"""Types of users' Python objects in the loop: `dp.Law`, `dp.Estimator`, `dp.Plant` and `dp.Rig`.
+"""Types of users' objects: `dp.Law`, `dp.Estimator`, `dp.Plant` and `dp.Rig`.
 
 A class needs no base: it has one of these types if it has the methods. `dpcontrol.loop.own` calls them.
 """
@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 
 
 class UserLaw(Protocol):
-    """A control law. It may have `reset()`, which is called before each run."""
+    """A control law.
+
+    It may have `reset()`, which is called before each run.
+    """
 
     def control(self, time: float, state: Array, reference: "Setpoint", /) -> float:
         """Return the cart's acceleration.
@@ -32,7 +35,10 @@ class UserLaw(Protocol):
 
 
 class UserEstimator(Protocol):
-    """An estimator. It may have `reset()`, and `sigmas` (N,), the standard deviations of its estimate."""
+    """Converts readings to states in a run.
+
+    It may have `reset()`, and `sigmas` (N,), the standard deviations of its estimate.
+    """
 
     def update(self, reading: "Reading", acceleration: float, /) -> ArrayLike:
         """Return the estimated state.
@@ -65,14 +71,24 @@ class UserPlant(Protocol):
 
 
 class UserRig(Protocol):
-    """A bench in simulated time. It may have `truth`, the true state (2n+2,), for scores."""
+    """A bench in simulated time.
+
+    It may have `truth`, the true state (2n+2,), for scores.
+    """
 
     def read(self) -> "ArrayLike | Reading":
-        """Return the positions (n+1,) of the arms (rad) and the cart (m) at the next tick, or a reading."""
+        """Return the positions (n+1,) at the next tick, or a reading.
+
+        The positions are those of the arms, rad, and of the cart, m.
+        """
         ...
 
     def command(self, acceleration: float, /) -> None:
-        """Send the demanded acceleration of the cart, m/s²."""
+        """Accelerate the cart.
+
+        Args:
+            acceleration: demanded acceleration of the cart, m/s².
+        """
         ...
 
     def stop(self) -> None:

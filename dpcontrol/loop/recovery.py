@@ -1,4 +1,4 @@
-"""Recovery from a fall: calm the arms, start again from rest, resume the itinerary.
+"""Recovery from a fall: calm the arms, start again, resume.
 
 A run is a sequence of motions on one rig. One `Ticker` controls them all without interruption, so its filter and its
 pending commands continue from one motion to the next:
@@ -79,10 +79,15 @@ class Motion(StrEnum):
 
 
 def calming_bounds(limits: Limits) -> Mapping[str, float]:
-    """Return the bounds of a return that differ from those of a flight (`tick.BOUNDS`).
+    """Return the bounds that differ during a return.
+
+    They replace those of a flight (`tick.BOUNDS`).
 
     Any distance from rest is allowed, and the filter may restart without limit. The law keeps the cart on its track.
     The supervisor intervenes only if nothing but maximum braking remains.
+
+    Args:
+        limits: the cart's limits.
     """
     return {
         "lost_tracking": 1e9, "resynchronise": 0.0, "can_hold": 0.0, "restarts": 1e9,
@@ -92,7 +97,10 @@ def calming_bounds(limits: Limits) -> Mapping[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class StartController(Brief):
-    """A transfer onto the itinerary and its continuation, from rest or from a nearby state."""
+    """A transfer onto the itinerary and its continuation.
+
+    It starts from rest or from a nearby state.
+    """
 
     stop: int
     """Index of the stop of the walk."""
@@ -116,12 +124,24 @@ class StartController(Brief):
         return len(self.gains.references) - 1
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the gain schedule, which was computed for this lead."""
+        """Return the gain schedule.
+
+        Args:
+            lead: number of periods of prediction, for which the gains were computed.
+        """
         return self.gains
 
 
 def started(before: GainSchedule, main: GainSchedule, *, lead_in: int, place: int, turns: Array) -> GainSchedule:
-    """Return `before` for `lead_in` ticks, then `main` from tick `place` with `turns` (n,) rad subtracted."""
+    """Return one gain schedule followed by another.
+
+    Args:
+        before: gains of the first ticks.
+        main: gains of the rest.
+        lead_in: number of ticks of `before`.
+        place: tick of `main` that follows.
+        turns: angles (n,) subtracted from those of `main`, rad.
+    """
     rest = main.turned(-turns)
     return replace(
         main,
@@ -143,14 +163,24 @@ class Reach(Brief):
     costs: Array
 
     def cost(self, state: Array, place: int) -> float:
-        """Return the cost-to-go from `state` (N,), modulo whole turns, to a place."""
+        """Return the cost-to-go to a place, modulo whole turns.
+
+        Args:
+            state: state (N,).
+            place: index of the place.
+        """
         away = self._away(state, slice(place, place + 1))[0]
         return float(away @ self.costs[place] @ away)
 
     def nearest(self, state: Array, last: int, *, worth: float) -> tuple[int, float]:
-        """Return the place up to `last` with the least cost, and that cost.
+        """Return the place with the least cost, and that cost.
 
         The cost is infinite if no place is near. It doubles `worth` places earlier.
+
+        Args:
+            state: state (N,).
+            last: index of the last place that is considered.
+            worth: number of places after which the cost doubles.
         """
         away = self._away(state, slice(last + 1))
         # Quadratic forms for all places would take longer than a tick.
@@ -235,12 +265,20 @@ class FallRecovery:
         self._latest: deque[Array] = deque(maxlen=max(round(plan.period / plan.calming.period / _EVERY), 1))
 
     def flights(self, end: int) -> tuple[Flight, ...]:
-        """Return the intervals on the itinerary up to the tick `end`."""
+        """Return the intervals on the itinerary up to the tick `end`.
+
+        Args:
+            end: tick that ends a flight under way.
+        """
         under_way = [Flight(self._joins, end, self._at)] if self.motion is Motion.ITINERARY else []
         return (*self._flown, *under_way)
 
     def begin(self, ticker: Ticker) -> Choice:
-        """Store the bounds for flights and return the event of the first motion."""
+        """Store the flights' bounds and return the first motion's event.
+
+        Args:
+            ticker: ticker of the run.
+        """
         self._bounds = {name: ticker.number(name) for name in calming_bounds(self._plan.limits)}
         ticker.prepare_to_hold()
         if self.until:
@@ -259,7 +297,15 @@ class FallRecovery:
         return Choice("info", name, joined_text(self._at, what))
 
     def runs_off(self, k: int, report: Array, ticker: Ticker) -> str:
-        """Return a fall's sentence if the cart runs away near its maximum speed, or ""."""
+        """Return a fall's sentence if the cart runs away, or "".
+
+        A cart runs away near its maximum speed, if the reference is slower.
+
+        Args:
+            k: tick.
+            report: report (size, 1) of the tick, see `TickEquations.report`.
+            ticker: ticker of the run.
+        """
         fastest, place = self._plan.limits.velocity, 2 * self._arms + 1
         speed = abs(report.item(place, 0))
         if speed < _FAST * fastest or self.motion is Motion.RETURN:
@@ -273,7 +319,15 @@ class FallRecovery:
     def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Sequence[Choice] | None:
         """Begin a return after a fall at tick k.
 
-        None if no attempt is left.
+        Args:
+            k: tick.
+            outcome: decision of the tick.
+            why: reason of the fall, a sentence.
+            ticker: ticker of the run.
+            period: time between ticks, s.
+
+        Returns:
+            Events to log, or None if no attempt is left.
         """
         plan = self._plan
         if self.motion is not Motion.RETURN:
@@ -321,7 +375,16 @@ class FallRecovery:
             ticker.brake(k + 1)
 
     def follow_up(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
-        """Handle the completed tick k and return events if the motion changes."""
+        """Handle the completed tick k and return events.
+
+        Events occur only if the motion changes.
+
+        Args:
+            k: tick.
+            report: report (size, 1) of the tick, see `TickEquations.report`.
+            ticker: ticker of the run.
+            period: time between ticks, s.
+        """
         if self.motion is Motion.ITINERARY:
             if report.item(ticker.at["error"], 0) < FOLLOWED:
                 self._followed = k
@@ -358,7 +421,10 @@ class FallRecovery:
         return [rested, *self._start(k, report, ticker)]
 
     def _caught(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
-        """Resume from an earlier place if the state is far from the reference but near that place."""
+        """Resume from an earlier place if the state is near it.
+
+        The state must be far from the present place of the reference.
+        """
         plan, reach, n = self._plan, self._plan.reach, self._arms
         state = report[: 2 * n + 2, 0]
         here = min(round((self._at / period + k - self._joins) / reach.every), len(reach.states) - 1)
@@ -387,9 +453,9 @@ class FallRecovery:
         return [Choice("warn", CATCH, joined_text(self._at, what))]
 
     def _hold_still(self, k: int, report: Array, ticker: Ticker, period: float) -> None:
-        """Brake a stopped cart that drifts, since a drive does not follow commands exactly.
+        """Brake a stopped cart that drifts.
 
-        The cart's scale gives the drift; a stuck scale reports no motion.
+        A drive does not follow commands exactly. The cart's scale gives the drift; a stuck scale reports no motion.
         """
         seen, where = self._seen
         since = (k - seen) * period
@@ -401,7 +467,10 @@ class FallRecovery:
             ticker.brake_from(drift)
 
     def _is_reliable(self, k: int, report: Array, ticker: Ticker, period: float) -> bool:
-        """True if the cart is still and the filter agrees with the readings again."""
+        """True if the cart is still and the filter is right.
+
+        The filter must agree with the readings again.
+        """
         # Arms at rest give constant readings, like a stuck sensor. After a time limit, the sensor is used again.
         since = k - self._began
         stuck = self._why is Outcome.STUCK and since * period < _STUCK and ticker.repeats(self._sensor) >= since
@@ -412,7 +481,10 @@ class FallRecovery:
         return bool(report.item(ticker.at["done"], 0)) and (k - self._lost_at) * period >= _TRIED
 
     def _at_rest(self, k: int, report: Array, ticker: Ticker) -> int:
-        """Return the number of ticks up to k that the arms hang at rest and the cart is centred."""
+        """Return the number of ticks at rest up to k.
+
+        At rest, the arms hang still and the cart is centred.
+        """
         n = self._arms
         state = report[: 2 * n + 2, 0].tolist()
         if any(abs(rate) > _QUIET for rate in state[n : 2 * n]):
@@ -447,7 +519,10 @@ class FallRecovery:
         return logged
 
     def _held(self, k: int, ticker: Ticker) -> Sequence[Choice]:
-        """Begin a return if the last stop was not held until the reference ended."""
+        """Begin a return if the last stop was not held.
+
+        It must be held until the reference ends.
+        """
         seen, end = np.array(self._latest), ticker.references[-1, : self._arms]
         path = self._plan.path + whole_turns(end - self._plan.path.mean(axis=0))
         away = float(np.abs(seen[:, None] - path).max(axis=2).min(axis=1).max())
@@ -459,7 +534,12 @@ class FallRecovery:
     def ended(self, k: int, ticker: Ticker) -> Sequence[Choice]:
         """Continue after the reference ends with tick k.
 
-        Return no events if the run ends.
+        Args:
+            k: tick.
+            ticker: ticker of the run.
+
+        Returns:
+            Events to log, or none if the run ends.
         """
         if self.motion is not Motion.ITINERARY:
             return ()
@@ -488,10 +568,14 @@ class FallRecovery:
 
 
 def meeting_tick(references: Array, ticks: int) -> int | None:
-    """Return the last tick at which references (K, N) match their first state, or None.
+    """Return the last tick that matches the first, or None.
 
     Only the last `ticks` are searched, and whole turns are ignored. Several matches of similar quality give the last of
     them.
+
+    Args:
+        references: reference states (K, N), rad, rad/s, m and m/s.
+        ticks: number of last ticks that are searched.
     """
     n = references.shape[1] // 2 - 1
     first = max(len(references) - ticks, len(references) // 2)

@@ -1,4 +1,4 @@
-"""Ends of the loop: the rig, the sink that receives its ticks, and a run's ending with its reason.
+"""Ends of the loop: the rig, its sinks, and a run's ending.
 
 The supervisor has these outcomes: continue, restart the estimator, resynchronise the reference's clock, hold the
 nearest orbit, or stop the cart in time. The tick itself decides (`dpcontrol.control.tick`). This module has its
@@ -50,7 +50,10 @@ class Reading(NamedTuple):
 
 
 class Rig(Protocol):
-    """A bench. Each period: one `read`, which waits for the tick, then one `command`."""
+    """A bench.
+
+    Each period: one `read`, which waits for the tick, then one `command`.
+    """
 
     @property
     def period(self) -> float:
@@ -66,7 +69,11 @@ class Rig(Protocol):
         ...
 
     def command(self, acceleration: float) -> None:
-        """Send the cart's demanded acceleration, m/s² to the right."""
+        """Accelerate the cart.
+
+        Args:
+            acceleration: demanded acceleration, m/s² to the right.
+        """
         ...
 
     def stop(self) -> None:
@@ -75,12 +82,18 @@ class Rig(Protocol):
 
     @property
     def truth(self) -> Array | None:
-        """Return the true state (2n+2,) at the last reading's tick, or None if it is unknown."""
+        """Return the true state (2n+2,), or None if it is unknown.
+
+        It is the state at the last reading's tick.
+        """
         ...
 
     @property
     def fault(self) -> str:
-        """Return the cause of a bench's failure, such as the end of its track, or "" while it works."""
+        """Return the cause of a bench's failure, or "".
+
+        An example is the end of its track.
+        """
         ...
 
 
@@ -159,7 +172,15 @@ EVENTS = {
 
 
 def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arms: int, period: float) -> str:
-    """Return the reason for the decision of a tick at `now` s, in one sentence; figures: see `Ticker.figures`."""
+    """Return the reason for a tick's decision in one sentence.
+
+    Args:
+        outcome: decision of the tick.
+        now: time of the tick, s.
+        figures: numbers of the tick, see `Ticker.figures`.
+        arms: number of arms.
+        period: time between ticks, s.
+    """
     error, distance = figures["error"], figures["distance"]
     away = f"an angle has stayed {error:.2g} rad from the reference"
     lost, shown = f"estimate lost at t = {now:.3f} s:", _lost(figures)
@@ -216,7 +237,11 @@ def _lost(figures: Mapping[str, float]) -> str:
 
 
 def ending(outcome: Outcome) -> Ending:
-    """Return the ending of a run that is stopped by this outcome."""
+    """Return the ending of a run that is stopped by this outcome.
+
+    Args:
+        outcome: outcome that stopped the run.
+    """
     if outcome in (Outcome.CART, Outcome.SWITCH):
         return Ending.CART_STOP
     return Ending.TRACKING_LOST if outcome in (Outcome.TRACKING_LOST, Outcome.FALLEN) else Ending.ESTIMATE_LOST
@@ -250,7 +275,16 @@ class Ticks(Brief):
     def empty(
         cls, count: int, arms: int, *, has_truth: bool, period: float, extras: int = 0, first: int = 0
     ) -> "Ticks":
-        """Return room for `count` ticks from `first` on, `period` s apart, with `extras` parameters."""
+        """Return room for ticks.
+
+        Args:
+            count: number of ticks.
+            arms: number of arms.
+            has_truth: True for room for true states.
+            period: time between ticks, s.
+            extras: number of additionally estimated parameters, default 0.
+            first: number of the first tick, default 0.
+        """
         n = 2 * arms + 2
         # The first columns of a report are contiguous.
         end = n + CONTROL_HEAD + n
@@ -264,7 +298,11 @@ class Ticks(Brief):
 
     @classmethod
     def joined(cls, parts: "Sequence[Ticks]") -> "Ticks":
-        """Return the concatenation of parts, or the only part."""
+        """Return the concatenation of parts, or the only part.
+
+        Args:
+            parts: successive ticks of one run.
+        """
         if len(parts) == 1:
             return parts[0]
 
@@ -278,7 +316,12 @@ class Ticks(Brief):
     def take(self, k: int, reading: Reading, report: Array, truth: Array | None, reference: Array) -> None:
         """Write tick k.
 
-        report: see `TickEquations.report`. reference: state (N,).
+        Args:
+            k: tick.
+            reading: reading of the tick.
+            report: report (size, 1), see `TickEquations.report`.
+            truth: true state (N,), None if unknown.
+            reference: reference state (N,).
         """
         self.measured[k] = reading.positions
         self.references[k] = reference
@@ -291,11 +334,20 @@ class Ticks(Brief):
         packed[k] = report[: packed.shape[1], 0]
 
     def without_nis(self, k: int) -> None:
-        """Clear the NIS of tick k because the filter restarts."""
+        """Clear the NIS of tick k because the filter restarts.
+
+        Args:
+            k: row of the tick.
+        """
         self.control[k, 5] = math.nan
 
     def between(self, first: int, end: int) -> "Ticks":
-        """Return the ticks from `first` up to `end`, sharing memory."""
+        """Return a range of ticks, sharing memory.
+
+        Args:
+            first: first row.
+            end: row after the last one.
+        """
         rows = slice(first, end)
         truth = None if self.truth is None else self.truth[rows]
         return Ticks(
@@ -305,16 +357,24 @@ class Ticks(Brief):
 
 
 class LoopSink(Protocol):
-    """Receiver of ticks and events during a run, such as a log writer."""
+    """Receiver of ticks and events, such as a log writer."""
 
     def ticks(self, rows: Ticks) -> None:
-        """Receive the next ticks, whose rows are final."""
+        """Receive the next ticks.
+
+        Args:
+            rows: next ticks, which are final.
+        """
         ...
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
         """Receive one event.
 
-        Level info, warn or error, its name and its text.
+        Args:
+            time_s: time, s.
+            level: "info", "warn" or "error".
+            name: name of the event.
+            text: a sentence.
         """
         ...
 
@@ -323,10 +383,21 @@ class NoSink:
     """Sink that discards everything, since the result holds every tick."""
 
     def ticks(self, rows: Ticks) -> None:
-        """Ignore ticks."""
+        """Ignore ticks.
+
+        Args:
+            rows: ignored.
+        """
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Ignore an event."""
+        """Ignore an event.
+
+        Args:
+            time_s: ignored.
+            level: ignored.
+            name: ignored.
+            text: ignored.
+        """
 
 
 class Sinks:
@@ -336,12 +407,23 @@ class Sinks:
         self._sinks = sinks
 
     def ticks(self, rows: Ticks) -> None:
-        """Pass on the next ticks."""
+        """Pass on the next ticks.
+
+        Args:
+            rows: next ticks.
+        """
         for sink in self._sinks:
             sink.ticks(rows)
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Pass on one event."""
+        """Pass on one event.
+
+        Args:
+            time_s: time, s.
+            level: "info", "warn" or "error".
+            name: name of the event.
+            text: a sentence.
+        """
         for sink in self._sinks:
             sink.event(time_s, level, name, text)
 
@@ -381,7 +463,10 @@ class LoopResult(Brief):
 
     @property
     def nis_inside_95(self) -> float:
-        """Return the share of the ticks whose NIS lies in its two-sided 95 % band."""
+        """Return the share of ticks with NIS in its 95 % band.
+
+        The band is two-sided.
+        """
         return inside_95(self.ticks.control[:, 5], self.ticks.measured.shape[1])
 
     @property
@@ -398,19 +483,30 @@ class LoopResult(Brief):
 
 
 def inside_95(nis: Array, freedom: int) -> float:
-    """Return the share of the known NIS (K,) of `freedom` positions in its two-sided 95 % band."""
+    """Return the share of NIS in its two-sided 95 % band.
+
+    Args:
+        nis: NIS (K,), NaN where unknown.
+        freedom: number of measured positions.
+    """
     known = nis[np.isfinite(nis)]
     return share_inside(known, freedom) if known.size else math.nan
 
 
 def rms(values: Array) -> float:
-    """Return the root mean square of values of any shape."""
+    """Return the root mean square.
+
+    Args:
+        values: values of any shape.
+    """
     return float(np.sqrt((values**2).mean()))
 
 
 @dataclass(frozen=True, eq=False)
 class BatchRun(Brief):
-    """One run of K ticks with the data that judge it and a few figures, in SI units.
+    """One run of K ticks and the data that judge it.
+
+    Units are SI.
 
     times (K,). truth (K, 2n+2). references (K, n): angles. applied (K,). ending, reason, falls, flights and hardest:
     see `LoopResult`.
@@ -432,6 +528,9 @@ class BatchRun(Brief):
     def of(cls, result: LoopResult) -> "BatchRun":
         """Convert the result of a loop.
 
+        Args:
+            result: result of a loop with true states.
+
         Raises:
             InputError: the true states of the run are not known.
         """
@@ -450,7 +549,10 @@ _TURN = 32
 
 
 class JudgedTicks:
-    """Data that judge S runs of up to K ticks, while they are computed."""
+    """Data that judge S runs while they are computed.
+
+    Runs have up to K ticks.
+    """
 
     def __init__(self, count: int, runs: int, arms: int) -> None:
         n = 2 * arms + 2
@@ -463,7 +565,11 @@ class JudgedTicks:
     def take(self, k: int, report: Array, at: Mapping[str, int], truth: Array) -> None:
         """Store tick k.
 
-        Its report (size, S), see `TickEquations.report`, and the true states (N, S).
+        Args:
+            k: tick.
+            report: its report (size, S), see `TickEquations.report`.
+            at: rows of the report by name.
+            truth: true states (N, S).
         """
         turn = k % _TURN
         self._latest[turn] = truth
@@ -477,7 +583,12 @@ class JudgedTicks:
         )
 
     def without_nis(self, k: int, lane: int) -> None:
-        """Clear the NIS of tick k of a run because the filter restarts."""
+        """Clear the NIS of a tick because the filter restarts.
+
+        Args:
+            k: tick.
+            lane: number of the run.
+        """
         self._nis[k, lane] = math.nan
 
     def run(
@@ -491,9 +602,16 @@ class JudgedTicks:
         ending: Ending,
         reason: str,
     ) -> BatchRun:
-        """Return one run of `count` ticks.
+        """Return the stored ticks of one run, with its figures.
 
-        References (K, n) are constant from the tick of a stop on.
+        Args:
+            lane: number of the run.
+            count: number of ticks.
+            references: reference angles (K, n), rad.
+            still_from: tick of a stop, from which the references are constant.
+            period: time between ticks, s.
+            ending: kind of ending.
+            reason: reason of the ending, a sentence.
         """
         rest, count = self._done % _TURN, min(count, self._done)
         self._truth[lane, self._done - rest : self._done] = self._latest[:rest, :, lane]
@@ -514,19 +632,32 @@ class LogSink:
         self._writer = writer
 
     def ticks(self, rows: Ticks) -> None:
-        """Write the next ticks."""
+        """Write the next ticks.
+
+        Args:
+            rows: next ticks.
+        """
         self._writer.ticks(
             rows.times, measured=rows.measured, estimate=rows.estimates, reference=rows.references,
             truth=rows.truth, control=rows.control, extras=rows.extras if self._writer.extras else None,
         )  # fmt: skip
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Write one event."""
+        """Write one event.
+
+        Args:
+            time_s: time, s.
+            level: "info", "warn" or "error".
+            name: name of the event.
+            text: a sentence.
+        """
         self._writer.event(time_s, level, name, text)
 
 
 class SinkBeside:
-    """Passes ticks and events to another sink in a thread, so that a slow disk does not delay a loop in real time.
+    """Passes ticks and events to another sink in a thread.
+
+    So a slow disk does not delay a loop in real time.
 
     The context manager waits for pending rows. An error in the thread is raised with later rows or at the end.
     """
@@ -546,12 +677,23 @@ class SinkBeside:
             self._look()
 
     def ticks(self, rows: Ticks) -> None:
-        """Write the next ticks."""
+        """Write the next ticks.
+
+        Args:
+            rows: next ticks.
+        """
         self._look()
         self._under_way.append(self._thread.submit(self._sink.ticks, rows))
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Write one event."""
+        """Write one event.
+
+        Args:
+            time_s: time, s.
+            level: "info", "warn" or "error".
+            name: name of the event.
+            text: a sentence.
+        """
         self._look()
         self._under_way.append(self._thread.submit(self._sink.event, time_s, level, name, text))
 

@@ -1,4 +1,4 @@
-"""Simulated bench: a rig whose plant, sensors and drive are computed tick by tick.
+"""Simulated bench: plant, sensors and drive, computed tick by tick.
 
 Period k runs from tick k to the next. The command given at tick k - i acts in it, for i whole periods of delay. For a
 further fraction f of a period, the previous command acts until k + f. Blows strike at the tick, after its reading. A
@@ -27,7 +27,9 @@ from dpcontrol.references.problem import Limits
 
 
 class Encoders:
-    """Relative encoders of the joints and the cart's scale during a run, with their faults.
+    """Relative encoders of the joints and the cart's scale.
+
+    They have faults during a run.
 
     Lost counts and stuck sensors require a single run.
 
@@ -121,7 +123,10 @@ _SWITCHES, _HALVINGS = 8, 24
 
 
 class ModalStep:
-    """A plant's step for one or many lanes, split at mode changes of its components."""
+    """A plant's step, split at mode changes of its components.
+
+    It serves one or many lanes.
+    """
 
     def __init__(self, step: Compiled, modes: Compiled) -> None:
         self._step, self._choose = step.machine, modes.machine
@@ -210,7 +215,7 @@ class SimulatedPlant:
         return v + self._lag * self.values[self._cart + 2] if self._lag else v
 
     def move(self, acceleration: Any, duration: Any, *, time: Any, span: float = 0.0) -> None:
-        """Advance by `duration` s from `time` s with a constant demand in m/s².
+        """Advance the plant with a constant demand.
 
         Args:
             acceleration: demand of each run, m/s².
@@ -251,7 +256,12 @@ class SimulatedPlant:
                 self.values = values
 
     def strike(self, blow: Blow, run: int = 0) -> None:
-        """Apply a blow to one run."""
+        """Apply a blow to one run.
+
+        Args:
+            blow: impulses and jumps.
+            run: number of the run, default 0.
+        """
         state = self.state[:, run] if self._many else self.state
         after = after_blow(self.plants[run], state, impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
         if self._many:
@@ -326,12 +336,18 @@ class SimulatedBench:
             raise InputError(f"the first state has shape {np.shape(start)}: {n} arms on a cart need ({2 * n + 2},)")
 
         def joined(name: str) -> Array | None:
-            """Return drawn values, with runs along the last axis if there are several."""
+            """Return drawn values.
+
+            Runs are along the last axis if there are several.
+            """
             drawn = [getattr(d, name) for d in draws]
             return None if drawn[0] is None else np.stack(drawn, axis=-1) if lanes is MANY else drawn[0]
 
         def by_tick(name: str, rows: Any = np.ndarray.tolist) -> Any:
-            """Return values drawn for each tick, read tick by tick in a single run."""
+            """Return values drawn for each tick.
+
+            In a single run they are read tick by tick.
+            """
             return joined(name) if lanes is MANY else draw.reader(name, rows)
 
         errors, zeros = joined("initial_error"), joined("zeros")
@@ -407,7 +423,10 @@ class SimulatedBench:
         )
 
     def _age(self, k: int) -> Any:
-        """Return the age of the reading at tick k, s, or None if the bench does not report it."""
+        """Return the age of a reading, s, or None.
+
+        It is None if the bench does not report ages.
+        """
         # The first reading shows the initial state.
         return self._ages[k] if self._reports and k else None
 
@@ -449,7 +468,10 @@ class SimulatedBench:
             self._past = k
 
     def _part(self, k: int, demand: Any, begin: float, end: float, seen: float) -> None:
-        """Advance a part of period k, from `begin` to `end` s within it, under `demand`."""
+        """Advance a part of period k under `demand`.
+
+        The part lasts from `begin` to `end` s within the period.
+        """
         plant, start, span = self._plant, k * self.period, end - begin
         acting = self._acting(demand, span)
         if self._many:
@@ -588,12 +610,22 @@ class BatchBench(SimulatedBench):
         return Reading(k * self.period, measured, present, switch, age=self._age(k))
 
     def command(self, accelerations: Array) -> None:
-        """Send the demanded accelerations (S,) of the carts, m/s²."""
+        """Accelerate the carts.
+
+        Args:
+            accelerations: demanded accelerations (S,) of the carts, m/s².
+        """
         # The array is a part of the report, which the next tick overwrites.
         self._demand(self._tick, accelerations.copy())
 
     def stop(self, runs: list[int]) -> None:
-        """Brake the carts of these runs to a standstill at once, without the commands' delay."""
+        """Brake the carts of these runs to a standstill at once.
+
+        The commands' delay does not apply.
+
+        Args:
+            runs: numbers of the runs.
+        """
         if self._braking is None:
             self._braking = np.zeros(self.truth.shape[1], dtype=bool)
         self._braking[runs] = True

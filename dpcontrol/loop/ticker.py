@@ -1,4 +1,4 @@
-"""Controller and estimator of one run or many: from a reading to a report.
+"""Controller and estimator of runs: from a reading to a report.
 
 With tabulated gains and the compiled filter, one call of `TickProgram` computes a tick. A law with an internal clock is
 called between the two parts of a tick. Another estimator replaces the first part.
@@ -26,7 +26,9 @@ _VELOCITY, _VELOCITY_SHARE = 0.1, 0.1
 
 
 class Ticker:
-    """The ticks of one run, or of as many lockstep runs as the program has.
+    """The ticks of one run, or of many in lockstep.
+
+    The program decides the number of runs.
 
     Args:
         schedule: gains of the controller, or None if it has an internal clock.
@@ -149,7 +151,9 @@ class Ticker:
         return action.feedforward, action.feedback
 
     def __call__(self, k: int, reading: Reading, rate_error: Array | None = None) -> Array:
-        """Compute tick k and return its report (size, lanes), which the next tick overwrites.
+        """Compute tick k and return its report (size, lanes).
+
+        The next tick overwrites the report.
 
         Args:
             k: tick.
@@ -200,7 +204,10 @@ class Ticker:
         return program.report
 
     def _estimated(self, k: int, reading: Reading) -> tuple[Array, Array, Array]:
-        """Return the values of `TickProgram.sense`, the predicted state and `drive`, by another estimator."""
+        """Return sensed values, predicted state and `drive`, by another estimator.
+
+        The values are those of `TickProgram.sense`.
+        """
         program, estimator, before = self.program, self.estimator, self._estimate
         assert estimator is not None
         means, drive = program.acting_on_their_way()
@@ -226,7 +233,14 @@ class Ticker:
         return sensed, program.with_rate_error(program.spread(ahead[:, None])), drive
 
     def hold(self, k: int, fallback: NearestKeeper) -> str:
-        """Abandon the reference at tick k of a single run, hold the fallback's orbit and return its name."""
+        """Abandon the reference and return the name of the held orbit.
+
+        The ticker must have a single run.
+
+        Args:
+            k: tick.
+            fallback: laws that hold orbits and equilibria.
+        """
         program, report = self.program, self.program.report
         self._session, held = fallback.session(k + self.lead, report[self._ahead, 0].copy())
         k -= self.began
@@ -248,11 +262,15 @@ class Ticker:
         bounds: Mapping[str, float],
         uses_switch: bool = True,
     ) -> None:
-        """Follow another controller from tick k, the next one, in a single run.
+        """Follow another controller from the next tick k.
+
+        The ticker must have a single run.
 
         The filter and the pending commands continue. The supervisor's memory is reset.
 
         Args:
+            k: the next tick.
+            controller: controller to follow.
             lift: whole turns (n,) added to its angles, rad.
             bounds: new values of `tick.BOUNDS`.
             uses_switch: if False, the end switches do not stop the run.
@@ -292,28 +310,51 @@ class Ticker:
             self._estimate = self.estimator.restarted(self._estimate, measured)
 
     def number(self, name: str) -> float:
-        """Return one of the `BOUNDS`."""
+        """Return one of the `BOUNDS`.
+
+        Args:
+            name: name of a bound.
+        """
         return float(self.program.numbers[self.program.equations.numbers.slices[name]][0])
 
     def repeats(self, sensor: int) -> float:
-        """Return the number of ticks with a constant reading of a sensor, counted from 1."""
+        """Return the number of ticks with a constant reading.
+
+        Args:
+            sensor: number of the sensor, counted from 1: the inner arm's encoder first, the cart's scale last.
+        """
         return float(self.program.memory[self.program.equations.memory.slices["same"]][sensor - 1, 0])
 
     def resynchronise(self, k: int) -> str:
-        """Move the law's clock to the phase nearest to the predicted state and return a sentence, or ""."""
+        """Move the law's clock to the nearest phase.
+
+        Args:
+            k: tick.
+
+        Returns:
+            A sentence, or "" if the law has no internal clock.
+        """
         if self._session is None:
             return ""
         return self._session.resynchronise(k + self.lead, self.program.report[self._ahead, 0].copy())
 
     def freeze_reference(self, k: int) -> None:
-        """Keep the reference constant from tick k while the cart brakes."""
+        """Keep the reference constant from tick k while the cart brakes.
+
+        Args:
+            k: tick.
+        """
         if self._session is None:
             frozen = self.references.copy()
             frozen[k - self.began :] = frozen[k - self.began]
             self.references = frozen
 
     def brake(self, k: int) -> None:
-        """Brake the cart to a standstill from the tick after k."""
+        """Brake the cart to a standstill from the tick after k.
+
+        Args:
+            k: tick.
+        """
         self.program.memory[self.program.equations.memory.slices["stopped"]] = float(Outcome.TRACKING_LOST)
         self.freeze_reference(k)
 
@@ -323,7 +364,11 @@ class Ticker:
         return float(self.program.reading[self._reading["measured"]][self._arms, 0])
 
     def brake_from(self, velocity: float) -> None:
-        """Continue braking from this velocity of the cart, m/s, instead of the commanded one."""
+        """Continue braking from a velocity other than the commanded one.
+
+        Args:
+            velocity: velocity of the cart, m/s.
+        """
         self.program.memory[self.program.equations.memory.slices["velocity"]] = velocity
 
     def rehearse(self) -> None:
@@ -345,7 +390,10 @@ class Ticker:
             self.program.memory[:] = begun
 
     def flag_estimate(self) -> str:
-        """Return a sentence on the parameter that left the range which the law trusts."""
+        """Return a sentence on the parameter that left its range.
+
+        The law does not trust values outside this range.
+        """
         schedule, report = self._schedule, self.program.report
         assert schedule is not None
         which = int(report[self.at["untrusted"], 0]) - 1
@@ -356,12 +404,16 @@ class Ticker:
         )
 
     def figures(self, k: int, lane: int = 0) -> Mapping[str, float]:
-        """Return the numbers of tick k, the last, that explain an outcome.
+        """Return the numbers of the last tick that explain an outcome.
 
         distance    rad, of the angle farthest from the reference, as measured if possible
         apart       rad, of the estimated angle farthest from its reading
         position    m, of the cart
         velocity    m/s, of the cart; NaN if its scale contradicts it
+
+        Args:
+            k: the last tick.
+            lane: number of the run, default 0.
         """
         column, references, arms = self.program.report[:, lane], self.references[k - self.began], self._arms
         names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "untrusted", "newly_cut")

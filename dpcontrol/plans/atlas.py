@@ -1,4 +1,6 @@
-"""The atlas of an energy, cached by content: orbits of all saddles, one cut per tube, all kinds of connection.
+"""The atlas of an energy, cached by content.
+
+It has the orbits of all saddles, one cut per tube, and all kinds of connection.
 
 On disk it is one .npz file, readable with numpy alone (`numpy.load(path)`), without pickles.
 
@@ -111,7 +113,10 @@ class AtlasSettings(Settings, table="atlas"):
 
 @dataclass(frozen=True)
 class FoundAtlas:
-    """An atlas, its file if the cache is writable, and True if it was cached."""
+    """An atlas, its file, and True if it was cached.
+
+    The file exists if the cache is writable.
+    """
 
     atlas: Atlas
     file: Path
@@ -119,7 +124,13 @@ class FoundAtlas:
 
 
 def atlas_key(model: Model | System, energy: float, settings: AtlasSettings) -> str:
-    """Return the hash of an atlas's inputs, as 16 hexadecimal digits."""
+    """Return the hash of an atlas's inputs, as 16 hexadecimal digits.
+
+    Args:
+        model: model, or a conservative system.
+        energy: energy, J.
+        settings: contents of the atlas.
+    """
     content = {
         "format": VERSION,
         "code": code_hash(__name__),
@@ -145,7 +156,17 @@ def make_atlas(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> FoundAtlas:
-    """Return the atlas of `model` at `energy` (J), from the cache unless `fresh`, and cache it if it is complete.
+    """Return the atlas of a model at an energy.
+
+    It is cached if it is complete.
+
+    Args:
+        model: model, or a conservative system.
+        energy: energy, J.
+        settings: contents of the atlas.
+        fresh: True to ignore the cache.
+        yes: accept any duration.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: no saddle has a Lyapunov orbit at this energy.
@@ -173,7 +194,14 @@ def compute_atlas(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> Atlas:
-    """Compute the atlas of `model` at `energy` (J).
+    """Compute the atlas of a model at an energy.
+
+    Args:
+        model: model, or a conservative system.
+        energy: energy, J.
+        settings: contents of the atlas.
+        yes: accept any duration.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: no saddle has a Lyapunov orbit at this energy.
@@ -323,7 +351,10 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
 def _strands(
     manifold: UnstableManifold, cut: Cut, branch: int, settings: AtlasSettings
 ) -> Iterator[tuple[int, float, Array]]:
-    """Yield (branch, phase, states) of trajectories that reach the section, spread evenly over the phases."""
+    """Yield trajectories that reach the section.
+
+    The items are (branch, phase, states), spread evenly over the phases.
+    """
     pieces = [piece for piece in cut.pieces if piece.branch == branch]
     if not pieces:
         return
@@ -339,7 +370,10 @@ def _strands(
 
 
 def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
-    """Return `count` of the indices of samples, spread evenly over half the time and half the scaled path."""
+    """Return `count` of the indices of samples.
+
+    They are spread evenly over half the time and half the scaled path.
+    """
     path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(states / system.scale, axis=0), axis=1))]
     along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]
     return np.rint(np.interp(np.linspace(0.0, along[-1], count), along, np.arange(len(times)))).astype(np.int64)
@@ -386,7 +420,11 @@ def _status(
 
 
 def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
-    """Write `atlas` atomically to `path` or to a file in memory, in the layout above.
+    """Write an atlas atomically in the layout above.
+
+    Args:
+        path: file, or a file in memory.
+        atlas: atlas to write.
 
     Raises:
         InputError: the file cannot be written.
@@ -424,7 +462,10 @@ def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -
 
 
 def load_atlas(path: Path | IO[bytes]) -> Atlas:
-    """Read what `save_atlas` wrote, from a path or an open binary file.
+    """Read what `save_atlas` wrote.
+
+    Args:
+        path: file, or an open binary file.
 
     Raises:
         InputError: the file does not exist, is damaged or is not an atlas.
@@ -482,7 +523,10 @@ def _unpacked(
 
 
 def _typed(value: Any, hint: Any, name: str) -> Any:
-    """Return a value of the header in its field's type, lists as tuples, or raise ValueError."""
+    """Return a value of the header in its field's type.
+
+    Lists become tuples. An impossible value raises ValueError.
+    """
     parts = get_args(hint)
     if type(None) in parts:
         if value is None:
@@ -502,7 +546,10 @@ def _typed(value: Any, hint: Any, name: str) -> Any:
 
 
 def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
-    """Return a finite array with the axes of its name, or raise ValueError."""
+    """Return a finite array with the axes of its name.
+
+    Any other array raises ValueError.
+    """
     # Coordinates other than angles have an infinite period.
     if name != "periods" and not np.isfinite(array).all():
         raise ValueError(f"its array {name} is not finite")
@@ -533,7 +580,17 @@ def make_branches(
     samples: int = 28,
     progress: Progress = no_progress,
 ) -> BranchDiagram:
-    """Return the diagram of the first-hit connections between two saddles, from the cache if possible.
+    """Return the diagram of first-hit connections between two saddles.
+
+    It comes from the cache if possible.
+
+    Args:
+        model: model of the arms.
+        source: saddle that the connections leave.
+        target: saddle that they join.
+        energies: lowest and highest energy, J; a usual range by default.
+        samples: number of energies.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: saddles or energies without a range to sweep.

@@ -155,7 +155,9 @@ def read_run_settings(
     arms: ArmChainParameters | None = None,
     folder: Path = Path(),
 ) -> tuple[LoopSettings, tuple[float, ...]]:
-    """Return the settings of an itinerary's runs, with seed 0, and the zeros of its rig.
+    """Return the settings of an itinerary's runs, and the rig's zeros.
+
+    The seed is 0.
 
     Args:
         tables: run, controller, estimator and supervisor of the file.
@@ -213,12 +215,16 @@ def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, pl
 
 
 def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
-    """Return a run's settings with those at the given paths replaced.
+    """Return a run's settings with some replaced.
 
-    See `dpcontrol.plans.overrides`.
+    Paths are those of `dpcontrol.plans.overrides`.
 
     `plant` is a file and stays unchanged; see `Itinerary.with_run`. A controller that cannot hand over to a keeper of
     stops follows the whole reference.
+
+    Args:
+        loop: settings of the run.
+        settings: new values by path.
 
     Raises:
         InputError: an unknown name, an unknown kind, or an impossible value.
@@ -271,7 +277,9 @@ def _followed(law: Any) -> dict[str, Any]:
 
 
 def _of_kind(role: str, value: Any, now: Any) -> Any:
-    """Return the settings of a controller or an estimator, named by its kind or given as an object.
+    """Return the settings of a controller or an estimator.
+
+    It is named by its kind or given as an object.
 
     Raises:
         InputError: an unknown kind.
@@ -290,6 +298,10 @@ def setting_of(loop: LoopSettings, name: str) -> Any:
     """Return the value of a setting of a run.
 
     Of controller and estimator it is the kind.
+
+    Args:
+        loop: settings of the run.
+        name: path of the setting, or its last part.
     """
     path = resolved(name)
     if path in ("controller", "estimator"):
@@ -299,14 +311,19 @@ def setting_of(loop: LoopSettings, name: str) -> Any:
 
 
 def _changed(filters: FilterSettings) -> dict[str, Any]:
-    """Return the settings of a filter that differ from their defaults, which the file sets for any controller."""
+    """Return the settings of a filter that differ from their defaults.
+
+    The file sets these for any controller.
+    """
     default = type(filters)()
     return {name: value for name, value in vars(filters).items() if value != getattr(default, name)}
 
 
 @dataclass(frozen=True)
 class Itinerary:
-    """An itinerary: its parts and the settings of every stage. `loop` has seed 0 until a run sets another.
+    """An itinerary: its parts and the settings of every stage.
+
+    `loop` has seed 0 until a run sets another.
 
     Attributes:
         start, finish: "orbit" (on the first or last part's orbit, at its exact rates, which rigs cannot start from),
@@ -364,7 +381,11 @@ class Itinerary:
         return self.model.identified_uncertainty if self.loop.model_uncertainty else None
 
     def with_run(self, settings: Mapping[str, Any], *, seed: int | None = None) -> "Itinerary":
-        """Return the itinerary with some run settings replaced by path, and the seed if given.
+        """Return the itinerary with some run settings replaced.
+
+        Args:
+            settings: new values by path.
+            seed: seed of the random numbers; None to keep the present one.
 
         Raises:
             InputError: an unknown kind or an impossible value, a plant with a missing or faulty file or with other
@@ -386,7 +407,7 @@ class Itinerary:
         return scene
 
     def remark_on_rig(self) -> None:
-        """Emit remarks on numbers of the rig that seem to be in another unit.
+        """Emit remarks on numbers of the rig in doubtful units.
 
         Raises:
             InputError: an impossible number.
@@ -401,9 +422,10 @@ class Itinerary:
 def load_itinerary(name: str) -> Itinerary:
     """Load an itinerary, and its model, by name or path.
 
-    Of a TOML file, or of a plan (.npz) that was made of one.
-
     A relative model path is taken from the itinerary's folder.
+
+    Args:
+        name: name or path of a TOML file, or of a plan (.npz) that was made of one.
 
     Raises:
         InputError: no such file, or a mistake in it or in its model: names file, table, key, value and remedy.
@@ -418,7 +440,13 @@ def load_itinerary(name: str) -> Itinerary:
 
 
 def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
-    """Return the itinerary of a plan's file, from the texts that its reference was made from.
+    """Return the itinerary of a plan's file.
+
+    It is read from the texts that its reference was made from.
+
+    Args:
+        file: file of the plan (.npz).
+        reference: reference in that file.
 
     Raises:
         InputError: it is a reference without a plan.
@@ -446,6 +474,15 @@ def itinerary_of(
 
     Its text is a file that gives the same one.
 
+    Args:
+        model: model of the arms.
+        walks: walks in order.
+        name: name and title of the itinerary.
+        start: state at the start, one of `ENDS`.
+        finish: state at the end, one of `ENDS`.
+        limits: the cart's limits.
+        reference: settings of the reference.
+
     Raises:
         InputError: the model has no arms, a saddle of a walk has no orbit at its energy, or an end is none of `ENDS`.
     """
@@ -464,7 +501,11 @@ def itinerary_of(
 def itinerary_from(text: str, name: str, model: Model, *, folder: Path = Path()) -> Itinerary:
     """Return the itinerary of a file's text, under a name.
 
-    folder: of the files that it names, such as a plant's.
+    Args:
+        text: text of a TOML file.
+        name: name of the itinerary.
+        model: model of the arms.
+        folder: folder of the files that it names, such as a plant's.
 
     Raises:
         InputError: a mistake in it.
@@ -557,7 +598,9 @@ def _check_ends(parts: tuple[Part, ...], start: str, finish: str, top: Place) ->
 def _check_level(
     parts: tuple[Part, ...], start: str, finish: str, reference: ReferenceSettings, keep: str, path: Path
 ) -> None:
-    """Reject a level of the reference, or a keeper of stops, that does not fit the itinerary.
+    """Reject a level or a keeper that does not fit.
+
+    They are the reference's level and the keeper of stops.
 
     Raises:
         InputError: names the setting.
@@ -581,7 +624,10 @@ def _check_level(
 
 
 def _named_model(name: str, *, where: str, beside: Path | None) -> Model:
-    """Return a model by name or path, from the folder `beside` if it is there."""
+    """Return a model by name or path.
+
+    The folder `beside` has priority.
+    """
     own = None if beside is None else beside / name
     try:
         return load_model(str(own) if own is not None and name.endswith(".toml") and own.is_file() else name)
@@ -590,7 +636,13 @@ def _named_model(name: str, *, where: str, beside: Path | None) -> Model:
 
 
 def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path | None = None) -> ArmChainParameters:
-    """Return the arms of a plant's model file, by name or path, to replace the model's `arms`.
+    """Return the arms of a plant's model file.
+
+    Args:
+        name: name or path of the file.
+        arms: the model's arms, which the plant replaces.
+        where: place of the name, with which messages begin.
+        beside: folder that is searched first.
 
     Raises:
         InputError: no such file, a mistake in it, or another number of arms; begins with `where`.

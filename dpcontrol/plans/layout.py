@@ -1,4 +1,6 @@
-"""The layout of itinerary files: the settings of each table, and their places in a run's settings.
+"""The layout of itinerary files: tables and their settings.
+
+Each setting has a place in a run's settings.
 
 [run] lists the keys of sensors, drive, disturbances and mechanics side by side. Its dataclass is made of theirs, so
 each setting is declared once: in the dataclass of its part.

@@ -80,7 +80,14 @@ class Model:
 
     @checked
     def unit(self, name: str, form: str = " {}") -> str:
-        """Return a unit of SI as a suffix of numbers, or "" for three bodies, whose units are dimensionless."""
+        """Return a unit of SI as a suffix of numbers.
+
+        It is "" for three bodies, whose units are dimensionless.
+
+        Args:
+            name: unit, such as "J".
+            form: format of the suffix, by default a space and the unit.
+        """
         return "" if isinstance(self.parameters, ThreeBodyParameters) else form.format(name)
 
     @cached_property
@@ -140,13 +147,16 @@ class Model:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSystem(System):
-    """The conservative system of a model, with a link back to the model."""
+    """The conservative system of a model, linked to the model."""
 
     model: Model
 
 
 def model_of(system: System) -> Model:
     """Return the model of a conservative system.
+
+    Args:
+        system: system that was made from a model.
 
     Raises:
         InputError: the system was made without a model.
@@ -184,6 +194,10 @@ def load_model(name: str | Path) -> Model:
 def model_from(text: str, name: str) -> Model:
     """Return the model of a file's text, under a name.
 
+    Args:
+        text: text of a TOML file.
+        name: name of the model.
+
     Raises:
         InputError: a mistake in it.
     """
@@ -220,7 +234,7 @@ class _Arms(_Sourced, table="arms"):
 
 @dataclass(frozen=True)
 class _Gravity(_Sourced, table="gravity"):
-    """Gravity."""
+    """The gravity in which the arms swing."""
 
     acceleration: float = setting(unit="m/s²", help="Acceleration of gravity.")
 
@@ -337,7 +351,14 @@ def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
 
 
 def model_text(found: "Identification", *, title: str, logs: Sequence[str], starting_model: str) -> str:
-    """Return the TOML text of arms identified from `logs`, with `starting_model` as the first guess."""
+    """Return the TOML text of identified arms.
+
+    Args:
+        found: result of the identification.
+        title: title of the model.
+        logs: names of the recordings.
+        starting_model: name of the model that was the first guess.
+    """
     arms, count = found.arms, len(ratio_names(found.arms))
     left = np.array([s.rms for s in found.segments if not s.used])
     # Control characters in a file's name must not end the comment.
@@ -396,7 +417,13 @@ def _first_line(logs: Sequence[str], starting_model: str) -> str:
 
 
 def check_model_replaced(path: Path, *, logs: Sequence[str], starting_model: str, force: bool = False) -> None:
-    """Reject an existing model file that was not identified from the same logs.
+    """Reject a model file that was not identified from these logs.
+
+    Args:
+        path: file to write.
+        logs: names of the recordings.
+        starting_model: name of the model that was the first guess.
+        force: True to accept any file, default False.
 
     Raises:
         InputError: there is another file.
@@ -410,6 +437,13 @@ def check_model_replaced(path: Path, *, logs: Sequence[str], starting_model: str
 def write_model(found: "Identification", path: Path, *, title: str, logs: Sequence[str], starting_model: str) -> Path:
     """Write identified arms as a model file and return its path.
 
+    Args:
+        found: result of the identification.
+        path: file to write.
+        title: title of the model.
+        logs: names of the recordings.
+        starting_model: name of the model that was the first guess.
+
     Raises:
         InputError: the file cannot be written.
     """
@@ -418,7 +452,11 @@ def write_model(found: "Identification", path: Path, *, title: str, logs: Sequen
 
 
 def quoted(text: str) -> str:
-    """Return text as a TOML string on one line."""
+    """Return text as a TOML string on one line.
+
+    Args:
+        text: any text.
+    """
     return '"' + _plain(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 

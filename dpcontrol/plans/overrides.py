@@ -1,4 +1,6 @@
-"""Settings of a run by path, such as `drive.lag`; the last part alone is enough if no other path ends in it.
+"""Settings of a run by path, such as `drive.lag`.
+
+The last part alone is enough if no other path ends in it.
 
 Paths follow the fields of `LoopSettings`, such as `mismatch`, `drive.lag` and `controller.angle`. `controller` and
 `estimator` alone are kinds, or a user's objects.
@@ -25,7 +27,7 @@ _FORMER = {"rate_noise": "sensors.rate_noise"}
 
 
 class Leaf(NamedTuple):
-    """A setting: the types of its values, its bounds, its default, and its help."""
+    """A setting: types of its values, bounds, default and help."""
 
     hint: Any
     bounds: Bounds
@@ -76,6 +78,9 @@ def _leaves(prefix: str, kind: type) -> Iterator[tuple[str, Leaf]]:
 def resolved(name: str) -> str:
     """Return the path of a setting from its name.
 
+    Args:
+        name: path of a setting, or its last part.
+
     Raises:
         InputError: no path or several paths end in it.
     """
@@ -99,6 +104,9 @@ def canonical(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings by their paths, each value of the setting's type.
 
     None keeps the itinerary's value.
+
+    Args:
+        settings: values by name.
 
     Raises:
         InputError: an unknown or ambiguous name, a setting that is given twice, or a value of another type.
@@ -146,7 +154,11 @@ def _kind(hint: Any) -> str:
 
 
 def parsed(name: str, text: str) -> Any:
-    """Return the value of a setting from its text on the command line.
+    """Return the value of a setting from its command-line text.
+
+    Args:
+        name: path of the setting, or its last part.
+        text: text of the value.
 
     Raises:
         InputError: an unknown setting, or text that is no value of it.
@@ -162,7 +174,13 @@ def parsed(name: str, text: str) -> Any:
 
 
 def typed(settings: Mapping[str, Any]) -> str:
-    """Return settings as the command line takes them, such as `--travel 0.6 --set drive.jerk=100`."""
+    """Return settings as the command line takes them.
+
+    An example is `--travel 0.6 --set drive.jerk=100`.
+
+    Args:
+        settings: values by name.
+    """
     words: list[str] = []
     for name, value in settings.items():
         path, text = resolved(name), ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
@@ -171,7 +189,11 @@ def typed(settings: Mapping[str, Any]) -> str:
 
 
 def option_of(path: str) -> str:
-    """Return the option of a path in `NAMED`."""
+    """Return the option of a path in `NAMED`.
+
+    Args:
+        path: path of a setting.
+    """
     return f"--{path.rpartition('.')[2].replace('_', '-')}"
 
 

@@ -1,4 +1,6 @@
-"""Parts of an itinerary as pieces of one reference: walks, holds and rests, with transfers between them.
+"""Parts of an itinerary as pieces of one reference.
+
+Pieces are walks, holds and rests, with transfers between them.
 
 Each piece is solved separately, between two known states, and the pieces are joined. So the cost grows with the sum of
 their lengths, and an infeasible piece is reported by name.
@@ -70,7 +72,10 @@ class Goal(Brief):
 
 @dataclass(frozen=True)
 class SolvedPiece(Brief):
-    """Reference of a goal or of a transfer. goal: None for a transfer; lift (n,): radians added to its angles."""
+    """Reference of a goal or of a transfer.
+
+    goal: None for a transfer. lift (n,): radians added to its angles.
+    """
 
     text: str
     goal: Goal | None
@@ -83,8 +88,12 @@ def walk_goal(
 ) -> Goal:
     """Return the goal of following a shadowing orbit from start to end.
 
-    round_off: True for ends that are extended to phase zero of their periodic orbits, with the arms at the saddle's
-    angles. Transfers reach these states more easily than those in mid-swing.
+    Args:
+        orbit: shadowing orbit of the walk.
+        symbols: symbols of the walk, as the itinerary writes them.
+        round_off: for start and end, True to extend it to phase zero of its periodic orbit, with the arms at the
+            saddle's angles. Transfers reach these states more easily than those in mid-swing.
+        wraps: wraps at the stop shared with the goal before, None for a walk in one piece.
     """
     system, chain = orbit.connections[0].source.system, orbit.connections
     n = system.dimension // 2
@@ -106,7 +115,13 @@ def walk_goal(
 
 
 def stay_goal(itinerary: Itinerary, name: str, seconds: float) -> Goal:
-    """Return the goal of staying at an equilibrium."""
+    """Return the goal of staying at an equilibrium.
+
+    Args:
+        itinerary: itinerary with the model.
+        name: name of the equilibrium.
+        seconds: duration of the stay, s.
+    """
     system = itinerary.model.system
     state = system.equilibrium(name)
     angles = state[: len(state) // 2]
@@ -123,7 +138,9 @@ def solve_pieces(
     scheduler: str = "",
     progress: Progress = no_progress,
 ) -> list[SolvedPiece]:
-    """Return the pieces of all goals in order, with the transfers between them.
+    """Return the pieces of all goals, with transfers between them.
+
+    They are in order.
 
     The list ends with a reference that did not converge, because the next piece would start from its end.
 
@@ -165,7 +182,14 @@ def solve_pieces(
 
 
 def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndConditions) -> ReferenceProblem:
-    """Return the problem of following a guess for `duration` s with the itinerary's arms, within its limits."""
+    """Return the problem of following a guess with a cart.
+
+    Args:
+        itinerary: arms and limits.
+        guess: function of times (K,), s, that returns the pendulum's states (K, 2n).
+        duration: duration of the motion, s.
+        ends: conditions at start and end.
+    """
     return ReferenceProblem(
         equations=equations_of(itinerary.model.arms.planned(), Level.CART),
         parameters=itinerary.model.arms.planned().base(),
@@ -177,16 +201,26 @@ def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndC
 
 
 def lifted(state: Array, lift: Array) -> Array:
-    """Return a state (2n + 2,).
+    """Return a pendulum's state with a cart at rest, centred.
 
-    A pendulum's (2n,), `lift` (n,) added to its angles, on a cart at rest, centred.
+    Args:
+        state: state (2n,) of the pendulum.
+        lift: angles (n,) added to its angles, rad.
+
+    Returns:
+        State (2n+2,).
     """
     n = len(lift)
     return np.concatenate([state[:n] + lift, state[n:], [0.0, 0.0]])
 
 
 def lifted_guess(goal: Goal, lift: Array) -> Guess:
-    """Return the guess along a walk's shadowing orbit, with `lift` (n,) added to its angles."""
+    """Return the guess along a walk's shadowing orbit.
+
+    Args:
+        goal: goal of a walk.
+        lift: angles (n,) added to those of the orbit, rad.
+    """
     assert goal.shadowing is not None
     sample, turned = goal.shadowing.states, np.concatenate([lift, np.zeros(len(lift))])
     return lambda times: sample(times + goal.begin) + turned
@@ -238,7 +272,10 @@ _PHASES = 1000
 
 
 def _off_last_orbit(goal: Goal, found: Reference, lift: Array) -> float:
-    """Return the distance of a walk's angles from its last orbit over the last period, rad."""
+    """Return a walk's distance from its last orbit, rad.
+
+    It is the distance of the angles over the last period.
+    """
     orbit, n = goal.orbits[1], len(lift)
     shares = np.linspace(0.0, 1.0, _PHASES)
     path = OrbitCurve(orbit).states(shares)[:, :n] - orbit.system.equilibrium(orbit.saddle)[:n] + goal.last + lift
@@ -257,7 +294,10 @@ class _Way:
     turns: list[Array]
 
     def taken(self, found: Reference, lift: Array) -> SolvedPiece:
-        """Return the found transfer as a piece, with `lift` (n,) of the goal before it."""
+        """Return the found transfer as a piece.
+
+        `lift` (n,) is that of the goal before it.
+        """
         landed = found.state(found.duration)
         nearest = int(np.argmin([np.abs(landed - end).max() for end in self.transfer.ends]))
         onward = self.turns[nearest] * 2 * np.pi + lift
@@ -265,7 +305,10 @@ class _Way:
 
 
 def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
-    """Return the transfer from one goal to the next, or None if their orbits have the same saddle."""
+    """Return the transfer from one goal to the next, or None.
+
+    It is None if their orbits have the same saddle.
+    """
     rest = resting_place(itinerary.model.system)
     text = " to ".join("rest" if name == rest else name for name in (before.where[1], after.where[0]))
     apart = (before.last - after.first) / (2 * np.pi)
@@ -280,16 +323,22 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
 
 
 def _blended(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, progress: Progress) -> SolvedPiece:
-    """Return the piece from the last orbit of a walk to the first of the next, about the same saddle."""
+    """Return the piece between two walks about the same saddle.
+
+    It leads from the last orbit of one to the first of the next.
+    """
     onward = np.rint((before.last - after.first) / (2 * np.pi)) * 2 * np.pi + lift
     found = _blend(itinerary, before, lift, after, onward, progress)
     return SolvedPiece(f"change of energy at {after.where[0]}", None, onward, found)
 
 
 def ways_round(apart: Array) -> list[Array]:
-    """Return the whole turns (n,) that bring arms `apart` (n,) turns together.
+    """Return the whole turns (n,) that bring arms together.
 
     For half a turn, both directions are tried.
+
+    Args:
+        apart: distances (n,) of the arms, in turns.
     """
     choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
     return [np.array(ways) for ways in product(*choices)]
@@ -298,7 +347,10 @@ def ways_round(apart: Array) -> list[Array]:
 def _blend(
     itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, onward: Array, progress: Progress
 ) -> Reference:
-    """Return the reference from the last orbit of one walk to the first of the next, about one saddle."""
+    """Return the reference between two walks about one saddle.
+
+    It leads from the last orbit of one to the first of the next.
+    """
     before, after = leaving.shadowing, joining.shadowing
     assert before is not None
     assert after is not None
@@ -344,7 +396,10 @@ STILL = 0.8
 
 
 class _Story:
-    """Stops and symbols in order, and orbits and equilibria in the order of their first visit."""
+    """Stops and symbols in order, with their orbits and equilibria.
+
+    Orbits and equilibria are in the order of their first visit.
+    """
 
     def __init__(self, itinerary: Itinerary) -> None:
         self.system = itinerary.model.system
@@ -356,7 +411,10 @@ class _Story:
         self.samples: list[Array] = []
 
     def enter(self, goal: Goal, angles: Array, text: str) -> None:
-        """Add the first stop of a piece, and the transfer before it, named by its text, if any."""
+        """Add the first stop of a piece.
+
+        If there is a transfer before it, it is added by its text.
+        """
         name = goal.where[0]
         here = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
         if not text or (self.stops and np.allclose(self.stops[-1]["angles"], angles)):
@@ -372,7 +430,10 @@ class _Story:
         self._arrive(name, angles, here, symbol, None)  # type: ignore[arg-type]
 
     def follow(self, piece: SolvedPiece, begin: float) -> None:
-        """Add the stops and symbols of a walk that begins at this time, s."""
+        """Add the stops and symbols of a walk.
+
+        The walk begins at the given time, s.
+        """
         assert piece.goal is not None
         orbit = piece.goal.shadowing
         assert orbit is not None
@@ -388,7 +449,10 @@ class _Story:
             self._arrive(target, home[:n] + piece.lift, self._on(connection.target), symbol, wraps)
 
     def _arrive(self, name: str, angles: Array, orbit: int, symbol: SymbolNote | None, wraps: int | None) -> None:
-        """Add a stop with its symbol, or only its orbit if it is the previous stop."""
+        """Add a stop with its symbol.
+
+        If it is the previous stop, only its orbit is added.
+        """
         stop: StopNote = {"saddle": name, "angles": [float(angle) for angle in angles], "orbit": orbit}
         if symbol is None and self.stops:
             self.stops[-1] = {**stop, "arrived_on": self.stops[-1]["orbit"]}
@@ -420,7 +484,13 @@ class _Story:
 def notes_of_pieces(
     itinerary: Itinerary, pieces: Sequence[SolvedPiece], begins: Array
 ) -> tuple[PlanNotes, dict[str, Array]]:
-    """Return the notes of solved pieces that begin at `begins` (P + 1,) s, and the arrays that go with them."""
+    """Return the notes of solved pieces, and their arrays.
+
+    Args:
+        itinerary: itinerary of the pieces.
+        pieces: P pieces in order.
+        begins: start of each piece and end of the last, (P+1,), s.
+    """
     story, way = _Story(itinerary), ""
     for piece, begin, end in zip(pieces, begins[:-1], begins[1:], strict=True):
         goal = piece.goal

@@ -1,4 +1,6 @@
-"""From an itinerary to its reference, cached by content: connections, shadowing orbit, collocation.
+"""From an itinerary to its reference, cached by content.
+
+The steps are connections, shadowing orbit and collocation.
 
 Symbols, stops and orbits are stored with the reference as notes and arrays. So a log that contains the reference can be
 scored and reviewed without other files.
@@ -108,14 +110,26 @@ class Plan(ByReference, Timed):
         return self
 
     def margins(self, options: Mapping[str, object] | None = None) -> Any:
-        """Deprecated: use `dp.closed_loop(plan).margins()`."""
+        """Deprecated: use `dp.closed_loop(plan).margins()`.
+
+        Args:
+            options: settings of the run by path, default none.
+        """
         return self._closed_loop("margins", options).margins()
 
     def preflight(
         self, options: Mapping[str, object] | None = None, *, runs: int = 0, workers: int = 0, yes: bool = False,
         progress: Progress = no_progress,
     ) -> Any:  # fmt: skip
-        """Deprecated: use `dp.closed_loop(plan).preflight()`."""
+        """Deprecated: use `dp.closed_loop(plan).preflight()`.
+
+        Args:
+            options: settings of the run by path, default none.
+            runs: number of seeds, 0 for as many as two minutes allow.
+            workers: number of processes, 0 for one per processor.
+            yes: accept any duration, default False.
+            progress: receiver of progress reports.
+        """
         loop = self._closed_loop("preflight", options)
         return loop.preflight(runs=runs, workers=workers, yes=yes, progress=progress)
 
@@ -142,7 +156,11 @@ class Plan(ByReference, Timed):
 
 
 def plan_key(itinerary: Itinerary) -> str:
-    """Return the hash of a plan's inputs, as 16 hexadecimal digits."""
+    """Return the hash of a plan's inputs, as 16 hexadecimal digits.
+
+    Args:
+        itinerary: itinerary of the plan.
+    """
     content = {
         "format": FORMAT,
         "code": PLANNING,
@@ -177,7 +195,10 @@ def _amounts(itinerary: Itinerary) -> dict[str, int]:
 
 
 def _extent(itinerary: Itinerary) -> tuple[int, int]:
-    """Return the numbers of periods of walks and of transfers in an itinerary."""
+    """Return the numbers of periods and of transfers in an itinerary.
+
+    The periods are those of walks.
+    """
     ends = (itinerary.start, itinerary.finish)
     apart = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))
     amounts = _amounts(itinerary)
@@ -185,7 +206,13 @@ def _extent(itinerary: Itinerary) -> tuple[int, int]:
 
 
 def plan_cost(itinerary: Itinerary) -> Cost:
-    """Return the cost of planning an itinerary, without the small cost of stays."""
+    """Return the cost of planning an itinerary.
+
+    It excludes the small cost of stays.
+
+    Args:
+        itinerary: itinerary to plan.
+    """
     periods, transfers = _extent(itinerary)
     amounts = _amounts(itinerary)
     longest = max(amounts, key=lambda name: amounts[name])
@@ -204,7 +231,11 @@ _PERIOD, _TRANSFER_LASTS = 0.7, 2.5
 
 
 def expected_seconds(itinerary: Itinerary) -> float:
-    """Estimate the duration of an itinerary before it is planned, s."""
+    """Estimate the duration of an itinerary before it is planned, s.
+
+    Args:
+        itinerary: itinerary to plan.
+    """
     periods, transfers = _extent(itinerary)
     stays = sum(part.seconds for part in itinerary.parts if not isinstance(part, WalkPart))
     return _PERIOD * periods + _TRANSFER_LASTS * transfers + stays
@@ -270,7 +301,13 @@ def make_plan(
 
 
 def with_kept_starts(plan: Plan) -> Plan:
-    """Return a plan with cached transfers from rest to its stops, if its runs need them and all are cached."""
+    """Return a plan with cached transfers from rest.
+
+    They are added if its runs need them and those to all its stops are cached.
+
+    Args:
+        plan: plan of an itinerary.
+    """
     scene = plan.itinerary
     if scene.loop.supervisor.on_fall == "stop" or "starts" in plan.notes or not plan.converged:
         return plan
@@ -294,9 +331,15 @@ def recoverable(
     found: "Callable[[StartNote, Reference | None], None] | None" = None,
     progress: Progress = no_progress,
 ) -> Plan:
-    """Return a plan with transfers from rest to its stops, if its runs recover from falls.
+    """Return a plan with transfers from rest to its stops.
 
-    found: receiver of each start that is not cached; see `planned_starts`.
+    They are added if its runs recover from falls.
+
+    Args:
+        plan: plan of an itinerary.
+        fresh: True to ignore the cache, default False.
+        found: receiver of each start that is not cached; see `planned_starts`.
+        progress: receiver of progress reports.
 
     Raises:
         GoalMissed: the first stop cannot be reached from rest.
@@ -321,7 +364,12 @@ def recoverable(
 
 
 def load_plan(file: Path) -> Plan:
-    """Return the plan of a file, with its itinerary from the stored texts.
+    """Return the plan of a file.
+
+    Its itinerary comes from the stored texts.
+
+    Args:
+        file: file of the plan (.npz).
 
     Raises:
         InputError: the file is missing, damaged, or a reference without a plan.

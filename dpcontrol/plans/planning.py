@@ -96,7 +96,10 @@ def planned(
 
 
 def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progress) -> list[Goal]:
-    """Return the goals of an itinerary, one for each part, and rests at its ends if required."""
+    """Return the goals of an itinerary, one for each part.
+
+    Rests at its ends are added if required.
+    """
     rest = resting_place(itinerary.model.system)
     # A hold of the hanging arms is itself the rest, with its duration.
     rests = [isinstance(part, HoldPart) and part.hold == rest for part in (itinerary.parts[0], itinerary.parts[-1])]
@@ -120,7 +123,14 @@ def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progres
 def shadowing_orbit(
     itinerary: Itinerary, *, part: WalkPart | None = None, progress: Progress = no_progress
 ) -> ShadowingOrbit:
-    """Find the connections of a part's walk (the first walk's by default) and the orbit that shadows them.
+    """Find the orbit that shadows a walk.
+
+    The connections of the walk are found first.
+
+    Args:
+        itinerary: itinerary with the walk.
+        part: the walk, by default the first one.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: the walk needs connections that do not exist at this energy, or there is no walk.
@@ -145,7 +155,10 @@ _BESIDE, _BETWEEN = 0.01, 5
 
 
 def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> ShadowingOrbit:
-    """Return the walk of three arms with the connection nearest to a part's energy."""
+    """Return the walk of three arms.
+
+    Its connection is the one nearest to the part's energy.
+    """
     (symbol, *_) = parse_walk(part.walk, system.saddles)
     reach = _BESIDE * system.energy_scale
     lowest = equilibrium(system, symbol.source).energy
@@ -159,7 +172,10 @@ def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> Shado
 
 
 def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tuple[tuple[Connection, ...], WalkSolver]:
-    """Return the connections of a part's walk, and the solver of their shadowing orbits."""
+    """Return the connections of a part's walk, and a solver.
+
+    The solver finds their shadowing orbits.
+    """
     system = itinerary.model.system
     symbols = parse_walk(part.walk, system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
@@ -182,7 +198,10 @@ _LOST = 1e11
 
 
 def _other_energies(system: System, part: WalkPart) -> str:
-    """Return a sentence on nearby energies with all connections of a part's walk."""
+    """Return a sentence on nearby energies with all connections.
+
+    The connections are those of a part's walk.
+    """
     symbols = parse_walk(part.walk, system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
     heights = {name: one.energy for name, one in equilibria(system).items()}
@@ -215,7 +234,9 @@ _SAMPLES = 401
 def _kept_walk(
     itinerary: Itinerary, part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, progress: Progress
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
-    """Return the reference of a walk with kept stops, its notes and arrays.
+    """Return the reference of a walk with kept stops.
+
+    Its notes and arrays follow.
 
     Raises:
         GoalMissed: a sustained orbit, or a flight's shadowing orbit or reference, was not found.
@@ -233,21 +254,30 @@ def _kept_walk(
 
 
 def _early(flight: Goal) -> float:
-    """Return the periods from a flight's start to the departure of its first connection."""
+    """Return the periods before a flight's first connection departs.
+
+    They count from the flight's start.
+    """
     assert flight.shadowing is not None
     first = flight.shadowing.connections[0]
     return (float(flight.shadowing.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
 
 
 def _late(flight: Goal) -> float:
-    """Return the periods from the arrival of a flight's last connection to its end."""
+    """Return the periods after a flight's last connection arrives.
+
+    They count to the flight's end.
+    """
     assert flight.shadowing is not None
     last, end = flight.shadowing.connections[-1], flight.begin + flight.seconds
     return (end - float(flight.shadowing.symbol_times[-1]) - last.time_in) / last.target.period
 
 
 def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
-    """Return the sustained orbits of a walk by saddle, with the intervals of the itinerary's own method."""
+    """Return the sustained orbits of a walk by saddle.
+
+    They have the intervals of the itinerary's own method.
+    """
     # The cheapest orbit, not the nearest to the Lyapunov orbit.
     sought = replace(itinerary.reference, pendulum_weight=0.0, cart_weight=1.0)
     orbits: dict[str, SustainedOrbit] = {}
@@ -262,7 +292,10 @@ def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, S
 
 
 def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) -> list[Goal]:
-    """Return the walk's flights, one for each symbol, or fewer if a stop is too short to stay."""
+    """Return the walk's flights, one for each symbol.
+
+    There are fewer if a stop is too short to stay.
+    """
     single = [_flight(part, chain, solver, k, k + 1) for k in range(len(chain))]
     cuts = [k + 1 for k, (before, after) in enumerate(pairwise(single)) if _periods(before, after) >= 1]
     spans = pairwise([0, *cuts, len(chain)])
@@ -279,7 +312,10 @@ def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, fir
 
 
 def _periods(before: Goal, after: Goal) -> int:
-    """Return the whole periods between two flights for the stop's wraps, negative if it is too short."""
+    """Return the whole periods between two flights.
+
+    They serve the stop's wraps, and are negative if the stop is too short.
+    """
     assert before.shadowing is not None
     assert after.shadowing is not None
     assert after.wraps is not None
@@ -302,14 +338,24 @@ def _flown(
 
 
 def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
-    """Return the orbit's state (2n + 2,) at phase 0, on the turns of these angles (n,)."""
+    """Return the orbit's state (2n+2,) at phase 0.
+
+    Args:
+        orbit: the sustained orbit.
+        angles: angles (n,) whose whole turns the state takes, rad.
+    """
     start, n = np.array(orbit.state(0.0)), len(angles)
     start[:n] += whole_turns(angles - start[:n])
     return start
 
 
 def period_at(orbit: SustainedOrbit, state: Array) -> Reference:
-    """Return one period of the orbit, on the turns of its state (2n + 2,) at phase 0."""
+    """Return one period of the orbit.
+
+    Args:
+        orbit: the sustained orbit.
+        state: state (2n+2,) at phase 0, whose whole turns the period takes.
+    """
     return replace(orbit.reference, states=orbit.reference.states + whole_turns(state - orbit.state(0.0)))
 
 
@@ -352,12 +398,18 @@ def _assembled(
 
 
 def _sampled(orbit: SustainedOrbit) -> Array:
-    """Return states (M, 2n) of the pendulum over a period, for score and review."""
+    """Return states (M, 2n) of the pendulum over a period.
+
+    They serve score and review.
+    """
     return np.asarray(orbit.state(np.linspace(0.0, orbit.period, _SAMPLES))[:, :-2])
 
 
 def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, SustainedOrbit]) -> Reference:
-    """Return the whole with the search cost of each distinct orbit counted once."""
+    """Return the whole with each orbit's search cost counted once.
+
+    Orbits can occur several times.
+    """
     solved = [*flights, *(orbit.reference for orbit in orbits.values())]
     iterations, seconds = sum(one.iterations for one in solved), sum(one.solve_seconds for one in solved)
     status = (
@@ -368,7 +420,10 @@ def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, 
 
 
 def _rows(before: list[Reference], part: Reference) -> list[int]:
-    """Return the first interval of a part and that after it, in the whole."""
+    """Return a part's first interval and that after it.
+
+    They count in the whole.
+    """
     first = sum(len(one.mesh) - 1 for one in before)
     return [first, first + len(part.mesh) - 1]
 

@@ -1,4 +1,7 @@
-"""Plausible values of benches: remarks on numbers of a rig that seem to be in another unit."""
+"""Plausible values of benches.
+
+Remarks report numbers of a rig that seem to be in another unit.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -56,7 +59,15 @@ _BLOW = {
 
 
 def rig_oddities(limits: Limits, loop: LoopSettings, *, arms: int, zeros: Sequence[float] = ()) -> tuple[str, ...]:
-    """Return a sentence on each number of a rig that is unusual, with its table and key.
+    """Return a sentence on each unusual number of a rig.
+
+    The sentence has the number's table and key.
+
+    Args:
+        limits: the cart's limits.
+        loop: settings of the run.
+        arms: number n of arms.
+        zeros: readings (n,) of the hanging arms, rad, or none.
 
     Raises:
         InputError: an impossible number.

@@ -1,4 +1,6 @@
-"""Transfers from hanging at rest to the stops of an itinerary, for recovery from falls.
+"""Transfers from rest to the stops of an itinerary.
+
+The arms hang at rest. The transfers serve the recovery from falls.
 
 Each stop has a transfer from rest to a state of the plan's reference at which the arms pass the saddle's angles. The
 state is early in the stay, so that the feedback settles before the stay ends. A stop at rest needs none.
@@ -28,7 +30,12 @@ _STILL = 1e-6
 
 
 def no_listener(note: StartNote, lead_in: Reference | None) -> None:
-    """Ignore a start."""
+    """Ignore a start.
+
+    Args:
+        note: ignored.
+        lead_in: ignored.
+    """
 
 
 def planned_starts(
@@ -38,7 +45,9 @@ def planned_starts(
     found: Callable[[StartNote, Reference | None], None] = no_listener,
     progress: Progress = no_progress,
 ) -> tuple[list[StartNote], dict[str, Array]]:
-    """Return the notes of the possible starts to an itinerary's stops, in order, and their arrays.
+    """Return the notes of the possible starts, and their arrays.
+
+    The starts lead to an itinerary's stops, in order.
 
     A stop that cannot be reached from rest is skipped with a remark, and the one before it is used.
 
@@ -85,7 +94,9 @@ def planned_starts(
 
 
 def _places(states: Array, angles: Array) -> NDArray[np.intp]:
-    """Return rows of a stay's states (K, N) for a transfer to join, the best first.
+    """Return rows of a stay's states for a transfer to join.
+
+    The states are (K, N). The best row is the first.
 
     angles (n,): the saddle's. Arms on an orbit pass these angles twice a period. A constant stay is joined in its
     middle.
@@ -105,7 +116,10 @@ def _places(states: Array, angles: Array) -> NDArray[np.intp]:
 def _transfer(
     itinerary: Itinerary, states: Array, places: Sequence[int] | NDArray[np.intp], progress: Progress
 ) -> tuple[Reference, int, list[int]]:
-    """Return a transfer from rest to one of the places of states (K, N), the place and the missing turns."""
+    """Return a transfer from rest to one of several places.
+
+    The places are those of states (K, N). The place and the missing turns follow.
+    """
     n = itinerary.model.arms.count
     candidates: list[tuple[int, list[int], Array]] = []
     for place in places:

@@ -1,4 +1,7 @@
-"""The guide's tables of settings and the JSON Schema of files, made from the declarations of the settings."""
+"""The guide's tables of settings and the files' JSON Schema.
+
+Both are made from the declarations of the settings.
+"""
 
 import math
 from collections.abc import Mapping
@@ -85,7 +88,11 @@ def _shown(value: Any) -> str:
 
 
 def schema(of: str) -> dict[str, Any]:
-    """Return the JSON Schema of the files of models ("model") or itineraries ("itinerary")."""
+    """Return the JSON Schema of model or itinerary files.
+
+    Args:
+        of: "model" or "itinerary".
+    """
     return {"itinerary": _itinerary_schema, "model": _model_schema}[of]()
 
 
@@ -167,7 +174,10 @@ def _object(kind: type) -> dict[str, Any]:
 
 
 def _bound(number: dict[str, Any], bounds: Any) -> None:
-    """Add bounds to the schema of a number, and zero or infinity if allowed."""
+    """Add bounds to the schema of a number.
+
+    Zero or infinity is added if allowed.
+    """
     limits = {"minimum": bounds.least, "exclusiveMinimum": bounds.above, "maximum": bounds.most}
     limits = {key: float(value) for key, value in limits.items() if math.isfinite(value)}
     if bounds.zero and limits.get("minimum", 0.0) > 0:

@@ -1,4 +1,6 @@
-"""Transfers of an itinerary, cached, with their costs and their approaches to orbits.
+"""Transfers of an itinerary, cached, with costs and approaches.
+
+Approaches are those to orbits.
 
 A transfer is cached by content as soon as it is found, at the turns of its start's name. So interrupted planning
 continues from there, and repeated motions, also of other itineraries, cost nothing.
@@ -62,7 +64,9 @@ _MET = 1e-6
 
 @dataclass(frozen=True)
 class Transfer:
-    """A required transfer from `start` (N,) to one of `ends` (N,), with all its inputs.
+    """A required transfer to one of several ends.
+
+    It leads from `start` (N,) to one of `ends` (N,), and has all its inputs.
 
     text: its name. model: name of its arms' model.
     """
@@ -77,7 +81,14 @@ class Transfer:
 
     @classmethod
     def of(cls, itinerary: Itinerary, text: str, start: Array, ends: Sequence[Array]) -> "Transfer":
-        """Return the transfer with an itinerary's arms, limits and reference settings."""
+        """Return the transfer with an itinerary's arms, limits and reference settings.
+
+        Args:
+            itinerary: arms, limits and settings of the reference.
+            text: name of the transfer.
+            start: state (N,) at the start.
+            ends: possible states (N,) at the end.
+        """
         return cls(
             text, itinerary.model.name, itinerary.model.arms.planned(), itinerary.limits, itinerary.reference,
             tuple(start.tolist()), tuple(tuple(end.tolist()) for end in ends),
@@ -109,7 +120,13 @@ _SEVERAL = 4
 def kept_transfer(
     itinerary: Itinerary, start: Array, ends: Sequence[Array], *, progress: Progress = no_progress
 ) -> Reference:
-    """Return a transfer from `start` (N,) to one of `ends` (N,), cached if possible.
+    """Return a transfer to one of several ends, cached if possible.
+
+    Args:
+        itinerary: arms, limits and settings of the reference.
+        start: state (N,) at the start.
+        ends: possible states (N,) at the end.
+        progress: receiver of progress reports.
 
     Raises:
         GoalMissed: there is none within the limits; the message has the cause.
@@ -183,7 +200,14 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, str]:
-    """Return the bytes of a transfer's .npz file, or the cause of its absence."""
+    """Return a transfer's bytes, or the cause of its absence.
+
+    The bytes are those of its .npz file.
+
+    Args:
+        wanted: the transfer.
+        progress: receiver of progress reports.
+    """
 
     def here(_: str, done: float) -> None:
         progress(wanted.text, done)
@@ -203,9 +227,15 @@ def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, s
 
 
 def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:
-    """Return the largest deviation of angles per unit relative error of the arms' parameters, rad.
+    """Return the largest deviation of angles by the parameters.
+
+    It is per unit relative error of the arms' parameters, rad.
 
     It is infinite if the motion's end cannot be stabilised.
+
+    Args:
+        arms: parameters of the arms.
+        motion: motion of arms and cart.
     """
     model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=_PERIOD)
     count, n = max(round(motion.duration / _PERIOD), 1), arms.count
@@ -249,7 +279,12 @@ def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, comma
 
 
 def turned(reference: Reference, angles: Array) -> Reference:
-    """Return a reference with `angles` (n,) added."""
+    """Return a reference with `angles` (n,) added.
+
+    Args:
+        reference: the reference.
+        angles: angles (n,) added to those of its states, rad.
+    """
     turns = np.zeros(reference.states.shape[-1])
     turns[: len(angles)] = angles
     return replace(reference, states=reference.states + turns)
@@ -261,7 +296,13 @@ def transfer_notes(
     *,
     progress: Progress = no_progress,
 ) -> list[TransferNote]:
-    """Return costs and approaches of transfers, each given by its text, begin in s and motion."""
+    """Return costs and approaches of transfers.
+
+    Args:
+        system: conservative system of the arms.
+        transfers: text, begin in s and motion of each transfer.
+        progress: receiver of progress reports.
+    """
     times = [np.linspace(0.0, one.duration, round(one.duration / _SAMPLING) + 1) for _, _, one in transfers]
     states = [one.state(at) for (_, _, one), at in zip(transfers, times, strict=True)]
     notes: list[TransferNote] = [
@@ -287,7 +328,10 @@ def transfer_notes(
 def _families(
     system: System, saddle: str, energies: tuple[float, float], progress: Progress
 ) -> list[Sequence[LyapunovOrbit]]:
-    """Return the families of orbits about a saddle, as far as they exist at these energies (lowest, highest) in J."""
+    """Return the families of orbits about a saddle.
+
+    They are included as far as they exist at these energies (lowest, highest) in J.
+    """
     values = equilibrium(system, saddle).eigenvalues
     found: list[Sequence[LyapunovOrbit]] = []
     for family in range(sum(v.imag > 1e-6 * abs(v) for v in values)):
@@ -300,7 +344,10 @@ def _families(
 
 
 def _closest(orbits: Sequence[LyapunovOrbit], times: Array, states: Array) -> ApproachNote:
-    """Return the closest approach of states (K, 2n) at `times` (K,) to a family's orbits or its saddle."""
+    """Return the closest approach to a family's orbits or saddle.
+
+    The states (K, 2n) are at `times` (K,).
+    """
     first = orbits[0]
     away = first.system.scaled_distance(states[[0, -1]], first.centre)
     if away.min() < _MET:

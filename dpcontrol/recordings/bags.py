@@ -1,4 +1,6 @@
-"""Columns of ROS bags (version 1, and version 2 as a folder) and of MCAP files with ROS messages.
+"""Columns of ROS bags and of MCAP files with ROS messages.
+
+Bags have version 1, or version 2 as a folder.
 
 A column name starts with its topic.
 
@@ -33,6 +35,9 @@ def is_bag(path: Path) -> bool:
     """True if the path is a bag.
 
     Bags are .bag or .mcap files, or folders with metadata.yaml.
+
+    Args:
+        path: file or folder.
     """
     return path.suffix.lower() in (".bag", ".mcap") or (path.is_dir() and (path / "metadata.yaml").is_file())
 
@@ -41,6 +46,10 @@ def read_bag(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     """Return the named columns (K,) of a bag.
 
     A message without the number gives nan.
+
+    Args:
+        path: the bag.
+        columns: names of columns, each with its topic.
 
     Raises:
         InputError: the file cannot be read, or lacks a topic, joint or field; lists the existing ones.
@@ -76,7 +85,10 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _place(name: str, topics: Sequence[str], path: Path) -> tuple[str, str]:
-    """Return the topic of a column, and the rest of the column's name."""
+    """Return the topic of a column, and the rest.
+
+    The rest is that of the column's name.
+    """
     fitting = [topic for topic in topics if name.startswith(topic) and name[len(topic) : len(topic) + 1] in ("/", ".")]
     if not fitting:
         raise InputError(f"{path}: no topic holds the column {name!r}; {suggest(name, topics)}; check file and mapping")
@@ -85,7 +97,10 @@ def _place(name: str, topics: Sequence[str], path: Path) -> tuple[str, str]:
 
 
 def _of_topic(reader: Any, topic: str, places: dict[str, tuple[str, str]]) -> dict[str, Array]:
-    """Return the columns of one topic in order of time, with the recording times in s."""
+    """Return the columns of one topic in order of time.
+
+    The recording times are in s.
+    """
     wanted = {name: rest for name, (own, rest) in places.items() if own == topic}
     connections = [connection for connection in reader.connections if connection.topic == topic]
     checked_size(8.0 * sum(connection.msgcount for connection in connections) * (len(wanted) + 1))

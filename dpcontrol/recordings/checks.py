@@ -1,4 +1,6 @@
-"""Find and name faults in samples of time and angles; repair them only on request.
+"""Find and name faults in samples of time and angles.
+
+Faults are repaired only on request.
 
 Samples are first checked for time that repeats or runs backward (time), values that are not finite (nan) and missing
 samples (gaps). Then follow angles wrapped into one turn (wrap), outlying rates (spikes) and uneven sampling (sampling).
@@ -81,18 +83,27 @@ class Samples(Brief):
     def of(self, kind: str) -> Array | None:
         """Return the columns (K, …) of one kind, or None.
 
-        A kind is for example `RATE`.
+        Args:
+            kind: beginning of the columns' names, for example `RATE`.
         """
         columns = [k for k, name in enumerate(self.names) if name.startswith(kind)]
         return self.values[:, columns] if columns else None
 
     def at(self, index: int) -> str:
-        """Return "WHERE: row R (t = T s)" for a message."""
+        """Return "WHERE: row R (t = T s)" for a message.
+
+        Args:
+            index: index of the sample, from 0.
+        """
         time = f" (t = {self.time[index]:.6g} s)" if np.isfinite(self.time[index]) else ""
         return f"{self.where}: row {self.rows[index]}{time}"
 
     def taken(self, which: NDArray) -> "Samples":
-        """Return the samples selected by `which`."""
+        """Return some of the samples.
+
+        Args:
+            which: True for each chosen sample (K,), or their indices.
+        """
         return replace(self, rows=self.rows[which], time=self.time[which], values=self.values[which])
 
 
@@ -101,6 +112,9 @@ Repaired = tuple[list[Samples], list[str]]
 
 def checked_repairs(names: tuple[str, ...]) -> frozenset[str]:
     """Return the requested repairs.
+
+    Args:
+        names: names of repairs, see `REPAIRS`.
 
     Raises:
         InputError: a name is unknown.
@@ -330,7 +344,11 @@ _WINDOW = 0.02
 
 
 def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
-    """Reject a recording that contradicts its mapping; `file` is used in messages.
+    """Reject a recording that contradicts its mapping.
+
+    Args:
+        segments: segments of the recording.
+        file: name of the file, for messages.
 
     Raises:
         InputError: reports the contradiction, its size and the likely cause.
@@ -397,7 +415,10 @@ def _compare(derivative: Array, rates: Array, *, file: str) -> None:
 
 
 def _fit(derivative: Array, rate: Array) -> tuple[float, float]:
-    """Return the slope of derivative over rate, with its sign, and the size of their correlation."""
+    """Return the slope of derivative over rate, with its sign.
+
+    The size of their correlation follows.
+    """
     power = float(rate @ rate)
     scale = np.sqrt(power * float(derivative @ derivative))
     if scale <= 0:
@@ -439,6 +460,9 @@ def constant_angles(recording: Recording) -> tuple[str, ...]:
     """Return a sentence on each constant angle.
 
     It requires that others vary or that all are constant.
+
+    Args:
+        recording: the recording.
     """
     reach = np.ptp(recording.angles, axis=0)
     most, mover = float(reach.max()), int(np.argmax(reach)) + 1
@@ -457,6 +481,11 @@ def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str)
     """Return a sentence on the contradiction between arms and recording.
 
     It is "" if the contradiction is small.
+
+    Args:
+        recording: the recording.
+        arms: arms of the model.
+        model: name of the model, for messages.
     """
     if arms.count != recording.arms:
         return f"the recording has {recording.arms} arms and the model {model} {arms.count}; give the matching model"

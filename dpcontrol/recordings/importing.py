@@ -1,4 +1,6 @@
-"""Read a bench's file as a recording: map columns, check, repair on request, form segments.
+"""Read a bench's file as a recording.
+
+Columns are mapped and checked, repaired on request, and cut into segments.
 
 A MATLAB file of cells has one segment per cell. A table or a whole MATLAB recording is one segment, unless a repair
 cuts it. Segments whose times overlap are laid end to end, and a note reports this.
@@ -107,23 +109,33 @@ class Mapping:
         return (*self.angle_columns, *self.rate_columns, *filter(None, single))
 
     def angles(self, values: Array) -> Array:
-        """Return absolute angles (K, n), rad, for file values (K, n).
+        """Return absolute angles (K, n), rad, of file values.
 
         They count from hanging, counter-clockwise.
+
+        Args:
+            values: values (K, n) in the file's unit and directions.
         """
         n = values.shape[1]
         angles = values * self.angle_scale * _each(self.sign, n) - _each(self.zero, n)
         return np.cumsum(angles, axis=1) if self.relative else angles
 
     def rates(self, values: Array) -> Array:
-        """Return absolute rates (K, n), rad/s, for file values (K, n)."""
+        """Return absolute rates (K, n), rad/s, of file values.
+
+        Args:
+            values: values (K, n) in the file's unit and directions.
+        """
         rates = values * self.rate_scale * _each(self.sign, values.shape[1])
         return np.cumsum(rates, axis=1) if self.relative else rates
 
     def lengths(self, arms: int) -> tuple[float, ...]:
-        """Return a length for each of `arms` arms.
+        """Return the length of each arm, m.
 
         The last one is repeated if the mapping has fewer.
+
+        Args:
+            arms: number of arms.
         """
         given = self.arm_lengths[:arms]
         return given + (self.arm_lengths[-1],) * (arms - len(given))
@@ -136,7 +148,8 @@ def _each(values: tuple[float, ...], arms: int) -> Array:
 def load_mapping(name: str) -> Mapping:
     """Return the mapping in a TOML file.
 
-    It is given by path or by the name of a shipped one.
+    Args:
+        name: path of the file, or name of a shipped mapping.
 
     Raises:
         InputError: the mapping is missing, or its file has a mistake; reports file, table, key, value and range.
@@ -214,7 +227,10 @@ def _mapping(table: Table, name: str) -> Mapping:
 
 
 def _period(sampling: Table) -> float:
-    """Return the sampling period in s, 0 if it is not given as a number."""
+    """Return the sampling period, s.
+
+    It is 0 if it is not given as a number.
+    """
     period, rate = sampling.number("period", 0.0), sampling.number("rate", 0.0)
     if "period" in sampling and not 1e-6 <= period <= 1:
         raise InputError(f"{sampling.where('period')} = {period!r}: must be 1e-6 to 1 seconds")
@@ -309,7 +325,10 @@ def import_recording(
 
 
 def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
-    """Return the first known mapping whose columns all exist, otherwise the first of all."""
+    """Return the first known mapping whose columns all exist.
+
+    If there is none, the first of all is returned.
+    """
     for name in _KNOWN:
         mapping = load_mapping(name)
         wanted = (*mapping.state_cells[:1], *mapping.angle_columns, *mapping.rate_columns, mapping.cart_column)
@@ -323,13 +342,19 @@ def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
 
 
 def _without_missing_rates(mapping: Mapping, path: Path) -> Mapping:
-    """Return the mapping, without its rates if a table has none of their columns."""
+    """Return the mapping, without rates that a table lacks.
+
+    The rates are removed if the table has none of their columns.
+    """
     there = table_columns(path)
     return mapping if any(name in there for name in mapping.rate_columns) else replace(mapping, rate_columns=())
 
 
 def _check_columns(path: Path, mapping: Mapping, what: str) -> None:
-    """Reject a mapping of MATLAB cells or variables for `what`, which has only columns."""
+    """Reject a mapping of MATLAB cells or variables.
+
+    `what` has only columns.
+    """
     if mapping.state_cells:
         raise InputError(f"{path}: the mapping {mapping.name!r} is for MATLAB cells; give one with columns: --mapping")
     if mapping.period_variable:
@@ -358,7 +383,9 @@ def _of_columns(path: Path, mapping: Mapping, columns: dict[str, Array], period:
 def _samples(
     path: Path, where: str, mapping: Mapping, found: dict[str, Array], time: Array | None, period: float
 ) -> Samples:
-    """Return the samples of one stretch of a file, in SI units and the package's directions.
+    """Return the samples of one stretch of a file.
+
+    They are in SI units and the package's directions.
 
     Args:
         found: columns (K, …) by kind, the angles first.
@@ -509,6 +536,10 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
 
     An empty cell is nan.
 
+    Args:
+        path: file.
+        columns: names of columns.
+
     Raises:
         InputError: the file cannot be read, is not a table, lacks a column, or holds text in place of numbers.
     """
@@ -543,6 +574,9 @@ def table_columns(path: Path) -> list[str]:
     """Return the names of a table's columns.
 
     The result is empty for an unreadable table, which a later step reports.
+
+    Args:
+        path: file.
     """
     try:
         if path.suffix.lower() == ".parquet":
@@ -583,7 +617,10 @@ def _parquet_column(values: Any, name: str, path: Path) -> Array | list[str | No
 
 
 def _header(path: Path) -> tuple[list[str], str]:
-    """Return the names in the first line of a text table, and their separator."""
+    """Return the names and the separator of a text table.
+
+    The names are in its first line.
+    """
     with path.open(encoding="utf-8-sig", newline="") as stream:
         first = stream.readline(1_000_000)
     if not first.strip():
@@ -640,6 +677,9 @@ _MOST_SAMPLES = 10**8
 def read_matlab(path: Path) -> dict[str, Any]:
     """Return the variables of a MATLAB file by name.
 
+    Args:
+        path: file of any version.
+
     Raises:
         InputError: the file cannot be read, or is not a MATLAB file.
     """
@@ -689,7 +729,10 @@ _PACKED = 15
 
 
 def _unpacked_size(path: Path) -> int:
-    """Return the unpacked size of a version 5 file's compressed variables, bytes, from their headers."""
+    """Return the unpacked size of a version 5 file, bytes.
+
+    It is that of the compressed variables, from their headers.
+    """
     data = path.read_bytes()
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128], "")
     size, place = 0, 128
@@ -703,7 +746,10 @@ def _unpacked_size(path: Path) -> int:
 
 
 def _hdf5_size(path: Path) -> int:
-    """Return the unpacked size of the data sets in a version 7.3 file, bytes."""
+    """Return the unpacked size of a version 7.3 file, bytes.
+
+    It is that of the data sets.
+    """
     h5py = package("h5py")
     sizes: list[int] = []
 
@@ -728,9 +774,12 @@ def _with_objects(path: Path) -> dict[str, Any]:
 def column(variables: dict[str, Any], name: str, *, file: Path) -> Array:
     """Return the numbers (K,) at `name`.
 
-    The name is a variable with optional fields, cells `{i}` and rows `(i,:)`.
-
     For a signal logged by Simulink (structure with time, time series) the values are returned.
+
+    Args:
+        variables: variables of the file by name.
+        name: a variable with optional fields, cells `{i}` and rows `(i,:)`.
+        file: the file, for messages.
 
     Raises:
         InputError: `name` does not exist, or is not one row or column of real numbers.
@@ -743,6 +792,11 @@ def column(variables: dict[str, Any], name: str, *, file: Path) -> Array:
 
 def find(variables: dict[str, Any], name: str, *, file: Path) -> Any:
     """Return the object of any kind at `name`.
+
+    Args:
+        variables: variables of the file by name.
+        name: a variable with optional fields, cells `{i}` and rows `(i,:)`.
+        file: the file, for messages.
 
     Raises:
         InputError: `name` does not exist; reports the first missing part.
@@ -770,6 +824,11 @@ def find(variables: dict[str, Any], name: str, *, file: Path) -> Any:
 
 def numbers(value: Any, name: str, *, file: Path) -> Array:
     """Return one row or column of real numbers as (K,).
+
+    Args:
+        value: object of any kind.
+        name: its name, for messages.
+        file: the file, for messages.
 
     Raises:
         InputError: the value has another kind or shape, or is empty.

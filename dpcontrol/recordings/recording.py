@@ -1,4 +1,6 @@
-"""Recordings from the bench in memory and as logs: measurements in segments, with nothing added.
+"""Recordings from the bench in memory and as logs.
+
+They are measurements in segments, with nothing added.
 
 A recording uses the layout of simulated logs, restricted to the measurements: angles and, if available, the rig's
 filtered rates as /joint_states, and a command as /control. One log holds all segments of a file in sequence. Its
@@ -93,7 +95,9 @@ class Recording(Timed):
         return (*(f"angle_{arm + 1}" for arm in range(self.arms)), *(["cart"] if self.cart is not None else []))
 
     def states(self, times: Any = None) -> Array:
-        """Return the measured angles, and the cart's position if it moved, interpolated linearly.
+        """Return the measured angles, interpolated linearly.
+
+        If the cart moved, its position is included.
 
         Args:
             times: times (K,) of the recording, s; by default 200 from the first to the last.
@@ -111,7 +115,10 @@ class Recording(Timed):
 
     @checked
     def frame(self, count: Count | None = None) -> "DataFrame":
-        """Return a pandas table with one row per sample, or `count` interpolated rows.
+        """Return a pandas table.
+
+        Args:
+            count: number of interpolated rows; None for one row per sample.
 
         Raises:
             InputError: pandas is not installed.
@@ -128,9 +135,12 @@ class Recording(Timed):
 
     @checked
     def segment(self, index: Index) -> "Recording":
-        """Return the segment of this 0-based index as a recording.
+        """Return one segment as a recording.
 
         It keeps the original times.
+
+        Args:
+            index: index of the segment, from 0.
 
         Raises:
             InputError: there is no such segment.
@@ -167,7 +177,12 @@ class Recording(Timed):
 
 
 def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:
-    """Return the log metadata of a recording."""
+    """Return the log metadata of a recording.
+
+    Args:
+        recording: the recording.
+        kind: kind of the log, by default that of an imported recording.
+    """
     measured = (recording.time, recording.angles, recording.rates, recording.cart, recording.command)
     return {
         "kind": kind,
@@ -183,6 +198,11 @@ def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:
 
 def write_recording(recording: Recording, path: Path | str, *, force: bool = False) -> Path:
     """Write a recording as a log and return its path.
+
+    Args:
+        recording: the recording.
+        path: log to write.
+        force: True to replace any file, default False.
 
     Raises:
         InputError: the file cannot be written.
@@ -211,12 +231,20 @@ def write_samples(
 ) -> Path:
     """Write measurements, states and control fields as a log.
 
-    States are (K, N), control fields (K,) by name. Return the path.
-
     Args:
-        pieces: first row, end row, level and text of the event of each segment; `verb` is the event's name.
+        recording: measurements (K samples).
+        path: log to write.
+        verb: name of the events.
+        pieces: first row, end row, level and text of the event of each segment.
+        metadata: metadata of the log.
+        states: states (K, N) by name, default none.
+        control: control fields (K,) by name, default none.
         sigmas: (K, N) standard deviations of the estimate.
+        attachments: attachments by name, default none.
         force: True to replace another log at `path`.
+
+    Returns:
+        Path of the log.
 
     Raises:
         InputError: the file cannot be written, or another log exists.
@@ -257,6 +285,9 @@ def load_recording(path: Path | str) -> Recording:
 
     A run's log becomes one segment.
 
+    Args:
+        path: the log.
+
     Raises:
         InputError: the file cannot be read, is not a log, or holds too few samples.
     """
@@ -272,6 +303,9 @@ def load_recording(path: Path | str) -> Recording:
 
 def recording_of(log: RunLog) -> Recording:
     """Return the measurements and commands in a log.
+
+    Args:
+        log: log of a run, a recording or a replay.
 
     Raises:
         InputError: segments and samples of the log do not match.
@@ -354,6 +388,9 @@ def cart_motion(part: Recording) -> CartMotion | None:
     """Return the cart's motion in a recording of one segment.
 
     The result is None if the cart was clamped.
+
+    Args:
+        part: recording of one segment.
     """
     period, command = part.dt, part.command
     if part.cart is None:
@@ -386,6 +423,11 @@ def smoothed_derivative(values: Array, period: float, order: int = 1) -> Array:
     """Return the derivative of samples (K, …) by cubics through 20 ms.
 
     It is zero for fewer than five samples.
+
+    Args:
+        values: samples (K, …).
+        period: sampling period, s.
+        order: order of the derivative, default 1.
     """
     # The import is slow, and models not derived from recordings do not need it.
     from scipy.signal import savgol_filter
@@ -397,7 +439,10 @@ def smoothed_derivative(values: Array, period: float, order: int = 1) -> Array:
 
 
 def _integral(velocity: Array, acceleration: Array, period: float) -> Array:
-    """Return positions (K,) m from velocities at the samples and accelerations held between them."""
+    """Return positions (K,) m from velocities and accelerations.
+
+    Velocities are at the samples, and accelerations are held between them.
+    """
     steps = period * velocity[:-1] + period**2 / 2 * acceleration[:-1]
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -414,9 +459,12 @@ _SIMULATED, _WRITTEN, _SAMPLE_BYTES = 1.5e-6, 15e-6, 150.0
 
 
 def swings_cost(swings: int, seconds: float, *, written: bool) -> Cost:
-    """Return the expected cost of simulating `swings` swings of `seconds` s.
+    """Return the expected cost of simulating swings.
 
-    If `written`, it includes writing a log.
+    Args:
+        swings: number of swings.
+        seconds: duration of each swing, s.
+        written: True to include the writing of a log.
 
     Raises:
         InputError: the number or the duration of the swings is out of range.
@@ -434,6 +482,13 @@ def random_swings(arms: ArmChainParameters, *, swings: int, seconds: float, seed
     """Return a recording of swings released at random angles.
 
     Encoder zeros are wrong by up to 2 mrad.
+
+    Args:
+        arms: parameters of the arms.
+        swings: number of swings.
+        seconds: duration of each swing, s.
+        seed: seed of the random numbers.
+        name: name of the recording.
 
     Raises:
         InputError: the seed is negative.
@@ -467,6 +522,7 @@ def simulated_recording(
         period: time between samples, s.
         counts: per turn of the relative encoders; 0 for exact angles.
         zeros: (n,) readings at true zero, as absolute angles, rad.
+        name: name of the recording.
     """
     # Importing the integrator is slow, and only simulated recordings need it.
     from dpcontrol.dynamics.propagator import Propagator

@@ -1,4 +1,6 @@
-"""Server side of a rig: a simulated bench with its own clock, controlled over UDP in real time.
+"""Server side of a rig: a simulated bench with its own clock.
+
+Loops control it over UDP in real time.
 
 Tick k is due at t_0 + k · period. At each tick, the bench reads the received commands, applies the newest and sends a
 reading. Without a new command, the last one continues to act. If the loop is silent too long, the bench stops its cart.
@@ -119,7 +121,14 @@ class BenchRecord:
         self.fault, self.fault_at, self.ended = "", ticks, ""
 
     def read(self, k: int, reading: Reading, truth: Array | None, *, sent: bool) -> None:
-        """Store the reading of tick k."""
+        """Store the reading of tick k.
+
+        Args:
+            k: tick.
+            reading: its reading.
+            truth: true state (2n+2,), None if unknown.
+            sent: True if the reading was sent.
+        """
         if k >= len(self.sent):
             return
         self.ticks, self.sent[k], self.switch[k] = k + 1, sent, reading.switch
@@ -131,7 +140,9 @@ class BenchRecord:
     def answered(self, k: int, command: float | None) -> None:
         """Store the command for the reading of tick k.
 
-        None if the cart had to stop.
+        Args:
+            k: tick.
+            command: command, m/s²; None if the cart had to stop.
         """
         if k >= len(self.commands):
             return
@@ -151,7 +162,9 @@ class BenchRecord:
 
 
 class RecordedRig:
-    """A record as a `Rig`, until its loop stopped the cart or was last heard.
+    """Replays a bench's record as a `Rig`.
+
+    It ends when its loop stopped the cart or was last heard.
 
     The program's estimator receives the recorded commands. With its own commands it would drift away from the readings,
     since a controller alone is not stable.
@@ -195,7 +208,13 @@ class RecordedRig:
         return Reading(k * self.period, record.positions[k], present, int(record.switch[k]), age=age)
 
     def command(self, acceleration: float) -> None:
-        """Compare a command, m/s², with the recorded one, which the estimator then uses."""
+        """Compare a command with the recorded one.
+
+        The estimator then uses the recorded command.
+
+        Args:
+            acceleration: command, m/s².
+        """
         sent = float(self._record.commands[self._tick])
         if math.isfinite(sent):
             self.difference = max(self.difference, abs(acceleration - sent))
@@ -275,7 +294,11 @@ class UdpBench:
         self._socket.close()
 
     def serve(self, *, runs: int = 0) -> None:
-        """Serve `runs` runs in sequence; 0 to continue until interrupted."""
+        """Serve runs in sequence.
+
+        Args:
+            runs: number of runs; 0 to continue until interrupted.
+        """
         served = 0
         while not runs or served < runs:
             select.select([self._socket], [], [])
@@ -522,7 +545,10 @@ class _BenchRun:
             self._rig.stop()
 
     def _apply(self, content: CommandPacket) -> None:
-        """Apply a command unless a newer one has come or its tick is in the future."""
+        """Apply a command unless it is outdated.
+
+        A command is outdated if a newer one has come. Its tick must not be in the future.
+        """
         if not self._heard < content.tick <= self._tick:
             return
         self._heard, self._fresh = content.tick, True
@@ -570,6 +596,10 @@ _PRACTICE_ZEROS = (0.03, -0.02)
 def checked_faults(faults: Sequence[str], arms: int) -> tuple[str, ...]:
     """Return faults for practice.
 
+    Args:
+        faults: names of faults, see `FAULTS`.
+        arms: number of arms.
+
     Raises:
         InputError: an unknown fault, or one of an arm that does not exist.
     """
@@ -616,7 +646,11 @@ class FaultyRig:
         )  # fmt: skip
 
     def command(self, acceleration: float) -> None:
-        """Send the demanded acceleration of the cart, m/s²."""
+        """Accelerate the cart.
+
+        Args:
+            acceleration: demanded acceleration of the cart, m/s².
+        """
         self._rig.command(-acceleration if "drive-reversed" in self._faults else acceleration)
 
     def stop(self) -> None:
@@ -657,7 +691,11 @@ class BenchRecipe(Brief):
         return 1 / self.settings.rate
 
     def rig(self, queued: Sequence[float]) -> Rig:
-        """Return a bench at its start with pending commands, oldest first, m/s²."""
+        """Return a bench at its start.
+
+        Args:
+            queued: pending commands, oldest first, m/s².
+        """
         draw = self.settings.draw(self.parameters, ticks=self.ticks, uncertainty=self.uncertainty)
         if self.recovering:
             draw = draw.endless()
@@ -688,7 +726,9 @@ def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe:
 
 
 class BenchProcess:
-    """Server process for one run of the recipe's bench on loopback, as a context manager.
+    """Server process for one run on loopback, as a context manager.
+
+    It serves the recipe's bench.
 
     The process has a random key, so no other program on this computer can take over the run.
 
@@ -743,10 +783,16 @@ class BenchProcess:
                     self.messages.append(heard)
 
     def controlled_by(self, program: Path, *arguments: str) -> Deadlines | None:
-        """Let a program control the run, and return the deadlines that it reports.
+        """Let a program control the run, and return its deadlines.
+
+        The deadlines are those that it reports.
 
         The program is called with the bench's address and the arguments. Its environment contains the key. It may print
         its deadlines on stdout as a line of JSON. An interrupt stops it.
+
+        Args:
+            program: program to start.
+            *arguments: its arguments after the bench's address.
 
         Raises:
             InputError: the program cannot be started, or ended before the run began.

@@ -43,7 +43,10 @@ from dpcontrol.rig.packets import (
 
 @contextmanager
 def without_collecting() -> Iterator[None]:
-    """Disable Python's cyclic garbage collection in the block, since it takes many milliseconds at a time."""
+    """Disable Python's cyclic garbage collection in the block.
+
+    A collection takes many milliseconds.
+    """
     was = gc.isenabled()
     gc.collect()
     gc.disable()
@@ -147,7 +150,7 @@ _MOST_REFUSED = 256
 
 @dataclass(frozen=True)
 class LinkSettings(Settings, table="link"):
-    """Settings of the link."""
+    """Time limits of the packets from the bench."""
 
     answer: float = setting(10.0, above=0, most=3600, unit="s")
     """Time limit for the bench's welcome and first reading, s."""
@@ -159,6 +162,9 @@ class LinkSettings(Settings, table="link"):
 
 def parse_address(text: str) -> tuple[str, int]:
     """Return host and port of `udp://HOST:PORT`.
+
+    Args:
+        text: address of a bench.
 
     Raises:
         InputError: the text has another form.
@@ -267,7 +273,9 @@ class UdpRig:
         )  # fmt: skip
 
     def read(self) -> Reading:
-        """Wait for the reading of the next tick, or until the tick must continue without it.
+        """Wait for the reading of the next tick.
+
+        If it is overdue, the tick continues without it.
 
         Raises:
             ArithmeticError: the bench has disconnected, ended the run, or stopped the cart for lack of packets.
@@ -304,7 +312,10 @@ class UdpRig:
         return Reading(k * period, self._positions, None if finite.all() else finite, packet.switch, late, age)
 
     def command(self, acceleration: float) -> None:
-        """Send the demanded acceleration of the cart, m/s², positive to the right.
+        """Accelerate the cart.
+
+        Args:
+            acceleration: demanded acceleration, m/s², positive to the right.
 
         Raises:
             ArithmeticError: the demand is not finite.
@@ -315,7 +326,10 @@ class UdpRig:
         self._send(packets.stop() if self._stopped else packets.command(max(self._tick, 0), acceleration))
 
     def stop(self) -> None:
-        """Have the bench brake the cart to a standstill, and send no further commands."""
+        """Have the bench brake the cart to a standstill.
+
+        No further commands are sent.
+        """
         self._stopped = True
         self._send(packets.stop())
 
@@ -348,7 +362,10 @@ class UdpRig:
         return welcome
 
     def _packet_of(self, k: int) -> ReadingPacket | None:
-        """Return the reading of tick k, or None if it is lost or overdue."""
+        """Return the reading of tick k, or None.
+
+        It is None if the reading is lost or overdue.
+        """
         waiting, settings, period = self._waiting, self._settings, self.period
         if k in waiting:
             return waiting.pop(k)
@@ -388,7 +405,10 @@ class UdpRig:
                 return None
 
     def _received(self, wait: float) -> ReceivedPacket | None:
-        """Return the next valid packet, or None if none arrives within `wait` s."""
+        """Return the next valid packet, or None.
+
+        It is None if none arrives within `wait` s.
+        """
         until = time.perf_counter() + wait
         try:
             for _ in range(_MOST_REFUSED):

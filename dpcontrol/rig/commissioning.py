@@ -83,7 +83,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class CommissioningSettings(Settings, table="commissioning"):
-    """Settings of commissioning."""
+    """Durations and sizes of the motions that measure a rig."""
 
     wait: float = setting(60.0, least=0, most=3600, unit="s")
     """Time limit for the arms to hang still, s."""
@@ -107,13 +107,19 @@ class CommissioningSettings(Settings, table="commissioning"):
 
     @property
     def seconds(self) -> float:
-        """Total duration if the arms hang still and the switches are not tried, s."""
+        """Total duration, s.
+
+        It assumes that the arms hang still and the switches are not tried.
+        """
         return self.look + self.hold + self.sweep + self.ring + 3.0
 
 
 @dataclass(frozen=True)
 class Commissioning:
-    """Findings of each step, and measured values for keys of the scene's [run]."""
+    """Findings of each step, and measured values.
+
+    The values are for keys of the scene's [run].
+    """
 
     findings: tuple[Finding, ...]
     changes: Mapping[str, float | int | list[float]]
@@ -257,12 +263,18 @@ class _Session:
         return reading
 
     def follow(self, path: Array, feedforward: Array) -> None:
-        """Follow positions (K,) m from home with feedforward accelerations (K,) m/s² and slow feedback."""
+        """Follow a path with feedforward and slow feedback.
+
+        Positions (K,) are in m from home, feedforward accelerations (K,) in m/s².
+        """
         for wanted, slope, ahead in zip(path, np.gradient(path, self.period), feedforward, strict=True):
             self.advance(self.steered(wanted, slope, ahead))
 
     def steered(self, wanted: float, slope: float, ahead: float) -> float:
-        """Return the command, m/s², for a position m and velocity m/s relative to home."""
+        """Return the command for a position and a velocity, m/s².
+
+        The position, m, and the velocity, m/s, are relative to home.
+        """
         then = self.positions[max(self.tick - self._span, 0)][-1]
         velocity = (self.cart - float(then)) / (min(self._span, max(self.tick, 1)) * self.period)
         error = self.home + wanted - self.cart
@@ -302,14 +314,20 @@ def commission(
     options: CommissioningSettings | None = None,
     notify: Notify = lambda text: None,
 ) -> Commissioning:
-    """Check and measure a rig whose arms hang and whose cart is at the centre.
+    """Check and measure a rig before its first run.
+
+    The arms hang, and the cart is at the centre.
 
     The rig is stopped at the end and after any error.
 
     Args:
+        rig: the rig.
+        arms: model of the arms.
         settings: present settings of the scene's [run].
+        limits: the cart's limits.
         zeros: present zeros (n,), rad.
         switches: distance to creep to either side until a limit switch responds, m; 0 to skip this.
+        options: settings of the commissioning.
         notify: receives instructions about the next step.
 
     Raises:
@@ -352,7 +370,10 @@ def commission(
 
 @dataclass
 class _Motion:
-    """Ticks at which parts of the motion begin and end, and results of the switches."""
+    """Ticks of the parts of the motion, and switch results.
+
+    Parts have a first and a last tick.
+    """
 
     held_from: int = 0
     chirped_from: int = 0
@@ -494,12 +515,18 @@ def _drift(values: Array) -> Array:
 
 
 def _solved(design: Array, values: Array) -> Array:
-    """Return the least-squares solution for `design` (K, p) and values (K,) or (K, n)."""
+    """Return the least-squares solution.
+
+    `design` is (K, p), and the values are (K,) or (K, n).
+    """
     return np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=float)
 
 
 def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
-    """Return the slope of `seen` on `wanted` without drifts, and the unexplained fraction of the variance."""
+    """Return the slope of `seen` on `wanted` without drifts.
+
+    The unexplained fraction of the variance follows.
+    """
     wanted, seen = wanted - _drift(wanted), seen - _drift(seen)
     size = float(wanted @ wanted)
     slope = float(wanted @ seen) / size
@@ -558,7 +585,10 @@ def _wait_until_still(session: _Session, options: CommissioningSettings, notify:
 
 
 def _chirp(arms: ArmChainParameters, period: float, options: CommissioningSettings) -> tuple[Array, Array]:
-    """Return positions (K,) m of a logarithmic chirp, and its accelerations (K,) m/s²."""
+    """Return the positions and accelerations of a logarithmic chirp.
+
+    They are (K,), in m and in m/s².
+    """
     slowest = float(modes(arms).frequencies.min()) / (2 * np.pi)
     low, high = 0.6 * slowest, min(options.highest, 0.1 / period)
     finer = 8
@@ -588,7 +618,9 @@ class DriveFit(NamedTuple):
 
 
 def _response(commands: Array, period: float, total: float, square: float = 0.0) -> Array:
-    """Return the response of a cart at rest to commands (K,) m/s² at each tick, with slopes (K, 3).
+    """Return the response of a cart at rest, with slopes (K, 3).
+
+    It responds to commands (K,) m/s², with one row for each tick.
 
     The columns are the position for unit gain and its derivatives. These are with respect to `total` s, the sum of
     delay and lag, and `square` s², that of the lag. The two are nearly independent even at zero lag, unlike delay and
@@ -614,7 +646,7 @@ _BLOCKS = 24
 
 
 def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: int, last: int) -> DriveFit:
-    """Fit delay, lag and gain of the drive to the cart's readings (K,) m.
+    """Fit delay, lag and gain of the drive.
 
     Args:
         carts: readings (K,), m.
@@ -710,7 +742,10 @@ _NO_LAG = 2e-5
 
 
 def _sandwich(jacobian: Array, residual: Array, weights: Array | None = None) -> Array:
-    """Return standard errors (p,) for residuals (K,) correlated over blocks, with weights (K,) of soft_l1."""
+    """Return standard errors (p,) for correlated residuals.
+
+    The residuals (K,) are correlated over blocks, and have the weights (K,) of soft_l1.
+    """
     weights = np.ones(len(residual)) if weights is None else weights
     edges = np.linspace(0, len(residual), _BLOCKS + 1).round().astype(int)[:-1]
     scores = np.add.reduceat(jacobian * (weights * residual)[:, None], edges)
@@ -738,6 +773,9 @@ def modes(arms: ArmChainParameters) -> Modes:
     """Return the normal modes of hanging arms on an accelerated cart.
 
     Θ = shapes · y.
+
+    Args:
+        arms: parameters of the n arms.
     """
     n, base = arms.count, arms.base()
     upper = np.zeros((n, n))
@@ -784,14 +822,24 @@ _ROWS = 200.0
 
 
 def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParameters) -> CommissioningSwing:
-    """Fit the arms' modes to their readings (K, n) rad and the cart's (K,) m."""
+    """Fit the arms' modes to their readings.
+
+    Args:
+        angles: readings (K, n) of the arms, rad.
+        carts: readings (K,) of the cart, m.
+        period: time between readings, s.
+        arms: model of the arms.
+    """
     n, model = arms.count, modes(arms)
     every = max(1, round(1 / (_ROWS * period)))
     rows, x, period = angles[::every], carts[::every] - carts[0], period * every
     t, ones = np.arange(len(x)) * period, np.ones((len(x), 1))
 
     def columns(frequency: float, damping: float) -> Array:
-        """Return a mode's response to the cart, and its free swing (K, 3)."""
+        """Return a mode's response and free swing (K, 3).
+
+        The response is that to the cart.
+        """
         w, z = frequency, damping
         filter: Any = signal.cont2discrete(([-1, 0, 0], [1, 2 * z * w, w**2]), period, method="foh")
         forced = signal.lfilter(np.ravel(filter[0]), filter[1], x)
@@ -840,7 +888,10 @@ class Form(StrEnum):
 
 
 class Wiring(NamedTuple):
-    """Wiring: form, order of the encoders, signs and factors (n,), unexplained fraction (rms)."""
+    """Wiring: form, order, signs and factors, unexplained fraction.
+
+    The order is that of the encoders. Signs and factors are (n,), and the fraction is that of the rms.
+    """
 
     form: Form
     order: tuple[int, ...]
@@ -853,7 +904,12 @@ _CLEARLY = 0.6
 
 
 def read_wiring(swing: CommissioningSwing, arms: ArmChainParameters) -> Wiring:
-    """Return the wiring that fits the readings best."""
+    """Return the wiring that fits the readings best.
+
+    Args:
+        swing: modes as the readings show them.
+        arms: model of the arms.
+    """
     n, model = arms.count, modes(arms)
     sums, strengths = _sums(n), swing.strengths
     joints = np.linalg.inv(sums)
@@ -899,7 +955,10 @@ def _signs(gain: float, factors: Array) -> list[tuple[str, ...]]:
 
 
 def _cart_scale(gain: float, factors: Array) -> bool:
-    """True if the cart's scale alone explains the errors of the drive's gain and all arms' swings."""
+    """True if the cart's scale alone explains the errors.
+
+    They are the errors of the drive's gain and of all arms' swings.
+    """
     return abs(abs(gain) - 1) > _GAIN and bool(np.all(np.abs(np.abs(factors * gain) - 1) < _FACTOR / 2))
 
 
@@ -955,7 +1014,10 @@ _LIKELY = (1.0, 2.0, 4.0, 0.5, 0.25, _DEGREES)
 
 
 def _plain_factor(size: float) -> float:
-    """Return the likely factor of a fault from its measured value `size`, as accurate as the model."""
+    """Return the likely factor of a fault.
+
+    Its measured value `size` is as accurate as the model.
+    """
     nearest = min(_LIKELY, key=lambda one: abs(math.log(one / size)))
     return nearest if abs(nearest / size - 1) < _FACTOR else size
 
@@ -989,7 +1051,10 @@ def _lateness(drive: DriveFit, settings: LoopSettings, period: float, changes: d
 
 
 def _with_error(value: float, error: float) -> str:
-    """Return a number with its standard error, rounded to two digits of the error."""
+    """Return a number with its standard error.
+
+    It is rounded to two digits of the error.
+    """
     digits = min(max(1 - math.floor(math.log10(max(error, 1e-9))), 0), 4)
     return f"{value:.{digits}f} ± {error:.{digits}f}"
 
@@ -1136,10 +1201,16 @@ _LIKE = 20
 
 
 def fit_play(angles: Array, period: float) -> tuple[float, float]:
-    """Return the play between a joint and its encoder and its standard error, rad.
+    """Return the play of an encoder and its standard error, rad.
+
+    The play is that between a joint and its encoder.
 
     An encoder stops when its joint reverses, and follows again once the joint has crossed the play. Apart from the
     play, the readings on both sides of this gap lie on one smooth curve. Friction bends that curve at the reversal.
+
+    Args:
+        angles: angles (K,) of the joint, as its encoder reads them, rad.
+        period: time between readings, s.
     """
     noise = float(np.median(np.abs(np.diff(angles)))) / 0.954
     least, mark = max(0.5 * _rounding(angles), 5 * noise, 1e-9), angles[0]
@@ -1227,7 +1298,9 @@ _FRICTION, _SMOOTHED, _TOO_DAMPED = 5e-4, 0.03, 0.3
 def _friction(
     angles: Array, period: float, arms: ArmChainParameters, swing: CommissioningSwing, settings: LoopSettings
 ) -> Finding:
-    """Compare the dry friction of the joints with [run], as the torque with the observed power loss.
+    """Compare the dry friction of the joints with [run].
+
+    The friction is the torque with the observed power loss.
 
     A mode of unit mass loses 2 ζ ω q̇² beyond viscous friction. A joint with a dry torque c loses c |ρ|.
     """
@@ -1316,7 +1389,10 @@ def _tried_switch(
 
 
 def _creep(session: _Session, side: int, most: float, speed: float) -> tuple[int, float]:
-    """Move to a side until a switch responds or the distance is covered; return response and position."""
+    """Move to a side until a switch responds.
+
+    The motion also ends when the distance is covered. Response and position are returned.
+    """
     period, wanted, slope = session.period, 0.0, 0.0
     answer, at, braking = 0, 0.0, False
     while True:

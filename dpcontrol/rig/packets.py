@@ -1,4 +1,6 @@
-"""Protocol between a bench and its loop over UDP, version 2, and its security.
+"""Protocol between a bench and its loop over UDP.
+
+This is version 2 of the protocol, with its security.
 
 Numbers are little-endian, with one packet per datagram. Each packet begins with a head of 20 bytes:
 
@@ -101,7 +103,10 @@ class OtherVersion(ValueError):
 
 
 class Unsealed(ValueError):
-    """The packet lacks the shared key's seal, or has a seal although no key is shared."""
+    """The packet's seal is missing or unexpected.
+
+    It lacks the shared key's seal, or has a seal although no key is shared.
+    """
 
 
 class Packet(NamedTuple):
@@ -150,7 +155,10 @@ class ReadingPacket(NamedTuple):
 
 
 class CommandPacket(NamedTuple):
-    """The demanded acceleration of the cart, m/s², in response to the reading of `tick`."""
+    """The demanded acceleration of the cart, m/s².
+
+    It responds to the reading of `tick`.
+    """
 
     tick: int
     acceleration: float
@@ -161,7 +169,7 @@ Content = Start | Welcome | ReadingPacket | CommandPacket | str | None
 
 
 class ReceivedPacket(NamedTuple):
-    """A received packet.
+    """Head and content of a packet.
 
     new: True if its sequence number is above all earlier ones.
     """
@@ -179,17 +187,29 @@ def hello() -> Packet:
 
 
 def welcome(content: Welcome) -> Packet:
-    """Return the bench's answer to HELLO."""
+    """Return the bench's answer to HELLO.
+
+    Args:
+        content: readiness of the bench.
+    """
     return Packet(Kind.WELCOME, content.arms, _WELCOME.pack(content.period, content.ticks, content.session))
 
 
 def start(queued: Sequence[float] = ()) -> Packet:
-    """Return the start of a run with pending commands, m/s², oldest first."""
+    """Return the start of a run.
+
+    Args:
+        queued: pending commands, m/s², oldest first.
+    """
     return Packet(Kind.START, len(queued), struct.pack(f"<{len(queued)}d", *queued))
 
 
 def reading(content: ReadingPacket) -> Packet:
-    """Return the message of one tick."""
+    """Return the message of one tick.
+
+    Args:
+        content: readings of the tick.
+    """
     text = content.text.encode()[:_LONGEST_TEXT]
     count, heard = len(content.positions), NO_TICK if content.heard < 0 else content.heard
     body = _READING.pack(
@@ -201,7 +221,12 @@ def reading(content: ReadingPacket) -> Packet:
 
 
 def command(tick: int, acceleration: float) -> Packet:
-    """Return the answer to the reading of `tick`, acceleration in m/s²."""
+    """Return the answer to a reading.
+
+    Args:
+        tick: tick of the reading.
+        acceleration: demanded acceleration, m/s².
+    """
     return Packet(Kind.COMMAND, 0, _COMMAND.pack(tick, acceleration))
 
 
@@ -211,13 +236,25 @@ def stop() -> Packet:
 
 
 def bye(text: str) -> Packet:
-    """Return the packet that ends a run, with the reason."""
+    """Return the packet that ends a run.
+
+    Args:
+        text: reason of the end.
+    """
     said = text.encode()[:_LONGEST_TEXT]
     return Packet(Kind.BYE, len(said), said)
 
 
 def packed(message: Packet, role: Role, *, session: int, sequence: int, key: bytes = b"") -> bytes:
-    """Return the encoded packet from `role`, sealed if there is a key."""
+    """Return the encoded packet, sealed if there is a key.
+
+    Args:
+        message: packet to encode.
+        role: end that sends it.
+        session: number of the session.
+        sequence: number of the packet within the session.
+        key: shared key, default none.
+    """
     kind, count, body = message
     data = _HEAD.pack(MAGIC, VERSION, kind, count, session, sequence) + body
     return data + _seal(data, role, key) if key else data
@@ -228,7 +265,12 @@ def _seal(data: bytes, role: Role, key: bytes) -> bytes:
 
 
 def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
-    """Return head and content of a packet from `role`, after checking its seal.
+    """Return head and content of a packet after checking its seal.
+
+    Args:
+        data: the received bytes.
+        role: end that has sent them.
+        key: shared key, default none.
 
     Raises:
         OtherVersion: the version is different.
@@ -294,12 +336,25 @@ def _text(data: bytes, at: int, size: int) -> str:
 
 
 def is_hello(data: bytes) -> bool:
-    """True if these bytes begin like a HELLO of any version, whose sender can receive a refusal."""
+    """True if these bytes begin like a HELLO of any version.
+
+    The sender of a HELLO can receive a refusal.
+
+    Args:
+        data: the received bytes.
+    """
     return data[:4] == MAGIC and data[5:6] == bytes([Kind.HELLO])
 
 
 def refusal(data: bytes, why: str) -> bytes:
-    """Return an unsealed BYE that the sender of the HELLO `data` understands, for version 1 or 2."""
+    """Return an unsealed BYE that refuses a HELLO.
+
+    The sender understands it, for version 1 or 2.
+
+    Args:
+        data: bytes of the HELLO.
+        why: reason of the refusal.
+    """
     said = bye(why)
     if data[4] == 1:
         return _OLD_HEAD.pack(MAGIC, 1, said.kind, said.number) + said.body
@@ -318,12 +373,19 @@ class Talk:
         self._sequence = self._newest = 0
 
     def pack(self, message: Packet) -> bytes:
-        """Return the encoded packet of a message."""
+        """Return the encoded packet of a message.
+
+        Args:
+            message: packet to send.
+        """
         self._sequence += 1
         return packed(message, self._role, session=self._session, sequence=self._sequence, key=self._key)
 
     def unpack(self, data: bytes) -> ReceivedPacket:
         """Return a received packet.
+
+        Args:
+            data: the received bytes.
 
         Raises:
             ValueError: the packet belongs to another session, or has an error listed in `unpacked`.
@@ -344,7 +406,12 @@ _LONGEST_KEY = 4096
 
 
 def shared_key(file: Path | None = None) -> bytes:
-    """Return the key from `file`, or from the environment, or b"" without surrounding blanks.
+    """Return the shared key, or b"" without one.
+
+    Surrounding blanks are removed.
+
+    Args:
+        file: file of the key; None for that of the environment.
 
     Raises:
         InputError: the file cannot be read, or the key is too short.
@@ -373,7 +440,11 @@ def _beginning(file: Path) -> bytes:
 def resolved(host: str, port: int, *, name: str, family: int = 0) -> tuple[int, tuple]:
     """Return address family and socket address of a host.
 
-    `name` identifies it in messages.
+    Args:
+        host: name or address of the host.
+        port: port.
+        name: name of the host in messages.
+        family: address family, 0 for any.
 
     Raises:
         InputError: the host does not exist.
@@ -389,7 +460,15 @@ def resolved(host: str, port: int, *, name: str, family: int = 0) -> tuple[int, 
 
 
 def check_access(address: tuple, *, name: str, key: bytes, insecure: bool) -> None:
-    """Reject an address beyond this computer if no key is shared and `insecure` is False.
+    """Reject an address that other computers reach without a key.
+
+    It is accepted if `insecure` is True.
+
+    Args:
+        address: socket address.
+        name: name of the address in messages.
+        key: shared key, b"" for none.
+        insecure: accept other computers without a key.
 
     Raises:
         InputError: the address is rejected.
@@ -403,6 +482,12 @@ def check_access(address: tuple, *, name: str, key: bytes, insecure: bool) -> No
 
 def checked_host(host: str, port: int, *, key: bytes, insecure: bool) -> tuple:
     """Return the socket address for a bench.
+
+    Args:
+        host: name or address of the bench.
+        port: port.
+        key: shared key, b"" for none.
+        insecure: accept other computers without a key.
 
     Raises:
         InputError: the host is empty or unknown, or other computers can reach it without a key.

@@ -1,1 +1,4 @@
-"""Runs, campaigns, nights and preflights of a plan, and the closed loop that they share."""
+"""Runs, campaigns, nights and preflights of a plan.
+
+They share the closed loop.
+"""

@@ -1,4 +1,6 @@
-"""Campaigns: success rates of an itinerary over many seeds and several cases, with confidence intervals.
+"""Campaigns: success rates of an itinerary over many seeds.
+
+There can be several cases. Rates have confidence intervals.
 
 A case is a controller with values that override those of the itinerary. All cases run the same seeds, so they can be
 compared in pairs. Jobs of a few seeds each run in processes of this machine or on a Dask cluster. The table depends
@@ -165,7 +167,10 @@ def _prepared(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> A
 
 
 def run_job(job: Job) -> list[Row]:
-    """Run a job's seeds and return a row for each, in their order.
+    """Run a job's seeds and return their rows in order.
+
+    Args:
+        job: seeds of one case.
 
     Raises:
         InputError: the settings do not fit the plan.
@@ -287,7 +292,10 @@ def _write(path: Path, table: "pa.Table") -> None:
 
 
 def _read(path: Path) -> "pa.Table | None":
-    """Return a campaign's table, or None if the file is absent, damaged or of another kind."""
+    """Return a campaign's table, or None.
+
+    It is None if the file is absent, damaged or of another kind.
+    """
     pa = part("pyarrow")
     try:
         check_seal(path.read_bytes())
@@ -298,13 +306,22 @@ def _read(path: Path) -> "pa.Table | None":
 
 
 def _kept(part: Path, extra: Sequence[str]) -> "pa.Table | None":
-    """Return a finished job's rows, or None if they are absent, damaged or have other columns."""
+    """Return a finished job's rows, or None.
+
+    They are None if they are absent, damaged or have other columns.
+    """
     table = _read(part)
     return table if table is not None and table.schema.equals(_schema(extra)) else None
 
 
 def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Row]]]:
-    """Run jobs in `workers` processes, which end if the caller is interrupted or stops iterating.
+    """Run jobs in several processes.
+
+    The processes end if the caller is interrupted or stops iterating.
+
+    Args:
+        jobs: jobs in any order.
+        workers: number of processes.
 
     Raises:
         InputError: see `run_job`.
@@ -426,7 +443,7 @@ class Campaign(Shown):
 
     @property
     def place(self) -> Path:
-        """The file of the table, or the itinerary's name if it was not written."""
+        """The file of the table, or the itinerary's name without one."""
         return self.file or Path(self.itinerary)
 
     @property
@@ -491,7 +508,11 @@ class Campaign(Shown):
 
 
 def share_document(share: Share) -> dict[str, Any]:
-    """Return a share as JSON values."""
+    """Return a share as JSON values.
+
+    Args:
+        share: number of runs and of completed ones.
+    """
     return {
         "runs": share.runs,
         "completed": share.successes,
@@ -501,11 +522,14 @@ def share_document(share: Share) -> dict[str, Any]:
 
 
 def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[str, Any]) -> tuple[Case, ...]:
-    """Return the cases.
-
-    Every combination of the values in `over`, on top of `fixed`.
+    """Return every combination of varied values as a case.
 
     Names are paths of a run's settings. A value that is not a list counts as a single value.
+
+    Args:
+        itinerary: itinerary of all cases.
+        fixed: settings of all cases, by path.
+        over: values to vary, by path; they have priority over `fixed`.
 
     Raises:
         InputError: an unknown name, an impossible value or an empty list.
@@ -543,9 +567,14 @@ def _shown(values: Sequence[Any]) -> list[Any]:
 
 
 def transitions_of(plan: Plan) -> tuple[Plan, ...]:
-    """Return the transitions of a plan between equilibria, each with the rests before and after it.
+    """Return the transitions of a plan between equilibria.
+
+    Each has the rests before and after it.
 
     If several connect the same equilibria, only the first is returned.
+
+    Args:
+        plan: plan of an itinerary with holds.
 
     Raises:
         InputError: there is none.
@@ -601,6 +630,7 @@ def run_campaign(
         transitions: run each transfer of an itinerary of holds separately.
         force: replace any file there.
         progress: receiver of progress reports.
+        yes: accept any duration, default False.
 
     Raises:
         InputError: the file cannot be written, no cluster answers, or the settings do not fit the plan.
@@ -648,13 +678,22 @@ def run_campaign(
 
 
 def _ends(plan: Plan) -> tuple[str, str, float]:
-    """Return start, end and duration in s of a plan of one transition."""
+    """Return start, end and duration of a plan of one transition.
+
+    The duration is in s.
+    """
     (symbol,), ((begin, end),) = plan.notes["symbols"], plan.notes["transfers"]
     return symbol["source"], symbol["target"], end - begin
 
 
 def check_table(file: Path, record: Mapping[str, Any]) -> None:
-    """Reject an existing file at the table's place unless it holds part of the same campaign.
+    """Reject an existing file unless it belongs to the same campaign.
+
+    The file may hold part of this campaign.
+
+    Args:
+        file: Parquet file of the table.
+        record: metadata that identify the campaign, see `campaign_record`.
 
     Raises:
         InTheWay: another file is there.
@@ -669,6 +708,10 @@ def check_table(file: Path, record: Mapping[str, Any]) -> None:
 def check_parts(file: Path, record: Mapping[str, Any]) -> None:
     """Reject a file and stored jobs of another campaign.
 
+    Args:
+        file: Parquet file of the table.
+        record: metadata that identify the campaign, see `campaign_record`.
+
     Raises:
         InTheWay: they are of another campaign.
     """
@@ -678,7 +721,11 @@ def check_parts(file: Path, record: Mapping[str, Any]) -> None:
 
 
 def parts_of(file: Path) -> Path:
-    """Return the folder of the finished jobs of an interrupted campaign."""
+    """Return the folder of the finished jobs of an interrupted campaign.
+
+    Args:
+        file: Parquet file of the table.
+    """
     return file.parent / (file.name + ".parts")
 
 
@@ -705,7 +752,10 @@ _ROW_BYTES = 1000.0
 
 
 def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettings) -> Cost:
-    """Estimate the cost of a whole campaign, on this machine or on as many processes of a cluster."""
+    """Estimate the cost of a whole campaign.
+
+    It runs on this machine, or on as many processes of a cluster.
+    """
     runs = settings.runs * len(cases) * len(plans)
     ticks = settings.runs * sum(case.loop.rate for case in cases) * sum(plan.reference.duration for plan in plans)
     lasting = ticks / 1000 / _PACES[settings.path] / (settings.workers or processors())
@@ -738,7 +788,14 @@ def _numbers(case: Case) -> dict[str, float]:
 def campaign_record(
     itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSettings, *, transitions: bool = False
 ) -> dict[str, Any]:
-    """Return the metadata that identify a campaign before it starts."""
+    """Return the metadata that identify a campaign before it starts.
+
+    Args:
+        itinerary: itinerary of all cases.
+        cases: cases of the campaign.
+        settings: number of runs and their distribution.
+        transitions: True if each transition is run separately, default False.
+    """
     return {
         **({"transitions": True} if transitions else {}),
         "version": dpcontrol.__version__,
@@ -795,7 +852,12 @@ class Trouble:
     in_periods: bool = False
 
     def level(self, k: int, *, rate: float) -> dict[str, float]:
-        """Return the settings of level k, 0 to 20, for a loop at `rate` Hz."""
+        """Return the settings of a level.
+
+        Args:
+            k: level, 0 to 20.
+            rate: rate of the loop, Hz.
+        """
         value = self.values[k] * rate if self.in_periods else self.values[k]
         return {self.setting: value, **dict(self.besides)}
 
@@ -823,7 +885,12 @@ STANDARD = (
 
 
 def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[str]) -> tuple[Case, ...]:
-    """Return the cases of every controller, kind and level, on top of `fixed`.
+    """Return the cases of every controller, kind and level.
+
+    Args:
+        itinerary: itinerary of all cases.
+        fixed: settings of all cases, by path.
+        controllers: kinds of controllers.
 
     Raises:
         InputError: an unknown controller.
@@ -846,7 +913,10 @@ STANDARD_CAMPAIGN = CampaignSettings(runs=8, replayed=0)
 
 @dataclass(frozen=True)
 class StandardScore:
-    """One controller's shares of completed runs by kind, and their mean, 0 to 1."""
+    """One controller's shares of completed runs by kind.
+
+    `total` is their mean, 0 to 1.
+    """
 
     controller: str
     kinds: Mapping[str, Share]
@@ -859,7 +929,11 @@ class StandardScore:
 
 
 def standard_scores(results: Sequence[CaseResult]) -> tuple[StandardScore, ...]:
-    """Return each controller's score from the results of `standard_cases`."""
+    """Return each controller's score from the results of `standard_cases`.
+
+    Args:
+        results: results of all cases of `standard_cases`.
+    """
     counts: dict[str, dict[str, list[int]]] = {}
     for result in results:
         values = dict(result.case.values)

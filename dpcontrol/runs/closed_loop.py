@@ -1,4 +1,7 @@
-"""The closed loop of a plan: components built once for runs, campaigns, margins and export."""
+"""The closed loop of a plan, with components built once.
+
+Runs, campaigns, margins and export share the components.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -89,7 +92,11 @@ class ClosedLoop(Timed):
         return self.plan.columns
 
     def states(self, times: Any = None) -> Array:
-        """Return the planned states at given times; see `Plan.states`."""
+        """Return the planned states at given times; see `Plan.states`.
+
+        Args:
+            times: times (K,), s (default: 200 over the whole plan).
+        """
         return self.plan.states(times)
 
     def document(self) -> dict[str, Any]:
@@ -115,7 +122,10 @@ class ClosedLoop(Timed):
 
     @cached_property
     def _flown(self) -> tuple[Plan, Assembly]:
-        """The plan, with transfers from rest if its runs need them, and its assembly."""
+        """The plan and its assembly.
+
+        The plan has transfers from rest if its runs need them.
+        """
         plan = recoverable(self.plan.followed())
         return plan, replace(self.assembly, reference=plan.reference, law=self.assembly.controller)
 
@@ -285,7 +295,9 @@ class ClosedLoop(Timed):
         return standard_scores(found.results)
 
     def margins(self) -> Margins:
-        """Return the margins of gain, delay and lag along the reference, in a few seconds.
+        """Return the margins of gain, delay and lag along the reference.
+
+        This takes a few seconds.
 
         Raises:
             InputError: the law has no margins.
@@ -325,7 +337,9 @@ class ClosedLoop(Timed):
         force: bool = False,
         progress: Reporting = None,
     ) -> ControllerSource:
-        """Return the controller as C99 and write it to a folder or a unit.
+        """Return the controller as C99.
+
+        It is written to a folder or a unit if one is given.
 
         Args:
             folder: folder to write, or NAME.fmu for a co-simulation unit (FMI 2.0).
@@ -353,7 +367,12 @@ class ClosedLoop(Timed):
 
 
 def linked(rig: object) -> RigLink | None:
-    """Return the link to a bench in real time, or None for any other rig.
+    """Return the link to a bench in real time, or None.
+
+    It is None for any other rig.
+
+    Args:
+        rig: a user's object, FILE.py:CLASS, an address or a link.
 
     Raises:
         InputError: the address is malformed.

@@ -1,4 +1,7 @@
-"""The example bench: an itinerary's arms and cart, simulated in real time and reached over UDP."""
+"""The example bench: an itinerary's arms and cart over UDP.
+
+They are simulated in real time.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -41,7 +44,9 @@ def example_bench(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> UdpBench:
-    """Return the example bench of an itinerary, compiled and ready to serve runs.
+    """Return the example bench of an itinerary, ready to serve runs.
+
+    It is compiled already.
 
     Args:
         itinerary: arms, cart and settings of the bench.

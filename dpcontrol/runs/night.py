@@ -1,4 +1,6 @@
-"""Long runs: an itinerary repeated for hours, through falls and interruptions, into a folder of logs.
+"""Long runs: an itinerary repeated for hours.
+
+Runs continue through falls and interruptions, into a folder of logs.
 
 If the end of the itinerary meets its start, the next repetition follows at once. Otherwise it begins from rest. After a
 fall the arms are calmed and the failed symbol is repeated (`dpcontrol.loop.recovery`).
@@ -91,14 +93,22 @@ class NightSettings(Settings, table="night"):
         return ceil(60 * self.hours / self.file_minutes - 1e-9)
 
     def disk(self, rate: float) -> float:
-        """Return the expected size of the logs of a loop at `rate` Hz, bytes."""
+        """Return the expected size of the logs, bytes.
+
+        Args:
+            rate: rate of the loop, Hz.
+        """
         a_file = min(self.file_minutes * 60, self.hours * 3600) * rate * _BYTES_A_TICK
         # The current log and the one before it are not thinned.
         return a_file * min(self.files, ceil(self.files / self.keep_every) + 2)
 
 
 def night_folder(out: Path) -> Path:
-    """Return the folder of a long run whose single log would be `out`."""
+    """Return the folder of a long run.
+
+    Args:
+        out: log that a single run would write.
+    """
     return out.with_suffix("") if out.suffix == ".mcap" else out
 
 
@@ -108,6 +118,10 @@ def night_itinerary(itinerary: Itinerary, *, given: Mapping[str, object]) -> Iti
     After a fall they continue, without limit.
 
     Settings in `given` override these defaults. A keeper of stops with internal timing is replaced by gains by time.
+
+    Args:
+        itinerary: itinerary of a single run.
+        given: settings by path that override the defaults.
     """
     given = canonical(given)
     supervisor, keep = itinerary.loop.supervisor, itinerary.loop.keep
@@ -171,7 +185,14 @@ def night_cost(
 
 
 def night_plan(itinerary: Itinerary, *, yes: bool = False, progress: Progress = no_progress) -> Plan:
-    """Return the plan of a long run, with cached transfers from rest to its stops.
+    """Return the plan of a long run.
+
+    It has cached transfers from rest to its stops.
+
+    Args:
+        itinerary: itinerary of `night_itinerary`.
+        yes: accept any duration, default False.
+        progress: receiver of progress reports.
 
     Raises:
         InputError, GoalMissed: see `make_plan`.
@@ -183,7 +204,9 @@ def night_plan(itinerary: Itinerary, *, yes: bool = False, progress: Progress = 
 
 @contextmanager
 def _starts_beside(plan: Plan, recovery: RecoveryPlan, *, waits: bool) -> Iterator[RecoveryPlan]:
-    """Plan transfers from rest to the stops in a separate process, and append each one to the recovery plan.
+    """Plan transfers from rest in a separate process.
+
+    Each transfer to a stop is appended to the recovery plan.
 
     Each transfer is cached, so a run that ends early loses none. With `waits`, a run that needs a transfer waits for
     the first one, which only simulated time can. Otherwise its arms keep resting.
@@ -239,7 +262,9 @@ _GENTLE = 10
 def _plan_starts(
     pipe: Connection, path: Path, loop: LoopSettings, archive: bytes, main: GainSchedule, nice: int
 ) -> None:
-    """Send transfers from rest as they are found, remarks as texts, and the error if the first stop cannot be reached.
+    """Send transfers from rest as they are found.
+
+    Remarks are sent as texts, and an error if the first stop cannot be reached.
 
     path: path of the itinerary for messages. archive: archive of its plan.
     """
@@ -293,7 +318,9 @@ def run_night(
     live: LiveSink | None = None,
     progress: Progress = no_progress,
 ) -> Night:
-    """Repeat a planned itinerary for hours, with logs in the folder of `out`.
+    """Repeat a planned itinerary for hours.
+
+    The logs are in the folder of `out`.
 
     Args:
         plan: plan of an itinerary of `night_itinerary`.
@@ -303,6 +330,7 @@ def run_night(
         resume: continue the interrupted night of that folder.
         force: replace the night of that folder.
         live: makes a sink that shows the run.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: the folder is not writable, holds another night or none to resume, or no bench fits.
@@ -381,7 +409,9 @@ _TRIAL = 1.5
 
 
 def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
-    """Return the expected wait of a simulated night for its first transfer from rest, in ticks.
+    """Return a night's expected wait for its first transfer from rest.
+
+    It is that of a simulated night, in ticks.
 
     The transfer is needed if laps begin from rest. It may be needed after a blow: the forecast is then the geometric
     mean of a night with the wait and one without.
@@ -406,7 +436,10 @@ _BRAKING = 2.0
 
 @contextmanager
 def _switching_soon() -> Iterator[None]:
-    """Limit the loop's wait for the interpreter to a tenth of a period while a thread writes the log."""
+    """Limit the loop's wait for the interpreter.
+
+    The limit is a tenth of a period while a thread writes the log.
+    """
     was = sys.getswitchinterval()
     sys.setswitchinterval(1e-4)
     try:
@@ -416,7 +449,13 @@ def _switching_soon() -> Iterator[None]:
 
 
 def check_night(folder: Path, record: Mapping[str, str]) -> None:
-    """Reject a folder that holds another long run, or none that can be resumed.
+    """Reject a folder that holds another or no long run.
+
+    A long run to resume must be there.
+
+    Args:
+        folder: folder of the logs.
+        record: metadata that identify the run.
 
     Raises:
         InTheWay: the last log is unreadable or of another run.
@@ -431,7 +470,14 @@ def check_night(folder: Path, record: Mapping[str, str]) -> None:
 
 
 def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
-    """Return the files of the long run in a folder, before planning starts.
+    """Return the files of the long run in a folder.
+
+    This check comes before planning.
+
+    Args:
+        folder: folder of the logs.
+        resume: True to continue the long run there.
+        force: True to replace it.
 
     Raises:
         InputError: a long run is there that is neither resumed nor replaced, or none to resume.
@@ -451,7 +497,10 @@ def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
 
 
 def _since(settings: LoopSettings, begin: float) -> LoopSettings:
-    """Return the settings of a bench that has been running for `begin` s, with recovered sticking parts."""
+    """Return the settings of a bench after `begin` s.
+
+    Sticking parts may have recovered by then.
+    """
     sensors = settings.sensors
     first, end = sensors.stuck_at - begin, sensors.stuck_at + sensors.stuck_for - begin
     if not begin or sensors.stuck_at == float("inf"):
@@ -464,7 +513,9 @@ def _since(settings: LoopSettings, begin: float) -> LoopSettings:
 def _place(
     folder: Path, metadata: Mapping[str, str], night: NightSettings, rate: float, *, resume: bool, force: bool
 ) -> _Resumption:
-    """Return the start of the next session, after closing the logs of an interrupted one.
+    """Return the start of the next session.
+
+    The logs of an interrupted session are closed first.
 
     Raises:
         InputError: the folder holds another, a complete or no night, or one that must not be resumed.

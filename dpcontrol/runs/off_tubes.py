@@ -1,4 +1,6 @@
-"""Remarks on flights off the tubes that are known to be cheaper than an itinerary's walks.
+"""Remarks on known flights off the tubes.
+
+These flights are cheaper than an itinerary's walks.
 
 The table holds flights of the lab's arms by walk, energy and ends (`dpcontrol bench payoff`). Ends are *orbits*, those
 that the walk leaves and joins, or *held*: the arms rest at the saddles, so the motion must first reach an orbit and
@@ -19,7 +21,7 @@ _SAME_ENERGY = 1e-9
 
 @dataclass(frozen=True)
 class KnownFlight:
-    """A flight off the tubes that is cheaper than the flight along them.
+    """A flight off the tubes, cheaper than that along them.
 
     Attributes:
         walk: symbols of the walk between the same ends.
@@ -48,7 +50,13 @@ def known_flights() -> tuple[KnownFlight, ...]:
 
 
 def off_tubes_remarks(itinerary: Itinerary) -> tuple[str, ...]:
-    """Return a sentence for each walk with a known cheaper flight between the same ends."""
+    """Return a sentence for each walk with a known cheaper flight.
+
+    The flight has the same ends.
+
+    Args:
+        itinerary: itinerary to check; only the lab's arms have known flights.
+    """
     if itinerary.model.arms != load_model("lab").arms:
         return ()
     parts, found = itinerary.parts, []
@@ -68,7 +76,10 @@ def off_tubes_remarks(itinerary: Itinerary) -> tuple[str, ...]:
 
 
 def _forward(walk: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the first in order of a walk and its mirror image, which cost the same."""
+    """Return the first in order of a walk and its mirror image.
+
+    The two cost the same.
+    """
     mirrored = tuple(s[:-1] + {"+": "-", "-": "+"}[s[-1]] if s[-1] in "+-" else s for s in walk)
     return min(walk, mirrored)
 

@@ -1,4 +1,6 @@
-"""A plan from rest to rest re-optimised as one problem, beside the robust plan that it starts from.
+"""A plan from rest to rest re-optimised as one problem.
+
+The robust plan that it starts from is kept beside it.
 
     minimise ∫ u² + w_x x² dt      subject to  the plan's dynamics, time and ends, and shares of the cart's limits
 
@@ -53,7 +55,10 @@ SHARE = 0.7
 
 @dataclass(frozen=True)
 class _JointSearch:
-    """One search: method, interval in s, weight of the distance to the robust plan and limit of iterations."""
+    """One search: method, interval in s, weight and limit of iterations.
+
+    The weight is that of the distance to the robust plan.
+    """
 
     method: str
     interval: float
@@ -137,7 +142,9 @@ def polish(
     plan: Plan, *, fresh: bool = False, runs: int = RUNS, workers: int = 0, yes: bool = False,
     progress: Progress = no_progress,
 ) -> Polished:  # fmt: skip
-    """Re-optimise the walk of a plan from rest to rest as a whole.
+    """Re-optimise the walk of a plan as a whole.
+
+    The plan must lead from rest to rest.
 
     Args:
         plan: robust plan.
@@ -170,7 +177,12 @@ def polish(
 
 
 def check_polishable(plan: Plan) -> None:
-    """Check that a plan leads from rest to rest and is not polished.
+    """Check that a plan leads from rest to rest.
+
+    It must not be polished already.
+
+    Args:
+        plan: plan to check.
 
     Raises:
         InputError: one of the two fails.
@@ -196,7 +208,10 @@ def _key(plan: Plan) -> str:
 
 
 def _polished(plan: Plan, progress: Progress) -> Reference:
-    """Return the polished reference with its notes, or the robust one with the reason in its status."""
+    """Return the polished reference, or the robust one.
+
+    A polished one has notes, a robust one the reason in its status.
+    """
     robust, none = plan.reference, np.zeros(plan.itinerary.model.arms.count)
     spans = list(stretches(robust))
     parts = [tail(robust, begin, seconds=end - begin, turns=none) for begin, end, _ in spans]
@@ -224,7 +239,10 @@ def _polished(plan: Plan, progress: Progress) -> Reference:
 
 
 def _problem(plan: Plan, part: Reference) -> ReferenceProblem:
-    """Return the problem of one part of the robust plan, with the same time and ends."""
+    """Return the problem of one part of the robust plan.
+
+    Time and ends are the same.
+    """
     robust, arms = plan.reference, plan.itinerary.model.arms.planned()
     bounds = {name: max(SHARE * bound, robust.largest[name]) for name, bound in robust.limits.named().items()}
     ends = EndConditions(start=part.state(0.0), end=part.state(part.duration))
@@ -240,7 +258,10 @@ def _along(motion: Trajectory) -> Guess:
 def _searched(
     problem: ReferenceProblem, part: Reference, settings: ReferenceSettings, progress: Progress
 ) -> list[Trajectory]:
-    """Return motions found from a part of the robust plan, the least costly first."""
+    """Return motions found from a part, the least costly first.
+
+    The part is one of the robust plan.
+    """
     found: list[Trajectory] = []
     for k, search in enumerate(_SEARCHES):
         progress(f"as one, {part.duration:.1f} s", k / len(_SEARCHES))
@@ -260,7 +281,10 @@ def _settings(settings: ReferenceSettings, weight: float, method: str, iteration
 
 
 def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
-    """Return a motion for a part of the plan, on a mesh of the plan's method that meets its tolerance."""
+    """Return a refined motion for a part of the plan.
+
+    Its mesh is of the plan's method and meets its tolerance.
+    """
     own = plan.itinerary.reference
     settings = _settings(own, _HOLD, own.method, max(own.iterations, 100))
     problem = replace(_problem(plan, part), guess=_along(motion))
@@ -271,7 +295,13 @@ def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
 
 
 def stretches(robust: Reference) -> Iterator[tuple[float, float, bool]]:
-    """Yield begin and end of each stretch, s, and True if it moves, unlike interior holds and the final rest."""
+    """Yield the stretches of a plan.
+
+    The items are begin and end, s, and True if the stretch moves, unlike interior holds and the final rest.
+
+    Args:
+        robust: reference of the robust plan.
+    """
     notes, after = plan_notes(robust), 0.0
     ways = notes["transfers"]
     for stop, symbol in zip(notes["stops"][1:-1], notes["symbols"], strict=False):
@@ -304,7 +334,12 @@ class _Crossed:
 
 
 def departure(robust: Reference, motion: Reference) -> str:
-    """Return the first difference between the walks of a motion and of a robust plan, or an empty string."""
+    """Return the first difference between two walks, or "".
+
+    Args:
+        robust: reference of the robust plan.
+        motion: reference of the polished motion.
+    """
     before = _crossed(robust, robust)
     try:
         after = _crossed(robust, motion)
@@ -357,7 +392,10 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
 
 
 def _crossing(robust: Reference, grid: Array, angles: Array, symbol: SymbolNote, after: float) -> float:
-    """Return the time at which a symbol crosses its section in its direction and turns, nearest to its due time, s."""
+    """Return the time at which a symbol crosses its section, s.
+
+    The crossing has the symbol's direction and turns, and is nearest to its due time.
+    """
     section, n = symbol["section"], angles.shape[1]
     assert section is not None
     normal = np.asarray(section["normal"][:n])
@@ -372,7 +410,10 @@ def _crossing(robust: Reference, grid: Array, angles: Array, symbol: SymbolNote,
 
 
 def _events(walk: list[SymbolNote], angles: Array) -> list[tuple[int, int, int]]:
-    """Return the crossings of a walk's sections by angles (K, n) in order: section, turn, direction."""
+    """Return the crossings of a walk's sections in order.
+
+    Each is section, turn and direction. The angles are (K, n).
+    """
     found, known = list[tuple[int, int, int, int]](), list[Any]()
     for symbol in walk:
         section = symbol["section"]
@@ -416,7 +457,13 @@ def _noted(plan: Plan, motion: Reference) -> Reference:
 
 
 def nearness(plan: Reference) -> list[float]:
-    """Return the least scaled distance of a plan's reference to the orbit of each of its stops, from stop to stop."""
+    """Return the least scaled distance to each stop's orbit.
+
+    The distance is that of the plan's reference, from stop to stop.
+
+    Args:
+        plan: reference of a plan.
+    """
     notes: PlanNotes = plan_notes(plan)
     times = [0.0, *(symbol["time"] for symbol in notes["symbols"]), plan.duration]
     return [
@@ -426,7 +473,10 @@ def nearness(plan: Reference) -> list[float]:
 
 
 def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Progress) -> Iterator[Side]:
-    """Yield the figures of plans by name, after `runs` runs at each mismatch."""
+    """Yield the figures of plans by name.
+
+    There are `runs` runs at each mismatch.
+    """
     jobs = {
         (name, mismatch): Job(
             plan.itinerary.name, plan.archive, plan.itinerary.model.arms,

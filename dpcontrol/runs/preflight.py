@@ -1,4 +1,6 @@
-"""Preflight: success probability of the first run on a rig, causes of failure and useful changes.
+"""Preflight: success probability of the first run on a rig.
+
+It also gives causes of failure and useful changes.
 
 Runs are drawn like those of a campaign, from the uncertainty of the arms and the bench. This is the model's identified
 uncertainty, or an assumed mismatch if its file gives none. Delay, lag, counts and zeros come from [run].
@@ -47,7 +49,7 @@ from dpcontrol.runs.campaign import MOST_TICKS, Case, Job, run_job
 
 @dataclass(frozen=True)
 class SceneChange:
-    """A change: its text, its options of `dpcontrol run`, and a preflight's advice for it.
+    """A change: its text, its options of `dpcontrol run`, and advice.
 
     Preflights try only changes with advice.
     """
@@ -59,7 +61,9 @@ class SceneChange:
 
 @dataclass(frozen=True)
 class _Trouble:
-    """A setting of the bench that can be reduced, by its path in a run's settings.
+    """A setting of the bench that can be reduced.
+
+    It is named by its path in a run's settings.
 
     Attributes:
         what: name in a sentence.
@@ -110,7 +114,11 @@ _TROUBLES = (
 
 
 def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
-    """Yield the possible changes of each kind for the itinerary's run, smallest first."""
+    """Yield the possible changes of each kind, smallest first.
+
+    Args:
+        scene: itinerary of the run.
+    """
     loop = scene.loop
     limit, drive, counts = loop.travel or scene.limits.position, loop.drive, loop.sensors.counts
     wide, *wider = map(_short, (1.5 * limit, 2 * limit, max(4 * limit, 2 * scene.limits.position)))
@@ -217,17 +225,32 @@ class Hazard:
     besides: tuple[tuple[str, Any], ...] = ()
 
     def place(self, value: float) -> float:
-        """Return a value's place on a scale of severity, minus infinity if there is no trouble."""
+        """Return a value's place on a scale of severity.
+
+        Args:
+            value: value of the setting.
+
+        Returns:
+            The place, minus infinity if there is no trouble.
+        """
         none = value == 0 or math.isinf(value)
         return -math.inf if none else -math.log(value) if self.falling else math.log(value)
 
     def value(self, place: float) -> float:
-        """Return the value at a place."""
+        """Return the value at a place.
+
+        Args:
+            place: place on the scale of severity.
+        """
         value = math.exp(-place if self.falling else place)
         return max(round(value / self.step), 1) * self.step if self.step else value
 
     def options(self, value: float) -> dict[str, Any]:
-        """Return the run settings of a value."""
+        """Return the run settings of a value.
+
+        Args:
+            value: value of the setting.
+        """
         return {self.setting: int(value) if self.setting == "counts" else value, **dict(self.besides)}
 
 
@@ -273,7 +296,9 @@ def _do(task: _Task) -> "tuple[RunEnd, ...] | HazardBorder | Improvement":
 def outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
     """Return the endings of a job's seeds, cached if possible.
 
-    most: seeds at once, for memory.
+    Args:
+        job: seeds of one case.
+        most: number of seeds at once, which limits the memory.
     """
     if len(job.seeds) > most:
         parts = (replace(job, seeds=job.seeds[k : k + most]) for k in range(0, len(job.seeds), most))
@@ -346,7 +371,10 @@ def _border(search: _Search) -> HazardBorder:
 
 
 def _point(search: _Search, value: float, *, until_clear: bool = True) -> ShareAt:
-    """Run a value on all seeds, or on blocks until its side of the border is clear."""
+    """Run a value until its side of the border is clear.
+
+    It runs on blocks of seeds, or on all seeds.
+    """
     job = search.job
     loop = overridden(job.case.loop, search.hazard.options(value))
     done = of = used = 0
@@ -362,7 +390,10 @@ def _point(search: _Search, value: float, *, until_clear: bool = True) -> ShareA
 
 
 def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
-    """Return the places where the share and the ends of its 95 % interval are one half, or None."""
+    """Return the places where the share is one half, or None.
+
+    The same places of the ends of its 95 % interval follow.
+    """
     found = sorted(points, key=lambda p: hazard.place(p.value))
     places = [hazard.place(p.value) for p in found]
     shares = falling(np.array([p.share for p in found]), np.array([p.reference for p in found]))
@@ -376,7 +407,17 @@ def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
 
 
 def falling(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the least-squares falling sequence (K,) nearest to weighted values (K,), by pooling adjacent violators."""
+    """Return the least-squares falling sequence nearest to weighted values.
+
+    Adjacent violators are pooled.
+
+    Args:
+        values: values (K,).
+        weights: weights (K,).
+
+    Returns:
+        Sequence (K,).
+    """
     pools: list[tuple[float, float, int]] = []
     for value, weight in zip(values.tolist(), weights.tolist(), strict=True):
         pools.append((value, weight, 1))
@@ -387,7 +428,10 @@ def falling(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArra
 
 
 def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | None:
-    """Return the point where a piecewise linear falling curve is one half, or None."""
+    """Return the point where a falling curve is one half, or None.
+
+    The curve is piecewise linear.
+    """
     below = np.flatnonzero(falls < 0.5)
     if not below.size or not below[0]:
         return None
@@ -413,7 +457,11 @@ _AHEAD = 0.15
 
 
 def seconds_of(loop: LoopSettings) -> float:
-    """Return the processor time of one tick with these settings, s."""
+    """Return the processor time of one tick with these settings, s.
+
+    Args:
+        loop: settings of the run.
+    """
     return _TICK * (1 + _AHEAD * loop.drive.delay) if loop.lockstep else _TICK_ALONE
 
 
@@ -425,7 +473,10 @@ This is two minutes of two processors, less start-up and compilation.
 
 
 class _Amounts(NamedTuple):
-    """Numbers of seeds for the rate, for the first and last points of a border, and for each kind of a change."""
+    """Numbers of seeds of a preflight.
+
+    They are those for the rate, for the first and last points of a border, and for each kind of a change.
+    """
 
     rate: int
     block: int
@@ -452,7 +503,10 @@ _CHOICES = tuple(map(_Amounts.of, (320, 256, 192, 160, 128, 96, 64, 48, 32)))
 
 
 def _amounts(seeds: int, seconds: float, *, lockstep: bool) -> _Amounts:
-    """Return the numbers of seeds, for the given rate seeds or those affordable at `seconds` each."""
+    """Return the numbers of seeds.
+
+    They follow from the given seeds for the rate, or from what is affordable at `seconds` each.
+    """
     if seeds:
         return _Amounts.of(seeds)
     runs = ((one, one.runs if lockstep else one.rate) for one in _CHOICES)
@@ -467,14 +521,16 @@ def preflight(
     progress: Progress = no_progress,
     yes: bool = False,
 ) -> Preflight:
-    """Predict success rate, causes of failure and useful changes of a planned itinerary on its bench.
+    """Predict the success rate of a planned itinerary on its bench.
+
+    Causes of failure and useful changes are predicted as well.
 
     Args:
         plan: plan of the itinerary.
         options: run settings that override the itinerary's.
         settings: size of the preflight.
-        yes: accept any duration.
         progress: receiver of progress reports.
+        yes: accept any duration.
 
     Raises:
         InputError: an impossible setting, or it would take too long.
@@ -538,7 +594,13 @@ def _all(pieces: Any, count: int, what: str, progress: Progress) -> Any:
 
 
 def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
-    """Return the causes of failed runs, the most frequent first, in the loop's terms."""
+    """Return the causes of failed runs, the most frequent first.
+
+    They are in the loop's terms.
+
+    Args:
+        ends: endings of all runs.
+    """
     groups: dict[tuple[str, str], list[RunEnd]] = {}
     for row in ends:
         if not row.completed:
@@ -548,7 +610,13 @@ def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
 
 
 def with_known_errors(scene: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Assumption]]:
-    """Return the scene with its runs drawn from the known errors of arms and bench, and a list of these.
+    """Return the scene with known errors of arms and bench.
+
+    Its runs are drawn from these errors, and a list of them follows.
+
+    Args:
+        scene: itinerary of the run.
+        options: settings by path that override those of the itinerary.
 
     Raises:
         InputError: an impossible setting.
@@ -647,10 +715,13 @@ _FEWEST = 8
 def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
     """Return the troubles with borders, with the bench's own values.
 
-    most_delay: largest delay, in periods, that the computing time allows.
-
     Prediction over a delay takes time in proportion, and each delay needs separate code. Its border is therefore sought
     within 40 ms and on few seeds.
+
+    Args:
+        plan: plan of the itinerary.
+        scene: itinerary with known errors.
+        most_delay: largest delay, in periods, that the computing time allows.
     """
     loop, rate = scene.loop, scene.loop.rate
     drive, sensors, blows, rig = loop.drive, loop.sensors, loop.disturbances, loop.mechanics
@@ -684,7 +755,10 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
 
 
 def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Trial]:
-    """Return the changes to try on `count` seeds of each kind, none if every run completes."""
+    """Return the changes to try, none if every run completes.
+
+    Each kind is tried on `count` seeds.
+    """
     if all(completed):
         return []
     failing = [k for k, done in enumerate(completed) if not done][:count]

@@ -1,4 +1,6 @@
-"""Remedies of a failed run: options of `dpcontrol run` that complete it more often than harmless changes do.
+"""Remedies of a failed run: options of `dpcontrol run`.
+
+They complete the run more often than harmless changes do.
 
 Almost any change completes a run that failed by chance, even 39,999 instead of 40,000 counts. So a change must beat a
 null group. Half of this group are harmless variants of the failed run, whose mismatches differ by a ten-thousandth. The
@@ -38,7 +40,10 @@ _LEVEL = 0.02
 
 @dataclass(frozen=True)
 class Completed:
-    """Numbers of completed runs among variants of the failed run and neighbouring seeds, each of `of`."""
+    """Numbers of completed runs in two groups, each of `of`.
+
+    The groups are variants of the failed run, and neighbouring seeds.
+    """
 
     same_seed: int
     neighbours: int
@@ -147,7 +152,13 @@ def why(
 ) -> Why:
     """Return the changes that complete a logged run.
 
-    typed: returns the run's plan with options added to its command line.
+    Args:
+        plan: plan of the failed run.
+        failed: score of this run.
+        typed: returns the run's plan with options added to its command line.
+        workers: number of processes, 0 for one per processor.
+        yes: accept any duration, default False.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: it would take too long.
@@ -193,7 +204,10 @@ _OVERHEAD = 2.0
 
 
 def _job(plan: Plan, size: int) -> Job:
-    """Return the job of a failed run's variants, the run itself first, and of as many neighbouring seeds."""
+    """Return the job of a failed run's variants.
+
+    The run itself is first, and as many neighbouring seeds follow.
+    """
     scene, loop = plan.itinerary, plan.itinerary.loop
     seeds = (*[loop.seed] * size, *range(loop.seed + 1, loop.seed + 1 + size))
     variants = [loop.mismatch * (1 - _HARMLESS * k) if loop.mismatch else 1e-2 * _HARMLESS * k for k in range(size)]
@@ -204,7 +218,9 @@ def _job(plan: Plan, size: int) -> Job:
 
 
 def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
-    """Return completed runs and the first run's verdict of each job, up to the first job that beats the null group.
+    """Return completed runs and the first run's verdict of each job.
+
+    The first job that beats the null group is the last.
 
     If runs are sequential, the rest of a job runs only if its first run is completed.
     """
@@ -227,7 +243,10 @@ def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
 
 
 def _beats(done: Sequence[bool], before: Sequence[bool]) -> bool:
-    """True if runs are completed more often than those of the null group, pair by pair."""
+    """True if runs beat the null group, pair by pair.
+
+    They are then completed more often.
+    """
     if len(done) != len(before):
         return False
     half = len(done) // 2

@@ -96,7 +96,11 @@ _LIBRARY = "controller_library"
 
 
 def default_log(itinerary: Itinerary) -> Path:
-    """Return NAME-SEED.mcap in the folder of logs."""
+    """Return NAME-SEED.mcap in the folder of logs.
+
+    Args:
+        itinerary: itinerary with the seed of the run.
+    """
     return log_folder() / f"{itinerary.name}-{itinerary.loop.seed}.mcap"
 
 
@@ -136,7 +140,9 @@ class Run(Timed):
 
     @checked
     def why(self, *, workers: Workers = 0, yes: bool = False, progress: Reporting = None) -> "Why":
-        """Find options of `dpcontrol run` that complete the failed run more often than harmless changes do.
+        """Find options that complete the failed run.
+
+        Options of `dpcontrol run` must do so more often than harmless changes.
 
         Args:
             workers: processes, 0 for one per processor.
@@ -181,7 +187,9 @@ class Run(Timed):
 
     @property
     def plant(self) -> ArmChainParameters | None:
-        """The simulated arms as drawn for this run, or None for logs of rigs and of early versions.
+        """The simulated arms as drawn for this run, or None.
+
+        It is None for logs of rigs and of early versions.
 
         Raises:
             InputError: this part of the log is damaged.
@@ -225,7 +233,10 @@ class Run(Timed):
 
     @checked
     def frame(self, count: Count | None = None) -> "DataFrame":
-        """Return a pandas table with one row per tick (see `RunLog.frame`), or `count` interpolated rows of states.
+        """Return a pandas table of the run.
+
+        Args:
+            count: number of rows of interpolated states; None for one row per tick (see `RunLog.frame`).
 
         Raises:
             InputError: pandas is not installed.
@@ -239,6 +250,9 @@ LiveSink = Callable[[RunLog], AbstractContextManager[LoopSink]]
 
 def assembled(plan: Plan) -> Assembly:
     """Return the components of a plan's runs.
+
+    Args:
+        plan: plan of the itinerary.
 
     Raises:
         InputError: the model's file lacks the uncertainty of a drawn plant.
@@ -269,6 +283,7 @@ def run_plan(
         rig: a user's rig (default: the simulated bench).
         force: replace the log of another run.
         live: makes a sink that shows the run.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: the log cannot be written or belongs to another run, the model's file lacks the uncertainty of a
@@ -329,7 +344,12 @@ def run_record(itinerary: Itinerary, *, rig: str | None = None, library: Path | 
 
 @contextmanager
 def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[LoopSink]:
-    """Yield a run's sink, with a live view if `live` is given.
+    """Yield a run's sink, with a live view if one is given.
+
+    Args:
+        plan: plan of the run.
+        sink: sink of the ticks.
+        live: makes a sink that shows the run; None for no view.
 
     Raises:
         InputError: the live view has no display.
@@ -346,6 +366,9 @@ def outcome(result: LoopResult) -> dict[str, str]:
     """Return the result of a run as metadata.
 
     Pace, ending, computing time of ticks, hardest drive.
+
+    Args:
+        result: result of the loop.
     """
     noted = {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
     if result.hardest is not None:
@@ -357,7 +380,13 @@ def outcome(result: LoopResult) -> dict[str, str]:
 
 
 def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
-    """Return the metadata of the simulated plant and of other values drawn once for a run."""
+    """Return the metadata of values drawn once for a run.
+
+    They include the simulated plant.
+
+    Args:
+        itinerary: itinerary with the seed of the run.
+    """
     draw = itinerary.loop.draw(itinerary.model.arms, ticks=1, uncertainty=itinerary.uncertainty)
     once = {"initial_error": draw.initial_error.tolist(), "zeros": draw.zeros.tolist()}
     # A user's own plant is identified by its name in the settings.
@@ -411,7 +440,14 @@ def _extras(ticks: Ticks, names: tuple[str, ...]) -> Extras | None:
 
 
 def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
-    """Return the writer of a run's log, with the metadata known before the run.
+    """Return the writer of a run's log.
+
+    It has the metadata known before the run.
+
+    Args:
+        plan: plan of the run.
+        out: log to write.
+        **more: further metadata.
 
     Raises:
         InputError: the log cannot be written.
@@ -438,7 +474,13 @@ def _attachments(plan: Plan) -> dict[str, bytes]:
 
 
 def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
-    """Return the metadata that distinguish this run, with its settings as JSON, overrides included."""
+    """Return the metadata that distinguish this run.
+
+    Its settings are JSON, overrides included.
+
+    Args:
+        itinerary: itinerary with the settings of the run.
+    """
     return {
         "version": dpcontrol.__version__,
         "commit": commit(),
@@ -466,12 +508,24 @@ class Repeat:
 
 
 def repeated_log(source: Path) -> Path:
-    """Return NAME-again.mcap in the folder of logs."""
+    """Return NAME-again.mcap in the folder of logs.
+
+    Args:
+        source: log of the original run.
+    """
     return log_folder() / f"{source.name.removesuffix('.mcap')}-again.mcap"
 
 
 def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progress = no_progress) -> Repeat:
-    """Repeat the run in the log `source`, write its log to `out`, and compare the two message for message.
+    """Repeat a logged run and compare the two logs.
+
+    They are compared message for message.
+
+    Args:
+        source: log of the original run.
+        out: log to write.
+        force: True to replace that file, default False.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: the log cannot be read, lacks what a repetition needs, or `out` is the same file.
@@ -487,7 +541,12 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
 
 
 def logged_margins(log: RunLog) -> Margins:
-    """Return the margins of gain, delay and lag of a logged run along its reference.
+    """Return the margins of a logged run along its reference.
+
+    The margins are those of gain, delay and lag.
+
+    Args:
+        log: log with the plan of the run.
 
     Raises:
         InputError: the log lacks the plan, or its law has no margins.
@@ -498,7 +557,10 @@ def logged_margins(log: RunLog) -> Margins:
 
 
 def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
-    """Return the plan of a logged run, its file in `folder`, for a repetition or else for its margins."""
+    """Return the plan of a logged run, its file in `folder`.
+
+    It serves a repetition, or else the margins.
+    """
     cannot = "be repeated" if repeats else "have margins"
     needed = (_SCENE, _MODEL, REFERENCE_ATTACHMENT)
     lacking = [name for name in needed if name not in log.attachments]
@@ -524,7 +586,9 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
 
 
 def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Plan:
-    """Return the plan of a logged run with options added to its command line.
+    """Return the plan of a logged run with more options.
+
+    The options are added to its command line.
 
     The run's own options are the settings that differ from those of `scene`, the itinerary without options. If these do
     not explain all recorded settings, the options are applied to the recorded settings.
@@ -566,6 +630,10 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
 
     Settings of later versions have their defaults.
 
+    Args:
+        values: settings as decoded JSON.
+        file: name of the log, for messages.
+
     Raises:
         InputError: an unknown setting or an impossible value.
         LookupError: a user's object, which the log does not hold.
@@ -591,7 +659,12 @@ _CHECKED_TICKS = 4000
 
 
 def check_exportable(itinerary: Itinerary) -> None:
-    """Reject an itinerary whose settings rule out an export to C, before it is planned.
+    """Reject an itinerary that cannot be exported to C.
+
+    Its settings are checked before it is planned.
+
+    Args:
+        itinerary: itinerary to check.
 
     Raises:
         InputError: names the setting.
@@ -631,7 +704,9 @@ def export_plan(
     force: bool = False,
     progress: Progress = no_progress,
 ) -> ControllerSource:
-    """Return the controller of a planned itinerary as C, and write it to a folder atomically if one is given.
+    """Return the controller of a planned itinerary as C.
+
+    It is written to a folder atomically if one is given.
 
     Args:
         plan: plan of the itinerary.
@@ -656,10 +731,20 @@ def export_plan(
 def export_unit(
     plan: Plan, out: Path, *, single: bool = False, force: bool = False, progress: Progress = no_progress
 ) -> tuple[ControllerSource, str]:
-    """Write the controller of a planned itinerary as a co-simulation unit to `out`.
+    """Write the controller of a planned itinerary as co-simulation unit.
 
-    Returns its C, and the reason if the unit has no binary for this platform, else "". For other arguments and errors
-    see `export_plan`.
+    Args:
+        plan: plan of the itinerary.
+        out: file to write.
+        single: use single precision, default False.
+        force: True to replace that file, default False.
+        progress: receiver of progress reports.
+
+    Returns:
+        Its C, and the reason if the unit has no binary for this platform, else "".
+
+    Raises:
+        InputError, GoalMissed: see `export_plan`.
     """
     from dpcontrol.control.export import controller_unit
 
@@ -676,7 +761,10 @@ def export_unit(
 def _exported(
     plan: Plan, assembly: Assembly, single: bool, progress: Progress, *, clock: float | None = None
 ) -> tuple[ControllerSource, TickProgram, GainSchedule]:
-    """Return a controller as C, with readings of a simulated run for a replay, and its components."""
+    """Return a controller as C, and its components.
+
+    It contains readings of a simulated run for a replay.
+    """
     itinerary = plan.itinerary
     check_exportable(itinerary)
     if any(itinerary.zeros):
@@ -732,7 +820,9 @@ class RigRun:
 def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> "BenchRecipe":
     """Return the simulated bench of a planned itinerary.
 
-    assembly: components of the plan, built if not given.
+    Args:
+        plan: plan of the itinerary.
+        assembly: components of the plan, built if not given.
 
     Raises:
         InputError: the model's file lacks the uncertainty of a drawn plant.
@@ -757,7 +847,13 @@ _HANGING = 600.0
 
 
 def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> "BenchRecipe":
-    """Return the itinerary's simulated bench with hanging arms, for commissioning, without a plan.
+    """Return the itinerary's simulated bench with hanging arms.
+
+    It serves commissioning and needs no plan.
+
+    Args:
+        itinerary: arms, cart and settings of the bench.
+        faults: wiring mistakes for practice, default none.
 
     Raises:
         InputError: a fault that these arms cannot have, or a drawn plant without a known uncertainty.
@@ -806,10 +902,14 @@ class RigLink:
     def connected(
         self, itinerary: Itinerary, recipe: "BenchRecipe", *, ticks: int, what: str, loop: ControlLoop | None = None
     ) -> "Iterator[tuple[UdpRig, BenchProcess | None]]":
-        """Yield the rig with time for the `ticks` of `what`, and the example bench if there is one.
+        """Yield the rig, and the example bench if there is one.
 
-        recipe: bench of that run. loop: is rehearsed first and supplies the commands in flight; without one the arms
-        hang.
+        Args:
+            itinerary: itinerary of the run.
+            recipe: bench of that run.
+            ticks: number of ticks for which the rig has time.
+            what: name of the motion, for messages.
+            loop: loop that is rehearsed first and supplies the commands in flight; None for hanging arms.
 
         Raises:
             InputError: no bench answers, it needs a key, or it does not fit the itinerary.
@@ -852,7 +952,13 @@ class RigLink:
 
 
 def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real_time: bool) -> RigLink | None:
-    """Return the link to a bench, with the key of a file or of the environment, or None without an address.
+    """Return the link to a bench, or None without an address.
+
+    Args:
+        address: udp://HOST:PORT, or `udp` to start an example bench.
+        key_file: file with the shared key; None for that of the environment.
+        insecure: accept a bench on another computer without a key.
+        real_time: request priority from the system.
 
     Raises:
         InputError: the address is malformed, or the key is not readable.
@@ -881,6 +987,8 @@ def commission_rig(
         link: link to the rig (default: the example bench in simulated time).
         practice: itinerary with the settings of that bench.
         faults: its wiring mistakes.
+        switches: distance to creep to either side until a limit switch responds, m; 0 to skip this.
+        notify: receives instructions about the next step.
 
     Raises:
         InputError: no bench answers, it needs a key or does not fit the itinerary.
@@ -901,9 +1009,15 @@ def commission_rig(
 
 
 def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path, str]:
-    """Return the file for an itinerary with measured values in its [run], and its text.
+    """Return an itinerary's file and its text with measured values.
+
+    The values are in its [run].
 
     This is the itinerary's file, or for a shipped one a copy in the working folder's `itineraries`.
+
+    Args:
+        itinerary: itinerary from a TOML file.
+        values: values by key of [run].
 
     Raises:
         InputError: the file cannot be read, or its text cannot be changed.
@@ -923,9 +1037,14 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
 
 
 def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, live: LiveSink | None = None) -> RigRun:
-    """Run the closed loop of a planned itinerary on a bench, write its log to `out`, and score it.
+    """Run a planned itinerary on a bench, log and score it.
 
-    live: makes a sink that shows the run.
+    Args:
+        plan: plan of the itinerary.
+        out: log to write.
+        link: connection to the bench.
+        force: True to replace that file, default False.
+        live: makes a sink that shows the run; None for no view.
 
     Raises:
         InputError: no bench answers, it needs a key or does not fit the itinerary, the log cannot be written, or a live
@@ -955,12 +1074,19 @@ PROGRAM_WATCHDOG = 0.03
 
 
 def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = False, force: bool = False) -> RigRun:
-    """Run a planned itinerary on an example bench with an external program as the controller, log and score it.
+    """Run a planned itinerary with an external program as the controller.
+
+    It runs on an example bench, and is logged and scored.
 
     The log is written after the run: the loop processes the recorded readings, which gives its estimates and demands.
     The log contains the true states and differs from that of a simulated run by the effects of real time.
 
-    real_time: request priority from the system and from the program.
+    Args:
+        plan: plan of the itinerary.
+        out: log to write.
+        program: program to start.
+        real_time: request priority from the system and from the program.
+        force: True to replace that file, default False.
 
     Raises:
         InputError: the program cannot be run or does not fit the itinerary, or the log cannot be written.
