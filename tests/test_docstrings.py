@@ -11,10 +11,13 @@ ROOT = Path(__file__).parents[1] / "dpcontrol"
 LONGEST_SUMMARY = 12
 """Words of a summary, so that it fits on a line of an index or a tooltip."""
 FEWEST_ARGUMENTS = 2
-"""Arguments from which a function needs `Args:`; the summary can describe a single one."""
-PACKAGES = ("loop", "control", "runs", "plans", "judge", "rig", "recordings", "identification", "logs")
-"""Packages whose docstrings are checked."""
-COMPLETE = ("loop", "control", "runs", "plans", "judge", "rig", "recordings", "identification", "logs")
+"""Arguments from which a function needs `Args:`; the summary can describe a single one. Overrides have no docstring."""
+PACKAGES = (
+    "bench", "bifurcations", "control", "dynamics", "foundation", "identification", "judge", "logs", "loop", "orbits",
+    "planner", "plans", "proofs", "recordings", "references", "rig", "runs", "shooting", "tubes", "walks",
+)  # fmt: skip
+"""Packages whose docstrings are checked. Those of verbs in `cli` are help texts."""
+COMPLETE = ("control", "identification", "judge", "logs", "loop", "plans", "recordings", "rig", "runs")
 """Packages whose `Args:` must list every argument."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -69,7 +72,7 @@ def test_every_public_function_of_several_arguments_describes_them(package: str)
     lacking = [
         _place(file, one)
         for file, one, names in functions
-        if len(names) >= FEWEST_ARGUMENTS and _described(one) is None
+        if len(names) >= FEWEST_ARGUMENTS and ast.get_docstring(one) and _described(one) is None
     ]
     assert not lacking
 

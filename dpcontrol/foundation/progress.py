@@ -22,7 +22,12 @@ Reporting = Progress | Literal[True] | None
 
 
 def no_progress(what: str, done: float) -> None:
-    """Ignore progress."""
+    """Ignore progress.
+
+    Args:
+        what: the current task.
+        done: its completed fraction, 0 to 1.
+    """
 
 
 def part_of(progress: Progress, low: float, high: float) -> Progress:
