@@ -1,4 +1,4 @@
-"""What matters first about a run: limits and filter.
+"""The limits that a run came closest to, and its filter.
 
 The largest values are compared with their limits. The closest of them is reported, and the state of the filter.
 """
