@@ -7,7 +7,9 @@ wraps titles to the width of their panel, and places keys below them. No page ch
 """
 
 import sys
-from collections.abc import Callable, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from io import BytesIO
@@ -251,6 +253,14 @@ def _literal_texts(figure: Figure) -> None:
             text.set_text(printable(text.get_text()))
 
 
+@contextmanager
+def missing_glyphs_as_boxes() -> Iterator[None]:
+    """Draw characters that no font has as boxes, without a warning for each."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font", category=UserWarning)
+        yield
+
+
 def save_figure(figure: Figure, path: Path | str) -> None:
     """Write a figure as PNG or PDF, by the name's suffix.
 
@@ -264,7 +274,8 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     _literal_texts(figure)
     with whole_file(path, suffix=f".{kind}") as temporary:
         try:
-            figure.savefig(temporary, format=kind)
+            with missing_glyphs_as_boxes():
+                figure.savefig(temporary, format=kind)
         except OverflowError as error:
             raise InputError(
                 f"cannot draw {path}: its curves reach too far ({error}); look for time that runs backward or jumps"
@@ -327,7 +338,9 @@ MOST_IN_KEY = 4
 
 def settle(figure: Figure) -> None:
     """Wrap titles to the widths of their panels, move them above keys, and move apart direct labels."""
-    figure.draw_without_rendering()
+    _literal_texts(figure)
+    with missing_glyphs_as_boxes():
+        figure.draw_without_rendering()
     for axes in figure.axes:
         inches = axes.get_window_extent().width / figure.dpi
         title, legend, pad = axes.get_title(loc="left"), axes.get_legend(), 4.0

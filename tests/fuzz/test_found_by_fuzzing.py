@@ -15,7 +15,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.replay import filter_settings
 from dpcontrol.judge.score import score
 from dpcontrol.logs import LogWriter, read_log
-from dpcontrol.pages.layout import new_figure, save_figure
+from dpcontrol.pages.layout import Page, new_figure, save_figure
 from dpcontrol.references.reference import load_reference, save_reference
 
 REST = 'model = "lab"\nstart = "hold"\nhold = "down-down"\nseconds = 0.5\n[controller]\nkind = "lqr"\n'
@@ -130,6 +130,18 @@ def test_control_characters_in_a_title_are_drawn_as_text(recwarn: pytest.Warning
     figure.suptitle("\x1b[31mred")
     save_figure(figure, Path("out.png"))
     assert not [str(one.message) for one in recwarn if "\x1b" in str(one.message) or "Glyph" in str(one.message)]
+
+
+def test_control_characters_in_a_title_are_drawn_as_text_on_a_page(recwarn: pytest.WarningsRecorder) -> None:
+    """The page was drawn once for its layout before the characters were written out."""
+    page = Page("a\x1b[31m\x07 title", "verdict").text("a $ and \x1b").figure()
+    save_figure(page, "page.png")
+    assert not recwarn.list
+
+
+def test_characters_that_no_font_has_are_drawn_without_warnings(recwarn: pytest.WarningsRecorder) -> None:
+    save_figure(Page("\U0001f680 \ue000", "verdict").figure(), "page.png")
+    assert not recwarn.list
 
 
 def test_a_huge_integer_is_refused_before_use() -> None:
