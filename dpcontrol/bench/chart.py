@@ -162,8 +162,9 @@ class Diagram:
 
         Args:
             title: title of the diagram.
-            x_label, y_label: quantities with their units.
-            more: further fields.
+            x_label: quantity and unit of the horizontal axis.
+            y_label: quantity and unit of the vertical axis.
+            **more: further fields of the diagram, by name.
         """
         return replace(self, title=title, x_label=x_label, y_label=y_label, **more)
 
@@ -631,7 +632,7 @@ def measured_maps(
 
     Args:
         progress: called with a label and the completed share.
-        plans: (map without borders, border at a value, values).
+        *plans: (map without borders, border at a value, values).
     """
     total, maps, done = sum(len(values) for *_, values in plans), [], 0
     for one, border, values in plans:

@@ -242,7 +242,7 @@ def compare(
         judge: function of an alternative and its first result.
         rounds: see `timed_in_turns`.
         starts_up: see `timed_in_turns`.
-        turns: further arguments of `timed_in_turns`.
+        **turns: further arguments of `timed_in_turns`.
 
     Returns:
         The points as a diagram without a title.

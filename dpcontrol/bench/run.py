@@ -210,7 +210,8 @@ def changes(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, .
     """Return a sentence for each changed front, except ties.
 
     Args:
-        before, after: panels of both drawings.
+        before: panels of the earlier drawing.
+        after: panels of the new drawing.
     """
     known = {panel.title: panel for panel in before}
     found = []
@@ -241,7 +242,8 @@ def losses(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ..
     """Return a sentence for each default that became slower or less accurate.
 
     Args:
-        before, after: panels of both drawings.
+        before: panels of the earlier drawing.
+        after: panels of the new drawing.
     """
     return slower(before, after) + less_accurate(before, after)
 
@@ -252,7 +254,8 @@ def slower(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ..
     It is compared with the earlier one.
 
     Args:
-        before, after: panels of both drawings.
+        before: panels of the earlier drawing.
+        after: panels of the new drawing.
     """
     found = []
     for panel, was, now in _defaults(before, after):
@@ -269,7 +272,8 @@ def less_accurate(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[
     """Return a sentence for each default with a larger error than before.
 
     Args:
-        before, after: panels of both drawings.
+        before: panels of the earlier drawing.
+        after: panels of the new drawing.
     """
     return tuple(
         f"{panel.title}: {now.name} errs by {now.error:.2g}, and did by {was.error:.2g}"

@@ -223,7 +223,8 @@ def locate_graze(problem: LinkProblem, section: Section, first: PathPoint, secon
     Args:
         problem: matching of two tubes.
         section: section of the system.
-        first, second: points of one path.
+        first: point of a path.
+        second: later point of the same path.
     """
     middle = _middle_touch(problem, section, first, second)
     found = _touches(problem, section, first, second) if middle is None else [middle]
@@ -511,7 +512,8 @@ class Sweep:
         """Explain the differences between two searches, with a cache.
 
         Args:
-            low, high: energies of the searches, J.
+            low: energy of the first search, J.
+            high: energy of the second search, J.
         """
         before, after = self.search(low), self.search(high)
         if (low, high) not in self._intervals:
@@ -529,7 +531,8 @@ class Sweep:
         """Return True if an interval's cached explanation is up to date.
 
         Args:
-            low, high: ends of the interval, J.
+            low: lowest energy of the interval, J.
+            high: highest energy of the interval, J.
         """
         return (low, high) in self._intervals
 
@@ -741,7 +744,8 @@ def find_bifurcations(
 
     Args:
         system: system of two degrees of freedom.
-        source, target: names of the saddles.
+        source: name of the saddle that connections leave.
+        target: name of the saddle that they approach.
         energies: (lowest, highest), J.
         crossings: number of section crossings, 1 for first hits.
         settings: settings of the sweep.

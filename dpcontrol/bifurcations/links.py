@@ -119,7 +119,8 @@ def phase_gap(first: float, second: float) -> float:
     """Return the difference of two phases, reduced to -½ to ½.
 
     Args:
-        first, second: phases, 1 for a period.
+        first: phase, 1 for a period.
+        second: phase that is subtracted, 1 for a period.
     """
     return (first - second + 0.5) % 1.0 - 0.5
 
@@ -305,7 +306,8 @@ class LinkProblem:
         It is infinite for different branches.
 
         Args:
-            first, second: links at any energy.
+            first: link at any energy.
+            second: link at any energy, whose duration is the unit.
         """
         if first.branches != second.branches:
             return float("inf")
@@ -484,7 +486,8 @@ def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPo
 
     Args:
         problem: matching of two tubes.
-        first, second: points of one path.
+        first: point of a path.
+        second: another point of the same path.
     """
     start = first.coordinates
     chord = second.coordinates - start
