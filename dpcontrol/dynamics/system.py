@@ -135,7 +135,7 @@ class System(Brief, InUnits):
             equilibria: name -> guess of the coordinates (2,), refined by Newton's method. At least one is a
                 saddle.
             parameters: name -> value, or None without parameters.
-            options: see `SystemOptions`.
+            **options: see `SystemOptions`.
 
         Raises:
             InputError: an invalid energy, guess, symmetry or option.
@@ -166,7 +166,7 @@ class System(Brief, InUnits):
             coordinates: names (2,).
             equilibria: see `from_lagrangian`. Their momenta are computed.
             parameters: name -> value, or None without parameters.
-            options: see `SystemOptions`.
+            **options: see `SystemOptions`.
 
         Raises:
             InputError: an invalid energy, guess, symmetry or option.
@@ -253,7 +253,8 @@ class System(Brief, InUnits):
         """Return the section of connections between two saddles.
 
         Args:
-            source, target: names of the saddles.
+            source: name of the saddle that connections leave.
+            target: name of the saddle that they approach.
             name: short name of another section; None for the default one.
 
         Raises:
@@ -303,7 +304,8 @@ class System(Brief, InUnits):
         Angles count modulo a turn.
 
         Args:
-            first, second: states (…, N).
+            first: states (…, N).
+            second: states (…, N) that are subtracted.
         """
         difference = checked_array("first", first, len(self.scale)) - checked_array("second", second, len(self.scale))
         difference = difference - self.nearest_turns(difference) * self.turn_lengths
@@ -409,7 +411,7 @@ def described_system(
         parameters: values (p,).
         coordinates: names (n,).
         equilibria: name -> guess (n,) or (N,), refined by Newton's method.
-        options: see `SystemOptions`.
+        **options: see `SystemOptions`.
 
     Raises:
         InputError: an invalid guess, symmetry or option.

@@ -16,7 +16,8 @@ def number(name: str, value: Any, *, least: float = -math.inf, most: float = mat
     Args:
         name: argument, for the message.
         value: number given by the user.
-        least, most: bounds, inclusive, in the unit of the value.
+        least: lower bound, inclusive, in the unit of the value.
+        most: upper bound, inclusive, in the unit of the value.
 
     Raises:
         InputError: the value is not a number, not finite, or out of bounds.
@@ -36,7 +37,8 @@ def whole(name: str, value: Any, *, least: int, most: int) -> int:
     Args:
         name: argument, for the message.
         value: number given by the user.
-        least, most: bounds, inclusive.
+        least: lower bound, inclusive.
+        most: upper bound, inclusive.
 
     Raises:
         InputError: the value is not a whole number, or out of bounds.
@@ -114,7 +116,8 @@ def allowed_range(kind: str, least: float, most: float) -> str:
 
     Args:
         kind: noun, such as "a whole number".
-        least, most: bounds, inclusive; infinite without one.
+        least: lower bound, inclusive, or -inf for none.
+        most: upper bound, inclusive, or inf for none.
     """
     if math.isinf(least) and math.isinf(most):
         return kind

@@ -358,7 +358,7 @@ def content_hash(*parts: str | bytes) -> str:
     """Return 16 hexadecimal digits that identify `parts` in order.
 
     Args:
-        parts: bytes, or texts encoded as UTF-8.
+        *parts: bytes, or texts encoded as UTF-8.
     """
     digest = hashlib.sha256()
     for part in parts:
@@ -548,7 +548,7 @@ def picked(result: Any, *names: str) -> dict[str, Any]:
 
     Args:
         result: any object.
-        names: attributes.
+        *names: names of its attributes.
     """
     return {name: getattr(result, name) for name in names}
 

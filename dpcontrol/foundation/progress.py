@@ -37,7 +37,8 @@ def part_of(progress: Progress, low: float, high: float) -> Progress:
 
     Args:
         progress: progress function of the whole work.
-        low, high: completed fractions, 0 to 1, at the begin and end of the part.
+        low: completed share of the whole work at the start of the part, 0 to 1.
+        high: completed share of the whole work at the end of the part, 0 to 1.
     """
 
     def report(what: str, done: float) -> None:

@@ -197,7 +197,7 @@ class Table:
         Args:
             kind: the dataclass.
             also: further keys, for suggestions.
-            given: fields that the caller sets and that are not allowed in the file.
+            **given: fields that the caller sets and that are not allowed in the file.
         """
         hints = get_type_hints(kind)
         values = dict(given)
@@ -215,7 +215,7 @@ class Table:
 
         Args:
             kind: the dataclass.
-            values: its fields.
+            **values: its fields by name.
         """
         try:
             return kind(**values)
@@ -518,7 +518,7 @@ def setting(default: Any = MISSING, /, *, help: str = "", **bounds: Any) -> Any:
     Args:
         default: required if there is none. None passes the bounds.
         help: a noun phrase without the unit, for tables, `--help` and the schema.
-        bounds: fields of `Bounds`; they hold for every value of a tuple.
+        **bounds: fields of `Bounds`; they hold for every value of a tuple.
     """
     return field(default=default, metadata={"bounds": Bounds(**bounds), "help": help})
 

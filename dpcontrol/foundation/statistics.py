@@ -69,7 +69,8 @@ def paired(first: ArrayLike, second: ArrayLike) -> Pairing:
     """Compare the outcomes of two controllers on the same seeds.
 
     Args:
-        first, second: outcomes (K,), True for success, in the same order of seeds.
+        first: outcomes (K,) of one controller, True for success.
+        second: outcomes (K,) of the other controller, in the same order of seeds.
 
     Raises:
         ValueError: the numbers of outcomes differ.
