@@ -144,7 +144,8 @@ class FamilyCurve(Brief):
 
         Args:
             start: first point.
-            step, smallest: longest and shortest step, in units of the weights.
+            step: longest step, in units of the weights.
+            smallest: shortest step, in units of the weights.
             too_long: function of two successive points. If it returns True, a step that converges is still halved, if
                 possible.
         """

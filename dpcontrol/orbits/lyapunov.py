@@ -195,9 +195,9 @@ class SymmetricShooting(Brief):
         """Return the unknowns and scaled residual of the member on a plane.
 
         Args:
-            guess (n + 1,): point on the plane.
-            tangent (n + 1,): normal of the plane.
-            weights (n + 1,): units of the unknowns in the scalar product.
+            guess: point (n + 1,) on the plane.
+            tangent: normal (n + 1,) of the plane.
+            weights: units (n + 1,) of the unknowns in the scalar product.
             iterations: most steps of Newton's method.
             tolerance: largest scaled residual.
         """

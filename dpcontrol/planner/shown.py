@@ -36,9 +36,9 @@ def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -
     Each row has the pivot's x, then x and y (upward) of each arm's end.
 
     Args:
-        angles (K, n): rad.
-        lengths: of the arms, m.
-        cart (K,): position, m.
+        angles: angles (K, n) of the arms from hanging, rad.
+        lengths: lengths (n,) of the arms, m.
+        cart: cart positions (K,) or one for all rows, m.
     """
     along = np.asarray(lengths) * np.sin(angles)
     up = -np.asarray(lengths) * np.cos(angles)
