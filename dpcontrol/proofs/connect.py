@@ -164,7 +164,8 @@ def link(
     Args:
         surface: energy surface.
         connection: connection on the surface.
-        source, target: boxes of its orbits.
+        source: boxes of the orbit that it leaves.
+        target: boxes of the orbit that it approaches.
         settings: settings of the integrator.
 
     Raises:

@@ -60,7 +60,7 @@ def enclose(
     Args:
         surface: energy surface.
         chain: legs (K,).
-        widths (K + 1, 2): half-widths of the boxes, including those of the last leg's end.
+        widths: half-widths (K + 1, 2) of the boxes, including those of the last leg's end.
         settings: settings of the integrator.
         progress: called with a label and the completed share.
 

@@ -31,7 +31,8 @@ def dot(first: Sequence[Any], second: Sequence[Any]) -> Any:
     """Return the scalar product of two vectors of balls.
 
     Args:
-        first, second: balls (N,).
+        first: balls (N,).
+        second: balls (N,).
     """
     return sum((a * b for a, b in zip(first, second, strict=True)), flint.arb(0))
 

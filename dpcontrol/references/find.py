@@ -568,8 +568,9 @@ def smooth_guess(start: Array, end: Array, duration: float) -> Guess:
     """Return a smooth guess, at rest at both ends.
 
     Args:
-        start, end: states (2n,) of the arms.
-        duration: duration, s.
+        start: first state (2n,) of the arms, rad and rad/s.
+        end: last state (2n,) of the arms, rad and rad/s.
+        duration: time between both states, s.
     """
     n = len(start) // 2
     change = end[:n] - start[:n]

@@ -77,7 +77,7 @@ class Reference(Trajectory):
         Args:
             trajectory: motion with its input.
             limits: limits of the cart.
-            about: the fields after `limits`, by name.
+            **about: the fields after `limits`, by name.
         """
         return cls(trajectory.method, trajectory.mesh, trajectory.states, trajectory.inputs, limits, **about)
 

@@ -278,8 +278,9 @@ class SustainedOrbit(ByReference, Timed):
         They are those of the pieces between two times. A piece ends where an interval of the reference does.
 
         Args:
-            begin, end: times, s.
-            pulse: v(t), zero if there is none.
+            begin: start of the first piece, s.
+            end: end of the last piece, s.
+            pulse: added cart acceleration v(t), m/s²; None for none.
         """
         mesh = self.reference.mesh
         ends = np.concatenate([[begin], mesh[(mesh > begin + 1e-12) & (mesh < end - 1e-12)], [end]])
