@@ -138,7 +138,7 @@ def refine(
     Args:
         solution: solution in doubles.
         energy: exact energy, by default that of the double orbit.
-        parameters (p,): exact parameters of the equations, by default the doubles of the system.
+        parameters: exact parameters (p,) of the equations, by default the doubles of the system.
         settings: tolerance and iterations.
 
     Returns:

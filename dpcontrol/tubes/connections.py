@@ -193,7 +193,8 @@ def angle_between(first: Array, second: Array) -> float:
     """Return the angle between two tangents, deg (0 to 90).
 
     Args:
-        first, second: tangents (2,), of any length.
+        first: tangent (2,), of any length.
+        second: tangent (2,), of any length.
     """
     lengths = np.linalg.norm(first) * np.linalg.norm(second)
     return float(np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]) / lengths))))
@@ -311,7 +312,8 @@ def can_be_reversed(system: System, source: str, target: str, *, section: Sectio
 
     Args:
         system: Hamiltonian system with reversers.
-        source, target: names of the saddles.
+        source: name of the saddle that connections leave.
+        target: name of the saddle that they approach.
         section: section of the search, None for the saddles' default.
     """
     reverser = system.reversers[0]
@@ -483,7 +485,8 @@ def orbits_between(system: System, source: str, target: str, energy: float) -> t
 
     Args:
         system: Hamiltonian system.
-        source, target: names of the saddles.
+        source: name of the saddle that connections leave.
+        target: name of the saddle that they approach.
         energy: energy of the orbits, J.
 
     Raises:
@@ -510,7 +513,8 @@ def find_connections(
     beside another saddle and return have at least two crossings.
 
     Args:
-        source, target: orbits of one energy.
+        source: orbit that connections leave.
+        target: orbit that they approach, at the same energy.
         hits: crossing numbers of both tubes.
         section: the saddles' default unless given.
         settings: settings of the search.
@@ -756,7 +760,8 @@ def find_lap_connections(
     One of the two orbits must cross the section and the other must not. The first crossing of the other tube is used.
 
     Args:
-        source, target: orbits of one energy.
+        source: orbit that connections leave.
+        target: orbit that they approach, at the same energy.
         section: the section.
         crossings: crossing numbers of the lapping tube, counted from its seeds. The default is the last one before a
             scaled distance of about 0.4.

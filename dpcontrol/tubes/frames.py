@@ -21,10 +21,10 @@ def directions(system: System, states: Array, stms: Array, *, closed: bool, firs
     Args:
         system: system of the states.
         states: nodes (K, N).
-        stms (K - 1, N, N): state-transition matrices, (K, N, N) for a closed chain.
+        stms: state-transition matrices (K - 1, N, N), or (K, N, N) for a closed chain.
         closed: True for a closed chain.
-        first (N,): growing direction at the first node.
-        last (N,): shrinking direction at the last node.
+        first: growing direction (N,) at the first node, or a guess of it for a closed chain.
+        last: shrinking direction (N,) at the last node, or a guess of it for a closed chain.
     """
     scale, numeric, count = system.scale, system.numeric, len(states)
     flow = numeric.rate(states) / scale
@@ -60,8 +60,8 @@ def closed_frames(system: System, states: Array, durations: Array) -> tuple[Arra
 
     Args:
         system: system of the orbit.
-        states (K, N): nodes, of which the first follows the last.
-        durations (K,): flight times, s.
+        states: nodes (K, N), of which the first follows the last.
+        durations: flight times (K,) from each node to the next, s.
     """
     _, stms = system.propagator.flows_with_stm(states, durations)
     ones = np.cos(np.arange(system.dimension) + 1.0) * system.scale

@@ -104,8 +104,8 @@ def labels(
         system: system of the section.
         section: section of the system.
         outlines: closed cuts of both tubes.
-        points (K, 2): coordinates (q, p/p₀).
-        direction (K,): of crossing.
+        points: section coordinates (K, 2), q and p/p₀.
+        direction: directions (K,) of crossing, +1 or -1.
     """
     found = np.zeros(len(points), dtype=np.int8)
     period = position_period(system, section)

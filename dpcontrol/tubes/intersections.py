@@ -78,7 +78,8 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
     segments do.
 
     Args:
-        first, second: vertices (V, 2) of the curves, in order.
+        first: vertices (V, 2) of one curve, in order.
+        second: vertices (W, 2) of the other curve, in order.
         margin: factor on both sagittas.
     """
     if len(first) < 3 or len(second) < 3:
