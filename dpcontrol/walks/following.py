@@ -144,7 +144,8 @@ class SymbolBranches:
         """Return the changes of selection between two energies.
 
         Args:
-            low, high: first and last energy, J.
+            low: first energy, J.
+            high: last energy, J.
             progress: called with a label and the completed share.
         """
         grid, found = np.linspace(low, high, _GRID + 1).tolist(), []
@@ -182,7 +183,8 @@ def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[f
     """Return the bracket of a change, found by bisection.
 
     Args:
-        low, high: energies that enclose the change, J.
+        low: energy on one side of the change, J.
+        high: energy on the other side, J.
         holds: function of an energy; True at `low`, False at `high`.
     """
     for _ in range(_HALVED):

@@ -60,7 +60,8 @@ def phase_gap(before: Connection, after: Connection) -> float:
     It is in [0, 1).
 
     Args:
-        before, after: connections to and from one orbit.
+        before: connection to an orbit.
+        after: next connection, which leaves this orbit.
     """
     return (after.phase_out - before.phase_in) % 1.0
 
@@ -72,7 +73,8 @@ def passage(before: Connection, after: Connection, wraps: int) -> float:
     point at a distance of 1e-3, and differ from them by about as much.
 
     Args:
-        before, after: connections on either side of the stop.
+        before: connection to the stop.
+        after: connection that leaves the stop.
         wraps: number of wraps at the stop.
     """
     since, until = _asymptotic_phases(before, after)
@@ -85,7 +87,8 @@ def stop_rounds(before: Connection, after: Connection, wraps: int) -> int:
     At a rotating orbit, each period shifts the next connection by one turn.
 
     Args:
-        before, after: connections to and from one orbit.
+        before: connection to an orbit.
+        after: next connection, which leaves this orbit.
         wraps: periods of the orbit during the stop.
     """
     since, until = _asymptotic_phases(before, after)
@@ -339,7 +342,7 @@ def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int
 
     Args:
         connections: the walk. Stop k lies between connections k and k + 1.
-        stays (s,): time between the section crossings on either side of each stop, s.
+        stays: times (S,) between the section crossings on either side of each of the S stops, s.
     """
     counts = []
     for k, seconds in enumerate(stays):
@@ -601,7 +604,8 @@ class WalkSolver:
             chain: connections of the walk.
             wraps: periods at each stop.
             periodic: True for a closed walk.
-            lead_in, lead_out: periods on the first and the last orbit.
+            lead_in: periods on the first orbit.
+            lead_out: periods on the last orbit.
 
         Raises:
             InputError: the wraps do not match the walk.

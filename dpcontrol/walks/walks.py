@@ -345,7 +345,8 @@ def count_walks(edges: Edges, length: int, *, source: str | None = None, target:
     Args:
         edges: connections at one energy.
         length: number of symbols.
-        source, target: names of the first and last stop; None for any.
+        source: name of the first stop, or None for any.
+        target: name of the last stop, or None for any.
 
     Raises:
         InputError: a length below one, or a saddle without an orbit.
@@ -364,7 +365,8 @@ def all_walks(edges: Edges, length: int, *, source: str | None = None, target: s
     Args:
         edges: connections at one energy.
         length: number of symbols.
-        source, target: names of the first and last stop; None for any.
+        source: name of the first stop, or None for any.
+        target: name of the last stop, or None for any.
 
     Raises:
         InputError: a length below one, or a saddle without an orbit.
@@ -643,7 +645,7 @@ def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Ex
     Args:
         answer: result in double precision.
         energy: exact value, J.
-        parameters (p,): exact values.
+        parameters: exact values (p,) of the equations' parameters.
 
     Raises:
         GoalMissed: a periodic orbit cannot be refined, or the machine has no 113-bit floating-point type.
