@@ -72,10 +72,7 @@ UNITS = ("s", "m", "rad", "J", "m/s²", "m²/s³", "1/(N m s)", "N m s")
 
 @dataclass(frozen=True)
 class ChartTable:
-    """A table for display.
-
-    It has a title, column heads and rows of text, followed by notes, one per line.
-    """
+    """A title, column heads and rows of text, followed by notes."""
 
     title: str
     columns: tuple[str, ...]
@@ -533,7 +530,7 @@ class Searches:
         return f"{ours.method.capitalize()}, {rate} of tries find the flight, in {cost} each; {best} {ending}"
 
     def table(self) -> ChartTable:
-        """Return the searches as a table."""
+        """Return a table of each search's tries, success rates and times."""
         rows = tuple(
             (s.method, str(s.tries), f"{s.found / s.tries:.0%}", f"{s.good / s.tries:.0%}",
              quantity(s.seconds_to_good, "s") if s.good else "-")
@@ -619,7 +616,7 @@ class PrecisionChart(ChartPage):
 
 @dataclass(frozen=True)
 class EdgeChart(ChartPage):
-    """A page of maps of failure."""
+    """A page of maps with the borders between success and failure."""
 
     PARTS: ClassVar[str] = "maps"
     parts: tuple[EdgeMap, ...]

@@ -79,10 +79,7 @@ Judge = Callable[[BatchRun], bool]
 
 @dataclass(frozen=True)
 class ControlTask:
-    """Task for comparing controllers.
-
-    It has a reference, the arms, and the judge of a run.
-    """
+    """A reference, its arms, and the judge of each controller's run."""
 
     title: str
     reference: Reference
@@ -91,7 +88,7 @@ class ControlTask:
 
 
 def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart of controllers.
+    """Return controllers' errors and failure rates against the time of a tick.
 
     Args:
         quick: fewer seeds, sections and weights, and shorter holds.

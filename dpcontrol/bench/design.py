@@ -151,7 +151,7 @@ def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]
 
 
 def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progress, *, quick: bool) -> Diagram:
-    """Return the diagram of searches.
+    """Return the time and error of connection searches by their settings.
 
     It varies distance of the seeds, first phases, chord and tolerance.
 

@@ -476,7 +476,7 @@ MOVED, STILL = 0.02, 0.015
 
 
 def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart of estimates.
+    """Return the borders of estimation: lost samples and a stuck encoder.
 
     Args:
         quick: one rate, one phase, fewer seeds.
@@ -660,7 +660,7 @@ def _failure_reason(run: BatchRun) -> str:
 
 @cache
 def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
-    """Return an itinerary followed by a law.
+    """Return the loop of an itinerary and a law, with its margins.
 
     A stay lasts for `STAYED` s.
 

@@ -420,7 +420,7 @@ def with_inputs(problem: ReferenceProblem, arms: ArmChainParameters, generator: 
 
 @dataclass(frozen=True)
 class CemSettings:
-    """Settings of the cross-entropy method.
+    """Samples, generations and weights of the cross-entropy method.
 
     They are samples and elite of a generation, generations, length of held inputs s, initial standard deviation m/s²,
     and weight of the squared scaled miss relative to ∫u².
@@ -597,7 +597,7 @@ _LOOKED_AT = 3
 
 @dataclass(frozen=True)
 class Effort:
-    """Amount of work.
+    """Numbers of tries and runs that a comparison spends.
 
     It counts tries from curves with waves, from random inputs, by CEM and by homotopy, tries at each time of a front
     and for each walk, and runs of the loop. Other fields select blows and the times of a front as multiples of that

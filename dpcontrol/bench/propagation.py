@@ -172,7 +172,7 @@ TICK_ROUNDING = 1e-15
 
 
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
-    """Return the chart of propagation.
+    """Return the errors of integrators against their computing times.
 
     Args:
         quick: fewer trajectories, settings and repetitions.

@@ -72,7 +72,7 @@ _HALVINGS = 8  # largest number of bisections of a path around a turn
 
 @dataclass(frozen=True)
 class Located(Brief):
-    """A solved event.
+    """A bifurcation or touch of the section, located in energy.
 
     Attributes:
         energy: J.
@@ -315,7 +315,7 @@ def _touch(
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """Settings of an energy sweep.
+    """Energies, bisections and tolerances of a search for bifurcations.
 
     Energies within `closest` of a saddle's, relative to the energy scale, are excluded, because the tubes are thinner
     there than the distance of their seeds.
@@ -375,7 +375,7 @@ class Branch(NamedTuple):
 
 @dataclass(frozen=True)
 class Interval:
-    """Events between two energies.
+    """Changes of the connections between two energies.
 
     Attributes:
         changes: located events.
@@ -661,7 +661,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Bifurcation(Mark):
-    """A located bifurcation.
+    """A bifurcation with the state and symmetry of its connection.
 
     The state is on the section if the connection touches it, and otherwise at half of the flight time.
 
