@@ -1,4 +1,4 @@
-"""The verb planner."""
+"""The verb `planner`, which serves the page for planning in a browser."""
 
 import sys
 

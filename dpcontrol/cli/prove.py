@@ -1,4 +1,4 @@
-"""The verb prove."""
+"""The verb `prove`, which proves orbits and connections and checks certificates."""
 
 from dataclasses import replace
 from decimal import Decimal

@@ -33,10 +33,7 @@ OUTPUT, WORK = "Output", "Work"
 
 @dataclass
 class Call:
-    """State of one call.
-
-    It has JSON output, tracebacks, whether its answer was shown, and its files.
-    """
+    """Output options of one call of the program, and its files."""
 
     as_json: bool = False
     debug: bool = False

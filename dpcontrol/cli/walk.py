@@ -1,4 +1,4 @@
-"""The verb walk."""
+"""The verb `walk`, which lists walks and solves their orbits."""
 
 import math
 import re

@@ -555,7 +555,7 @@ class EkfProgram:
 
 
 class KalmanFilter(ABC):
-    """Common base of the filters.
+    """Base of all filters, which compiles the model's equations.
 
     Model, settings, measurement noise (n+1, n+1) and compiled equations.
 

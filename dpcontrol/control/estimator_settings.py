@@ -310,19 +310,19 @@ class AdaptiveFilterSettings(FilterSettings):
 
 @dataclass(frozen=True)
 class AdaptiveEkfSettings(AdaptiveFilterSettings, EkfSettings):
-    """The compiled filter with these defaults."""
+    """The compiled filter with the defaults for an adaptive controller."""
 
 
 @dataclass(frozen=True)
 class AdaptiveFilterpyEkfSettings(AdaptiveFilterSettings, FilterpyEkfSettings):
-    """filterpy's extended filter with these defaults."""
+    """filterpy's extended filter with the defaults for an adaptive controller."""
 
     kind: str = "ekf-filterpy"
 
 
 @dataclass(frozen=True)
 class AdaptiveUkfSettings(AdaptiveFilterSettings, UkfSettings):
-    """The unscented filter with these defaults."""
+    """The unscented filter with the defaults for an adaptive controller."""
 
     kind: str = "ukf"
 

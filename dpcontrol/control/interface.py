@@ -143,7 +143,7 @@ def interpolated(states: Array, place: Any, lanes: Lanes) -> Array:
 
 
 class Estimate(NamedTuple):
-    """Estimate after a tick."""
+    """State and extra quantities after a tick, with their uncertainty."""
 
     state: Array
     """State (N,) of the model."""

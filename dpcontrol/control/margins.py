@@ -160,7 +160,7 @@ class LinearLoop(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Margins(Brief):
-    """Margins of W windows.
+    """Gain, delay and lag margins of the loop in W windows.
 
     A margin at a bound of the search is at least that large. A window that is unstable without changes has margins of 1
     and 0.

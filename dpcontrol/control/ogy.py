@@ -64,7 +64,7 @@ _MOST_PERIODS = 5000
 
 @dataclass(frozen=True, eq=False)
 class Learning(Brief):
-    """Data for learning from sections.
+    """Filter of the model's parameter errors, updated at each section.
 
     Attributes:
         sensitivities: d (k, 2n, m).

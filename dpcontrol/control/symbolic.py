@@ -115,7 +115,7 @@ class SymbolicController(TimedController):
 
 
 def symbolic_controller(law: SymbolicLaw, reference: Reference, model: SampledModel) -> SymbolicController:
-    """Return a law on a reference.
+    """Return the controller that applies a symbolic law along a reference.
 
     Args:
         law: the law.

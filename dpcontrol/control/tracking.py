@@ -83,7 +83,7 @@ MOST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ReferenceController(Brief):
-    """Controller along a reference.
+    """States, feedforward and gains at the ticks of a reference.
 
     States (K+1, N), inputs (K,) m/s² and gains (K, N) at the ticks.
     """

@@ -216,7 +216,7 @@ class _Unscented(UnscentedKalmanFilter):
 
 
 class Ukf(FilterpyEstimator):
-    """The unscented Kalman filter."""
+    """filterpy's unscented Kalman filter, whose points follow the compiled model."""
 
     def __init__(self, model: SampledModel, settings: UkfSettings, *, noise: Array) -> None:
         super().__init__(model, settings, noise=noise)
