@@ -26,7 +26,7 @@ from dpcontrol.foundation.shown import Brief
 
 @dataclass(frozen=True)
 class Mechanics(Brief):
-    """A mechanical system.
+    """Equations of motion of a mechanical system.
 
     All fields but the last two are casadi SX expressions.
 

@@ -286,7 +286,7 @@ class _Chain(NamedTuple):
 
 @dataclass(eq=False)
 class Linearised:
-    """All swings linearised.
+    """Residuals of all swings and their derivatives at one point.
 
     Attributes:
         gaps: sum of the gaps between windows.

@@ -64,7 +64,7 @@ _NEAR = 20
 
 @dataclass(frozen=True)
 class Segment:
-    """A segment as used.
+    """A segment of a log, used for the fit or held out.
 
     Running index, log, first time s, length s, used or held out, rms rad.
     """
@@ -341,7 +341,7 @@ class Candidate(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Identification(Shown):
-    """Result of an identification."""
+    """Identified arms with errors, encoder zeros and friction laws."""
 
     arms: ArmChainParameters
     """Arms nearest to the starting model that have the identified ratios."""
@@ -557,7 +557,7 @@ _AT = (-3.0, -1.5, 1.5, 3.0)
 
 @dataclass(frozen=True, eq=False)
 class LossProfile(Brief):
-    """Profile of one unknown.
+    """Rise of the loss if one unknown is held off its best.
 
     Values (K,), relative rise of the loss (K,), and its linearised prediction.
     """
