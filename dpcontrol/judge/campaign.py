@@ -64,7 +64,7 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class CampaignSummary(Shown):
-    """Summary of a campaign's table.
+    """Success rates and causes of failure in a campaign's table.
 
     Attributes:
         path: of the table.

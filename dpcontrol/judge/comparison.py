@@ -22,7 +22,7 @@ MOST = 6
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One run of a comparison.
+    """A run on the common clock of a comparison.
 
     Attributes:
         name: file name, numbered if another run has the same.

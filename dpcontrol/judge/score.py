@@ -52,7 +52,7 @@ class Thinking:
 
 @dataclass(frozen=True)
 class Score:
-    """A run's verdict.
+    """Completion, tracking error, consistency and cart use of a run.
 
     Attributes:
         completed: None if the true state is unknown.

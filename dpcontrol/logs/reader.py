@@ -977,7 +977,7 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """Summary of a complete log.
+    """Contents of a complete log: topics, attachments and metadata.
 
     Attributes:
         log: path of the log.

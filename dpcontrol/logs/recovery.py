@@ -191,7 +191,7 @@ _SHOWN_GAPS = 3
 
 @dataclass(frozen=True)
 class Recovery:
-    """Result of a recovery.
+    """Ticks, gaps and losses of a recovered log.
 
     Attributes:
         source: file that was read.
@@ -277,7 +277,7 @@ def _check_declared(path: Path, tick: TickLayout, chunks: Sequence[SoundChunk]) 
 
 
 def _free_name(path: Path) -> Path:
-    """Return the default target.
+    """Return a free name for the recovered log.
 
     The log's name if it is free, or a similar free name.
     """
