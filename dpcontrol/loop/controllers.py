@@ -305,7 +305,7 @@ ControllerSettings = (
 
 @dataclass(frozen=True, eq=False)
 class LawInputs:
-    """Inputs of a controller.
+    """Arguments from which the controllers of all kinds are made.
 
     parameters: the model's arms. estimator: for the state that it will estimate. keep: see `make_controller`.
     """

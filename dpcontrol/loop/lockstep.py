@@ -19,7 +19,7 @@ from dpcontrol.loop.ticker import Ticker
 
 
 class Lockstep:
-    """The closed loop of many runs."""
+    """The closed loop of many runs that advance tick by tick."""
 
     def __init__(self, ticker: Ticker, bench: BatchBench, draws: Sequence[BenchDraw]) -> None:
         self._ticker, self._bench, self._runs = ticker, bench, len(draws)
@@ -75,7 +75,7 @@ class Lockstep:
             self._end([lane], k + 1, Ending.OBJECT_FAILED, why)
 
     def _handle_outcomes(self, k: int, report: Array, rows: JudgedTicks) -> None:
-        """Handle the outcomes of tick k."""
+        """Stop the carts of runs whose outcome at tick k ends them."""
         outcomes = report[self._ticker.at["outcome"]] * self._alive
         for lane in np.flatnonzero(outcomes).tolist():
             outcome = Outcome(int(outcomes[lane]))

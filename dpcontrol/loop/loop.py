@@ -242,7 +242,7 @@ class ControlLoop:
         return rows, rows.take
 
     def _handle_outcome(self, k: int, rig: Rig) -> None:
-        """Handle the outcome of tick k."""
+        """React to tick k: recover, restart, hold, or stop the cart."""
         ticker, now = self.ticker, k * self._period
         report = ticker.program.report
         outcome = Outcome(int(report.item(ticker.at["outcome"], 0)))
@@ -324,7 +324,7 @@ _SHAPED = 0.25
 
 @dataclass(frozen=True)
 class LoopSettings(Settings, table="run"):
-    """The settings of a run.
+    """Rate, controller, estimator, bench and plant errors of a run.
 
     Attributes:
         seed: seed of the random numbers.
@@ -394,7 +394,7 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def bench(self) -> BenchSettings:
-        """Settings of the bench."""
+        """Sensors, drive, disturbances and mechanics of the simulated bench."""
         return BenchSettings(self.sensors, self.drive, self.disturbances, self.mechanics)
 
     def known_mechanics(self, arms: int) -> KnownMechanics:

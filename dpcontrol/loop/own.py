@@ -300,7 +300,7 @@ def load_own(role: str, source: str) -> OwnObject:
 
 @dataclass(frozen=True)
 class OwnLaw:
-    """The settings of a user's law."""
+    """Settings that select a user's law by its object."""
 
     kind: str
     own: OwnObject
@@ -308,7 +308,7 @@ class OwnLaw:
 
 @dataclass(frozen=True)
 class OwnExpressions:
-    """The settings of a user's symbolic law."""
+    """Settings that select a user's symbolic law by its object."""
 
     kind: str
     own: OwnObject
@@ -316,7 +316,7 @@ class OwnExpressions:
 
 @dataclass(frozen=True)
 class OwnEstimator(FilterSettings):
-    """The settings of a user's estimator, which estimates only the state."""
+    """Settings that select a user's estimator, which estimates only the state."""
 
     kind: str = "own"
     augment: tuple[str, ...] = ()
@@ -325,7 +325,7 @@ class OwnEstimator(FilterSettings):
 
 @dataclass(frozen=True)
 class OwnPlant:
-    """The settings of a user's plant.
+    """Settings that select a user's plant by its object.
 
     It replaces arms, cart and drive. A `SymbolicPlant` replaces only one component.
     """

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class UserLaw(Protocol):
-    """A control law.
+    """Methods of a user's control law.
 
     It may have `reset()`, which is called before each run.
     """
@@ -71,7 +71,7 @@ class UserPlant(Protocol):
 
 
 class UserRig(Protocol):
-    """A bench in simulated time.
+    """Methods of a user's bench in simulated time.
 
     It may have `truth`, the true state (2n+2,), for scores.
     """

@@ -50,7 +50,7 @@ class Reading(NamedTuple):
 
 
 class Rig(Protocol):
-    """A bench.
+    """Interface between the loop and a simulated or real bench.
 
     Each period: one `read`, which waits for the tick, then one `command`.
     """
@@ -102,7 +102,7 @@ CONTROL_HEAD = 7
 
 
 class Ending(StrEnum):
-    """Ending of a run."""
+    """Reason why a run ended."""
 
     FINISHED = "finished"
     """The reference was followed to its end. The score decides if the itinerary was completed."""
@@ -249,7 +249,7 @@ def ending(outcome: Outcome) -> Ending:
 
 @dataclass(frozen=True, eq=False)
 class Ticks(Brief):
-    """K ticks of n arms.
+    """Readings, estimates, references and commands of K ticks, n arms.
 
     Attributes:
         times: times (K,), s.

@@ -574,7 +574,7 @@ class SimulatedRig(SimulatedBench):
 
 
 class BatchBench(SimulatedBench):
-    """The benches of S runs."""
+    """The simulated benches of S runs, which advance together."""
 
     @property
     def failed(self) -> NDArray[np.bool_] | None:
