@@ -32,7 +32,7 @@ _NARROWEST = 1e-7
 
 @dataclass(frozen=True)
 class CutSettings:
-    """Settings of tube cuts.
+    """Resolution and limits of tube cuts.
 
     If more than `most_jumps` phase intervals below `fine_phase_step` have wide chords, the trajectories scatter
     chaotically before they arrive, and refinement stops.

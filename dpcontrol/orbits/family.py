@@ -54,7 +54,7 @@ FIRST_STEP = 0.01
 
 @dataclass(frozen=True)
 class FamilyPoint(Brief):
-    """A point of the curve.
+    """A solution on a family's curve, with its unit tangent.
 
     Attributes:
         unknowns (n + 1,): (c, τ).
@@ -94,7 +94,7 @@ class FamilyCurve(Brief):
     accept: float
 
     def point(self, unknowns: Array, heading: Array | None, residual: float) -> FamilyPoint:
-        """Return a point of the curve for given unknowns.
+        """Return a solution with its tangent, energy and measures.
 
         Args:
             unknowns: solution (n + 1,).
@@ -181,7 +181,7 @@ class FamilyCurve(Brief):
 
 @dataclass(frozen=True)
 class FollowingSettings:
-    """Settings of continuation, with steps in scaled units of (c, τ)."""
+    """Steps and tolerance of continuation, in scaled units of (c, τ)."""
 
     step: float = 0.05
     smallest_step: float = 1e-6
@@ -399,7 +399,7 @@ _TESTS = (SLOPE, "multiplier +1", "multiplier -1")
 
 @dataclass(frozen=True)
 class FamilySettings(FollowingSettings):
-    """Settings of continuation of Lyapunov orbits.
+    """Steps and limits of continuation of Lyapunov orbits.
 
     Beyond `largest_multiplier`, the multipliers at one have errors above 1e-2 in double precision. The curve is
     followed for another `tail` steps to determine its end.

@@ -55,7 +55,7 @@ class Equilibrium(Brief):
 
 
 def equilibrium(system: System, name: str) -> Equilibrium:
-    """Return the named equilibrium.
+    """Return an equilibrium with its energy, eigenvalues and kind.
 
     Args:
         system: Hamiltonian system.
@@ -342,7 +342,7 @@ _ON_THE_WAY = 1e-7
 
 @dataclass(frozen=True)
 class ContinuationSettings:
-    """Settings of continuation in energy.
+    """Steps and tolerance of continuation in energy.
 
     Attributes:
         step: largest change of √(energy above the saddle), relative to √(energy scale).

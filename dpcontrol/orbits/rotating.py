@@ -394,7 +394,7 @@ _CRITICAL = {"multiplier +1": 2.0, "multiplier -1": -2.0}
 
 @dataclass(frozen=True)
 class RotatingFamilySettings(FollowingSettings):
-    """Settings of continuation, with limits on period (s) and trace."""
+    """Steps of continuation, with limits on period (s) and trace."""
 
     longest: float = 5.0
     largest: float = 1e8

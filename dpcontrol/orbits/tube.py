@@ -47,7 +47,7 @@ class Tube(Shown):
 
     @property
     def branches(self) -> tuple[int, ...]:
-        """Branches of the tube."""
+        """Signs of the tube's branches: +1, -1 or both."""
         return (self.branch,) if self.branch else (1, -1)
 
     def _placed(self, states: Array) -> Array:

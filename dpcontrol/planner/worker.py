@@ -44,7 +44,7 @@ _NAME = "planned"
 
 
 class Reporter:
-    """Writer for a job's reports."""
+    """Writer of a job's progress and results, one line each."""
 
     def __init__(self, handle: int) -> None:
         self._file, self._next = os.fdopen(handle, "w", encoding="utf-8"), 0.0

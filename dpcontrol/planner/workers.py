@@ -67,7 +67,7 @@ class WorkerJob:
 
 
 class Workers:
-    """Pool of workers.
+    """Pool of the processes that run the jobs of all pages.
 
     The callback `marked` receives a model and its bifurcations as JSON, once per model.
     """
