@@ -156,7 +156,7 @@ def make_atlas(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> FoundAtlas:
-    """Return the atlas of a model at an energy.
+    """Return a model's atlas at an energy, from the cache if possible.
 
     It is cached if it is complete.
 

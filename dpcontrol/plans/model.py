@@ -127,7 +127,7 @@ class Model:
 
     @property
     def identified_uncertainty(self) -> Uncertainty:
-        """Uncertainty of the arms.
+        """Covariance of the arms' ratios, as the model's file gives it.
 
         Raises:
             InputError: the file does not give it.

@@ -40,9 +40,7 @@ WOBBLES = 2
 
 @dataclass(frozen=True)
 class Goal(Brief):
-    """Goal of a piece.
-
-    A walk's shadowing orbit, or a stay of `seconds` at an equilibrium.
+    """A walk's shadowing orbit, or a stay of `seconds` at an equilibrium.
 
     Attributes:
         first, last: angles (n,) of the saddles or equilibria at start and end, including turns.
@@ -239,7 +237,7 @@ With friction, no orbit can be kept exactly, and the cheapest end is not the nea
 
 
 def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, judged: bool) -> SolvedPiece:
-    """Return the piece of a goal.
+    """Return the solved reference of a walk or a stay.
 
     judged: True if the itinerary ends on its last orbit, which judges it.
     """

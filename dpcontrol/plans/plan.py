@@ -251,7 +251,7 @@ def make_plan(
     scheduler: str = "",
     yes: bool = False,
 ) -> Plan:
-    """Return the plan of an itinerary.
+    """Plan an itinerary, or return its plan from the cache.
 
     A reference that did not converge is returned with its status and not cached.
 
@@ -364,7 +364,7 @@ def recoverable(
 
 
 def load_plan(file: Path) -> Plan:
-    """Return the plan of a file.
+    """Read a plan from its archive.
 
     Its itinerary comes from the stored texts.
 

@@ -350,7 +350,7 @@ def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
 
 
 def period_at(orbit: SustainedOrbit, state: Array) -> Reference:
-    """Return one period of the orbit.
+    """Return one period of the orbit, with a state's whole turns.
 
     Args:
         orbit: the sustained orbit.

@@ -255,7 +255,7 @@ _SYSTEMS = {"double pendulum": _Pendulum, "three bodies": _ThreeBodies}
 
 
 def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> CertificateCheck:
-    """Check a certificate.
+    """Check a certificate with the equations and integrator of this module.
 
     Args:
         certificate: JSON values by key.

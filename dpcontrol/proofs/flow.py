@@ -48,7 +48,7 @@ Vector = list[Any]
 
 @dataclass(frozen=True)
 class FlowSettings:
-    """Settings of the integrator.
+    """Orders and remainder of the rigorous integrator's Taylor polynomials.
 
     Attributes:
         order: of the thin point's polynomial.
