@@ -126,7 +126,7 @@ class Reference(Trajectory):
 
 
 class ByReference:
-    """Results that depend on a reference."""
+    """Base of results whose status is that of their reference."""
 
     reference: Reference
 
@@ -351,7 +351,7 @@ class LimitUse:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceSummary:
-    """A reference with derived figures.
+    """Effort, use of limits and other figures of a reference.
 
     Attributes:
         reference: the reference.
@@ -363,7 +363,7 @@ class ReferenceSummary:
 
     @cached_property
     def uses(self) -> tuple[LimitUse, ...]:
-        """Use of each limit."""
+        """Each limit's bound, with the largest value and its time."""
         reference = self.reference
         return tuple(
             LimitUse(name, LIMIT_UNITS[name], bound, reference.largest[name], where_largest(reference, name))
@@ -443,7 +443,7 @@ class ReferenceSummary:
 
 
 def summarised(reference: Reference) -> ReferenceSummary:
-    """Return the summary of a reference.
+    """Return figures of a reference, with its arms from the notes.
 
     Args:
         reference: reference with the notes of its plan.

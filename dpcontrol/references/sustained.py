@@ -340,7 +340,7 @@ class SustainedOrbit(ByReference, Timed):
         return matrix, response
 
     def section(self, phase: float) -> PhaseSection:
-        """Return the section at a phase.
+        """Return the section across the orbit at a phase.
 
         Args:
             phase: phase, 1 for a period, counted modulo 1.

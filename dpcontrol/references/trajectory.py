@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory(Brief):
-    """Values on a mesh.
+    """States and inputs at the points of a collocation mesh.
 
     Attributes:
         method: collocation method.
@@ -113,10 +113,7 @@ def times_on(mesh: Array, places: Array) -> Array:
 
 @dataclass(frozen=True)
 class Solved:
-    """Result of the solver.
-
-    A trajectory, its scaled constraint violation and the solver's outcome.
-    """
+    """A trajectory, its scaled constraint violation and the solver's outcome."""
 
     trajectory: Trajectory
     violation: float

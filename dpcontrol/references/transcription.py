@@ -120,7 +120,7 @@ def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int,
 
 
 def solver_options(settings: ReferenceSettings, *, warm: bool = False) -> dict[str, Any]:
-    """Return casadi's options.
+    """Return casadi's options for IPOPT or fatrop.
 
     Args:
         settings: solver and iterations.

@@ -65,7 +65,7 @@ _SEAL = 16
 
 
 class Kind(IntEnum):
-    """Kind of a packet."""
+    """Message type of a packet, as its header numbers it."""
 
     HELLO = 1
     WELCOME = 2
