@@ -411,7 +411,7 @@ class Transition:
 
 @dataclass(frozen=True)
 class Campaign(Shown):
-    """The result of a campaign.
+    """Completed shares of a campaign's cases, and all runs.
 
     Attributes:
         completed: share of all runs.
@@ -838,7 +838,7 @@ LEVELS = 21
 
 @dataclass(frozen=True)
 class Trouble:
-    """One kind of trouble.
+    """A setting that the standard score raises level by level.
 
     The setting it raises, its values by level, and accompanying settings.
 
@@ -852,7 +852,7 @@ class Trouble:
     in_periods: bool = False
 
     def level(self, k: int, *, rate: float) -> dict[str, float]:
-        """Return the settings of a level.
+        """Return settings by path for a level.
 
         Args:
             k: level, 0 to 20.

@@ -84,7 +84,7 @@ _LOOK = 1e-3
 
 @dataclass(frozen=True)
 class Side:
-    """Figures of one plan.
+    """Effort, cart use and success rates of one plan.
 
     Attributes:
         effort: ∫u² dt, m²/s³.

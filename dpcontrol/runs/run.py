@@ -497,7 +497,7 @@ def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
 
 @dataclass(frozen=True)
 class Repeat:
-    """A repeated run.
+    """Score of a repeated run, compared with the original log.
 
     Its score, the comparison with the original log, and a remark on another version.
     """

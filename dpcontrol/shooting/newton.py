@@ -203,7 +203,7 @@ class ShootingOrbit(Brief):
 
 @dataclass(frozen=True)
 class Guess(Brief):
-    """The start of Newton's method.
+    """Nodes, durations and conditions from which Newton's method starts.
 
     Attributes:
         states (K + 1, N): states of the nodes.
@@ -410,7 +410,7 @@ _NO_STEP = (
 
 @dataclass(frozen=True)
 class NewtonSettings:
-    """Settings of Newton's method.
+    """Tolerance, damping and stopping rules of Newton's method.
 
     Attributes:
         tolerance: largest gap at a node (rad, rad/s).
@@ -432,7 +432,7 @@ class NewtonSettings:
 
 @dataclass(frozen=True)
 class Shot(Brief):
-    """The result of Newton's method.
+    """The last orbit of Newton's method, with figures of its convergence.
 
     Attributes:
         orbit: the orbit, with time zero at the first marked node.
