@@ -200,7 +200,7 @@ _AT_ONCE = 200
 
 @dataclass(frozen=True)
 class InteriorSettings:
-    """Settings of a tube's interior.
+    """Grid and returns of a map of a tube's interior.
 
     Attributes:
         across: grid points over the width and the height of the cut.

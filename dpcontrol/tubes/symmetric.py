@@ -46,7 +46,7 @@ _HYPERBOLIC = 1e-4
 
 @dataclass(frozen=True)
 class SymmetricSettings:
-    """Settings of the search and its refinement.
+    """Grid, distances and tolerances of a search for symmetric connections.
 
     `energies` and `phases` set the size of the grid.
 

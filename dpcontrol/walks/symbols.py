@@ -93,7 +93,7 @@ _NUMBERED = re.compile(r"(?<=-rotating)(-back)?-[2-9]$")
 
 @dataclass(frozen=True)
 class Symbol:
-    """A parsed symbol.
+    """Saddles, sense, hits and section of a walk's symbol.
 
     Attributes:
         sense: +1, -1 or None (either).
@@ -124,7 +124,7 @@ MOST_NESTED = 20
 
 
 def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
-    """Parse one symbol.
+    """Return the saddles, sense, hits and section that a symbol names.
 
     Args:
         text: the symbol.

@@ -466,7 +466,7 @@ class WalkRequest:
 
 @dataclass(frozen=True)
 class WalkAnswer:
-    """Result of a walk request.
+    """Orbit of a requested walk, with the fewest sufficient wraps.
 
     Attributes:
         least: fewest sufficient wraps.
