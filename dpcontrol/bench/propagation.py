@@ -111,7 +111,7 @@ class Stepper:
             states: states (N,) or (N, S) at the start.
             duration: time, s.
             step: length of a step, about, s.
-            command: value of all inputs.
+            command: value of all inputs: the cart's acceleration, m/s².
         """
         given, slices, call = self._given, self._step.slices, self._step
         count = max(1, round(duration / step))
@@ -131,7 +131,7 @@ def buffered_rate(equations: Equations, parameters: Array, command: float = 0.0)
     Args:
         equations: equations with N states.
         parameters: values (p,).
-        command: value of all inputs.
+        command: value of all inputs: the cart's acceleration, m/s².
     """
     arguments = [equations.state, equations.inputs, equations.parameters]
     function = ca.Function("rate", arguments, [ca.densify(equations.rate)])
@@ -274,7 +274,7 @@ def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progre
     """Fly each candidate; failures are missing with their reason.
 
     Args:
-        tried: methods.
+        tried: methods at their settings.
         work: states with their truth.
         quick: fewer rounds.
         progress: called with a label and the completed share.

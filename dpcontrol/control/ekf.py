@@ -435,7 +435,7 @@ def checked_noise(noise: Array, arms: int) -> Array:
     """Return R (n+1, n+1), a covariance of the measured positions.
 
     Args:
-        noise: the given matrix, rad² and m².
+        noise: matrix (n+1, n+1) to check, rad² and m².
         arms: number n of arms.
 
     Raises:

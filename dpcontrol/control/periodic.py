@@ -167,7 +167,7 @@ def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort:
         matrices: a (m, N, N).
         responses: b (m, N).
         weights: diagonal (N,) of Q.
-        effort: r.
+        effort: weight r of the squared input.
 
     Raises:
         GoalMissed: the recursion does not converge, since the input cannot influence a drifting or growing motion.

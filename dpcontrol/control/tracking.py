@@ -565,7 +565,7 @@ def extra_jacobians(
         augment: kinds of extras.
         states: states (K, N).
         commands: accelerations of the cart (K,), m/s².
-        process: noise parameters, see `FilterSettings.process`.
+        process: noise parameters (P,), see `FilterSettings.process`.
     """
     equations = FilterEquations(model.equations, model.period, augment)
     size, n, count = equations.dimension, model.dimension, len(states)

@@ -230,7 +230,7 @@ class Windows:
 
         Args:
             starts: initial states (W, 2n) of the windows.
-            values: values of all parameters, then of the zeros.
+            values: values (V,) of all parameters, then of the zeros, rad.
             where: indices (f,) of the unknown ones.
         """
         model = self.model

@@ -104,7 +104,7 @@ class FreeMotion:
         They follow from `states` (N, S), inclusive.
 
         Args:
-            states: initial states.
+            states: initial states (N, S) of S lanes.
             samples: number of samples.
             cart: motion for each lane, or for each of C stretches if S is a multiple of C.
         """

@@ -224,7 +224,7 @@ def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newto
 
     Args:
         problem: shooting problem of the orbit.
-        unknowns: solution (ω, τ).
+        unknowns: solution (ω, τ) (n + 1,), rad/s and s.
         arm: number of the arm, from 1.
         energy: energy of the orbit, J.
         newton_residual: scaled residual of the solution.
@@ -262,7 +262,7 @@ def section_trace(problem: HalfTurn, unknowns: Array) -> tuple[float, Array]:
 
     Args:
         problem: shooting problem of the orbit.
-        unknowns: solution (ω, τ).
+        unknowns: solution (ω, τ) (n + 1,), rad/s and s.
     """
     end, monodromy = problem.system.propagator.flow_with_stm(problem.state(unknowns), problem.period(unknowns))
     return float(np.trace(monodromy)) - 2.0, end

@@ -104,7 +104,7 @@ def orbit_boxes(surface: Surface, orbit: LyapunovOrbit, radius: float, settings:
     Args:
         surface: energy surface.
         orbit: periodic orbit on the surface.
-        radius: largest half-width of the boxes.
+        radius: largest half-width of the boxes, in the charts' coordinates.
         settings: settings of the integrator.
 
     Raises:

@@ -271,7 +271,7 @@ def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> A
     Args:
         mesh: ends of the intervals (N+1,), s.
         errors: scaled errors (N,).
-        tolerance: largest error.
+        tolerance: largest scaled error.
         order: power of an interval's length to which its error is proportional.
     """
     ratio = np.maximum(errors / (_AIMED * tolerance), 1e-300)

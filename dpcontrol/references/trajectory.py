@@ -215,7 +215,7 @@ def largest_on_intervals(points: Array, values: Array, *, above: float) -> float
     Args:
         points: distinct points (K,) in [0, 1].
         values: values (N, K) at the points.
-        above: value from which the extrema are computed.
+        above: size, in the unit of `values`, from which the extrema are computed.
     """
     tau = np.linspace(0.0, 1.0, DENSE)
     sampled = np.abs(values @ interpolation_matrix(points, tau).T).max(1)

@@ -205,7 +205,7 @@ def uncertainty(angle: float, least: float) -> float:
 
     Args:
         angle: angle between the tubes, deg.
-        least: smallest error.
+        least: smallest scaled error.
     """
     return max(least, _ROUNDING / max(float(np.radians(angle)), float(np.finfo(float).eps)))
 
