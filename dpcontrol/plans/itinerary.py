@@ -172,9 +172,13 @@ def read_run_settings(
     run, law_keys = dict(tables.get("run", {})), dict(tables.get("controller", {}))
     mistakes, parts, blows, keep = Mistakes(), dict[str, Any](), list[Push](), law_keys.pop("keep", "none")
     law: Any = None
-    for number, one in enumerate(run.pop("blows", ()), start=1):
-        with mistakes:
-            blows.append(decode(Push, one, replace(top, table=f"blows {number}")))
+    struck = run.pop("blows", ())
+    with mistakes:
+        if not isinstance(struck, list | tuple) or not all(isinstance(one, dict) for one in struck):
+            raise places["run"].error("blows", struck, "must be a list of tables, [[run.blows]]")
+        for number, one in enumerate(struck, start=1):
+            with mistakes:
+                blows.append(decode(Push, one, replace(top, table=f"blows {number}")))
     given = RunTable()
     with mistakes:
         given = decode(RunTable, run, places["run"], also=["blows"])
@@ -209,7 +213,7 @@ def read_run_settings(
 def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, place: Place) -> Any:
     """Return the settings of a controller or an estimator by its kind."""
     kind = values.get("kind", default)
-    if kind not in kinds:
+    if not isinstance(kind, str) or kind not in kinds:
         raise place.error("kind", kind, suggest(str(kind), kinds))
     return decode(kinds[kind], values, place)
 

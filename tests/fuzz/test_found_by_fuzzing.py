@@ -281,3 +281,19 @@ def test_a_full_output_gives_one_sentence_and_the_exit_code(call: str, code: int
     assert done.returncode == code
     assert done.stderr.startswith(f"dpcontrol: {said}")
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ("[controller]\nkind = []", "[controller] kind = []: "),
+        ("[estimator]\nkind = {}", "[estimator] kind = {}: "),
+        ("[run]\nblows = nan", "[run] blows = nan: must be a list of tables, [[run.blows]]"),
+        ("[run]\nblows = [[]]", "[run] blows = [[]]: must be a list of tables, [[run.blows]]"),
+    ],
+)
+def test_a_value_of_another_type_where_a_kind_or_tables_belong_is_refused(keys: str, said: str) -> None:
+    Path("rest.toml").write_text(REST.partition("[controller]")[0] + keys + "\n")
+    ended = dpcontrol("run", "rest.toml")
+    assert ended.code == 2
+    assert said in ended.message
