@@ -59,8 +59,8 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import numbers, whole
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import fields_of, picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.cut import section_points, tube_cut

@@ -57,8 +57,8 @@ from dpcontrol.dynamics.chain import (
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import runge_kutta_4
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief

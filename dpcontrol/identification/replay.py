@@ -39,8 +39,8 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting, suggest
 from dpcontrol.foundation.shown import Brief

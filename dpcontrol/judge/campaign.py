@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import check_seal, checked_size, checked_source, picked
+from dpcontrol.foundation.files import check_seal, checked_size, checked_source
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.judge.run_view import RunView
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share
 

@@ -15,7 +15,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.foundation.budget import Budget
-from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.manifold import UnstableManifold

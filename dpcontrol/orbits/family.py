@@ -29,8 +29,8 @@ from scipy.optimize import brentq
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes

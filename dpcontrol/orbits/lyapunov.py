@@ -27,8 +27,8 @@ from dpcontrol.dynamics.system import System, saddle_index
 from dpcontrol.foundation.arguments import number, whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import fields_of
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import fields_of
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
 
 if TYPE_CHECKING:

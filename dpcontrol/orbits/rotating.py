@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import fields_of, picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
 from dpcontrol.orbits.family import (

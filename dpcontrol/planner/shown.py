@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.logs import RunLog
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.pages.atlas import connections_of, section_curves, section_place

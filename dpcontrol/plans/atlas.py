@@ -59,8 +59,9 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import number, whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.document import fields_of, picked, plain
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import archive, content_hash, fields_of, picked, plain, write_archive
+from dpcontrol.foundation.files import archive, content_hash, write_archive
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.orbits.cut import Cut, Piece, section_points

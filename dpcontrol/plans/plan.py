@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import content_hash, picked
+from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names

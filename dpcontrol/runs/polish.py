@@ -29,8 +29,9 @@ import numpy as np
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import content_hash, picked
+from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.shown import Shown

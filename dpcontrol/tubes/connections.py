@@ -30,8 +30,8 @@ from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import fields_of, picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, Shown, Timed, checked_times
 from dpcontrol.orbits.cut import Cut, OpenEnd, section_points, tube_cut

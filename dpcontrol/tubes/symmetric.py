@@ -30,8 +30,8 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import SECONDS, Budget
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, SymmetricShooting, described_orbit, lyapunov_orbit

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.arrays import Array, checked_array
 from dpcontrol.foundation.checked import Hit, checked
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.foundation.units import InUnits

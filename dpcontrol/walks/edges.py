@@ -20,8 +20,8 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown

@@ -17,8 +17,8 @@ from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings
 from dpcontrol.bifurcations.links import PathPoint, carry, first_crossing
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import fields_of
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import fields_of
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.tubes.connections import Connection, find_connections, mirrored, orbits_between
 from dpcontrol.walks.symbols import Symbol, choose

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.shooting.newton import (
     ErrorEstimate,

@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Exact, Section, digits
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import picked, plain
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import picked, plain, write_archive
+from dpcontrol.foundation.files import write_archive
 from dpcontrol.foundation.progress import Cost
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.orbits.manifold import OrbitCurve
