@@ -26,10 +26,11 @@ Source: for bisection on a yes-or-no answer, Press et al., Numerical Recipes, 3r
 import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from textwrap import shorten
 from typing import Any, ClassVar
 
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.foundation.units import quantity
@@ -130,7 +131,7 @@ class Missing:
 
 
 @dataclass(frozen=True)
-class Diagram:
+class Diagram(Documented):
     """One diagram of points for the same work.
 
     It holds the reason for keeping a default off the front.
@@ -141,6 +142,8 @@ class Diagram:
         judged: False for a second view of work that another panel judges.
         timed: False if x is no time.
     """
+
+    KEYS: ClassVar[str] = "* front=front.name defaults=standings"
 
     title: str
     x_label: str
@@ -258,15 +261,10 @@ class Diagram:
                 found.append(f"{self.title}: the default {p.name} is {off:.0%} off the front and no reason is given")
         return tuple(found)
 
-    def document(self) -> dict[str, Any]:
-        """Return the panel as JSON data.
-
-        Its front and the position of each default are included.
-        """
-        standing = [
-            {"name": p.name, "off_front": self.off_front(p), "standing": self.standing(p)} for p in self.defaults
-        ]
-        return {**asdict(self), "front": [p.name for p in self.front], "defaults": standing}
+    @property
+    def standings(self) -> list[dict[str, Any]]:
+        """Position of each default."""
+        return [{"name": p.name, "off_front": self.off_front(p), "standing": self.standing(p)} for p in self.defaults]
 
     def table(self) -> ChartTable:
         """Return the front as a table, followed by the defaults off it."""
@@ -315,7 +313,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Border:
+class Border(Documented):
     """The border on one line of a map.
 
     Attributes:
@@ -326,6 +324,8 @@ class Border:
         predicted: by theory, or None.
         says: the package's message at `far`.
     """
+
+    KEYS: ClassVar[str] = "* measured off"
 
     x: float
     line: str
@@ -406,7 +406,7 @@ def find_border(
 
 
 @dataclass(frozen=True)
-class EdgeMap:
+class EdgeMap(Documented):
     """One map: borders on its lines.
 
     Attributes:
@@ -415,6 +415,8 @@ class EdgeMap:
         near: name of the working side.
         agrees: tolerance between measured and predicted borders, as a share.
     """
+
+    KEYS: ClassVar[str] = "* complaints"
 
     title: str
     x_label: str
@@ -458,11 +460,6 @@ class EdgeMap:
                 found.append(f"{where}: the failure at {b.far:.3g} is not reported")
         return tuple(found)
 
-    def document(self) -> dict[str, Any]:
-        """Return the map as JSON data."""
-        borders = [{**asdict(b), "measured": b.measured, "off": b.off} for b in self.borders]
-        return {**asdict(self), "borders": borders, "complaints": list(self.complaints())}
-
     def table(self) -> ChartTable:
         """Return the borders as a table."""
         rows = tuple(
@@ -502,7 +499,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Searches:
+class Searches(Documented):
     """A diagram of success rates and costs.
 
     For each way to search, it has the share of tries that find a solution.
@@ -538,25 +535,19 @@ class Searches:
         )  # fmt: skip
         return ChartTable(self.title, ("search", "tries", "find a flight", self.good, "time to one of these"), rows)
 
-    def document(self) -> dict[str, Any]:
-        """Return the diagram as JSON data."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
-class ChartPage:
+class ChartPage(Documented):
     """A page of `dpcontrol bench`.
 
     It has a name for command line and files, a title, three reading hints, the choice and its diagrams. If it has a
     lead, its first picture shows the lead alone.
 
-    `PARTS` is the diagrams' name in JSON.
-
     Raises:
         ValueError: the reading does not have three lines.
     """
 
-    PARTS: ClassVar[str]
+    KEYS: ClassVar[str] = "name title reading chosen complaints findings **leads"
 
     name: str
     title: str
@@ -589,12 +580,15 @@ class ChartPage:
         """A sentence for each deviation from the requirements."""
         return tuple(text for part in self.parts for text in part.complaints())
 
-    def document(self) -> dict[str, Any]:
-        """Return the page as JSON data."""
-        head = {name: getattr(self, name) for name in ("name", "title", "reading", "chosen", "complaints")}
-        findings = [f"{part.title}: {part.finding()}" for part in self.diagrams]
-        lead = {} if self.lead is None else {"lead": self.lead.document()}
-        return {**head, "findings": findings, **lead, self.PARTS: [part.document() for part in self.parts]}
+    @property
+    def findings(self) -> list[str]:
+        """The result of each diagram."""
+        return [f"{part.title}: {part.finding()}" for part in self.diagrams]
+
+    @property
+    def leads(self) -> dict[str, Searches]:
+        """The leading diagram by its name in JSON, if there is one."""
+        return {} if self.lead is None else {"lead": self.lead}
 
 
 @dataclass(frozen=True)
@@ -605,7 +599,7 @@ class PrecisionChart(ChartPage):
         ValueError: the reading does not have three lines, or no panel holds a default.
     """
 
-    PARTS: ClassVar[str] = "panels"
+    KEYS: ClassVar[str] = f"{ChartPage.KEYS} panels=parts"
     parts: tuple[Diagram, ...]
 
     def __post_init__(self) -> None:
@@ -618,7 +612,7 @@ class PrecisionChart(ChartPage):
 class EdgeChart(ChartPage):
     """A page of maps with the borders between success and failure."""
 
-    PARTS: ClassVar[str] = "maps"
+    KEYS: ClassVar[str] = f"{ChartPage.KEYS} maps=parts"
     parts: tuple[EdgeMap, ...]
 
 

@@ -71,6 +71,11 @@ class Reference(Trajectory):
     extra: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
     notes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
+    @property
+    def intervals(self) -> int:
+        """Number of intervals of the mesh."""
+        return len(self.mesh) - 1
+
     @classmethod
     def of(cls, trajectory: Trajectory, limits: Limits, **about: Any) -> "Reference":
         """Return a trajectory as a reference.
