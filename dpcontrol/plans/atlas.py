@@ -493,7 +493,8 @@ def _unpacked(
     values: dict[str, Any] = {}
     # Fields with a default came later, and older files lack them.
     entry = {f.name: f.default for f in fields(kind) if f.default is not MISSING} | entry  # type: ignore[arg-type]
-    for name, hint in get_type_hints(kind).items():
+    hints = get_type_hints(kind)
+    for name, hint in ((f.name, hints[f.name]) for f in fields(kind)):  # type: ignore[arg-type]
         member = next((one for one in get_args(hint) if is_dataclass(one)), None)
         if name not in entry:
             values[name] = _checked(arrays[prefix + name], prefix + name, len(arrays["periods"]))
