@@ -15,12 +15,15 @@ from matplotlib.figure import Figure
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.comparison import ComparedRun, RunComparison
 from dpcontrol.pages import rerun_recording, style
+from dpcontrol.pages.chart import Chart, Line
 from dpcontrol.pages.charts import draw_chart, draw_plane
 from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
 from dpcontrol.pages.layout import Page, Stack
+from dpcontrol.pages.planes import plane
 from dpcontrol.pages.rerun_recording import rrb
-from dpcontrol.pages.series import Chart, Line, charts, plane, strips
+from dpcontrol.pages.series import charts
 from dpcontrol.pages.story import story, story_height
+from dpcontrol.pages.strips import strips
 
 
 def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:

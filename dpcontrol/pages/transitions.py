@@ -13,7 +13,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page
-from dpcontrol.pages.series import arm_points
+from dpcontrol.pages.planes import arm_points
 from dpcontrol.references.reference import ReferenceSummary, plan_notes, transitions_in
 
 Point = tuple[float, float]
