@@ -59,6 +59,11 @@ def unit_of(label: str) -> str:
     return unit if unit in UNITS else ""
 
 
+def _count(value: float) -> str:
+    """Return a number without unit, to two digits."""
+    return f"{float(f'{value:.2g}'):,.10g}" if value < 10 else f"{float(f'{value:.2g}'):,.0f}"
+
+
 def name_of(label: str) -> str:
     """Return an axis label without its unit.
 
@@ -414,6 +419,7 @@ class EdgeMap(Documented):
         far: name of the failing side.
         near: name of the working side.
         agrees: tolerance between measured and predicted borders, as a share.
+        default: place of the package's choice, (x, y).
     """
 
     KEYS: ClassVar[str] = "* complaints"
@@ -427,6 +433,7 @@ class EdgeMap(Documented):
     near: str = "works"
     log_x: bool = True
     agrees: float = AGREES
+    default: tuple[float, float] | None = None
 
     def finding(self) -> str:
         """Return the map's result in one sentence.
@@ -437,10 +444,12 @@ class EdgeMap(Documented):
         if not measured:
             return f"no line {self.far}"
         unit = unit_of(self.y_label)
-        low, high = (quantity(y, unit) for y in (min(measured), max(measured)))
+        low, high = (quantity(y, unit) if unit else _count(y) for y in (min(measured), max(measured)))
         between = f"at {low}" if low == high else f"between {low} and {high}"
         off = [b.off for b in self.borders if b.off is not None]
-        return f"{self.far} {between}" + (f", at most {max(off):.0%} from the prediction" if off else "")
+        never = [b.line for b in self.borders if b.near is None]
+        lost = f", always at {' and '.join(never)}" if never else ""
+        return f"{self.far} {between}{lost}" + (f", at most {max(off):.0%} from the prediction" if off else "")
 
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each border with a fault.
