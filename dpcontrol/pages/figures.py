@@ -28,7 +28,7 @@ from dpcontrol.pages.paper.shadowing import shadowing_page
 from dpcontrol.pages.paper.three_body import three_body_homoclinics_page, three_body_page
 from dpcontrol.pages.paper.tubes import tubes_page
 from dpcontrol.pages.paper.up_up import up_up_page
-from dpcontrol.pages.wheels import wheels_page
+from dpcontrol.pages.paper.wheels import wheels_page
 
 FIGURES: dict[str, Callable[[Gallery], PaperFigure]] = {
     "energy-landscape": landscape_page,

@@ -5,10 +5,11 @@ import pytest
 from matplotlib.colors import to_hex
 
 from dpcontrol.cli.charts import FIGURES as NAMES
-from dpcontrol.orbits.cut import section_points
+from dpcontrol.orbits.cut import section_points, tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.pages import figures, gallery, style, wheels
-from dpcontrol.pages.paper import up_up
+from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.pages import figures, gallery, style
+from dpcontrol.pages.paper import up_up, wheels
 from dpcontrol.pages.paper.cuts import CUT_ENERGIES, cuts_page
 from dpcontrol.pages.paper.heteroclinic_orbits import heteroclinic_orbits_page
 from dpcontrol.pages.paper.landscapes import landscape_page
@@ -19,6 +20,7 @@ from dpcontrol.pages.paper.shadowing import shadowing_page
 from dpcontrol.pages.paper.three_body import three_body_homoclinics_page, three_body_page
 from dpcontrol.plans.atlas import AtlasSettings, make_atlas
 from dpcontrol.plans.model import load_model
+from dpcontrol.tubes.interior import tube_interior
 
 ROUNDING = 1e-9
 
@@ -144,8 +146,8 @@ def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay(shown):
     system = load_model("lab").system
     section = system.sections["down-up", "down-up"]
     orbit = lyapunov_orbit(system, "down-up", energy=wheels.WHEEL_ENERGIES["down-up"])
-    manifold = wheels.UnstableManifold(orbit)
-    interior = wheels.tube_interior(manifold, wheels.tube_cut(manifold, section))
+    manifold = UnstableManifold(orbit)
+    interior = tube_interior(manifold, tube_cut(manifold, section))
     kept = wheels.kept_inside(interior, 2)
     assert len(kept) == len(stars)
     for one in kept:
