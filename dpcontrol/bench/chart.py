@@ -41,7 +41,7 @@ AGREES = 0.25
 """Tolerance between measured and predicted borders, as a share."""
 READING_LINES = 3
 LEADING = 3
-"""Diagrams on a chart's first page; its appendix has the others, twice as many a sheet."""
+"""Diagrams on a page of a chart."""
 _MOST_PROBES = 60
 _SHOWN = 90
 """Characters of a message shown in a table; the JSON holds all."""
@@ -229,7 +229,7 @@ class Diagram(Documented):
         """
         if not self.defaults:
             best = min(self.points, key=lambda p: (self._error(p), p.seconds))
-            return f"{best.name} has the smallest error, {self._shown(best)}"
+            return f"{best.name} has the smallest {self._measured}, {self._shown(best)}"
         ours = self.defaults[0]
         others = [(p, e) for p, e in self._running if p.method != ours.method]
         as_good = [p for p, e in others if e <= self._error(ours)]
@@ -243,7 +243,12 @@ class Diagram(Documented):
                 return f"{other.name} does as well as {ours.name} with {times} the {name_of(self.x_label)}"
             link = "but takes" if ratio >= 1 else "and takes"
             return f"{other.name} does as well as {ours.name}, {link} {times} its time"
-        return f"{ours.name} has the smallest error, {self._shown(ours)}"
+        return f"{ours.name} has the smallest {self._measured}, {self._shown(ours)}"
+
+    @property
+    def _measured(self) -> str:
+        """Name of the quantity on the y axis, in a sentence."""
+        return "error" if "error" in self.y_label else name_of(self.y_label)
 
     def _shown(self, point: Point) -> str:
         """Return the error of a point with its unit."""
@@ -581,7 +586,7 @@ class ChartPage(Documented):
         They are by the end of its file's name: the leading ones, then the appendix.
         """
         first, rest = (self.parts[:LEADING], self.parts[LEADING:]) if self.lead is None else ((self.lead,), self.parts)
-        sheets = [rest[k : k + 2 * LEADING] for k in range(0, len(rest), 2 * LEADING)]
+        sheets = [rest[k : k + LEADING] for k in range(0, len(rest), LEADING)]
         return {"": first, **{f"-more{f'-{k + 1}' if k else ''}": sheet for k, sheet in enumerate(sheets)}}
 
     @property

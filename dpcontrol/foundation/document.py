@@ -33,7 +33,12 @@ class Documented:
 
 
 def document_of(result: Any, keys: str = "*") -> dict[str, Any]:
-    """Return the entries of a result's document."""
+    """Return the entries of a result's document.
+
+    Args:
+        result: a dataclass, mapping or other object.
+        keys: entries as in `KEYS`, separated by spaces (default: all fields).
+    """
     document: dict[str, Any] = {}
     for entry in keys.split():
         name, _, columns = entry.partition(":")
@@ -51,7 +56,10 @@ def document_of(result: Any, keys: str = "*") -> dict[str, Any]:
 
 
 def _part(value: Any, path: str) -> Any:
-    """Return the attribute, item, or result of a method without arguments at the end of a dotted path."""
+    """Return the value at the end of a dotted path.
+
+    Its steps are attributes, items of mappings, places in sequences, and methods without arguments.
+    """
     for name in path.lstrip("#").split("."):
         if isinstance(value, list | tuple):
             value = value[int(name)] if name.isdigit() else [getattr(one, name) for one in value]
@@ -62,7 +70,7 @@ def _part(value: Any, path: str) -> Any:
 
 
 def _rows(value: Any, columns: str) -> Any:
-    """Return some entries of an object, or of each item of a sequence or mapping."""
+    """Return some entries of an object, or of each of its items."""
     if isinstance(value, list | tuple):
         return [_row(one, columns) for one in value]
     if isinstance(value, Mapping):
