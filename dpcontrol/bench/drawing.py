@@ -105,13 +105,14 @@ def _searches_page(lead: Searches) -> Page:
     names = [s.method[:1].upper() + s.method[1:] for s in lead.searches]
 
     def rates(axes: Axes) -> None:
-        quiet(axes, f"Tries that find a flight (grey), and those {lead.good} (colour)")
+        quiet(axes, f"Tries that find a flight; first part of a bar: {lead.good}")
         for k, s in enumerate(lead.searches):
             axes.barh(k, s.found / s.tries, color=FAINT, height=0.62)
             axes.barh(k, s.good / s.tries, color=SERIES[0] if s.default else MARK, height=0.62)
             axes.text(1.01, k, f"{s.good / s.tries:.0%} of {s.tries}", va="center", fontsize=TEXT, color=INK)
         axes.set_yticks(range(len(names)), names, fontsize=TEXT, color=INK)
-        axes.invert_yaxis()
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        axes.grid(visible=False, axis="y")
         axes.set_xlim(0, 1.18)
         axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0])
         axes.xaxis.set_major_formatter(PercentFormatter(1.0))
