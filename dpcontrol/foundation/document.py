@@ -3,10 +3,12 @@
 `KEYS` of a class lists the entries of its document, separated by spaces:
 
     status                  an attribute
-    from=source.saddle      another name for it; a dotted path leads to parts, and to each item of a sequence
+    from=source.saddle      an attribute under another name, here of a part
+    names=parts.name        the attribute of each item of a sequence
     count=#connections      the length of an attribute
-    ends:energy,reason      these entries of a part, or of each item; plain tuples get these names in order
-    **orbit                 the entries of a part beside those of the object; ** alone: the object's own document
+    ends:energy,reason      these entries of a part or of each item (plain tuples get the names in order)
+    **orbit                 the entries of a part beside those of the object
+    **                      the object's own document
     *                       all fields
 
 Methods without arguments are called. A dataclass without `KEYS` has all its fields.
