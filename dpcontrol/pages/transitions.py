@@ -86,7 +86,8 @@ def _cell(
     for spine in axes.spines.values():
         spine.set_color(style.FAINT)
     axes.set_title(title, fontsize=style.HEAD, color=style.INK)
-    axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK)
+    upright = {"rotation": 0, "ha": "right", "va": "center"}
+    axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK, **upright)
     if motion is None:
         return
     seconds, states = motion
