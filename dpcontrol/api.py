@@ -1050,7 +1050,8 @@ def picture(
     from dpcontrol.pages.atlas import draw_atlas
     from dpcontrol.pages.layout import save_figure
     from dpcontrol.pages.page import draw
-    from dpcontrol.pages.walks import WalkStory, draw_walk
+    from dpcontrol.pages.walk_story import WalkStory
+    from dpcontrol.pages.walks import draw_walk
     from dpcontrol.plans.plan import Plan
     from dpcontrol.references.reference import summarised
     from dpcontrol.runs.run import Run

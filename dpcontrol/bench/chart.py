@@ -26,10 +26,11 @@ Source: for bisection on a yes-or-no answer, Press et al., Numerical Recipes, 3r
 import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from textwrap import shorten
 from typing import Any, ClassVar
 
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.foundation.units import quantity
@@ -40,7 +41,7 @@ AGREES = 0.25
 """Tolerance between measured and predicted borders, as a share."""
 READING_LINES = 3
 LEADING = 3
-"""Diagrams on a chart's first page; its appendix has the others, twice as many a sheet."""
+"""Diagrams on a page of a chart."""
 _MOST_PROBES = 60
 _SHOWN = 90
 """Characters of a message shown in a table; the JSON holds all."""
@@ -56,6 +57,11 @@ def unit_of(label: str) -> str:
     """
     unit = label.rpartition(", ")[2] if ", " in label else ""
     return unit if unit in UNITS else ""
+
+
+def _count(value: float) -> str:
+    """Return a number without unit, to two digits."""
+    return f"{float(f'{value:.2g}'):,.10g}" if value < 10 else f"{float(f'{value:.2g}'):,.0f}"
 
 
 def name_of(label: str) -> str:
@@ -130,7 +136,7 @@ class Missing:
 
 
 @dataclass(frozen=True)
-class Diagram:
+class Diagram(Documented):
     """One diagram of points for the same work.
 
     It holds the reason for keeping a default off the front.
@@ -141,6 +147,8 @@ class Diagram:
         judged: False for a second view of work that another panel judges.
         timed: False if x is no time.
     """
+
+    KEYS: ClassVar[str] = "* front=front.name defaults=standings"
 
     title: str
     x_label: str
@@ -221,7 +229,7 @@ class Diagram:
         """
         if not self.defaults:
             best = min(self.points, key=lambda p: (self._error(p), p.seconds))
-            return f"{best.name} has the smallest error, {self._shown(best)}"
+            return f"{best.name} has the smallest {self._measured}, {self._shown(best)}"
         ours = self.defaults[0]
         others = [(p, e) for p, e in self._running if p.method != ours.method]
         as_good = [p for p, e in others if e <= self._error(ours)]
@@ -235,7 +243,12 @@ class Diagram:
                 return f"{other.name} does as well as {ours.name} with {times} the {name_of(self.x_label)}"
             link = "but takes" if ratio >= 1 else "and takes"
             return f"{other.name} does as well as {ours.name}, {link} {times} its time"
-        return f"{ours.name} has the smallest error, {self._shown(ours)}"
+        return f"{ours.name} has the smallest {self._measured}, {self._shown(ours)}"
+
+    @property
+    def _measured(self) -> str:
+        """Name of the quantity on the y axis, in a sentence."""
+        return "error" if "error" in self.y_label else name_of(self.y_label)
 
     def _shown(self, point: Point) -> str:
         """Return the error of a point with its unit."""
@@ -258,15 +271,10 @@ class Diagram:
                 found.append(f"{self.title}: the default {p.name} is {off:.0%} off the front and no reason is given")
         return tuple(found)
 
-    def document(self) -> dict[str, Any]:
-        """Return the panel as JSON data.
-
-        Its front and the position of each default are included.
-        """
-        standing = [
-            {"name": p.name, "off_front": self.off_front(p), "standing": self.standing(p)} for p in self.defaults
-        ]
-        return {**asdict(self), "front": [p.name for p in self.front], "defaults": standing}
+    @property
+    def standings(self) -> list[dict[str, Any]]:
+        """Position of each default."""
+        return [{"name": p.name, "off_front": self.off_front(p), "standing": self.standing(p)} for p in self.defaults]
 
     def table(self) -> ChartTable:
         """Return the front as a table, followed by the defaults off it."""
@@ -315,7 +323,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Border:
+class Border(Documented):
     """The border on one line of a map.
 
     Attributes:
@@ -326,6 +334,8 @@ class Border:
         predicted: by theory, or None.
         says: the package's message at `far`.
     """
+
+    KEYS: ClassVar[str] = "* measured off"
 
     x: float
     line: str
@@ -406,7 +416,7 @@ def find_border(
 
 
 @dataclass(frozen=True)
-class EdgeMap:
+class EdgeMap(Documented):
     """One map: borders on its lines.
 
     Attributes:
@@ -414,7 +424,10 @@ class EdgeMap:
         far: name of the failing side.
         near: name of the working side.
         agrees: tolerance between measured and predicted borders, as a share.
+        default: place of the package's choice, (x, y).
     """
+
+    KEYS: ClassVar[str] = "* complaints"
 
     title: str
     x_label: str
@@ -425,6 +438,7 @@ class EdgeMap:
     near: str = "works"
     log_x: bool = True
     agrees: float = AGREES
+    default: tuple[float, float] | None = None
 
     def finding(self) -> str:
         """Return the map's result in one sentence.
@@ -435,10 +449,12 @@ class EdgeMap:
         if not measured:
             return f"no line {self.far}"
         unit = unit_of(self.y_label)
-        low, high = (quantity(y, unit) for y in (min(measured), max(measured)))
+        low, high = (quantity(y, unit) if unit else _count(y) for y in (min(measured), max(measured)))
         between = f"at {low}" if low == high else f"between {low} and {high}"
         off = [b.off for b in self.borders if b.off is not None]
-        return f"{self.far} {between}" + (f", at most {max(off):.0%} from the prediction" if off else "")
+        never = [b.line for b in self.borders if b.near is None]
+        lost = f", always at {' and '.join(never)}" if never else ""
+        return f"{self.far} {between}{lost}" + (f", at most {max(off):.0%} from the prediction" if off else "")
 
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each border with a fault.
@@ -457,11 +473,6 @@ class EdgeMap:
             if b.far is not None and not b.says:
                 found.append(f"{where}: the failure at {b.far:.3g} is not reported")
         return tuple(found)
-
-    def document(self) -> dict[str, Any]:
-        """Return the map as JSON data."""
-        borders = [{**asdict(b), "measured": b.measured, "off": b.off} for b in self.borders]
-        return {**asdict(self), "borders": borders, "complaints": list(self.complaints())}
 
     def table(self) -> ChartTable:
         """Return the borders as a table."""
@@ -502,7 +513,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Searches:
+class Searches(Documented):
     """A diagram of success rates and costs.
 
     For each way to search, it has the share of tries that find a solution.
@@ -538,25 +549,19 @@ class Searches:
         )  # fmt: skip
         return ChartTable(self.title, ("search", "tries", "find a flight", self.good, "time to one of these"), rows)
 
-    def document(self) -> dict[str, Any]:
-        """Return the diagram as JSON data."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
-class ChartPage:
+class ChartPage(Documented):
     """A page of `dpcontrol bench`.
 
     It has a name for command line and files, a title, three reading hints, the choice and its diagrams. If it has a
     lead, its first picture shows the lead alone.
 
-    `PARTS` is the diagrams' name in JSON.
-
     Raises:
         ValueError: the reading does not have three lines.
     """
 
-    PARTS: ClassVar[str]
+    KEYS: ClassVar[str] = "name title reading chosen complaints findings **leads"
 
     name: str
     title: str
@@ -581,7 +586,7 @@ class ChartPage:
         They are by the end of its file's name: the leading ones, then the appendix.
         """
         first, rest = (self.parts[:LEADING], self.parts[LEADING:]) if self.lead is None else ((self.lead,), self.parts)
-        sheets = [rest[k : k + 2 * LEADING] for k in range(0, len(rest), 2 * LEADING)]
+        sheets = [rest[k : k + LEADING] for k in range(0, len(rest), LEADING)]
         return {"": first, **{f"-more{f'-{k + 1}' if k else ''}": sheet for k, sheet in enumerate(sheets)}}
 
     @property
@@ -589,12 +594,15 @@ class ChartPage:
         """A sentence for each deviation from the requirements."""
         return tuple(text for part in self.parts for text in part.complaints())
 
-    def document(self) -> dict[str, Any]:
-        """Return the page as JSON data."""
-        head = {name: getattr(self, name) for name in ("name", "title", "reading", "chosen", "complaints")}
-        findings = [f"{part.title}: {part.finding()}" for part in self.diagrams]
-        lead = {} if self.lead is None else {"lead": self.lead.document()}
-        return {**head, "findings": findings, **lead, self.PARTS: [part.document() for part in self.parts]}
+    @property
+    def findings(self) -> list[str]:
+        """The result of each diagram."""
+        return [f"{part.title}: {part.finding()}" for part in self.diagrams]
+
+    @property
+    def leads(self) -> dict[str, Searches]:
+        """The leading diagram by its name in JSON, if there is one."""
+        return {} if self.lead is None else {"lead": self.lead}
 
 
 @dataclass(frozen=True)
@@ -605,7 +613,7 @@ class PrecisionChart(ChartPage):
         ValueError: the reading does not have three lines, or no panel holds a default.
     """
 
-    PARTS: ClassVar[str] = "panels"
+    KEYS: ClassVar[str] = f"{ChartPage.KEYS} panels=parts"
     parts: tuple[Diagram, ...]
 
     def __post_init__(self) -> None:
@@ -618,7 +626,7 @@ class PrecisionChart(ChartPage):
 class EdgeChart(ChartPage):
     """A page of maps with the borders between success and failure."""
 
-    PARTS: ClassVar[str] = "maps"
+    KEYS: ClassVar[str] = f"{ChartPage.KEYS} maps=parts"
     parts: tuple[EdgeMap, ...]
 
 

@@ -26,6 +26,14 @@ from dpcontrol.pages.panels import quiet
 from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, PAPER, SERIES, SMALL, TEXT
 
 MARKS = "osD^v<>Pph*X8d"
+_DEFAULT: dict[str, Any] = {
+    "marker": "o",
+    "linestyle": "none",
+    "markerfacecolor": "none",
+    "color": LIMIT,
+    "markersize": 9,
+}
+"""Ring about the package's choice."""
 FLOOR = 1e-17
 """Drawn position of an error of exactly zero."""
 _TALL, _LINE = 3.7, 0.3
@@ -97,13 +105,14 @@ def _searches_page(lead: Searches) -> Page:
     names = [s.method[:1].upper() + s.method[1:] for s in lead.searches]
 
     def rates(axes: Axes) -> None:
-        quiet(axes, f"Tries that find a flight (grey), and those {lead.good} (colour)")
+        quiet(axes, f"Tries that find a flight; first part of a bar: {lead.good}")
         for k, s in enumerate(lead.searches):
             axes.barh(k, s.found / s.tries, color=FAINT, height=0.62)
             axes.barh(k, s.good / s.tries, color=SERIES[0] if s.default else MARK, height=0.62)
             axes.text(1.01, k, f"{s.good / s.tries:.0%} of {s.tries}", va="center", fontsize=TEXT, color=INK)
         axes.set_yticks(range(len(names)), names, fontsize=TEXT, color=INK)
-        axes.invert_yaxis()
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        axes.grid(visible=False, axis="y")
         axes.set_xlim(0, 1.18)
         axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0])
         axes.xaxis.set_major_formatter(PercentFormatter(1.0))
@@ -149,6 +158,9 @@ def _draw_map(axes: Axes, one: EdgeMap, *, first: bool) -> None:
             # Cases with names have no order, so no line joins them.
             shown[label] = {"linewidth": 1.2, **look, **({"linestyle": "none"} if across else {})}
             axes.plot(*zip(*(place[:: -1 if across else 1] for place in places), strict=True), **shown[label])
+    if one.default is not None:
+        shown["default of dpcontrol"] = _DEFAULT
+        axes.plot(*one.default[:: -1 if across else 1], **{**_DEFAULT, "markersize": _RING})
     key(axes, [(label, {**look, "markersize": 6}) for label, look in shown.items()])
     cases, values = (axes.yaxis, axes.xaxis) if across else (axes.xaxis, axes.yaxis)
     if across:
@@ -188,11 +200,10 @@ def _draw_panel(axis: Axes, panel: Diagram, looks: dict[str, tuple[str, str]]) -
         [p.seconds for p in front], [_height(panel, p.error) for p in front], zorder=1, drawstyle="steps-post", **look
     )
     entries.append(("best at its cost", look))
-    ring: dict[str, Any] = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "color": LIMIT}
     for p in panel.defaults:
-        axis.plot(p.seconds, _height(panel, p.error), markersize=_RING, zorder=4, **ring)
+        axis.plot(p.seconds, _height(panel, p.error), zorder=4, **{**_DEFAULT, "markersize": _RING})
     if panel.defaults:
-        entries.append(("default of dpcontrol", {"markersize": 9, **ring}))
+        entries.append(("default of dpcontrol", _DEFAULT))
     key(axis, entries)
     axis.set_xscale("log")
     if panel.log_y:

@@ -380,18 +380,18 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
     sections, seeds, ratio, seconds = ((8,), 8, 1.6, 4.0) if quick else ((1, 2, 3, 4, 8, 16), 16, 1.12, 6.0)
     how: dict[str, Any] = {"seeds": seeds, "ratio": ratio}
     authority, counts = (
-        EdgeMap(title, "sections in a period, k", y, far="lost")
-        for title, y in (
-            (f"Authority, {COUNTS:,.0f} counts per turn", "largest pulse, m/s²"),
-            (f"Encoders, pulses of {LIMIT:g} m/s²", "counts per turn"),
+        EdgeMap(title, "sections in a period, k", y, far="lost", default=default)
+        for title, y, default in (
+            (f"Pulses with {COUNTS:,.0f} counts per turn", "largest pulse, m/s²", (16.0, 5.0)),
+            (f"Encoders with pulses of {LIMIT:g} m/s²", "counts per turn", None),
         )
     )
     return EdgeChart(
         name="edges-ogy",
-        title=f"Where OGY ends: Down-Up at {SADDLE_ENERGY:g} J, multiplier {orbit.multipliers[0].real:.0f} a period",
+        title="OGY needs three pulses a period; with sixteen, small ones suffice",
         reading=(
-            "From one section to the next an error grows by about λ^(1/k), so few sections need large pulses or "
-            "impossibly fine encoders.",
+            f"The orbit about Down-Up at {SADDLE_ENERGY:g} J has the multiplier λ = {orbit.multipliers[0].real:.0f}. "
+            "From one of k sections to the next an error grows by about λ^(1/k).",
             f"Circles: at least half of {seeds} runs hold; crosses: fewer. Zeros of the encoders lie anywhere within a "
             "count.",
             "Rounding of readings depends on the orbit, and more counts can be worse: no formula predicts "

@@ -589,7 +589,7 @@ FLIGHTS = (
 )  # fmt: skip
 FACTORS = (0.3, 0.5, 0.75, 1.0, 1.4, 2.0, 3.0)
 WALKS = (1, 2, 4, 8)
-OFF, LOOP, WRAPS = "off tubes", ", loop at ±5 %", "along tubes, wobbles more"
+OFF, WRAPS = "off tubes", "along tubes, wobbles more"
 EQUILIBRIA = "between equilibria"
 _LOOKED_AT = 3
 """Number of cheapest tries, until one is valid on a refined mesh."""
@@ -601,7 +601,7 @@ class Effort:
 
     It counts tries from curves with waves, from random inputs, by CEM and by homotopy, tries at each time of a front
     and for each walk, and runs of the loop. Other fields select blows and the times of a front as multiples of that
-    along tubes. `quick` computes fronts without the loop.
+    along tubes.
     """
 
     waves: int
@@ -615,11 +615,10 @@ class Effort:
     factors: tuple[float, ...]
     flights: tuple[tuple[str, tuple[str, ...], float], ...]
     walks: tuple[int, ...]
-    quick: bool = False
 
 
 WHOLE = Effort(80, 15, 5, 16, 3, 2, SEEDS, True, FACTORS, FLIGHTS, WALKS)
-QUICK = Effort(2, 1, 1, 2, 0, 0, 6, False, (0.5, 1.0, 2.0), FLIGHTS[:1] + FLIGHTS[4:], WALKS[:2], quick=True)
+QUICK = Effort(2, 1, 1, 2, 0, 0, 6, False, (0.5, 1.0, 2.0), FLIGHTS[:1] + FLIGHTS[4:], WALKS[:2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -779,8 +778,7 @@ def front(which: tuple[str, tuple[str, ...], float], effort: Effort, *, resting:
         cheapest = min(tries, key=lambda t: t.effort).motion
         if cheapest is not None:
             best[factor] = cheapest
-        seeds = 0 if resting or effort.quick else effort.seeds
-        if (done := charted(one, here, tries, seeds=seeds)) is not None:
+        if (done := charted(one, here, tries)) is not None:
             found.append(done)
     return found if resting else found + with_wobbles(one, arms, effort)
 
@@ -806,9 +804,7 @@ def with_wobbles(one: ChartedFlight, arms: ArmChainParameters, effort: Effort) -
         whole = joined([*[wobble] * more, fine])[0]
         checked = recomputed(arms, whole, one.ends)
         if checked.flies(LIMITS):
-            seeds = effort.seeds if more in (0, 1, most) and not effort.quick else 0
-            followed_on = followed(one, whole, seeds=seeds) if seeds else None
-            found.append(Charted(WRAPS if more else TUBES, whole.duration, checked, followed_on))
+            found.append(Charted(WRAPS if more else TUBES, whole.duration, checked))
     return found
 
 
@@ -909,17 +905,17 @@ def page(results: dict[str, list[Any]]) -> PrecisionChart:
         name="payoff",
         title="Value of tubes: flights along tubes, and by direct optimisation without them",
         parts=(
-            success_panel(flights), effort_panel(flights), feedback_panel(flights),
             *(front_panel(f"Time set free: {name}", front) for name, front in fronts.items()),
             *(front_panel("Time set free: outer turn, held before and after", found) for found in results["rest"]),
+            success_panel(flights), effort_panel(flights), feedback_panel(flights),
             robustness_panel(flights), *walk_panels(walks),
         ),
         reading=(
             "All start and end in the same states, under the same limits, by the same program; low and left is better. "
-            "Above: a flight in the tubes' time, by the start of the search, and with feedback at ±5 %.",
-            "Then the cheapest flight found by a few searches at each time, and (loop) the effort with feedback, with "
-            "a period of each orbit. Others are at rest at both ends. Last: largest blow survived by half the runs.",
-            "Walks of more turns follow in the last diagrams. All flights are computed again by scipy alone.",
+            "All flights are computed again by scipy alone.",
+            "Time set free: the cheapest flight of a few searches at each time. Held before and after: at rest at the "
+            "ends.",
+            "Robustness: largest blow survived by half the runs.",
         ),
         chosen=verdict(flights, walks, fronts),
         lead=searches_of(flights),
@@ -1076,9 +1072,7 @@ def feedback_panel(flights: Sequence[Compared]) -> Diagram:
 
 
 def front_panel(title: str, found: Sequence[Charted]) -> Diagram:
-    """Return the diagram of effort against time.
-
-    It shows references and the loops that follow them.
+    """Return the diagram of a reference's effort against its time.
 
     Args:
         title: title of the diagram.
@@ -1086,12 +1080,6 @@ def front_panel(title: str, found: Sequence[Charted]) -> Diagram:
     """
     points = [Point(c.method, "", c.duration, c.checked.effort, default=c.method == TUBES, others=numbers(c))
               for c in found]  # fmt: skip
-    points += [
-        Point(c.method + LOOP, "", c.duration, c.followed.effort, note=f"{c.followed.completed:.0%} come through",
-              others=numbers(c))
-        for c in found
-        if c.followed is not None and c.followed.completed
-    ]  # fmt: skip
     return Diagram(title, "time, s", "∫u², m²/s³", tuple(points), judged=False, timed=False)
 
 

@@ -34,9 +34,9 @@ although no extremum crosses the section, and the equations are  off Fix R = 0, 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby, pairwise
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -59,8 +59,8 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import numbers, whole
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented, fields_of
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.cut import section_points, tube_cut
@@ -685,7 +685,7 @@ class Bifurcation(Mark):
 
 
 @dataclass(frozen=True)
-class BifurcationSearch(Shown):
+class BifurcationSearch(Shown, Documented):
     """Bifurcations in order of energy, with the counts they explain.
 
     Above `scatters_from`, no search is complete, because trajectories of a tube scatter before they arrive and
@@ -698,6 +698,12 @@ class BifurcationSearch(Shown):
         scatters_from: J, or None.
         runs: connections that were followed.
     """
+
+    KEYS: ClassVar[str] = (
+        "events:energy,kind,state,count_below,count_above,at_least,symmetric,winding,residual,point "
+        "counts:energy,count,complete,caveat unexplained=gaps:energies,reason scatters_from complete status "
+        "section=section.name from=source to=target hits=crossings"
+    )
 
     system: System
     source: str
@@ -715,19 +721,10 @@ class BifurcationSearch(Shown):
     def __repr__(self) -> str:
         return f"<bifurcations: {self.status}>"
 
-    def document(self) -> dict[str, Any]:
-        """Return the document printed by `dpcontrol bifurcations --json`."""
-        event = ("energy", "kind", "state", "count_below", "count_above", "at_least", "symmetric", "winding")
-        return {
-            "events": [picked(e, *event, "residual", "point") for e in self.events],
-            "counts": [picked(c, "energy", "count", "complete", "caveat") for c in self.counts],
-            "unexplained": [{"energies": [low, high], "reason": reason} for low, high, reason in self.unexplained],
-            **picked(self, "scatters_from", "complete", "status"),
-            "section": self.section.name,
-            "from": self.source,
-            "to": self.target,
-            "hits": self.crossings,
-        }
+    @property
+    def gaps(self) -> list[tuple[tuple[float, float], str]]:
+        """Energies of unexplained intervals, and the reasons."""
+        return [((low, high), reason) for low, high, reason in self.unexplained]
 
 
 def find_bifurcations(
@@ -894,7 +891,7 @@ def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found
 
 
 @dataclass(frozen=True)
-class BranchDiagram:
+class BranchDiagram(Documented):
     """Connections between two saddles as a function of energy.
 
     Attributes:
@@ -904,6 +901,8 @@ class BranchDiagram:
         scatters_from: J, as in BifurcationSearch.
     """
 
+    KEYS: ClassVar[str] = "source target section counts scatters_from unexplained runs:energies,points marks"
+
     source: str
     target: str
     section: str
@@ -912,14 +911,6 @@ class BranchDiagram:
     counts: tuple[tuple[float, int, bool], ...]
     scatters_from: float | None
     unexplained: int
-
-    def document(self) -> dict[str, Any]:
-        """Return the diagram as numbers, lists and strings."""
-        return {
-            **picked(self, "source", "target", "section", "counts", "scatters_from", "unexplained"),
-            "runs": [{"energies": run.energies.tolist(), "points": run.points.tolist()} for run in self.runs],
-            "marks": [asdict(mark) for mark in self.marks],
-        }
 
 
 def branch_diagram(search: BifurcationSearch) -> BranchDiagram:

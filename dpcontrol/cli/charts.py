@@ -38,7 +38,7 @@ def figures_command(
     """Draw the figures and print their captions."""
     with progress_bar("figures") as progress:
         progress("loading", 0.0)
-        from dpcontrol.foundation.files import picked
+        from dpcontrol.foundation.document import picked
         from dpcontrol.pages.figures import CAPTIONS, draw_figures
         from dpcontrol.pages.gallery import cached_gallery
 

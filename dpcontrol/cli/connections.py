@@ -189,7 +189,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
         families = rotating_families(orbits, energies, progress=progress)
     if picture is not None:
         from dpcontrol.pages.layout import save_figure
-        from dpcontrol.pages.orbits import draw_rotating_families
+        from dpcontrol.pages.rotating_orbits import draw_rotating_families
 
         save_figure(draw_rotating_families(families), picture)
     document = {

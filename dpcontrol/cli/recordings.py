@@ -187,7 +187,7 @@ def _design(model: str, picture: Path | None) -> Answer:
     with progress_bar("design") as progress:
         design = design_experiments(start.arms, progress=progress)
         if picture is not None:
-            from dpcontrol.pages.identification import draw_design
+            from dpcontrol.pages.experiments import draw_design
             from dpcontrol.pages.layout import save_figure
 
             save_figure(draw_design(design, title=start.title), picture)

@@ -100,7 +100,7 @@ def model_command(
 
     Equilibria are frictionless, with the pivot at rest.
     """
-    from dpcontrol.foundation.files import picked
+    from dpcontrol.foundation.document import picked
     from dpcontrol.orbits.lyapunov import equilibria
     from dpcontrol.plans.model import load_model
 

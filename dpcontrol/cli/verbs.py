@@ -393,7 +393,7 @@ def print_json(document: Mapping[str, Any]) -> None:
     Args:
         document: nested mappings, lists, arrays and scalars.
     """
-    from dpcontrol.foundation.files import plain
+    from dpcontrol.foundation.document import plain
 
     click.echo(printable(json.dumps(plain(document), indent=1, ensure_ascii=False), json=True))
 

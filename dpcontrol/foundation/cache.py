@@ -23,9 +23,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
+from typing import ClassVar
 
 import dpcontrol
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import content_hash, write_whole
 
@@ -136,11 +137,13 @@ def _seal(file: Path, content: bytes) -> bytes:
 
 
 @dataclass(frozen=True)
-class CacheContents:
+class CacheContents(Documented):
     """Number of entries and bytes of each kind in the cache.
 
     They are counted before the cache is emptied, if it is.
     """
+
+    KEYS: ClassVar[str] = "folder variable entries bytes kinds:entries,bytes emptied status=sentence"
 
     folder: Path
     kinds: dict[str, tuple[int, int]]
@@ -166,11 +169,10 @@ class CacheContents:
     def __repr__(self) -> str:
         return f"<cache: {self.sentence}>"
 
-    def document(self) -> dict[str, Any]:
-        """Return the output of `dpcontrol cache --json`."""
-        kinds = {kind: {"entries": count, "bytes": size} for kind, (count, size) in self.kinds.items()}
-        return {"folder": self.folder, "variable": VARIABLE, "entries": self.entries, "bytes": self.bytes,
-                "kinds": kinds, "emptied": self.emptied, "status": self.sentence}  # fmt: skip
+    @property
+    def variable(self) -> str:
+        """Name of the environment variable that sets the folder."""
+        return VARIABLE
 
 
 def cache_contents(*, clear: bool = False) -> CacheContents:

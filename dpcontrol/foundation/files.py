@@ -7,8 +7,6 @@ they are opened.
 
 Files of arrays with a JSON header (NumPy's .npz) are written atomically. Damage is reported in one sentence when they
 are read. Format: NumPy Enhancement Proposal 1, a zip archive of .npy files; `header` among them is a string of JSON.
-
-Documents are results as JSON values.
 """
 
 import errno
@@ -25,7 +23,6 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
-from dataclasses import fields
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
@@ -541,50 +538,3 @@ def archive(
     except (*UNREADABLE, InputError) as error:
         reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)[:200] or type(error).__name__
         raise InputError(f"{path} is not {what} of dpcontrol, or is damaged: {reason}; {again}") from error
-
-
-def picked(result: Any, *names: str) -> dict[str, Any]:
-    """Return attributes of a result by name.
-
-    Args:
-        result: any object.
-        *names: names of its attributes.
-    """
-    return {name: getattr(result, name) for name in names}
-
-
-def fields_of(kind: type, record: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass from a record, by name.
-
-    Args:
-        kind: dataclass that declares the fields.
-        record: object with at least these attributes.
-    """
-    return picked(record, *(field.name for field in fields(kind)))
-
-
-def plain(value: Any) -> Any:
-    """Return `value` as JSON values.
-
-    Arrays become lists, complex numbers [re, im], paths text, and numbers that are not finite null.
-
-    Args:
-        value: nested mappings, lists, arrays (…) and scalars.
-    """
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, complex | np.complexfloating):
-        return [plain(float(value.real)), plain(float(value.imag))]
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, np.bool_):
-        return bool(value)
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value

@@ -18,8 +18,8 @@ import numpy as np
 
 from dpcontrol.foundation.arrays import Array, checked_array
 from dpcontrol.foundation.checked import Count, checked
+from dpcontrol.foundation.document import plain
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import plain
 from dpcontrol.foundation.rendering import render, thumbnail
 
 if TYPE_CHECKING:

@@ -32,6 +32,11 @@ class Share:
         """The observed share."""
         return self.successes / self.runs if self.runs else float("nan")
 
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The interval's ends."""
+        return self.low, self.high
+
 
 def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
     """Return the share with Wilson's interval.

@@ -38,7 +38,7 @@ robot excitation and identification (1997).
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -57,8 +57,8 @@ from dpcontrol.dynamics.chain import (
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import runge_kutta_4
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief
@@ -604,8 +604,13 @@ class Experiment(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class Design(Documented):
     """Comparison of experiments for the ratios `names` (f,) of a model."""
+
+    KEYS: ClassVar[str] = (
+        "unknowns=names experiments:kind,angles,amplitude,frequency,information,amplification,usable best=best.text "
+        "pair=best_pair.text"
+    )
 
     names: tuple[str, ...]
     experiments: tuple[Experiment, ...]
@@ -625,15 +630,10 @@ class Design:
         first = ranked[0]
         return first, max(ranked, key=lambda e: digits(first.matrix + e.matrix))
 
-    def document(self) -> dict[str, Any]:
-        """Return the output of `dpcontrol identify --design --json`."""
-        experiment = ("kind", "angles", "amplitude", "frequency", "information", "amplification", "usable")
-        return {
-            "unknowns": list(self.names),
-            "experiments": [picked(e, *experiment) for e in self.experiments],
-            "best": [e.text for e in self.ranked()[:5]],
-            "pair": [e.text for e in self.best_pair()],
-        }
+    @property
+    def best(self) -> list[Experiment]:
+        """The five most informative usable experiments."""
+        return self.ranked()[:5]
 
 
 def digits(matrix: Array) -> float:

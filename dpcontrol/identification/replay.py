@@ -25,10 +25,10 @@ Nocedal & Wright, Numerical Optimization (2006), section 10.3.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,8 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting, suggest
 from dpcontrol.foundation.shown import Brief
@@ -406,8 +406,12 @@ class ReplaySettings(Settings, table="replay"):
 
 
 @dataclass(frozen=True, eq=False)
-class Replay(Brief):
+class Replay(Brief, Documented):
     """A recording of K samples and the model's predictions for it."""
+
+    KEYS: ClassVar[str] = (
+        "segments=stretch_errors nis_inside_95 nis_below_95 rates_rms cart status nis_means rms_ahead=ahead"
+    )
 
     recording: Recording
     predicted: Array
@@ -492,18 +496,6 @@ class Replay(Brief):
             start = float(self.recording.time[first])
             rows.append({"index": index, "start": start, **own, "rms": fit.rms, "converged": fit.converged})
         return rows
-
-    def document(self) -> dict[str, Any]:
-        """Return the output of `dpcontrol replay --json`.
-
-        The names of log and model are missing.
-        """
-        return {
-            "segments": self.stretch_errors,
-            **picked(self, "nis_inside_95", "nis_below_95", "rates_rms", "cart", "status"),
-            "nis_means": None if self.nis_means is None else asdict(self.nis_means),
-            "rms_ahead": {str(samples): rms for samples, rms in self.ahead.items()},
-        }
 
 
 def filter_settings(name: str, *, model_error: float = 0.003) -> EstimatorSettings:

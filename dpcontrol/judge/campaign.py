@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.document import document_of, picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import check_seal, checked_size, checked_source, picked
+from dpcontrol.foundation.files import check_seal, checked_size, checked_source
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share, wilson
@@ -128,7 +129,7 @@ class CampaignSummary(Shown):
 
 
 def _share_document(share: Share) -> dict[str, Any]:
-    return {"completed": share.successes, "of": share.runs, **picked(share, "rate", "low", "high")}
+    return document_of(share, "completed=successes of=runs rate low high")
 
 
 def campaign_summary(path: Path) -> CampaignSummary:

@@ -9,10 +9,10 @@ at its start. The comparison's status reports the method used for each run.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.judge.run_view import RunView
 
@@ -38,19 +38,17 @@ class ComparedRun:
 
 
 @dataclass(frozen=True)
-class RunComparison(Shown):
+class RunComparison(Shown, Documented):
     """Runs on one clock, aligned at a symbol.
 
     The symbol counts from 1; its time is in s.
     """
 
+    KEYS: ClassVar[str] = "symbol moment status runs=runs.name"
+
     runs: tuple[ComparedRun, ...]
     symbol: int
     moment: float
-
-    def document(self) -> dict[str, Any]:
-        """Return the alignment for JSON."""
-        return {**picked(self, "symbol", "moment", "status"), "runs": [run.name for run in self.runs]}
 
     @property
     def status(self) -> str:

@@ -21,8 +21,8 @@ import numpy as np
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Shown, pandas_classes
 from dpcontrol.logs.container import partials_of

@@ -7,10 +7,10 @@ It holds completed runs, endings, borders, and gains of changes.
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
-from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.document import Documented, document_of
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.foundation.statistics import Share
 
@@ -78,7 +78,7 @@ _NEAR = 1.25
 
 
 @dataclass(frozen=True)
-class HazardBorder:
+class HazardBorder(Documented):
     """Border of a trouble, at half the described bench's completed runs.
 
     Attributes:
@@ -90,6 +90,8 @@ class HazardBorder:
         end: last value tried, if the border is beyond it.
         falling: True if less is worse.
     """
+
+    KEYS: ClassVar[str] = "* margin sure"
 
     name: str
     setting: str
@@ -150,7 +152,7 @@ class HazardBorder:
 
 
 @dataclass(frozen=True)
-class Improvement:
+class Improvement(Documented):
     """A change on the same seeds.
 
     Of `failing` runs, `rescued` now complete; of `completing` ones, `lost` no longer do.
@@ -159,6 +161,8 @@ class Improvement:
         options: run settings of the change.
         rate: share of completed runs without it.
     """
+
+    KEYS: ClassVar[str] = "* gain error"
 
     text: str
     options: Mapping[str, Any]
@@ -190,7 +194,7 @@ class Improvement:
 
 
 @dataclass(frozen=True)
-class Preflight(Shown):
+class Preflight(Shown, Documented):
     """Forecast before the first run.
 
     Attributes:
@@ -202,6 +206,11 @@ class Preflight(Shown):
         changes: the largest gain first.
         seconds: computing time.
     """
+
+    KEYS: ClassVar[str] = (
+        "itinerary title model status advice **share:runs,completed=successes,success_rate=rate,wilson=interval "
+        "confidence known notes endings=ending_shares borders changes seconds"
+    )
 
     itinerary: str
     title: str
@@ -244,20 +253,7 @@ class Preflight(Shown):
         none = "no run failed, so no change can help" if best is None else "no change gains more than chance"
         return none + at
 
-    def document(self) -> dict[str, Any]:
-        """Return the output of `dpcontrol preflight --json`."""
-        s = self.share
-        return {
-            **picked(self, "itinerary", "title", "model", "status", "advice"),
-            "runs": s.runs,
-            "completed": s.successes,
-            "success_rate": s.rate,
-            "wilson": [s.low, s.high],
-            "confidence": self.confidence,
-            "known": [asdict(one) for one in self.known],
-            "notes": list(self.notes),
-            "endings": [{**asdict(one), "share": one.runs / s.runs} for one in self.endings],
-            "borders": [{**asdict(one), "margin": one.margin, "sure": one.sure} for one in self.borders],
-            "changes": [{**asdict(one), "gain": one.gain, "error": one.error} for one in self.changes],
-            "seconds": self.seconds,
-        }
+    @property
+    def ending_shares(self) -> list[dict[str, Any]]:
+        """Endings with their shares of all runs."""
+        return [{**document_of(one), "share": one.runs / self.share.runs} for one in self.endings]

@@ -11,7 +11,7 @@ Symbols and wraps are decoded from the angles, see `dpcontrol.judge.decoding`.
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import NisMeans, nis_means
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.judge.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_run, last_gap
@@ -51,7 +52,7 @@ class Thinking:
 
 
 @dataclass(frozen=True)
-class Score:
+class Score(Documented):
     """Completion, tracking error, consistency and cart use of a run.
 
     Attributes:
@@ -101,10 +102,6 @@ class Score:
 
     def __repr__(self) -> str:
         return f"<score: {self.sentence}>"
-
-    def document(self) -> dict[str, Any]:
-        """Return the output of `dpcontrol score --json`."""
-        return asdict(self)
 
 
 def plan_of(log: RunLog) -> Reference:

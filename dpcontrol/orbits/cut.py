@@ -7,7 +7,7 @@ ends are located by bisection and reported, and gaps are never bridged.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.foundation.budget import Budget
-from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.manifold import UnstableManifold
@@ -314,7 +314,7 @@ class Piece(Brief):
 
 
 @dataclass(frozen=True)
-class Cut(Shown):
+class Cut(Shown, Documented):
     """The pieces and open ends of a tube's cut, both branches.
 
     Attributes:
@@ -323,6 +323,11 @@ class Cut(Shown):
         stable: True for the image on the stable tube.
         spent: True if time ran out during refinement.
     """
+
+    KEYS: ClassVar[str] = (
+        "hit stable trajectories resolved status section=section.name pieces:branch,direction,closed,phases,points "
+        "open_ends:branch,phase_interval,reason"
+    )
 
     section: Section
     hit: int
@@ -337,15 +342,6 @@ class Cut(Shown):
     def __repr__(self) -> str:
         kind = "stable" if self.stable else "unstable"
         return f"<cut of the {kind} tube at crossing {self.hit} of {self.section.name}: {self.status}>"
-
-    def document(self) -> dict[str, Any]:
-        """Return the cut as values for JSON."""
-        return {
-            **picked(self, "hit", "stable", "trajectories", "resolved", "status"),
-            "section": self.section.name,
-            "pieces": [picked(one, "branch", "direction", "closed", "phases", "points") for one in self.pieces],
-            "open_ends": [picked(one, "branch", "phase_interval", "reason") for one in self.open_ends],
-        }
 
 
 def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:

@@ -20,7 +20,7 @@ Sources: Doedel et al., Computation of periodic solutions of conservative system
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,8 @@ from scipy.optimize import brentq
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
@@ -478,7 +478,7 @@ class FamilyEvent:
 
 
 @dataclass(frozen=True)
-class LyapunovFamily(Family[LyapunovOrbit]):
+class LyapunovFamily(Family[LyapunovOrbit], Documented):
     """Lyapunov orbits along a family's curve, starting at the saddle.
 
     Attributes:
@@ -486,20 +486,13 @@ class LyapunovFamily(Family[LyapunovOrbit]):
         converged: True if every member is closed and Newton's method failed at neither end.
     """
 
+    KEYS: ClassVar[str] = "family=members ends:energy,kind,reason events:kind,**orbit saddle status"
+
     system: System
     saddle: str
     family: int
     events: tuple[FamilyEvent, ...]
     ends: tuple[FamilyEnd, FamilyEnd]
-
-    def document(self) -> dict[str, Any]:
-        """Return the document printed by `dpcontrol orbit --energies --json`."""
-        return {
-            "family": [m.document() for m in self.members],
-            "ends": [picked(e, "energy", "kind", "reason") for e in self.ends],
-            "events": [{"kind": e.kind, **e.orbit.document()} for e in self.events],
-            **picked(self, "saddle", "status"),
-        }
 
 
 def lyapunov_family(

@@ -18,7 +18,7 @@ Source: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998), theo
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,8 @@ from dpcontrol.dynamics.system import System, saddle_index
 from dpcontrol.foundation.arguments import number, whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import fields_of
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
 
 if TYPE_CHECKING:
@@ -357,7 +357,7 @@ class ContinuationSettings:
 
 
 @dataclass(frozen=True)
-class OrbitRecord(Brief):
+class OrbitRecord(Brief, Documented):
     """Properties of a periodic orbit about a saddle.
 
     Attributes:
@@ -368,6 +368,8 @@ class OrbitRecord(Brief):
         residual: largest component of x(T) - x(0).
         status: outcome of the search.
     """
+
+    KEYS: ClassVar[str] = "energy period state floquet_multipliers residual status saddle family"
 
     energy: float
     period: float
@@ -382,10 +384,6 @@ class OrbitRecord(Brief):
     def name(self) -> str:
         """The saddle's name, with the family unless it is the first."""
         return self.saddle if self.family == 0 else f"{self.saddle} family {self.family}"
-
-    def document(self) -> dict[str, Any]:
-        """Return the record in the format of `dpcontrol orbit --json`."""
-        return fields_of(OrbitRecord, self)
 
 
 @dataclass(frozen=True)

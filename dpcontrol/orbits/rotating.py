@@ -19,7 +19,7 @@ Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body Problem, 3rd
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
 from dpcontrol.orbits.family import (
@@ -69,7 +69,7 @@ class RotatingSettings:
 
 
 @dataclass(frozen=True)
-class RotatingRecord(Brief):
+class RotatingRecord(Brief, Documented):
     """Properties of a symmetric orbit with one turn per period.
 
     The kind is "hyperbolic", "inverse hyperbolic", "elliptic", or "parabolic" if |trace| = 2 to rounding.
@@ -85,6 +85,8 @@ class RotatingRecord(Brief):
     The residual is the largest component of x(T) - x(0) - 2π winding.
     """
 
+    KEYS: ClassVar[str] = "arm winding energy period state floquet_multipliers trace kind residual status"
+
     arm: int
     winding: tuple[int, ...]
     energy: float
@@ -95,10 +97,6 @@ class RotatingRecord(Brief):
     kind: str
     residual: float
     status: str
-
-    def document(self) -> dict[str, Any]:
-        """Return the record in the format of `dpcontrol orbit --rotating --json`."""
-        return fields_of(RotatingRecord, self)
 
 
 @dataclass(frozen=True)
@@ -411,7 +409,7 @@ class StabilityChange:
 
 
 @dataclass(frozen=True)
-class RotatingFamily(Family[RotatingOrbit]):
+class RotatingFamily(Family[RotatingOrbit], Documented):
     """Rotating orbits along a family's curve, from one end to the other.
 
     Attributes:
@@ -419,6 +417,8 @@ class RotatingFamily(Family[RotatingOrbit]):
         ends: reasons for both ends.
         converged: True if Newton's method failed at neither end.
     """
+
+    KEYS: ClassVar[str] = "members changes:critical_trace,before,after,**orbit folds ends status"
 
     changes: tuple[StabilityChange, ...]
     folds: tuple[RotatingOrbit, ...]
@@ -428,15 +428,6 @@ class RotatingFamily(Family[RotatingOrbit]):
     def traces(self) -> Array:
         """Traces (K,) of the Poincaré map."""
         return self.column("trace")
-
-    def document(self) -> dict[str, Any]:
-        """Return the family in the format of `dpcontrol orbit --rotating --energies --json`."""
-        return {
-            "members": [member.document() for member in self.members],
-            "changes": [{**picked(c, "critical_trace", "before", "after"), **c.orbit.document()} for c in self.changes],
-            "folds": [fold.document() for fold in self.folds],
-            **picked(self, "ends", "status"),
-        }
 
 
 def rotating_family(

@@ -7,13 +7,14 @@ The stable tube is the image of the unstable one under the orbit's reverser, so 
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import Count, Hit, checked
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.cut import Cut, CutSettings, Piece, Sampler, section_points, tube_cut
@@ -25,12 +26,14 @@ _MOMENTS = 160
 
 
 @dataclass(frozen=True, repr=False)
-class Tube(Shown):
+class Tube(Shown, Documented):
     """The stable or unstable tube of a hyperbolic orbit.
 
     Attributes:
         branch: +1 or -1, or 0 for both branches.
     """
+
+    KEYS: ClassVar[str] = "orbit stable branch"
 
     orbit: LyapunovOrbit
     stable: bool = False
@@ -121,10 +124,6 @@ class Tube(Shown):
         direction = -piece.direction * int(np.sign(normal @ self.orbit.reverser @ normal))
         points = section_points(self.orbit.system, section, states)
         return replace(piece, points=points, states=states, direction=direction)
-
-    def document(self) -> dict[str, Any]:
-        """Return the tube as values for JSON."""
-        return {"orbit": self.orbit.document(), "stable": self.stable, "branch": self.branch}
 
 
 def _followed(propagator: Any, seed: Array, seconds: float) -> Array:

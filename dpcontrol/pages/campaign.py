@@ -1,6 +1,5 @@
-"""A campaign's summary on one page. Empty panels, such as failures, are omitted."""
+"""A campaign on one page: shares of completed runs, and where and why the others failed."""
 
-from collections.abc import Sequence
 from functools import partial
 from textwrap import shorten
 
@@ -8,12 +7,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
-from numpy.typing import NDArray
 
 from dpcontrol.judge.campaign import CampaignSummary, Group
 from dpcontrol.pages import style
+from dpcontrol.pages.campaign_spreads import draw_spread, group_colours
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import empty, name_curves, quiet
+from dpcontrol.pages.panels import name_curves, quiet
 
 _TITLES = {"max_cart_position": "Cart's largest distance (mm)", "rms_tracking_error": "Tracking (mrad rms)"}
 _MOST, _APART = 28, 6
@@ -32,7 +31,7 @@ def draw_campaign(summary: CampaignSummary) -> Figure:
         failures = [Panel(partial(_draw_symbols, summary=summary)), Panel(partial(_draw_reasons, summary=summary), 1.3)]
         page.row(*failures, height=2.4)
     families = max((len(some) for some in summary.spreads.values()), default=1)
-    spreads = [partial(_spread, summary=summary, name=name, title=title) for name, title in _TITLES.items()]
+    spreads = [partial(draw_spread, summary=summary, name=name, title=title) for name, title in _TITLES.items()]
     return page.row(*spreads, height=1.8 if families < 2 else 1.0 + 0.55 * min(families, len(style.RUNS))).figure()
 
 
@@ -51,7 +50,7 @@ def draw_groups(axes: Axes, summary: CampaignSummary) -> None:
     shown = every[:_MOST]
     more = f"… and {len(every) - len(shown)} groups more" if len(every) > len(shown) else ""
     quiet(axes, "Runs completed; lines: Wilson's 95 % interval", x=more)
-    colours = _colours(summary, [group.family for group, _ in shown])
+    colours = group_colours(summary, [group.family for group, _ in shown])
     for k, ((group, _), colour) in enumerate(zip(shown, colours, strict=True)):
         share = group.share
         axes.barh(k, share.rate, color=colour, height=0.62, alpha=0.85)
@@ -66,11 +65,6 @@ def draw_groups(axes: Axes, summary: CampaignSummary) -> None:
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def _colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
-    order = list(dict.fromkeys(group.family for group in summary.groups))
-    return [style.RUNS[order.index(label) % len(style.RUNS)] for label in labels]
-
-
 def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
     standard = summary.axis == "level"
     text = "level of each kind of trouble" if standard else "mismatch, share of each parameter"
@@ -83,7 +77,7 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
     axes.set_ylim(-0.03, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     reach = max(level.high for level in summary.levels) - min(level.low for level in summary.levels)
-    for k, (label, colour) in enumerate(zip(shown, _colours(summary, shown), strict=True)):
+    for k, (label, colour) in enumerate(zip(shown, group_colours(summary, shown), strict=True)):
         levels = [level for level in summary.levels if level.label == label]
         # Groups are offset slightly, so that their intervals do not overlap.
         x = np.array([(level.low + level.high) / 2 for level in levels]) + 0.006 * reach * (k - len(shown) / 2)
@@ -104,7 +98,7 @@ def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
     numbers = sorted({symbol for _, symbol, _ in summary.failed_symbols})
     bottoms = dict.fromkeys(numbers, 0)
     labels = list(dict.fromkeys(label for label, _, _ in summary.failed_symbols))
-    colours = dict(zip(labels, _colours(summary, labels), strict=True))
+    colours = dict(zip(labels, group_colours(summary, labels), strict=True))
     for label, symbol, count in summary.failed_symbols:
         axes.bar(symbol, count, bottom=bottoms[symbol], color=colours[label], alpha=0.85)
         bottoms[symbol] += count
@@ -123,48 +117,3 @@ def _draw_reasons(axes: Axes, summary: CampaignSummary) -> None:
     axes.set_yticks(range(len(shown)), texts)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(max(len(shown) - 0.4, 0.6), -0.6)
-
-
-def _spread(axes: Axes, summary: CampaignSummary, name: str, title: str) -> None:
-    if name not in summary.spreads:
-        empty(axes, title, f"the table has no {name}")
-        return
-    families = dict(list(summary.spreads[name].items())[: len(style.RUNS)])
-    every = 1e3 * np.concatenate([values for both in families.values() for values in both])
-    edges = np.linspace(float(every.min()), float(np.quantile(every, 0.99)) + 1e-9, 31)
-    if len(families) == 1:
-        good, bad = next(iter(families.values()))
-        alone = "all completed" if len(good) else "all failed"
-        quiet(axes, f"{title}: {'completed green, failed red' if len(good) and len(bad) else alone}", y="runs")
-        _bars(axes, good, bad, edges, colour=style.GOOD)
-        axes.yaxis.set_major_locator(MaxNLocator(3, integer=True))
-        return
-    hidden = len(summary.spreads[name]) - len(families)
-    more = f", first {len(families)} of {len(families) + hidden} groups" if hidden else ""
-    quiet(axes, f"{title}: failed red{more}")
-    # Each group has a row as high as its fullest bin: a common one would hide the differences.
-    colours = _colours(summary, list(families))
-    for row, ((family, (good, bad)), colour) in enumerate(zip(families.items(), colours, strict=True)):
-        _bars(axes, good, bad, edges, colour=colour, row=-row)
-        name = shorten(family, 40, placeholder=" …")
-        look = {"ha": "right", "va": "top", "fontsize": style.SMALL, "color": colour}
-        box = {"color": style.PAPER, "alpha": 0.7, "pad": 1, "linewidth": 0}
-        axes.text(0.99, 0.9 - row, name, transform=axes.get_yaxis_transform(), bbox=box, **look)
-    axes.set(yticks=[-row for row in range(len(families))], yticklabels=[], ylim=(1 - len(families), 1))
-
-
-def _bars(
-    axes: Axes,
-    good: NDArray[np.float64],
-    bad: NDArray[np.float64],
-    edges: NDArray[np.float64],
-    *,
-    colour: str,
-    row: int | None = None,
-) -> None:
-    """Draw a histogram, failed runs stacked on completed ones; a given row sets the scale."""
-    counts = [np.histogram(np.clip(1e3 * values, edges[0], edges[-1]), edges)[0] for values in (good, bad)]
-    scale = 1.0 if row is None else 0.85 / max(int(np.add(*counts).max()), 1)
-    look = {"width": np.diff(edges), "align": "edge", "alpha": 0.75}
-    axes.bar(edges[:-1], counts[0] * scale, bottom=row or 0, color=colour, **look)
-    axes.bar(edges[:-1], counts[1] * scale, bottom=(row or 0) + counts[0] * scale, color=style.LIMIT, **look)

@@ -9,9 +9,11 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
+from dpcontrol.pages.chart import Chart, LevelLine, Line
 from dpcontrol.pages.layout import MOST_IN_KEY, key
 from dpcontrol.pages.panels import label_in_pi, mark_times, name_curves, quiet
-from dpcontrol.pages.series import Chart, LevelLine, Line, Plane, Range, extreme_rows, gap_times
+from dpcontrol.pages.planes import Plane
+from dpcontrol.pages.ranges import Range, extreme_rows, gap_times
 
 _BINS = 1500
 

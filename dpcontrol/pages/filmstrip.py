@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.series import Range, arm_points
+from dpcontrol.pages.planes import arm_points
+from dpcontrol.pages.ranges import Range
 
 _FRAME_STEP = 2.12
 """Distance between the film's frames, in lengths of all arms: enough for two stretched towards one another."""

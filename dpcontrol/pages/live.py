@@ -166,7 +166,9 @@ class ShownState:
     def add(self, rows: Array, events: tuple[Event, ...]) -> None:
         """Show new rows (K, D) and events."""
         from dpcontrol.pages import rerun_recording as recorded
-        from dpcontrol.pages.series import check_charts, motion_charts, strips
+        from dpcontrol.pages.check_charts import check_charts
+        from dpcontrol.pages.motion_charts import motion_charts
+        from dpcontrol.pages.strips import strips
 
         first, both = not len(self.tail), rows if not len(self.tail) else np.concatenate([self.tail, rows])
         view, drawn = self._view(rows, events), self._view(both, ())

@@ -106,10 +106,11 @@ def _draw_returns(axes: Axes, night: Night) -> None:
         return
     shares = np.arange(1, len(returns) + 1) / len(returns)
     axes.step(np.r_[0, returns], np.r_[0, shares], where="post", color=style.ARMS[0])
-    for share, name, height in ((0.5, "median", 0.16), (0.99, "99 %", 0.04)):
+    # The curve leaves the upper left and the lower right free.
+    for share, name, height, side in ((0.5, "median", 0.88, "right"), (0.99, "99 %", 0.05, "left")):
         value = float(np.quantile(returns, share))
         axes.axvline(value, color=style.MARK, linewidth=0.8, linestyle=":")
-        axes.text(value, height, f" {name} {value:.1f} s", fontsize=style.SMALL, color=style.NOTE)
+        axes.text(value, height, f" {name} {value:.1f} s ", fontsize=style.SMALL, color=style.NOTE, ha=side)
     axes.set(xlim=(0, 1.3 * returns[-1]), ylim=(0, 1.03))
 
 

@@ -16,12 +16,16 @@ from dpcontrol.judge.nearest import NearestLimit, closest_approach, limit_uses, 
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.logs import RunLog
-from dpcontrol.pages import series, style
+from dpcontrol.pages import style
+from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart, draw_plane
+from dpcontrol.pages.check_charts import check_charts
 from dpcontrol.pages.filmstrip import draw_film, film_height, film_times
 from dpcontrol.pages.layout import Page, Panel, Stack, cropped, list_panel
+from dpcontrol.pages.motion_charts import motion_charts
 from dpcontrol.pages.panels import quiet
-from dpcontrol.pages.series import Chart
+from dpcontrol.pages.planes import plane
+from dpcontrol.pages.series import extra_charts
 from dpcontrol.pages.story import story, story_height
 from dpcontrol.runs.run import Run
 
@@ -41,7 +45,7 @@ def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
 
     The charts in `more` are added to the view's.
     """
-    charts = [*series.motion_charts(view), *series.check_charts(view), *series.extra_charts(view), *more]
+    charts = [*motion_charts(view), *check_charts(view), *extra_charts(view), *more]
     half = (len(charts) + 1) // 2
     left, right = (
         [partial(_chart, chart=chart, view=view, last=chart is some[-1]) for chart in some]
@@ -90,7 +94,7 @@ def _chart(axes: Axes, chart: Chart, view: RunView, *, last: bool) -> None:
 
 
 def _plane(axes: Axes, view: RunView, arm: int) -> None:
-    draw_plane(axes, [(series.plane(view, arm), style.PLANT)])
+    draw_plane(axes, [(plane(view, arm), style.PLANT)])
 
 
 def _lists(view: RunView) -> list[Panel]:

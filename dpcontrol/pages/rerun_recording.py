@@ -22,23 +22,13 @@ from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.parts import Later
 from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
-from dpcontrol.pages.series import (
-    Chart,
-    Line,
-    Plane,
-    Span,
-    Strip,
-    arm_points,
-    check_charts,
-    extra_charts,
-    extreme_rows,
-    gap_times,
-    motion_charts,
-    padded,
-    plane,
-    strips,
-    ticked,
-)
+from dpcontrol.pages.chart import Chart, Line
+from dpcontrol.pages.check_charts import check_charts
+from dpcontrol.pages.motion_charts import motion_charts
+from dpcontrol.pages.planes import Plane, arm_points, plane
+from dpcontrol.pages.ranges import extreme_rows, gap_times, padded, ticked
+from dpcontrol.pages.series import extra_charts
+from dpcontrol.pages.strips import Span, Strip, strips
 
 if TYPE_CHECKING:
     import rerun as rr

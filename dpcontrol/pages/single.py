@@ -25,14 +25,16 @@ from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
 from dpcontrol.orbits.tube import Tube
 from dpcontrol.pages import campaign, night, orbits, style
-from dpcontrol.pages.atlas import BRANCHES, draw_cuts
+from dpcontrol.pages.atlas_cuts import draw_cuts
+from dpcontrol.pages.atlas_parts import BRANCHES
 from dpcontrol.pages.charts import draw_chart
-from dpcontrol.pages.figures import draw_momentum_branches
 from dpcontrol.pages.identification import draw_candidates, draw_identification
 from dpcontrol.pages.page import draw
 from dpcontrol.pages.panels import angle_axis, quiet
+from dpcontrol.pages.paper.branches import draw_momentum_branches
 from dpcontrol.pages.series import charts
-from dpcontrol.pages.walks import WalkStory, draw_walk
+from dpcontrol.pages.walk_story import WalkStory
+from dpcontrol.pages.walks import draw_walk
 from dpcontrol.pages.walks import plane as walk_plane
 from dpcontrol.plans.model import ModelSystem
 from dpcontrol.plans.plan import Plan

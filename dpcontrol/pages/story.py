@@ -8,7 +8,8 @@ from dpcontrol.judge.run_view import RunView
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import text_width
 from dpcontrol.pages.panels import badge
-from dpcontrol.pages.series import Range, Span, Strip, strips
+from dpcontrol.pages.ranges import Range
+from dpcontrol.pages.strips import Span, Strip, strips
 
 _TALL = 0.84
 _WRONG = {"facecolor": "#f7d9d6", "edgecolor": style.LIMIT, "hatch": "xxxx"}

@@ -13,7 +13,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page
-from dpcontrol.pages.series import arm_points
+from dpcontrol.pages.planes import arm_points
 from dpcontrol.references.reference import ReferenceSummary, plan_notes, transitions_in
 
 Point = tuple[float, float]
@@ -86,7 +86,8 @@ def _cell(
     for spine in axes.spines.values():
         spine.set_color(style.FAINT)
     axes.set_title(title, fontsize=style.HEAD, color=style.INK)
-    axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK)
+    upright = {"rotation": 0, "ha": "right", "va": "center"}
+    axes.set_ylabel(name.replace("-", "\n"), fontsize=style.HEAD, color=style.INK, **upright)
     if motion is None:
         return
     seconds, states = motion

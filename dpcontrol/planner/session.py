@@ -14,8 +14,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from dpcontrol.foundation.document import plain
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import plain, write_whole
+from dpcontrol.foundation.files import write_whole
 from dpcontrol.planner.draft import Draft, enough_wraps, fault_of, first_text, read_draft
 from dpcontrol.planner.shown import shown_model
 from dpcontrol.planner.workers import WorkerJob, Workers

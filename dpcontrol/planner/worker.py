@@ -19,8 +19,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from dpcontrol.foundation.document import plain
 from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Remark, printable
-from dpcontrol.foundation.files import plain
 from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.foundation.settings import parse_toml
 from dpcontrol.judge.of_log import run_view

@@ -59,8 +59,9 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arguments import number, whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.document import fields_of, picked, plain
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import archive, content_hash, fields_of, picked, plain, write_archive
+from dpcontrol.foundation.files import archive, content_hash, write_archive
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.orbits.cut import Cut, Piece, section_points
@@ -492,7 +493,8 @@ def _unpacked(
     values: dict[str, Any] = {}
     # Fields with a default came later, and older files lack them.
     entry = {f.name: f.default for f in fields(kind) if f.default is not MISSING} | entry  # type: ignore[arg-type]
-    for name, hint in get_type_hints(kind).items():
+    hints = get_type_hints(kind)
+    for name, hint in ((f.name, hints[f.name]) for f in fields(kind)):  # type: ignore[arg-type]
         member = next((one for one in get_args(hint) if is_dataclass(one)), None)
         if name not in entry:
             values[name] = _checked(arrays[prefix + name], prefix + name, len(arrays["periods"]))

@@ -18,7 +18,8 @@ import numpy as np
 import dpcontrol
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.files import content_hash, picked
+from dpcontrol.foundation.document import picked
+from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, resting_place

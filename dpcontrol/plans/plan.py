@@ -15,12 +15,13 @@ from functools import cached_property
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, keep, kept
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import content_hash, picked
+from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names
@@ -44,7 +45,7 @@ FORMAT = 2
 
 
 @dataclass(frozen=True)
-class Plan(ByReference, Timed):
+class Plan(ByReference, Timed, Documented):
     """An itinerary's reference with its notes.
 
     There is no file if the reference did not converge, or the cache is not writable.
@@ -53,6 +54,12 @@ class Plan(ByReference, Timed):
         file: its file in the cache.
         cached: True if it was cached before.
     """
+
+    KEYS: ClassVar[str] = (
+        "walk=notes.walk wraps=notes.wraps shadowing=notes.shadowing transfers reference:intervals,duration,"
+        "max_error_between_nodes,constraint_violation,max_cart_position,max_cart_velocity,max_cart_acceleration,"
+        "rms_cart_acceleration,iterations,solve_seconds,status file=written cached status"
+    )
 
     itinerary: Itinerary
     reference: Reference
@@ -140,19 +147,15 @@ class Plan(ByReference, Timed):
         warnings.warn(text, DeprecationWarning, stacklevel=3)
         return dp.closed_loop(self, settings=options)
 
-    def document(self) -> dict[str, Any]:
-        """Return the JSON output of `dpcontrol plan`."""
-        figures = (
-            "duration", "max_error_between_nodes", "constraint_violation", "max_cart_position", "max_cart_velocity",
-            "max_cart_acceleration", "rms_cart_acceleration", "iterations", "solve_seconds", "status",
-        )  # fmt: skip
-        return {
-            **{key: self.notes[key] for key in ("walk", "wraps", "shadowing")},
-            "transfers": self.notes.get("taken", []),
-            "reference": {"intervals": len(self.reference.mesh) - 1, **picked(self.reference, *figures)},
-            "file": self.file if self.converged and os.path.isfile(self.file) else None,
-            **picked(self, "cached", "status"),
-        }
+    @property
+    def transfers(self) -> list[Any]:
+        """Notes on the transfers."""
+        return list(self.notes.get("taken", []))
+
+    @property
+    def written(self) -> Path | None:
+        """The file if the reference converged and was written."""
+        return self.file if self.converged and os.path.isfile(self.file) else None
 
 
 def plan_key(itinerary: Itinerary) -> str:

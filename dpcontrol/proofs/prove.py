@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from operator import attrgetter
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -68,8 +69,10 @@ class ProofSettings:
 
 
 @dataclass(frozen=True)
-class Proof(Shown):
+class Proof(Shown, Documented):
     """A statement with its verdict, enclosures and certificate, if any."""
+
+    KEYS: ClassVar[str] = "kind proved status statement **figures seconds"
 
     kind: str
     proved: bool
@@ -81,17 +84,6 @@ class Proof(Shown):
 
     def __repr__(self) -> str:
         return f"<proof of {self.kind}: {self.status}>"
-
-    def document(self) -> dict[str, Any]:
-        """Return the verdict in the format of `dpcontrol prove --json`."""
-        return {
-            "kind": self.kind,
-            "proved": self.proved,
-            "status": self.status,
-            "statement": self.statement,
-            **self.figures,
-            "seconds": self.seconds,
-        }
 
 
 def exact_energy(energy: Any) -> Fraction:

@@ -33,8 +33,9 @@ import numpy as np
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.checked import Count, Index, checked
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import checked_source, content_hash, picked
+from dpcontrol.foundation.files import checked_source, content_hash
 from dpcontrol.foundation.progress import Cost
 from dpcontrol.foundation.shown import Brief, Timed, checked_times, pandas_classes
 from dpcontrol.logs import LogWriter, Mode, RunLog, check_replaced, control_fields, read_log

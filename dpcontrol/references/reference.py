@@ -34,8 +34,9 @@ import numpy as np
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import picked, plain
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import archive, picked, plain, write_archive
+from dpcontrol.foundation.files import archive, write_archive
 from dpcontrol.foundation.parts import installed
 from dpcontrol.references.method import Method, method_named
 from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, state_scale
@@ -69,6 +70,11 @@ class Reference(Trajectory):
     solve_seconds: float = 0.0
     extra: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
     notes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def intervals(self) -> int:
+        """Number of intervals of the mesh."""
+        return len(self.mesh) - 1
 
     @classmethod
     def of(cls, trajectory: Trajectory, limits: Limits, **about: Any) -> "Reference":

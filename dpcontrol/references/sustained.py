@@ -38,8 +38,8 @@ from numpy.typing import ArrayLike, NDArray
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
 from dpcontrol.orbits.lyapunov import LyapunovOrbit

@@ -31,13 +31,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import permutations
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy import linalg, optimize, signal
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Bounds, Settings, setting
 from dpcontrol.loop.loop import LoopSettings
@@ -115,11 +116,13 @@ class CommissioningSettings(Settings, table="commissioning"):
 
 
 @dataclass(frozen=True)
-class Commissioning:
+class Commissioning(Documented):
     """Findings of each step, and measured values.
 
     The values are for keys of the scene's [run].
     """
+
+    KEYS: ClassVar[str] = "right findings:step,verdict,sentence,remedy,figures measured=changes"
 
     findings: tuple[Finding, ...]
     changes: Mapping[str, float | int | list[float]]
@@ -134,19 +137,10 @@ class Commissioning:
         """Faults of the rig itself, which invalidate the measurements."""
         return tuple(f for f in self.wrong if not f.mended)
 
-    def document(self) -> dict[str, Any]:
-        """Return the output of `dpcontrol commission --json`."""
-        return {
-            "right": not self.wrong,
-            "findings": [
-                {
-                    "step": f.step, "verdict": f.verdict.value, "sentence": f.sentence, "remedy": f.remedy,
-                    "figures": dict(f.figures),
-                }
-                for f in self.findings
-            ],
-            "measured": dict(self.changes),
-        }  # fmt: skip
+    @property
+    def right(self) -> bool:
+        """True if nothing must change before a run."""
+        return not self.wrong
 
 
 class _Halted(Exception):

@@ -54,7 +54,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,7 @@ from numpy.typing import NDArray
 import dpcontrol
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.checked import is_list
+from dpcontrol.foundation.document import Documented, document_of
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file, write_whole
 from dpcontrol.foundation.parts import part
@@ -382,8 +383,12 @@ class CaseResult(Brief):
         return tuple(self.failed.to_pylist())
 
 
+_SHARE = "runs,completed=successes,success_rate=rate,wilson_95=interval"
+"""Entries of a share's document."""
+
+
 @dataclass(frozen=True)
-class Transition:
+class Transition(Documented):
     """Runs of one transition in one case.
 
     The number completed and the causes of the other endings.
@@ -394,6 +399,8 @@ class Transition:
         rms_cart_acceleration: mean over the runs, m/s².
     """
 
+    KEYS: ClassVar[str] = f"* **completed:{_SHARE}"
+
     name: str
     source: str
     target: str
@@ -403,10 +410,6 @@ class Transition:
     max_cart_position: float
     rms_cart_acceleration: float
     reasons: tuple[str, ...]
-
-    def document(self) -> dict[str, Any]:
-        """Return the transition as JSON values."""
-        return {**asdict(self), **share_document(self.completed)}
 
 
 @dataclass(frozen=True)
@@ -499,7 +502,7 @@ class Campaign(Shown):
             "failures": [{**f, "case": c["case"]} for c in cases for f in c["failures"]],
             "cases": cases,
             "pairs": [{"first": a, "second": b, **asdict(pair)} for a, b, pair in self.pairs],
-            "transitions": [one.document() for one in self.transitions],
+            "transitions": self.transitions,
             "standard": [],
             "seconds": self.seconds,
             "simulated_seconds": self.simulated_seconds,
@@ -513,12 +516,7 @@ def share_document(share: Share) -> dict[str, Any]:
     Args:
         share: number of runs and of completed ones.
     """
-    return {
-        "runs": share.runs,
-        "completed": share.successes,
-        "success_rate": share.rate,
-        "wilson_95": [share.low, share.high],
-    }
+    return document_of(share, _SHARE.replace(",", " "))
 
 
 def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[str, Any]) -> tuple[Case, ...]:
@@ -912,20 +910,17 @@ STANDARD_CAMPAIGN = CampaignSettings(runs=8, replayed=0)
 
 
 @dataclass(frozen=True)
-class StandardScore:
+class StandardScore(Documented):
     """One controller's shares of completed runs by kind.
 
     `total` is their mean, 0 to 1.
     """
 
+    KEYS: ClassVar[str] = f"controller score=total kinds:{_SHARE}"
+
     controller: str
     kinds: Mapping[str, Share]
     total: float
-
-    def document(self) -> dict[str, Any]:
-        """Return its part of the JSON output of `dpcontrol campaign --standard`."""
-        kinds = {kind: share_document(share) for kind, share in self.kinds.items()}
-        return {"controller": self.controller, "score": self.total, "kinds": kinds}
 
 
 def standard_scores(results: Sequence[CaseResult]) -> tuple[StandardScore, ...]:

@@ -22,15 +22,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from io import BytesIO
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import content_hash, picked
+from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.shown import Shown
@@ -83,7 +84,7 @@ _LOOK = 1e-3
 
 
 @dataclass(frozen=True)
-class Side:
+class Side(Documented):
     """Effort, cart use and success rates of one plan.
 
     Attributes:
@@ -94,6 +95,8 @@ class Side:
         completed: share of runs by mismatch.
     """
 
+    KEYS: ClassVar[str] = "name effort peak travel nearest completed:successes,runs,rate,low,high"
+
     name: str
     effort: float
     peak: float
@@ -101,19 +104,15 @@ class Side:
     nearest: float
     completed: dict[float, Share]
 
-    def document(self) -> dict[str, Any]:
-        """Return the figures as JSON values."""
-        shares = {f"{mismatch:g}": picked(share, "successes", "runs", "rate", "low", "high")
-                  for mismatch, share in self.completed.items()}  # fmt: skip
-        return {**picked(self, "name", "effort", "peak", "travel", "nearest"), "completed": shares}
-
 
 @dataclass(frozen=True, repr=False)
-class Polished(Shown):
+class Polished(Shown, Documented):
     """A robust plan and the polished one with their figures.
 
     One side if the polished plan did not converge.
     """
+
+    KEYS: ClassVar[str] = "sides plan=polished status"
 
     robust: Plan
     polished: Plan
@@ -131,11 +130,6 @@ class Polished(Shown):
 
     def __repr__(self) -> str:
         return f"<polished {self.robust.itinerary.name!r}: {self.status}>"
-
-    def document(self) -> dict[str, Any]:
-        """Return the entry `polish` of `dpcontrol plan --polish --json`."""
-        plan = self.polished.document()
-        return {"sides": [side.document() for side in self.sides], "plan": plan, "status": self.status}
 
 
 def polish(

@@ -15,10 +15,11 @@ Changes of one kind are tried from the smallest; the first remedy of a kind ends
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
@@ -82,11 +83,13 @@ class TriedChange:
 
 
 @dataclass(frozen=True)
-class Why:
+class Why(Documented):
     """Changes tried for a failed run.
 
     reason: of the failure. unchanged: the null group's count.
     """
+
+    KEYS: ClassVar[str] = "* saves sentence"
 
     log: str
     seed: int | None
@@ -131,10 +134,6 @@ class Why:
 
     def __repr__(self) -> str:
         return f"<why: {self.sentence}>"
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON output of `dpcontrol score --why`."""
-        return {**asdict(self), "saves": list(self.saves), "sentence": self.sentence}
 
 
 _Group = tuple[Sequence[tuple[SceneChange, Job]], Sequence[bool]]

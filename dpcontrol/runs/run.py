@@ -31,13 +31,13 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.checked import Count, Workers, checked
 from dpcontrol.foundation.config import log_folder
+from dpcontrol.foundation.document import picked
 from dpcontrol.foundation.errors import GoalMissed, InputError, mistakes_of, remark
 from dpcontrol.foundation.files import (
     checked_other_file,
     checked_source,
     content_hash,
     in_the_way,
-    picked,
     write_folder,
     write_whole,
 )

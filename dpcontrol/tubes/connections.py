@@ -19,7 +19,7 @@ import difflib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.optimize import root_scalar
@@ -30,8 +30,8 @@ from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, Shown, Timed, checked_times
 from dpcontrol.orbits.cut import Cut, OpenEnd, section_points, tube_cut
@@ -51,7 +51,7 @@ _MIDDLE = 1e-3
 
 
 @dataclass(frozen=True)
-class ConnectionRecord(Brief):
+class ConnectionRecord(Brief, Documented):
     """Properties of an orbit between two periodic orbits.
 
     The winding counts whole turns of each coordinate between the named positions of the source and target saddles. The
@@ -68,6 +68,11 @@ class ConnectionRecord(Brief):
     distance of 1e-3, at the phases `phase_out` and `phase_in`.
     """
 
+    KEYS: ClassVar[str] = (
+        "name section=section.name state winding sense symmetric residual hits time_out time_in phase_out phase_in "
+        "transversality_angle_deg=transversality_angle"
+    )
+
     name: str
     section: Section
     state: Array
@@ -81,12 +86,6 @@ class ConnectionRecord(Brief):
     time_in: float
     phase_out: float
     phase_in: float
-
-    def document(self) -> dict[str, Any]:
-        """Return the record in the format of `dpcontrol connect --json`."""
-        values = fields_of(ConnectionRecord, self)
-        angle = values.pop("transversality_angle")
-        return {**values, "section": self.section.name, "transversality_angle_deg": angle}
 
 
 @dataclass(frozen=True)
@@ -414,7 +413,7 @@ _TANGENT = 1e-5  # scaled; a larger rounding error of an intersection may hide o
 
 
 @dataclass(frozen=True)
-class ConnectionSearch(Shown):
+class ConnectionSearch(Shown, Documented):
     """All connections found between two orbits on one section.
 
     A search is complete if no intersection failed and the cuts are resolved and hide nothing. Also, closed cuts must
@@ -424,6 +423,11 @@ class ConnectionSearch(Shown):
         failed: number of intersections that did not converge.
         partial: True if the time limit ended the search early.
     """
+
+    KEYS: ClassVar[str] = (
+        "count=#connections connections open_cuts:branch,phase_interval,reason complete partial status "
+        "energy=source.energy from=source.saddle to=target.saddle hits=cuts.hit section=cuts.0.section.name"
+    )
 
     source: LyapunovOrbit
     target: LyapunovOrbit
@@ -437,22 +441,10 @@ class ConnectionSearch(Shown):
     def __repr__(self) -> str:
         return f"<connections {self.source.saddle} → {self.target.saddle}: {self.status}>"
 
-    def document(self) -> dict[str, Any]:
-        """Return the document printed by `dpcontrol connect --json`."""
-        return {
-            "count": len(self.connections),
-            "connections": [c.document() for c in self.connections],
-            "open_cuts": [
-                {"branch": f"{tube} {end.branch:+d}", **picked(end, "phase_interval", "reason")}
-                for tube, end in self.open_ends
-            ],
-            **picked(self, "complete", "partial", "status"),
-            "energy": self.source.energy,
-            "from": self.source.saddle,
-            "to": self.target.saddle,
-            "hits": [cut.hit for cut in self.cuts],
-            "section": self.cuts[0].section.name,
-        }
+    @property
+    def open_cuts(self) -> list[tuple[str, tuple[float, float], str]]:
+        """Branch, phase interval and reason of each open end."""
+        return [(f"{tube} {end.branch:+d}", end.phase_interval, end.reason) for tube, end in self.open_ends]
 
     @checked
     def named(self, name: str) -> Connection:

@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -30,8 +30,8 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import SECONDS, Budget
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, SymmetricShooting, described_orbit, lyapunov_orbit
@@ -73,7 +73,7 @@ class SymmetricSettings:
 
 
 @dataclass(frozen=True)
-class SymmetricSearch(Shown):
+class SymmetricSearch(Shown, Documented):
     """Symmetric homoclinic connections of one family between two energies.
 
     Attributes:
@@ -81,6 +81,11 @@ class SymmetricSearch(Shown):
         failed: number of zeros whose refinement did not converge.
         partial: True if the time limit ended the search early.
     """
+
+    KEYS: ClassVar[str] = (
+        "count=#connections connections:energy=source.energy,floquet_multipliers=source.floquet_multipliers,** "
+        "from=saddle to=saddle hits complete family searched failed partial status"
+    )
 
     saddle: str
     family: int
@@ -94,20 +99,15 @@ class SymmetricSearch(Shown):
     def __repr__(self) -> str:
         return f"<symmetric connections of {self.saddle}: {self.status}>"
 
-    def document(self) -> dict[str, Any]:
-        """Return the document printed by `dpcontrol connect --energies --json`."""
-        return {
-            "count": len(self.connections),
-            "connections": [
-                {"energy": c.source.energy, "floquet_multipliers": c.source.floquet_multipliers, **c.document()}
-                for c in self.connections
-            ],
-            "from": self.saddle,
-            "to": self.saddle,
-            "hits": [self.hit, self.hit],
-            "complete": False,
-            **picked(self, "family", "searched", "failed", "partial", "status"),
-        }
+    @property
+    def hits(self) -> tuple[int, int]:
+        """Crossing numbers of both tubes."""
+        return self.hit, self.hit
+
+    @property
+    def complete(self) -> bool:
+        """Always False: the family also has connections that are not symmetric."""
+        return False
 
 
 def find_symmetric_connections(

@@ -10,7 +10,7 @@ Source: Kaheman et al. (2023), section 4.
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import networkx as nx
 import numpy as np
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.arrays import Array, checked_array
 from dpcontrol.foundation.checked import Hit, checked
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.foundation.units import InUnits
@@ -163,7 +163,7 @@ class AtlasConnection(ConnectionRecord):
 
 
 @dataclass(frozen=True)
-class AtlasKind(Brief):
+class AtlasKind(Brief, Documented):
     """Outcome of a search for given source, target and hits.
 
     Attributes:
@@ -172,6 +172,10 @@ class AtlasKind(Brief):
         open_ends: (tube, branch, (phase, phase), reason) per gap.
         by_reversal: True for a time-reversed image.
     """
+
+    KEYS: ClassVar[str] = (
+        "from=source to=target section hits count complete by_reversal status open_cuts:branch,phase_interval,reason"
+    )
 
     source: str
     target: str
@@ -185,9 +189,14 @@ class AtlasKind(Brief):
     status: str
     partial: bool = False
 
+    @property
+    def open_cuts(self) -> list[tuple[str, tuple[float, float], str]]:
+        """Branch, phase interval and reason of each gap."""
+        return [(f"{tube} {branch:+d}", interval, reason) for tube, branch, interval, reason in self.open_ends]
+
 
 @dataclass(frozen=True)
-class Atlas(Shown, InUnits):
+class Atlas(Shown, InUnits, Documented):
     """The atlas of one model at one energy.
 
     Attributes:
@@ -200,6 +209,11 @@ class Atlas(Shown, InUnits):
 
     The rotating orbits are those of both arms, forward.
     """
+
+    KEYS: ClassVar[str] = (
+        "energy model complete status orbits rotating_orbits count=#connections connections:**,from=source,to=target "
+        "kinds absent:saddle,reason seconds"
+    )
 
     model: str
     title: str
@@ -281,30 +295,6 @@ class Atlas(Shown, InUnits):
         states = checked_array("states", states, len(self.reverser))
         centre = next(point.state for point in self.points if point.name == saddle)
         return (states - centre) @ self.reverser.T + centre
-
-    def document(self) -> dict[str, Any]:
-        """Return the document printed by `dpcontrol atlas --json`, without the file's path."""
-        return {
-            **picked(self, "energy", "model", "complete", "status"),
-            "orbits": [orbit.document() for orbit in self.orbits],
-            "rotating_orbits": [orbit.document() for orbit in self.rotating_orbits],
-            "count": len(self.connections),
-            "connections": [{**c.document(), "from": c.source, "to": c.target} for c in self.connections],
-            "kinds": [
-                {
-                    "from": kind.source,
-                    "to": kind.target,
-                    **picked(kind, "section", "hits", "count", "complete", "by_reversal", "status"),
-                    "open_cuts": [
-                        {"branch": f"{tube} {branch:+d}", "phase_interval": interval, "reason": reason}
-                        for tube, branch, interval, reason in kind.open_ends
-                    ],
-                }
-                for kind in self.kinds
-            ],
-            "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in self.absent],
-            "seconds": dict(self.seconds),
-        }
 
 
 def section_axes(section: Section, atlas: Atlas) -> tuple[str, float | None]:

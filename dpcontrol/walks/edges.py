@@ -12,7 +12,7 @@ import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import ClassVar
 
 import networkx as nx
 
@@ -20,8 +20,8 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.budget import Budget
 from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown
@@ -139,7 +139,7 @@ def _section(lapping: HyperbolicOrbit, home: LyapunovOrbit, name: str | None) ->
 
 
 @dataclass(frozen=True)
-class Edges(Shown):
+class Edges(Shown, Documented):
     """All connections found at one energy.
 
     Attributes:
@@ -149,6 +149,11 @@ class Edges(Shown):
         notes: sentences on incomplete searches.
         named: connections on other sections or at other hits, outside the graph.
     """
+
+    KEYS: ClassVar[str] = (
+        "energy saddles notes absent:saddle,reason edges=connections:name,winding,sense,from=source.saddle,"
+        "to=target.saddle,transversality_angle_deg=transversality_angle"
+    )
 
     system: System
     energy: float
@@ -198,22 +203,6 @@ class Edges(Shown):
         """
         check_names("saddle", [saddle], (*self.system.equilibria, *self.orbits))
         return tuple(c for c in self.connections if c.source.saddle == saddle)
-
-    def document(self) -> dict[str, Any]:
-        """Return the graph in the format of `dpcontrol walk --json`."""
-        return {
-            **picked(self, "energy", "saddles", "notes"),
-            "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in self.absent],
-            "edges": [
-                {
-                    **picked(c, "name", "winding", "sense"),
-                    "from": c.source.saddle,
-                    "to": c.target.saddle,
-                    "transversality_angle_deg": c.transversality_angle,
-                }
-                for c in self.connections
-            ],
-        }
 
     def graph(self) -> "nx.MultiDiGraph[str]":
         """Return the connection graph, with orbits as nodes."""

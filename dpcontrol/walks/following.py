@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,8 +17,8 @@ from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings
 from dpcontrol.bifurcations.links import PathPoint, carry, first_crossing
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import fields_of
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.tubes.connections import Connection, find_connections, mirrored, orbits_between
 from dpcontrol.walks.symbols import Symbol, choose
@@ -32,7 +32,7 @@ _HALVED = 7
 
 
 @dataclass(frozen=True)
-class SymbolChange:
+class SymbolChange(Documented):
     """An energy beyond which a symbol selects another connection.
 
     Attributes:
@@ -42,6 +42,8 @@ class SymbolChange:
         ends: True if the first connection ends there, False if another one has a larger angle.
         unit: unit of the energy, "" in a system with its own units.
     """
+
+    KEYS: ClassVar[str] = "symbol energy within before after ends"
 
     symbol: str
     energy: float
@@ -59,10 +61,6 @@ class SymbolChange:
             f'"{self.symbol}" selects another connection beyond {self.energy:.6g}{self.unit} (±{self.within:.1g}), '
             f"because {why}: {self.before} before, {self.after} after"
         )
-
-    def document(self) -> dict[str, Any]:
-        """Return the change in the format of `dpcontrol walk --compare --json`."""
-        return {key: value for key, value in fields_of(SymbolChange, self).items() if key != "unit"}
 
 
 class SymbolBranches:

@@ -17,15 +17,15 @@ Source: Kaheman et al. (2023), theorem 4.1, made constructive.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.shooting.newton import (
     ErrorEstimate,
@@ -246,7 +246,7 @@ def _level(connection: Connection, shift: Array) -> tuple[Array, float]:
 
 
 @dataclass(frozen=True)
-class ShadowingOrbit(Timed):
+class ShadowingOrbit(Timed, Documented):
     """An orbit that realises a walk from time 0 to `duration` s.
 
     A walk of k symbols has k - 1 stops, or k if periodic. The last stop then leads back to the first symbol.
@@ -258,6 +258,11 @@ class ShadowingOrbit(Timed):
         offsets (k + 1, N): whole turns of each symbol and the final orbit.
         fault: index of the failed symbol, or None.
     """
+
+    KEYS: ClassVar[str] = (
+        "walk wraps wraps_realised lead_in lead_out periodic duration residual symbol_times converged status fault "
+        "energy=connections.0.source.energy connections=connections.name"
+    )
 
     walk: tuple[str, ...]
     connections: tuple[Connection, ...]
@@ -324,17 +329,6 @@ class ShadowingOrbit(Timed):
             InputError: the times are not finite numbers.
         """
         return self.sample() if times is None else self.orbit.sample(checked_times(times))
-
-    def document(self) -> dict[str, Any]:
-        """Return the walk as values for JSON."""
-        return {
-            **picked(
-                self, "walk", "wraps", "wraps_realised", "lead_in", "lead_out", "periodic", "duration", "residual"
-            ),
-            **picked(self, "symbol_times", "converged", "status", "fault"),
-            "energy": self.connections[0].source.energy,
-            "connections": [one.name for one in self.connections],
-        }
 
 
 def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import networkx as nx
 import numpy as np
@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Exact, Section, digits
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import Documented, picked, plain
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import picked, plain, write_archive
+from dpcontrol.foundation.files import write_archive
 from dpcontrol.foundation.progress import Cost
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.orbits.manifold import OrbitCurve
@@ -441,13 +442,15 @@ FORMAT = 1
 
 
 @dataclass(frozen=True)
-class WalkRequest:
+class WalkRequest(Documented):
     """A walk to solve.
 
     Attributes:
         wraps: at each stop, or None for the fewest possible.
         extra: wraps added to the fewest possible.
     """
+
+    KEYS: ClassVar[str] = "walk=chain.name wraps periodic"
 
     chain: Walk
     periodic: bool
@@ -458,10 +461,6 @@ class WalkRequest:
 
     def __repr__(self) -> str:
         return f"<walk to solve: {', '.join(c.name for c in self.chain)}>"
-
-    def document(self) -> dict[str, Any]:
-        """Return the request's fields of the JSON output."""
-        return {"walk": [c.name for c in self.chain], "wraps": self.wraps, "periodic": self.periodic}
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def test_a_fourth_diagram_is_on_the_appendix() -> None:
 def test_a_long_appendix_has_several_sheets_that_fit_on_paper() -> None:
     panels = tuple(Diagram(f"{k}", "s", "error", (Point("m", "", 1.0, 1.0, default=True),)) for k in range(12))
     page = PrecisionChart("x", "title", ("1", "2", "3"), "", panels)
-    assert page.pages == {"": panels[:3], "-more": panels[3:9], "-more-2": panels[9:]}
+    assert page.pages == {"": panels[:3], "-more": panels[3:6], "-more-2": panels[6:9], "-more-3": panels[9:]}
     assert figure(page, page.pages["-more"]).get_figheight() < 16.5
 
 

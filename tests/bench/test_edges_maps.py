@@ -94,3 +94,12 @@ def test_edges_represent_all_maps_of_failure():
     assert check_names(("edges-control", "edges"))[0] == "edges-control"
     with pytest.raises(InputError, match="edges"):
         check_names(("edge",))
+
+
+def test_a_finding_has_the_range_of_borders_and_the_lines_without_success():
+    never = Border(1.0, "k = 1", None, 4e8, None, "lost", ())
+    borders = (
+        never,
+        *(Border(x, f"k = {x:g}", 1.1 * y, y / 1.1, None, "lost", ()) for x, y in ((2, 1.64e6), (16, 618.0))),
+    )
+    assert one_map(*borders, far="lost").finding() == "lost between 620 and 1,600,000, always at k = 1"

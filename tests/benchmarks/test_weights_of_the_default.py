@@ -96,8 +96,9 @@ def drawn(found: list[dict[str, float]]) -> Figure:
     (default,) = (o for o in found if o["factor"] == 1 and o["first"] == min(colours))
     best = max(found, key=lambda one: one["completed"])
     more = best["command_minus_plan"] / default["command_minus_plan"] - 1
-    title = f"Heavier weights complete up to {best['completed']:.0%} instead of {default['completed']:.0%} of runs"
-    title += f" at ±30 %, for {more:.0%} more command"
+    shares = (100 * one["completed"] for one in (best, default))
+    title = "Heavier weights complete up to {:.0f} % instead of {:.0f} % of runs at ±30 %".format(*shares)
+    title += f", for {100 * more:.0f} % more command"
 
     def draw(axes: Axes) -> None:
         quiet(axes, x="command minus plan in the demo, m/s² rms", y="runs completed at ±30 %")
@@ -106,8 +107,11 @@ def drawn(found: list[dict[str, float]]) -> Figure:
             x, y = ([one[key_of] for one in line] for key_of in ("command_minus_plan", "completed"))
             axes.plot(x, y, "o-", color=colour, markersize=5)
             for one, across, up in zip(line, x, y, strict=True):
-                look = {"fontsize": style.SMALL, "color": colour, "textcoords": "offset points"}
-                axes.annotate(f"× {one['factor']:g}", (across, up), (9, -14), **look)
+                look = {"fontsize": style.SMALL, "color": colour, "textcoords": "offset points", "va": "center"}
+                # Lines rise to the peak and fall after it: left above a point, and right of the last one, none passes.
+                last = one is line[-1]
+                place = {"xytext": (8, 0)} if last else {"xytext": (-7, 7), "ha": "right"}
+                axes.annotate(f"× {one['factor']:g}", (across, up), **place, **look)
         ring = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "color": style.LIMIT}
         axes.plot(default["command_minus_plan"], default["completed"], markersize=14, **ring)
         axes.margins(0.1, 0.15)

@@ -10,7 +10,7 @@ from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.score import counted, flights_of
 from dpcontrol.logs import Event, Flight, joined_at, joined_text
 from dpcontrol.loop.bench import Push
-from dpcontrol.pages.series import strips
+from dpcontrol.pages.strips import strips
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.run import run_plan

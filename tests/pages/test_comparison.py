@@ -14,7 +14,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.comparison import MOST, compare
 from dpcontrol.judge.run_view import RunView, Stay, series_of
 from dpcontrol.pages import style
-from dpcontrol.pages.comparison import draw_comparison, write_comparison_recording
+from dpcontrol.pages.comparison import draw_comparison
+from dpcontrol.pages.comparison_recording import write_comparison_recording
 from dpcontrol.pages.picture import viewer_program
 
 SAME_MOMENT = 0.02

@@ -10,16 +10,10 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.pages.atlas import (
-    FLIGHT,
-    colours,
-    connections_of,
-    draw_atlas,
-    kind_of,
-    one_of_each,
-    stable_direction,
-    write_atlas_recording,
-)
+from dpcontrol.pages.atlas import draw_atlas
+from dpcontrol.pages.atlas_flights import FLIGHT
+from dpcontrol.pages.atlas_parts import colours, connections_of, kind_of, one_of_each, stable_direction
+from dpcontrol.pages.atlas_recording import write_atlas_recording
 from dpcontrol.pages.figures import FIGURES, draw_figures
 from dpcontrol.pages.gallery import Gallery
 from dpcontrol.pages.panels import wrapped_runs

@@ -35,9 +35,11 @@ from dpcontrol.pages import style
 from dpcontrol.pages.atlas import draw_atlas
 from dpcontrol.pages.campaign import draw_campaign
 from dpcontrol.pages.comparison import draw_comparison
+from dpcontrol.pages.experiments import draw_design
 from dpcontrol.pages.figures import FIGURES
 from dpcontrol.pages.gallery import Gallery
-from dpcontrol.pages.identification import draw_design, draw_identification
+from dpcontrol.pages.identification import draw_identification
+from dpcontrol.pages.interior import draw_interior
 from dpcontrol.pages.layout import Page, new_figure
 from dpcontrol.pages.night import draw_night
 from dpcontrol.pages.orbits import draw_families
@@ -45,7 +47,6 @@ from dpcontrol.pages.page import draw
 from dpcontrol.pages.preflight import draw_preflight
 from dpcontrol.pages.transitions import draw_transitions
 from dpcontrol.pages.walks import draw_walk
-from dpcontrol.pages.wheels import draw_interior
 from dpcontrol.plans.atlas import AtlasSettings, make_atlas, make_branches
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model

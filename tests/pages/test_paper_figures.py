@@ -5,11 +5,22 @@ import pytest
 from matplotlib.colors import to_hex
 
 from dpcontrol.cli.charts import FIGURES as NAMES
-from dpcontrol.orbits.cut import section_points
+from dpcontrol.orbits.cut import section_points, tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.pages import figures, gallery, paper, style, wheels
+from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.pages import figures, gallery, style
+from dpcontrol.pages.paper import up_up, wheels
+from dpcontrol.pages.paper.cuts import CUT_ENERGIES, cuts_page
+from dpcontrol.pages.paper.heteroclinic_orbits import heteroclinic_orbits_page
+from dpcontrol.pages.paper.landscapes import landscape_page
+from dpcontrol.pages.paper.lyapunov_orbits import lyapunov_orbits_page
+from dpcontrol.pages.paper.returning import returning_search
+from dpcontrol.pages.paper.senses import senses_page
+from dpcontrol.pages.paper.shadowing import shadowing_page
+from dpcontrol.pages.paper.three_body import three_body_homoclinics_page, three_body_page
 from dpcontrol.plans.atlas import AtlasSettings, make_atlas
 from dpcontrol.plans.model import load_model
+from dpcontrol.tubes.interior import tube_interior
 
 ROUNDING = 1e-9
 
@@ -45,7 +56,7 @@ def test_the_verb_names_the_figures_in_their_order():
 
 @pytest.mark.slow
 def test_landscapes_mark_every_critical_point_by_whether_it_is_reached(shown):
-    page = paper.landscape_page(shown)
+    page = landscape_page(shown)
     flat = [axes for axes in page.figure.axes if axes.name != "3d"]
     assert len(flat) == 8
     for axes, reached in zip(flat[:4], (0, 1, 2, 3), strict=True):
@@ -58,7 +69,7 @@ def test_landscapes_mark_every_critical_point_by_whether_it_is_reached(shown):
 
 @pytest.mark.slow
 def test_three_bodies_have_flights_from_each_point_to_itself(shown):
-    page = paper.three_body_homoclinics_page(shown)
+    page = three_body_homoclinics_page(shown)
     above, cuts, flights = page.figure.axes[:3]
     assert drawn(above, style.UNSTABLE)
     assert drawn(above, style.STABLE)
@@ -73,13 +84,13 @@ def test_three_bodies_have_flights_from_each_point_to_itself(shown):
 
 @pytest.mark.slow
 def test_three_bodies_have_flights_both_ways_that_are_mirror_images(shown):
-    page = paper.three_body_page(shown)
+    page = three_body_page(shown)
     there, back = (max((c for c, *_ in curves(page.figure.axes[k])), key=len) for k in (2, 5))
     assert there[:, 1].min() == pytest.approx(-back[:, 1].max(), abs=1e-6)
 
 
 def test_lyapunov_orbits_close_in_both_arms_planes(shown):
-    page = paper.lyapunov_orbits_page(shown)
+    page = lyapunov_orbits_page(shown)
     system = load_model("lab").system
     for row, saddle in enumerate(("down-up", "up-down")):
         for arm in (0, 1):
@@ -95,7 +106,7 @@ def test_lyapunov_orbits_close_in_both_arms_planes(shown):
 
 @pytest.mark.parametrize(("saddle", "arm", "count"), [("down-up", 1, 7), ("up-down", 0, 4)])
 def test_either_sense_has_tubes_that_turn_that_way(saddle, arm, count, shown):
-    page = paper.senses_page(shown, saddle=saddle)
+    page = senses_page(shown, saddle=saddle)
     spaces, cuts = ([a for a in page.figure.axes if (a.name == "3d") is space] for space in (True, False))
     start = load_model("lab").system.equilibria[saddle][arm]
     for space, axes, sense in zip(spaces, cuts, (1, -1), strict=True):
@@ -109,10 +120,10 @@ def test_either_sense_has_tubes_that_turn_that_way(saddle, arm, count, shown):
 
 @pytest.mark.slow
 def test_cuts_at_six_energies_have_the_connections_of_their_searches(shown):
-    page = paper.cuts_page(shown)
+    page = cuts_page(shown)
     system = load_model("lab").system
     assert [dots(axes) for axes in page.figure.axes] == [0, 8, 8, 10, 10, 14]
-    for axes, energy in zip(page.figure.axes, paper.CUT_ENERGIES, strict=True):
+    for axes, energy in zip(page.figure.axes, CUT_ENERGIES, strict=True):
         assert f"{energy:g} J" in axes.get_title(loc="left")
         # The accessible part of the section bounds the inner arm's angle: V(θ₁, 0) = H.
         widest = max(np.abs(curve[:, 0]).max() for curve in drawn(axes, style.UNSTABLE))
@@ -135,8 +146,8 @@ def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay(shown):
     system = load_model("lab").system
     section = system.sections["down-up", "down-up"]
     orbit = lyapunov_orbit(system, "down-up", energy=wheels.WHEEL_ENERGIES["down-up"])
-    manifold = wheels.UnstableManifold(orbit)
-    interior = wheels.tube_interior(manifold, wheels.tube_cut(manifold, section))
+    manifold = UnstableManifold(orbit)
+    interior = tube_interior(manifold, tube_cut(manifold, section))
     kept = wheels.kept_inside(interior, 2)
     assert len(kept) == len(stars)
     for one in kept:
@@ -146,7 +157,7 @@ def test_wheels_hold_points_of_both_tubes_and_the_orbits_that_stay(shown):
 
 
 def test_heteroclinic_orbits_lead_from_one_orbit_to_the_other(shown):
-    page = paper.heteroclinic_orbits_page(shown)
+    page = heteroclinic_orbits_page(shown)
     for space, (source, target) in zip(page.figure.axes, (("down-up", "up-down"), ("up-down", "down-up")), strict=True):
         (leaves,) = drawn(space, style.saddle_colour(source))
         joined = np.vstack(drawn(space, style.saddle_colour(target)))
@@ -159,7 +170,7 @@ def test_heteroclinic_orbits_lead_from_one_orbit_to_the_other(shown):
 
 @pytest.mark.slow
 def test_an_orbit_is_shadowed_twice_and_for_ever(shown):
-    page = paper.shadowing_page(shown)
+    page = shadowing_page(shown)
     below = page.figure.axes[3:]
     turns = []
     for axes in below:
@@ -173,7 +184,7 @@ def test_an_orbit_is_shadowed_twice_and_for_ever(shown):
 
 @pytest.mark.slow
 def test_returning_orbits_cross_the_aligned_section_twice_in_opposite_ways():
-    search = paper.returning_search(load_model("lab").system)
+    search = returning_search(load_model("lab").system)
     back = [c for c in search.connections if not any(c.winding)]
     assert len(back) == 8
     for c in back:
@@ -186,8 +197,8 @@ def test_returning_orbits_cross_the_aligned_section_twice_in_opposite_ways():
 
 def test_points_of_up_ups_manifold_lie_on_its_energy_and_come_from_it():
     system = load_model("lab").system
-    states, top = paper.up_up_states(system), system.equilibria["up-up"]
-    assert len(states) > 0.9 * paper._SEEDS
+    states, top = up_up.up_up_states(system), system.equilibria["up-up"]
+    assert len(states) > 0.9 * up_up._SEEDS
     # Seeds are off the energy by the square of their distance.
     assert np.abs(system.numeric.hamiltonian(states) - system.numeric.hamiltonian(top)).max() < 1e-9
     for state in states[::600]:

@@ -13,8 +13,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.judge.run_view import ACTUAL, RunView, series_of
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
 from dpcontrol.pages.picture import open_viewer, viewer_program
+from dpcontrol.pages.ranges import ticked
 from dpcontrol.pages.rerun_recording import plane_view, write_recording
-from dpcontrol.pages.series import ticked
 
 ACCELERATION = 1e-9  # m/s²: velocities of 1 m/s differ by rounding, over 1 ms
 

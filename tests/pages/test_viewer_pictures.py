@@ -16,8 +16,8 @@ from dpcontrol.judge.comparison import compare
 from dpcontrol.judge.of_log import reference_view, run_view
 from dpcontrol.judge.run_view import RunView, Stay
 from dpcontrol.logs import LogWriter, read_log
-from dpcontrol.pages.atlas import write_atlas_recording
-from dpcontrol.pages.comparison import write_comparison_recording
+from dpcontrol.pages.atlas_recording import write_atlas_recording
+from dpcontrol.pages.comparison_recording import write_comparison_recording
 from dpcontrol.pages.picture import missing_renderer, picture_of
 from dpcontrol.pages.rerun_recording import write_recording
 from dpcontrol.plans.atlas import AtlasSettings, make_atlas

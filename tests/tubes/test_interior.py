@@ -10,8 +10,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.cut import CutSettings, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.pages.interior import draw_interior
 from dpcontrol.pages.layout import save_figure
-from dpcontrol.pages.wheels import draw_interior
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.interior import (
     InteriorSettings,

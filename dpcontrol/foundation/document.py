@@ -1,0 +1,137 @@
+"""Documents: results as JSON values, derived from the fields of their classes.
+
+`KEYS` of a class lists the entries of its document, separated by spaces:
+
+    status                  an attribute
+    from=source.saddle      an attribute under another name, here of a part
+    names=parts.name        the attribute of each item of a sequence
+    count=#connections      the length of an attribute
+    ends:energy,reason      these entries of a part or of each item (plain tuples get the names in order)
+    **orbit                 the entries of a part beside those of the object
+    **                      the object's own document
+    *                       all fields
+
+Methods without arguments are called. A dataclass without `KEYS` has all its fields.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from inspect import ismethod
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+
+class Documented:
+    """Base of results with a JSON document."""
+
+    KEYS: ClassVar[str] = "*"
+
+    def document(self) -> dict[str, Any]:
+        """Return the result as JSON values, with the keys that `--json` prints."""
+        return document_of(self, self.KEYS)
+
+
+def document_of(result: Any, keys: str = "*") -> dict[str, Any]:
+    """Return the entries of a result's document.
+
+    Args:
+        result: a dataclass, mapping or other object.
+        keys: entries as in `KEYS`, separated by spaces (default: all fields).
+    """
+    document: dict[str, Any] = {}
+    for entry in keys.split():
+        name, _, columns = entry.partition(":")
+        key, _, path = name.partition("=")
+        value = result if key == "**" else None if key == "*" else _part(result, path or key.lstrip("*"))
+        if columns:
+            value = _rows(value, columns)
+        if key == "*":
+            document |= fields_of(type(result), result)
+        elif key.startswith("**"):
+            document |= plain(value)
+        else:
+            document[key] = value
+    return plain(document)
+
+
+def _part(value: Any, path: str) -> Any:
+    """Return the value at the end of a dotted path.
+
+    Its steps are attributes, items of mappings, places in sequences, and methods without arguments.
+    """
+    for name in path.lstrip("#").split("."):
+        if isinstance(value, list | tuple):
+            value = value[int(name)] if name.isdigit() else [getattr(one, name) for one in value]
+        else:
+            value = value[name] if isinstance(value, Mapping) else getattr(value, name)
+        value = value() if ismethod(value) else value
+    return len(value) if path.startswith("#") else value
+
+
+def _rows(value: Any, columns: str) -> Any:
+    """Return some entries of an object, or of each of its items."""
+    if isinstance(value, list | tuple):
+        return [_row(one, columns) for one in value]
+    if isinstance(value, Mapping):
+        return {key: _row(one, columns) for key, one in value.items()}
+    return _row(value, columns)
+
+
+def _row(value: Any, columns: str) -> dict[str, Any]:
+    if type(value) is tuple:
+        return dict(zip(columns.split(","), value, strict=True))
+    return document_of(value, columns.replace(",", " "))
+
+
+def picked(result: Any, *names: str) -> dict[str, Any]:
+    """Return attributes of a result by name.
+
+    Args:
+        result: any object.
+        *names: names of its attributes.
+    """
+    return {name: getattr(result, name) for name in names}
+
+
+def fields_of(kind: type, record: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass from a record, by name.
+
+    Args:
+        kind: dataclass that declares the fields.
+        record: object with at least these attributes.
+    """
+    return picked(record, *(field.name for field in fields(kind)))
+
+
+def plain(value: Any) -> Any:
+    """Return `value` as JSON values.
+
+    Dataclasses become mappings, arrays lists, complex numbers [re, im], paths text, and infinite numbers and NaN null.
+
+    Args:
+        value: nested mappings, lists, arrays (…) and scalars.
+    """
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, Documented):
+        return value.document()
+    if is_dataclass(value):
+        return document_of(value)
+    if isinstance(value, complex | np.complexfloating):
+        return [plain(float(value.real)), plain(float(value.imag))]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

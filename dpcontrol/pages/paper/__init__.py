@@ -1,0 +1,1 @@
+"""Pages of the paper's computational figures, one module for each."""

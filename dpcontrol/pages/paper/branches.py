@@ -1,0 +1,100 @@
+"""Branches of connections against energy, with their births, splittings and grazes of the section."""
+
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from dpcontrol.bifurcations.bifurcations import BranchDiagram
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.progress import part_of
+from dpcontrol.pages import style
+from dpcontrol.pages.gallery import Gallery, PaperFigure
+from dpcontrol.pages.layout import Page
+from dpcontrol.pages.panels import angle_axis, quiet
+from dpcontrol.pages.paper.branch_captions import MARKS, branch_caption, branch_differences, pair_name
+
+KINDS = (("down-up", "down-up"), ("up-down", "up-down"), ("down-up", "up-down"))
+_BETWEEN, _PAIR = "#c2185b", "#7c858e"
+_COORDINATES = {"down-up": ("θ₁", "θ₂ = 2πk"), "up-down": ("θ₂", "θ₁ = 2πk"), "between": ("θ₁", "θ₁ = θ₂ + 2πk")}
+_ON_MIRROR = 1e-5  # rad
+
+
+def branches_page(gallery: Gallery) -> PaperFigure:
+    """Draw first-hit connections of the lab pendulum against energy.
+
+    They are homoclinics of both saddles and heteroclinics.
+    """
+    diagrams = [
+        gallery.branches("lab", source, target, part_of(gallery.progress, k / len(KINDS), (k + 1) / len(KINDS)))
+        for k, (source, target) in enumerate(KINDS)
+    ]
+    page = Page("Connections of the lab pendulum against energy (first hits)")
+    page.text(
+        "Thick: symmetric. Thin grey: one of a mirror pair. Magenta: between different saddles. Marks: circles are "
+        "saddle-nodes (two are born), triangles are pitchforks (one sheds a mirror pair), and diamonds are grazes of "
+        "the section (no birth).",
+        size=style.TEXT,
+    )
+    page.row(*(partial(_angle_branches, diagram=diagram) for diagram in diagrams), height=3.1)
+    page.row(*(partial(draw_momentum_branches, diagram=diagram) for diagram in diagrams), height=3.1)
+    return PaperFigure(page.figure(), branch_caption(diagrams), branch_differences(diagrams))
+
+
+def _angle_branches(axes: Axes, diagram: BranchDiagram) -> None:
+    coordinate, section = _COORDINATES[diagram.source if diagram.source == diagram.target else "between"]
+    quiet(axes, f"{pair_name(diagram)}: on {section}", y=f"{coordinate} (rad)")
+    _branches(axes, diagram, 0)
+    angle_axis(axes, "y")
+
+
+def draw_momentum_branches(axes: Axes, diagram: BranchDiagram) -> None:
+    """Draw connections by momentum and energy, with their bifurcations and counts."""
+    quiet(axes, x="energy (J)", y="p / p₀")
+    _branches(axes, diagram, 1)
+    _counts(axes, diagram)
+
+
+def _branches(axes: Axes, diagram: BranchDiagram, coordinate: int) -> None:
+    homoclinic = diagram.source == diagram.target
+    for energies, points in diagram.runs:
+        symmetric = homoclinic and bool(np.all(np.abs(np.sin(points[:, 0])) < _ON_MIRROR))
+        colour = style.saddle_colour(diagram.source) if symmetric else _PAIR if homoclinic else _BETWEEN
+        look = {"color": colour, "linewidth": 1.8 if symmetric else 1.1, "solid_capstyle": "round"}
+        values = _wrapped(points)[:, coordinate]
+        # A branch that leaves the period on one side enters on the other.
+        for part in np.split(np.arange(len(values)), np.flatnonzero(np.abs(np.diff(values)) > np.pi) + 1):
+            axes.plot(energies[part], values[part], **look, zorder=3 if symmetric else 2)
+    for mark in diagram.marks:
+        value = _wrapped(np.array([mark.point]))[0, coordinate]
+        axes.plot(mark.energy, value, MARKS[mark.kind], color=style.INK, mfc="white", markersize=5.5, zorder=5)
+    if diagram.scatters_from is not None:
+        axes.axvspan(diagram.scatters_from, diagram.counts[-1][0], color="#f3e9e8", zorder=0)
+    axes.set_xlim(diagram.counts[0][0], diagram.counts[-1][0])
+
+
+def _wrapped(points: Array) -> Array:
+    """Return points (K, 2) with the angle inside one turn about zero."""
+    angles = (points[:, 0] + np.pi) % (2 * np.pi) - np.pi
+    # On the mirror at half a turn, rounding would scatter points to both ends.
+    angles = np.where(angles < -np.pi + _ON_MIRROR, angles + 2 * np.pi, angles)
+    return np.column_stack([angles, points[:, 1]])
+
+
+def _counts(axes: Axes, diagram: BranchDiagram) -> None:
+    """Write along the lower edge the number of connections between consecutive events."""
+    shown, last, span = -1, -np.inf, diagram.counts[-1][0] - diagram.counts[0][0]
+    look = {
+        "xycoords": ("data", "axes fraction"),
+        "textcoords": "offset points",
+        "fontsize": style.SMALL,
+        "color": style.CART,
+    }
+    for energy, count, complete in diagram.counts:
+        room = energy - last > 0.05 * span and diagram.counts[-1][0] - energy > 0.1 * span
+        if count != shown and room:
+            axes.annotate(f"{'' if complete else '≥'}{count}", (energy, 0.0), xytext=(2, 3), **look)
+            shown, last = count, energy
+    energy, count, complete = diagram.counts[-1]
+    if count != shown:
+        axes.annotate(f"{'' if complete else '≥'}{count}", (energy, 0.0), xytext=(-2, 3), ha="right", **look)

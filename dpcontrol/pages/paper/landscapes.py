@@ -1,0 +1,112 @@
+"""Both landscapes of potential energy, with Hill's regions at energies between the critical points."""
+
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.orbits.lyapunov import equilibria
+from dpcontrol.pages import style
+from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
+from dpcontrol.pages.layout import Page, Panel
+from dpcontrol.pages.panels import angle_axis, name_point, quiet
+
+LANDSCAPES = {"three-body": (-1.523, -1.5195, -1.51, -1.5005), "lab": (-0.3, -0.07, 0.2, 0.55)}
+"""Energies, one between the heights of adjacent critical points."""
+_GRID = 361
+_REACHED, _FORBIDDEN = "#dbe9f6", "#8d959e"
+
+
+def landscape_page(gallery: Gallery) -> PaperFigure:
+    """Draw potential energies and Hill's regions at four energies.
+
+    Both are drawn for three bodies and the pendulum.
+    """
+    page = Page("Energy landscapes and Hill's regions: higher energies open more saddles")
+    words = []
+    for name, energies in LANDSCAPES.items():
+        system, angular = gallery.system(name), name == "lab"
+        side = np.linspace(-np.pi, np.pi, _GRID) if angular else np.linspace(-1.45, 1.45, _GRID)
+        first, second = np.meshgrid(side, side)
+        still = np.stack([first, second, 0 * first, 0 * first], axis=-1)
+        # At rest, in the rotating frame for three bodies, the energy is the potential.
+        with np.errstate(divide="ignore"):
+            potential = system.numeric.hamiltonian(still.reshape(-1, 4)).reshape(first.shape)
+        points = {n: (p.state[:2], p.energy, p.kind) for n, p in equilibria(system).items()}
+        if not angular:
+            top = np.array([0.5 - float(system.parameters[0]), np.sqrt(3) / 2])
+            height = float(system.numeric.hamiltonian(np.array([*top, 0.0, 0.0])))
+            points |= {n: (top * (1, sign), height, "maximum") for n, sign in (("L4", 1), ("L5", -1))}
+        field = first, second, potential
+        regions = [
+            partial(_hill, field=field, energy=energy, points=points, angular=angular,
+                    title=_opened(points, energy, system.worded(f"{energy:g} J")))
+            for energy in energies
+        ]  # fmt: skip
+        page.row(Panel(partial(_relief, field=field, angular=angular), 1.35, space=True), *regions, height=3.0)
+        listed = ", ".join(system.worded(f"{n} {p[1]:+.4f} J") for n, p in points.items())
+        words.append(f"{'Pendulum' if angular else 'Three bodies'}: {listed}.")
+    return PaperFigure(
+        page.figure(),
+        "Above the restricted three-body problem in its rotating frame, below the lab pendulum. Left: the energy at "
+        "rest, over the plane and over the torus of the two angles (from hanging). Right: Hill's regions, one energy "
+        "between adjacent critical points; blue regions are accessible, grey ones are not. Squares: the saddles whose "
+        "necks connect regions, L1 and L2, and their counterparts Down-Up and Up-Down. Circle: the stable equilibrium; "
+        f"triangles: maxima. Green: reached; red: not. {' '.join(words)}",
+        f"Each energy lies between two adjacent equilibria. {IDENTIFIED}",
+    )
+
+
+Points = dict[str, tuple[Array, float, str]]
+Field = tuple[Array, Array, Array]
+
+
+def _relief(axes: Axes, field: Field, *, angular: bool) -> None:
+    first, second, potential = field
+    # The wells of the primaries are bottomless.
+    shown = np.maximum(potential, potential.min() if angular else -1.62)
+    axes.plot_surface(first, second, shown, cmap="viridis", linewidth=0, rcount=90, ccount=90, alpha=0.95)  # type: ignore[attr-defined]
+    axes.view_init(elev=38, azim=-60)  # type: ignore[attr-defined]
+    axes.set_title("double pendulum: energy at rest (J)" if angular else "three bodies: energy at rest", loc="left")
+    for which, label in (("x", "θ₁"), ("y", "θ₂")) if angular else (("x", "x"), ("y", "y")):
+        if angular:
+            angle_axis(axes, which, step=1.0)
+        getattr(axes, f"set_{which}label")(label, fontsize=style.SMALL, labelpad=-4)
+    axes.tick_params(labelsize=style.SMALL, pad=-2)
+    axes.locator_params(axis="z", nbins=4)  # type: ignore[arg-type]
+
+
+def _hill(axes: Axes, field: Field, energy: float, points: Points, *, angular: bool, title: str) -> None:
+    _region(axes, field, energy, points, angular=angular)
+    quiet(axes, title, x="θ₁" if angular else "x", y="θ₂" if angular else "y")
+    axes.grid(False)
+    axes.set_aspect("equal")
+    if angular:
+        angle_axis(axes, "x", step=1.0)
+        angle_axis(axes, "y", step=1.0)
+
+
+def _region(axes: Axes, field: Field, energy: float, points: Points, *, angular: bool) -> None:
+    first, second, potential = field
+    # At collisions of two bodies the energy has no lower bound.
+    potential = np.maximum(potential, -10.0)
+    axes.contourf(first, second, potential, levels=[potential.min() - 1, energy], colors=[_REACHED])
+    axes.contourf(first, second, potential, levels=[energy, potential.max() + 1], colors=[_FORBIDDEN])
+    axes.contour(first, second, potential, levels=[energy], colors=[style.INK], linewidths=1.0, linestyles="solid")
+    for name, (place, height, kind) in points.items():
+        mark = "o" if kind == "centre" else ("s" if kind.startswith("index-1") else "^")
+        for a in {-np.pi, np.pi} if angular and place[0] else {place[0]}:
+            for b in {-np.pi, np.pi} if angular and place[1] else {place[1]}:
+                axes.plot(a, b, mark, color=style.GOOD if height <= energy else style.LIMIT, clip_on=False,
+                          markersize=6 if angular else 4.5)  # fmt: skip
+                if not angular:
+                    name_point(axes, name, (float(a), float(b)), style.INK)
+
+
+def _opened(points: Points, energy: float, text: str) -> str:
+    above = [name for name, (_, height, kind) in points.items() if kind != "centre"]
+    reached = [name for name in above if points[name][1] <= energy]
+    if len(reached) == len(above):
+        return f"{text}: everything reached"
+    return f"{text}: {'no saddle reached' if not reached else ', '.join(reached) + ' open'}"

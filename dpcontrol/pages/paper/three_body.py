@@ -1,0 +1,149 @@
+"""Tubes and connections of three bodies: from L1 to L2, and homoclinic ones."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from dpcontrol.pages import style
+from dpcontrol.pages.atlas_cuts import draw_cuts
+from dpcontrol.pages.atlas_parts import colours, connections_of, kind_of, placed
+from dpcontrol.pages.gallery import Gallery, PaperFigure
+from dpcontrol.pages.layout import Draw, Page, Panel
+from dpcontrol.pages.panels import name_point, quiet
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind
+
+BETWEEN_ENERGY = -1.5175
+HOMOCLINIC_ENERGIES = {"L1": -1.5185, "L2": -1.518}
+Extent = tuple[tuple[float, float], tuple[float, float]]
+NEAR: Extent = ((0.89, 1.11), (-0.11, 0.11))
+WHOLE: dict[str, Extent] = {"L1": ((-1.15, 1.25), (-1.15, 1.15)), "L2": ((-2.2, 2.2), (-2.1, 2.1))}
+
+
+def three_body_page(gallery: Gallery) -> PaperFigure:
+    """Draw L1's and L2's orbits, their tubes and first connections.
+
+    The section is x = 1 - μ. Both directions are drawn.
+    """
+    atlas = gallery.atlas("three-body", BETWEEN_ENERGY, None)
+    pairs = (("L1", "L2"), ("L2", "L1"))
+    page = Page(f"Three bodies: heteroclinic connections of L1 and L2 at energy {BETWEEN_ENERGY:g}")
+    counts = _rows(page, gallery, [(atlas, *pair, NEAR) for pair in pairs])
+    kind = kind_of(atlas, "L1", "L2")
+    assert kind is not None
+    return PaperFigure(
+        page.figure(),
+        "The planar circular restricted three-body problem in the rotating frame, mass ratio "
+        f"{float(gallery.system('three-body').parameters[0]):g}, near the smaller primary (dot). Grey: inaccessible at "
+        "this energy. Left: Lyapunov orbits about L1 (teal) and L2 (violet). The unstable tube (red) of one and the "
+        f"stable tube (green) of the other reach crossing number {kind.hits[0]} of the line x = 1 - μ. Middle: "
+        "the cuts there with the connections found. Right: the complete flight of the first. Below: the opposite "
+        f"direction, which is the image under time reversal. {counts}.",
+        f"Both tubes pass the line once before they can meet: hits {list(kind.hits)} are the first with "
+        "connections. The energy's constant is that of the paper's appendix. Cuts are open at trajectories of the "
+        "tube that pass close to the smaller primary and are scattered.",
+    )
+
+
+def three_body_homoclinics_page(gallery: Gallery) -> PaperFigure:
+    """Draw the homoclinic connections of L1 and of L2.
+
+    The page shows tubes, cuts on y = 0, x < 0, and the orbits.
+    """
+    rows = [(gallery.atlas("three-body", energy, (1, 1)), saddle, saddle, WHOLE[saddle])
+            for saddle, energy in HOMOCLINIC_ENERGIES.items()]  # fmt: skip
+    page = Page("Three bodies: homoclinic connections of L1 and of L2")
+    counts = _rows(page, gallery, rows)
+    return PaperFigure(
+        page.figure(),
+        "The planar circular restricted three-body problem in the rotating frame; above the orbit about L1, below that "
+        "about L2. Left: the branches of its unstable (red) and stable (green) tubes that go round the larger primary "
+        "to the section y = 0, x < 0 (dotted). Grey: inaccessible. Middle: the cuts there, x and its momentum, with "
+        "the connections found. Right: one flight of each colour, solid for a symmetric one and dashed for one "
+        f"of a mirror pair. {counts}.",
+        "The chosen energies are slightly above those of the points, with few connections. Flights are limited to "
+        "four periods of their orbit before the section; longer ones exist.",
+    )
+
+
+def _rows(page: Page, gallery: Gallery, rows: Sequence[tuple[Atlas, str, str, Extent]]) -> str:
+    """Add tubes, cuts and flights, a row for each.
+
+    Rows are (atlas, source, target, extent). Return their counts in words.
+    """
+    words = []
+    for row, (atlas, source, target, extent) in enumerate(rows):
+        kind = kind_of(atlas, source, target)
+        assert kind is not None
+        letters, section = "abc" if row == 0 else "def", kind.section.replace("mu", "μ")
+        connections = connections_of(atlas, kind)
+        look = colours(connections)
+        chosen = {look[c.name]: c for c in sorted(connections, key=lambda c: c.name, reverse=True)}.values()
+        kept = sorted(chosen, key=lambda c: (not c.symmetric, c.name))[: 1 if source != target else 4]
+        plane = partial(_plane, gallery=gallery, atlas=atlas, extent=extent, section=section)
+        page.row(
+            Panel(partial(_tubes, plane=plane, atlas=atlas, kind=kind, letter=letters[0]), 1.3),
+            partial(_cuts, atlas=atlas, kind=kind, kept=kept, title=f"{letters[1]}  cuts on {section}"),
+            Panel(partial(_flights, plane=plane, kind=kind, kept=kept, look=look, letter=letters[2]), 1.3),
+            height=4.0,
+        )
+        symmetric = sum(c.symmetric for c in connections)
+        least = f"{'' if source != target else f'at {atlas.energy:g} '}{'' if kind.complete else 'at least '}"
+        both = f" ({symmetric} symmetric)" if source == target else ""
+        words.append(f"{source} to {target}: {least}{kind.count} connections{both}")
+    return "; ".join(words)
+
+
+def _tubes(axes: Axes, plane: Draw, atlas: Atlas, kind: AtlasKind, letter: str) -> None:
+    plane(axes)
+    source, target = kind.source, kind.target
+    for saddle, hit, stable in ((source, kind.hits[0], False), (target, kind.hits[1], True)):
+        for strand in atlas.cut(saddle, kind.section, hit).strands:
+            states = atlas.turned(strand, saddle) if stable else strand
+            colour = style.STABLE if stable else style.UNSTABLE
+            axes.plot(states[:, 0], states[:, 1], color=colour, linewidth=0.45, alpha=0.75)
+    both = f"{source} and {target}" if source != target else source
+    axes.set_title(f"{letter}  tubes of {both}, energy {atlas.energy:g}", loc="left")
+
+
+def _cuts(axes: Axes, atlas: Atlas, kind: AtlasKind, kept: Sequence[AtlasConnection], *, title: str) -> None:
+    draw_cuts(axes, atlas, kind, numbers={c.name: str(k + 1) for k, c in enumerate(kept)}, legend=False)
+    axes.set_title(f"{title}, hits {list(kind.hits)}", loc="left")
+
+
+def _flights(
+    axes: Axes, plane: Draw, kind: AtlasKind, kept: Sequence[AtlasConnection], look: dict[str, str], letter: str
+) -> None:
+    plane(axes)
+    for c in kept:
+        line = "-" if c.symmetric or kind.source != kind.target else (0, (5, 2))
+        axes.plot(*c.states[:, :2].T, color=look[c.name], linewidth=1.1, linestyle=line, zorder=3)
+    title = f"{letter}  from {kind.source}'s orbit to {kind.target}'s" if kept else "none found"
+    axes.set_title(title, loc="left")
+
+
+def _plane(axes: Axes, gallery: Gallery, atlas: Atlas, extent: Extent, *, section: str) -> None:
+    """Draw the inaccessible region, the orbits, the primaries and the section."""
+    system, (wide, high) = gallery.system("three-body"), extent
+    mu = float(system.parameters[0])
+    x, y = np.meshgrid(np.linspace(*wide, 300), np.linspace(*high, 300))
+    states = np.stack([x, y, 0 * x, 0 * x], axis=-1).reshape(-1, 4)
+    potential = system.numeric.hamiltonian(states).reshape(x.shape)
+    axes.contourf(x, y, potential, levels=[atlas.energy, 1e9], colors=["#c4c9cf"])
+    quiet(axes, x="x", y="y")
+    axes.grid(False)
+    for orbit in atlas.orbits:
+        closed = placed(atlas, orbit)
+        colour = style.saddle_colour(orbit.saddle)
+        axes.plot(closed[:, 0], closed[:, 1], color=colour, linewidth=2.4, zorder=5)
+        name_point(axes, orbit.saddle, (float(closed[:, 0].mean()), float(closed[:, 1].max())), colour)
+    axes.plot(1 - mu, 0, "o", color=style.INK, markersize=4, zorder=6)
+    if wide[0] < -mu:
+        axes.plot(-mu, 0, "o", color=style.INK, markersize=8, zorder=6)
+    dotted = {"color": style.MARK, "linewidth": 0.9, "linestyle": style.DOTTED}
+    if section.startswith("x"):
+        axes.axvline(1 - mu, **dotted)
+    else:
+        axes.plot([wide[0], 0], [0, 0], **dotted)
+    axes.set(xlim=wide, ylim=high, aspect="equal")

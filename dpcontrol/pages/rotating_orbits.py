@@ -1,0 +1,81 @@
+"""Families of rotating orbits on one page: trace and period against energy, and the orbits."""
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import groupby, pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import SymmetricalLogLocator
+
+from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
+from dpcontrol.pages import style
+from dpcontrol.pages.layout import Page, Stack, key
+from dpcontrol.pages.orbits import SAMPLES
+from dpcontrol.pages.panels import angle_axis, quiet
+
+KINDS = {
+    "elliptic": style.GOOD,
+    "hyperbolic": style.LIMIT,
+    "inverse hyperbolic": style.ARMS[1],
+    "parabolic": style.CART,
+}
+_ROTATING_SHAPES = 3
+
+
+def draw_rotating_families(families: Sequence[RotatingFamily]) -> Figure:
+    """Return the page on rotating orbits as a figure."""
+    first = families[0].members[0]
+    arm = ("inner", "outer")[first.arm - 1]
+    page = Page(f"Orbits of {first.system.name} that turn the {arm} arm over")
+    over = Stack([partial(_traces, families=families), partial(_periods, families=families)])
+    return page.row(over, partial(_rotations, families=families), height=5.2).figure()
+
+
+def _points(family: RotatingFamily) -> Sequence[RotatingOrbit]:
+    """Return the orbits at which stability changes or the family folds."""
+    return (*(c.orbit for c in family.changes), *family.folds)
+
+
+def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    for family in families:
+        # Adjacent runs share a member to join lines of two kinds.
+        for kind, members in _runs(family.members):
+            axes.plot([m.energy for m in members], [m.trace for m in members], color=KINDS[kind], linewidth=1.6)
+        for orbit in _points(family):
+            axes.plot(orbit.energy, orbit.trace, "o", color=style.INK, markersize=4)
+    axes.set_yscale("symlog", linthresh=4)
+    axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
+    for critical in (2, -2):
+        axes.axhline(critical, color=style.FAINT, linewidth=1.0, linestyle="--")
+    quiet(axes, "Trace of the section's map, ±2 dashed; at dots stability changes or the family folds")
+    seen = {member.kind for family in families for member in family.members}
+    key(axes, [(kind, colour) for kind, colour in KINDS.items() if kind in seen])
+
+
+def _periods(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    for family in families:
+        for kind, members in _runs(family.members):
+            axes.plot([m.energy for m in members], [m.period for m in members], color=KINDS[kind], linewidth=1.6)
+        for orbit in _points(family):
+            axes.plot(orbit.energy, orbit.period, "o", color=style.INK, markersize=4)
+    quiet(axes, "Period (s)", x="energy (J)")
+
+
+def _rotations(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    for family in families:
+        for k in np.unique(np.rint(np.linspace(0, len(family.members) - 1, _ROTATING_SHAPES)).astype(int)):
+            orbit = family.members[k]
+            states = orbit.system.propagator.sample(orbit.state, np.linspace(0.0, orbit.period, SAMPLES))
+            axes.plot(states[:, 0], states[:, 1], color=KINDS[orbit.kind], linewidth=1.0)
+    quiet(axes, "Some of the orbits over one period", x="θ₁ (rad)", y="θ₂ (rad)")
+    angle_axis(axes, "x")
+    angle_axis(axes, "y")
+
+
+def _runs(members: Sequence[RotatingOrbit]) -> list[tuple[str, list[RotatingOrbit]]]:
+    runs = [(kind, list(group)) for kind, group in groupby(members, key=lambda m: m.kind)]
+    for (_, before), (_, after) in pairwise(runs):
+        before.append(after[0])
+    return runs
