@@ -32,7 +32,9 @@ def spent(command, home=None):
         places = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"), str(home))
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     environment = {**os.environ, **dict.fromkeys(THREADS, "1"), **places}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    # The connections are complete in the output, although open cuts may hide others, which ends with code 1.
+    assert done.returncode in (0, 1), done.stderr
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, json.loads(done.stdout)
 

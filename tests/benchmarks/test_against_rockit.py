@@ -24,6 +24,7 @@ pytestmark = pytest.mark.benchmark
 PYTHON = os.environ.get("DPCONTROL_ROCKIT_PYTHON", sys.executable if find_spec("rockit") else "")
 SCRIPT = Path(__file__).parent / "rockit_swing.py"
 SECONDS = 0.5
+INTERVALS = (50, 200)
 SAME_COST = 1e-3
 SAME_STATES = 1e-4
 
@@ -40,7 +41,7 @@ def test_rockit_finds_the_same_cost_and_states():
     running = ours.input(times)[:, 0] ** 2 + settings.cart_weight * ours.state(times)[:, 4] ** 2
     cost = float(np.trapezoid(running, times))
     gaps, sparse = [], np.linspace(0.0, SECONDS, 101)
-    for intervals in (50, 200):
+    for intervals in INTERVALS:
         asked = {
             "parameters": LAB.base().tolist(),
             "seconds": SECONDS,

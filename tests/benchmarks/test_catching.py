@@ -32,7 +32,11 @@ BENCH = {
     "knocks_per_minute": 2.0,
     "knock_impulse": 0.03,
 }
+BLOWN = range(70_000, 70_100)
+"""Seeds of runs with two blows."""
 SEEDS, SECONDS = range(40_001, 40_009), 300
+ITINERARY, SPARED = "round-trip", 1
+"""Where catching spares at least so many falls."""
 EDGES = (10.0, 30.0, 100.0, 300.0, math.inf)
 """Of costs to go."""
 
@@ -69,7 +73,7 @@ def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
     law = Assembly(plan.reference, scene.model.arms, scene.loop).controller
     how = Assembly(plan.reference, scene.model.arms, scene.loop, law=law).recovery
     done, falls, catches, back = 0, 0, 0, list[float]()
-    for seed in range(70_000, 70_100):
+    for seed in BLOWN:
         told, settings = Told(), replace(scene.loop, seed=seed)
         result = Assembly(plan.reference, scene.model.arms, settings, law=law).simulate(recovery=how, sink=told)
         run, limits = BatchRun.of(result), settings.limits(plan.reference)
@@ -87,11 +91,11 @@ def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
         f"\n{name}, {impulse} N m s: {done} completed, {falls} falls, {catches} catches, "
         f"back {np.median(back):.1f} s ({np.quantile(back, 0.99):.1f} s)\n"
     )
-    assert done == 100
+    assert done == len(BLOWN)
 
 
 def test_catching_spares_falls(monkeypatch) -> None:
-    scene = night_itinerary(load_itinerary("round-trip").with_run(BENCH), given={})
+    scene = night_itinerary(load_itinerary(ITINERARY).with_run(BENCH), given={})
     plan = make_plan(scene)
     scene = plan.followed().itinerary
     assembly = Assembly(plan.reference, scene.model.arms, scene.loop)
@@ -119,4 +123,4 @@ def test_catching_spares_falls(monkeypatch) -> None:
         here = which == k + 1
         sys.stdout.write(f"\ncost to go from {least:g}: {here.sum()} catches, {np.array(fell)[here].sum()} then fell")
     sys.stdout.write("\n")
-    assert falls[True] < falls[False]
+    assert falls[False] - falls[True] >= SPARED

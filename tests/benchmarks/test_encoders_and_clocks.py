@@ -19,6 +19,10 @@ pytestmark = pytest.mark.benchmark
 
 ITINERARIES = ("turn-from-rest", "up-up", "cross-from-rest")
 RUNS, SHARE = 50, 0.98
+SCALES, ENCODERS = (1e-6, 2e-5, 1e-4, 2e-4), (1000, 4000, 40_000)
+"""Resolutions of the cart's scale, m, and counts of the encoders."""
+STUCK = range(20)
+"""Seeds of runs with a stuck scale."""
 JITTERED_RUNS = 200
 JITTER_SHARES = {0.5: 0.97, 1.0: 0.9}
 """Share of completed runs by the jitter in periods."""
@@ -41,8 +45,8 @@ def row(title: str, options: Mapping[str, Any], seeds: Sequence[int]) -> list[fl
 @pytest.mark.parametrize("rate", [200.0, 1000.0, 2000.0])
 def test_ordinary_encoders_complete_98_runs_of_100_and_no_scale_is_called_stuck(rate: float) -> None:
     sys.stdout.write(f"\n{'rate, scale, counts':28s}  {'  '.join(ITINERARIES)}\n")
-    for scale in (1e-6, 2e-5, 1e-4, 2e-4):
-        for counts in (1000, 4000, 40_000):
+    for scale in SCALES:
+        for counts in ENCODERS:
             options = {"rate": rate, "cart_resolution": scale, "counts": counts}
             title = f"{rate:6.0f} Hz {1e6 * scale:4.0f} µm {counts:6d}"
             assert min(row(title, options, range(RUNS))) >= SHARE
@@ -62,7 +66,7 @@ def test_readings_that_vary_in_age_by_up_to_a_period_complete(rate: float, count
 def test_a_stuck_scale_is_found_soon_after_the_cart_has_moved_a_millimetre(scale: float, share: float) -> None:
     delays = [
         delay for name in ITINERARIES
-        for delay in delays_of_stuck_scales(planned(name), {"cart_resolution": scale}, range(20))
+        for delay in delays_of_stuck_scales(planned(name), {"cart_resolution": scale}, STUCK)
     ]  # fmt: skip
     soon = sum(delay <= 0.05 for delay in delays) / len(delays)
     sys.stdout.write(f"\n{1e6 * scale:.0f} µm: {soon:.0%} of {len(delays)} within 50 ms of a millimetre\n")

@@ -20,6 +20,9 @@ BENCH = {
     "mismatch": 0.05,
 }  # fmt: skip
 ITINERARIES = ("turn-from-rest", "up-up")
+RUNS, LADDER_RUNS = 200, 64
+TOLERATED = 0.95
+"""Share of runs that complete with ordinary mechanics."""
 UNAWARE = {"known_belt": 0.0, "known_play": 0.0}
 BARS = {"belt": {"belt": 30.0}, "play": {"play": 0.01}}
 LADDERS = {
@@ -62,9 +65,9 @@ def completed(name: str, runs: int, **options: object) -> int:
 @pytest.mark.parametrize("kind", BARS)
 @pytest.mark.parametrize("name", ITINERARIES)
 def test_a_belt_of_30_hz_and_a_play_of_10_mrad_are_tolerated(name: str, kind: str) -> None:
-    done = completed(name, 200, **BARS[kind])
-    sys.stdout.write(f"\n{name}, {BARS[kind]}: {done} of 200\n")
-    assert done >= 190
+    done = completed(name, RUNS, **BARS[kind])
+    sys.stdout.write(f"\n{name}, {BARS[kind]}: {done} of {RUNS}\n")
+    assert done >= TOLERATED * RUNS
 
 
 @pytest.mark.slow
@@ -93,7 +96,7 @@ def shares(kind: str, runs: int) -> dict[float, list[float]]:
 
 @pytest.mark.benchmark
 def test_the_limits_of_the_guide_are_printed_and_those_of_the_belt_drawn(tmp_path: Path) -> None:
-    found = {kind: shares(kind, 64) for kind in LADDERS}
+    found = {kind: shares(kind, LADDER_RUNS) for kind in LADDERS}
     for values in found.values():
         first = next(iter(values.values()))
         assert min(first) >= 0.9

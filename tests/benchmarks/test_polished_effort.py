@@ -21,6 +21,8 @@ from dpcontrol.plans.plan import Plan
 from dpcontrol.references.reference import Reference
 from dpcontrol.runs.polish import SHARE, departure, stretches
 
+RUNS, WORKERS = 48, 0
+"""Runs of each plan, and processes."""
 BAR = 1.1
 STEP = 0.01
 ENDS = 'start = "rest"\nfinish = "rest"\n'
@@ -109,7 +111,7 @@ def independent(plan: Plan) -> float:
 def test_a_polished_plan_costs_no_more_than_a_tenth_above_an_independent_optimum(name: str, tmp_path: Path) -> None:
     file = tmp_path / f"{name}.toml"
     file.write_text(SCENES[name])
-    found = api.polish(str(file))
+    found = api.polish(str(file), runs=RUNS, workers=WORKERS)
     assert found.converged, found.status
     alone = independent(found.robust)
     robust, polished = found.sides

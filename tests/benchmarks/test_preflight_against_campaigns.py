@@ -17,7 +17,7 @@ from dpcontrol.judge.preflight import HazardBorder, Preflight
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.runs.campaign import CampaignSettings, Case, cases_of, run_campaign
-from dpcontrol.runs.preflight import preflight
+from dpcontrol.runs.preflight import PreflightSettings, preflight
 
 pytestmark = pytest.mark.benchmark
 
@@ -32,6 +32,7 @@ BENCH = {
     "mismatch": 0.1,
 }
 RUNS, FINER_RUNS, FIRST_SEED = 1000, 300, 30_000
+SIZE = PreflightSettings()
 NEAR = 1.25
 RATIOS = NEAR ** np.array([-1.0, 0.0, 1.0])
 """Factors on a limit at which a finer campaign searches for its own limit."""
@@ -55,7 +56,7 @@ def found_for(name: str) -> tuple[Preflight, float]:
     """Return a scene's preflight, and what it took of processors in s: next to nothing where it was kept."""
     planned(name)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    found = preflight(planned(name), BENCH)
+    found = preflight(planned(name), BENCH, settings=SIZE)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return found, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 

@@ -58,7 +58,7 @@ def judged(number: int) -> dict[str, Any]:
     The keys are `runs`, and `sound` for runs with working sensors. `stuck` counts those of them that were reported as
     stuck. `seen` counts failing runs by class. `false` lists wrong endings and scores with class, place and reason.
     """
-    file = cache_root() / "endings" / f"{number}-{_key()}.json"
+    file = cache_root() / "endings" / f"{number}-{TOGETHER}-{FAULTY}-{_key()}.json"
     if (content := kept(file)) is not None:
         return json.loads(content)
     random, faulty = np.random.default_rng(number), number % 8 == 0

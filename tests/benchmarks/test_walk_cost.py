@@ -18,6 +18,7 @@ from dpcontrol.walks.walks import drawn_requests, random_walk, solved
 pytestmark = pytest.mark.benchmark
 
 LENGTHS = (4, 8, 16, 32, 64, 128)
+LONGEST = 128  # of a walk that is solved before times count
 WALKS = 5  # of each length; their median counts
 PER_DOUBLING = 2.3
 RESIDUAL = 1e-11
@@ -30,7 +31,7 @@ def edges():
 
 def test_cost_grows_with_the_number_of_symbols_and_no_faster(edges, one_core):
     solver, generator = WalkSolver(edges.connections), np.random.default_rng(11)
-    solver.solve(random_walk(edges, 128, generator), [2] * 127)
+    solver.solve(random_walk(edges, LONGEST, generator), [2] * (LONGEST - 1))
     seconds = []
     for length in LENGTHS:
         taken = []

@@ -62,17 +62,23 @@ def of_up_down(system):
     return found.events
 
 
+class FirstEvents(dict):
+    """First events of every kind of connection, in order of energy; located when they are needed."""
+
+    def __init__(self, system):
+        self.system = system
+
+    def __missing__(self, name):
+        source, target = SADDLES[name]
+        found = located(self.system, name, source=source, target=target)
+        assert found.complete
+        self[name] = found.events
+        return found.events
+
+
 @pytest.fixture(scope="module")
-def first_events(system, events, of_up_down):
-    """First events of every kind of connection, in order of energy."""
-    between = located(system, BETWEEN, source=SADDLES[BETWEEN][0], target=SADDLES[BETWEEN][1])
-    assert between.complete
-    return {
-        SADDLE_NODE: (events[SADDLE_NODE],),
-        PITCHFORK: (events[PITCHFORK],),
-        UP_DOWN: of_up_down,
-        BETWEEN: between.events,
-    }
+def first_events(system):
+    return FirstEvents(system)
 
 
 def connections_at(system, energy, saddles=("down-up", "down-up")):

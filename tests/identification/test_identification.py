@@ -19,6 +19,7 @@ MEDIAN, WORST = 1.6e-3, 3.6e-3
 # For all ratios with 40,000 counts. Independent rounding would give 0.03 % for friction.
 RATIO_ERROR = 2e-3
 COVERED = 0.9
+RUNS = 10
 TWO_SIDED_95 = 1.96
 
 LAB = load_model("lab").arms
@@ -41,7 +42,7 @@ def recorded(
 def ten_runs() -> list[tuple[Identification, np.ndarray]]:
     """True and identified arms: ten with errors up to 5 %, from eight swings of 8 s with four held out."""
     out = []
-    for seed in range(10):
+    for seed in range(RUNS):
         arms = RUBBING.mismatched(0.05, np.random.default_rng(100 + seed))
         recording, zeros = recorded(arms, seed, swings=12, seconds=8.0)
         settings = IdentificationSettings(zeros="free", laws=ALL_LAWS, longest=10.0)

@@ -14,6 +14,7 @@ from dpcontrol.walks.shadowing import WalkSolver
 from dpcontrol.walks.walks import drawn_requests, random_walk
 
 RESIDUAL = 1e-11
+WALKS = 25
 SEED = 7
 
 
@@ -34,7 +35,7 @@ def solver(edges):
 
 @pytest.mark.benchmark
 def test_random_walks_give_the_requested_orbits(edges, classifier, solver):
-    for asked in drawn_requests(edges, 25, lengths=(1, 16), extra=(0, 4), seed=SEED, periodic=False):
+    for asked in drawn_requests(edges, WALKS, lengths=(1, 16), extra=(0, 4), seed=SEED, periodic=False):
         least = solver.least(asked.chain)
         wraps = [n + more for n, more in zip(least, asked.extra, strict=True)]
         orbit = solver.solve(asked.chain, wraps)
