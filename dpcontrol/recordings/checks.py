@@ -321,6 +321,8 @@ def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Rep
 
 _FASTEST = 80.0
 """Limit of the angle rate, rad/s, above any bench. A swing exceeds it if radians and degrees are confused."""
+_WRONG_UNIT = 1e9
+"""Rate in any unit that no bench reaches, so that a larger one is damage."""
 _DEGREES = 180 / np.pi
 _FACTORS = {
     _DEGREES: "the angles look like degrees and the rates like rad/s",
@@ -363,7 +365,12 @@ def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
             "check the unit of angles and time in the mapping (degrees taken for rad? counts? ms?)"
         )
     if first.of(RATE) is not None:
-        _compare(derivative, np.concatenate([part[1] for part in turned]), file=file)
+        rates = np.concatenate([part[1] for part in turned])
+        if (largest := float(np.abs(rates).max())) > _WRONG_UNIT:
+            raise InputError(
+                f"{file}: a rate is {largest:.4g}, which no bench reaches in any unit; look for a damaged value"
+            )
+        _compare(derivative, rates, file=file)
     if first.of(CART) is None and first.of(COMMAND) is None:
         # With the cart clamped, gravity alone moves the arms.
         _check_zero(segments, file=file)

@@ -10,6 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import PROGRAM, dpcontrol
+from mcap.reader import McapReader, make_reader
+from mcap.writer import Writer
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.replay import filter_settings
@@ -297,3 +299,45 @@ def test_a_value_of_another_type_where_a_kind_or_tables_belong_is_refused(keys: 
     ended = dpcontrol("run", "rest.toml")
     assert ended.code == 2
     assert said in ended.message
+
+
+def test_a_rate_of_1e300_in_a_recording_is_refused_in_one_sentence(recwarn: pytest.WarningsRecorder) -> None:
+    time = np.arange(300) * 1e-3
+    columns = [time, 0.3 * np.cos(time), 0.2 * np.cos(time), -0.3 * np.sin(time), np.full(300, 1e300)]
+    rows = [",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True)]
+    Path("swing.csv").write_text("\n".join(["time,angle_1,angle_2,rate_1,rate_2", *rows]))
+    ended = dpcontrol("import", "swing.csv")
+    assert ended.code == 2
+    assert "a rate is 1e+300, which no bench reaches in any unit" in ended.message
+    assert not recwarn.list
+
+
+def test_a_repetition_of_a_log_without_comparable_messages_writes_nothing() -> None:
+    """The run used to be repeated first."""
+    assert dpcontrol("run", "rest.toml", "--out", "rest.mcap").code == 0
+    with Path("rest.mcap").open("rb") as file, Path("other.mcap").open("wb") as copy:
+        _copied(make_reader(file), Writer(copy))
+    ended = dpcontrol("run", "--from", "other.mcap")
+    assert ended.code == 2
+    assert "renumbered the channels" in ended.message
+    assert {path.name for path in Path().iterdir()} == {"rest.toml", "rest.mcap", "other.mcap"}
+
+
+def _copied(reader: McapReader, writer: Writer) -> None:
+    """Copy a log as another program does: with its own numbers of schemas and channels."""
+    writer.start()
+    channels: dict[int, int] = {}
+    for schema, channel, message in reader.iter_messages():
+        if channel.id not in channels:
+            number = 0 if schema is None else writer.register_schema(schema.name, schema.encoding, schema.data)
+            channels[channel.id] = writer.register_channel(
+                channel.topic, channel.message_encoding, number, channel.metadata
+            )
+        writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
+    for record in reader.iter_metadata():
+        writer.add_metadata(record.name, record.metadata)
+    for attached in reader.iter_attachments():
+        writer.add_attachment(
+            attached.create_time, attached.log_time, attached.name, attached.media_type, attached.data
+        )
+    writer.finish()
