@@ -166,7 +166,7 @@ def connections(
         longest: time to reach the section, in periods of the orbit (default: the model's).
         thorough: resolve parts that are reported as "at least", for up to a minute.
         seconds: processor time of the search, s (default: 60). A partial result is marked.
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The connections, and whether the list is complete.
@@ -221,7 +221,7 @@ def graph(
         model: model, its name, or a system.
         energy: energy, J.
         symbols: symbols of a walk, for other sections, later hits or rotating orbits (default: none).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Orbits of all saddles, and the connections between them.
@@ -265,7 +265,7 @@ def find_bifurcations(
         hits: crossings of the section (default: 1).
         samples: energies of the first search (default: 24).
         yes: accept work of more than an hour or 4 GB (default: refused).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Events in order of energy, and unexplained changes of the count.
@@ -311,7 +311,7 @@ def atlas(
         seconds: processor time of each search, s (default: 60). A partial atlas is not cached.
         fresh: compute it again even if it is cached.
         yes: accept work of more than an hour or 4 GB (default: refused).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The atlas, from the cache if possible.
@@ -416,7 +416,7 @@ def prove(
         energy: exact energy, J (default: the shortest decimal that reads as the orbit's).
         rivals: graph whose other connections the walk must not follow (default: not checked).
         settings: precision and radii (default: those of `dpcontrol prove`).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         "proved" with enclosures and certificate, or the step that does not close.
@@ -475,7 +475,7 @@ def reference(
         finish: end on the "orbit", by default, or at "rest".
         name: name of the plan (default: "walk").
         yes: accept work of more than an hour or 4 GB (default: refused).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The plan, from the cache if possible; use it only if it `converged`.
@@ -534,7 +534,7 @@ def plan(
         workers: processes that search for transfers, 0 for a useful number (default: 1).
         scheduler: address of a Dask cluster that searches instead (default: none).
         yes: accept work of more than an hour or 4 GB (default: refused).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The plan, from the cache if possible; use it only if it `converged`.
@@ -573,7 +573,7 @@ def closed_loop(
         settings: run settings by path, such as {"drive.lag": 0.005} (default: none).
         options: deprecated, use `settings`.
         yes: accept work of more than an hour or 4 GB (default: refused).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
         named: further settings by the last part of their paths, such as `mismatch=0.02`; laws, estimators and plants
             may be objects.
 
@@ -643,7 +643,7 @@ def polish(
         runs: runs of each plan at a mismatch of 5 and of 20 % (default: 48).
         workers: processes of these runs, 0 for one per processor.
         yes: accept work of more than an hour or 4 GB (default: refused).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Both plans, with effort, peak, travel and completed runs as `sides`.
@@ -695,7 +695,7 @@ def run(
         force: replace the log of another run there.
         live: show the run in the viewer.
         yes: accept work of more than an hour or 4 GB (default: refused).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The run, which scores, draws and explains itself.
@@ -736,7 +736,7 @@ def export(
         options: deprecated, use `settings`.
         force: replace files of the same names there.
         yes: accept work of more than an hour or 4 GB (default: refused).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The files, with code size, memory and operations per tick.
@@ -790,7 +790,7 @@ def campaign(
         out: Parquet table to write (default: none).
         force: replace the table of another campaign there.
         yes: accept work of more than an hour or 4 GB (default: refused).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Shares of completed runs with 95 % intervals, and failures with seeds and reasons.
@@ -861,7 +861,7 @@ def identify(
         model: initial model, or its name.
         zeros: fit the encoder zeros or not (default: decided by the segments left out).
         out: model file to write (default: none).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Inertia ratios, friction laws and encoder zeros with standard errors.
@@ -996,7 +996,7 @@ def open_recording(
         file: log, MATLAB, CSV, Parquet or MCAP file, or ROS bag.
         mapping: name or TOML file that describes the columns (default: chosen by the kind of file).
         repairs: allowed repairs among nan, time, gaps, wrap, spikes and sampling (default: none).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Angles (rad) by time (s), in segments.
@@ -1187,7 +1187,7 @@ def family(
         saddle: saddle that the orbits surround, such as "down-up".
         energies: lowest and highest energy, J.
         family: which of the saddle's families, slowest first (default: 0).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The members in order of energy, and the reason for each end.
@@ -1246,7 +1246,7 @@ def rotating_families(
         model: model or system of two arms.
         arm: arm that turns, counter-clockwise.
         energies: lowest and highest energy, J; families start from the orbits at their mean.
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Families with folds and changes of stability; empty if there is no orbit at the mean energy.
@@ -1275,7 +1275,7 @@ def sustained_orbit(
     Args:
         orbit: Lyapunov orbit of a model of arms; the result has its energy at phase 0.
         limits: limits of the cart (default: those of itineraries).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The orbit with the least effort; use it only if it `converged`.
@@ -1457,7 +1457,7 @@ def symbol_changes(
         model: model or system.
         symbols: symbols of a walk, such as "down-up +".
         energies: first and last energy, J.
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Changes in order of energy, each with the names before and after.
@@ -1486,7 +1486,7 @@ def check_proof(file: Place, *, progress: Reporting = None) -> "CertificateCheck
 
     Args:
         file: certificate, as `dpcontrol prove --out` writes it.
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The verdict: the proved statement, or the step that fails.
@@ -1516,7 +1516,7 @@ def explore_energies(
     Args:
         planned: plan, or name or path of an itinerary, with a single walk.
         picture: PNG to draw (default: none).
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The chart; `chosen` compares the itinerary's energy with the best one.
@@ -1594,7 +1594,7 @@ def start_bench(
         faults: wiring mistakes for practice, such as "encoder-2-reversed" (default: none).
         at: host, port, key and watchdog (default: any free port of this computer).
         yes: accept any duration of planning.
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         The bench, a context manager; `url` is its address, and `serve(runs=1)` serves a run.
@@ -1685,7 +1685,7 @@ def repeat(log: Place, out: Place, *, force: bool = False, progress: Reporting =
         log: log of a simulated run.
         out: log to write.
         force: replace the log of another run there.
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Score of the repetition, and the comparison of its messages.
@@ -1836,7 +1836,7 @@ def recover_log(
         file: damaged log, which is kept.
         out: new log (default: a free name beside it).
         force: replace any log at `out`.
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Recovered ticks, and a sentence on the losses.
@@ -1884,7 +1884,7 @@ def design_experiments(model: Model | str, *, progress: Reporting = None) -> "De
 
     Args:
         model: model of arms.
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Experiments by information, and the best pair.
@@ -1924,7 +1924,7 @@ def replay(
         settings: encoder counts, means, samples ahead and span.
         out: log of measurement and prediction to write (default: none).
         force: replace any log there.
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         Prediction, estimate and their errors.
@@ -1958,7 +1958,7 @@ def draw_figures(
     Args:
         names: figures, such as "tubes" (default: all).
         folder: folder for the PNGs and captions.json (default: "figures").
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         For each figure its file, its caption, and its difference from the paper's.
@@ -1993,7 +1993,7 @@ def draw_charts(
         folder: folder for each chart's PNG and JSON (default: "charts").
         quick: less of the same work (default: all of it).
         yes: accept any duration.
-        progress: receiver of progress reports (see `dpcontrol.api`).
+        progress: reports, see `dpcontrol.api`.
 
     Returns:
         For each chart its points, complaints and files.

@@ -533,7 +533,7 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
     """
     log = read_log(source)
     checked_other_file(out, source, what="the log to repeat")
-    # Messages that do not decode are found here, so that nothing is written.
+    # A log whose messages do not decode is refused before the run begins.
     compare_messages(source, source)
     with TemporaryDirectory() as folder:
         verdict = run_plan(_plan(log, Path(folder)), out, force=force, progress=progress).score()
