@@ -21,8 +21,6 @@ from inspect import ismethod
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
-
 
 class Documented:
     """Base of results with a JSON document."""
@@ -116,7 +114,7 @@ def plain(value: Any) -> Any:
     """
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "tolist"):  # arrays and numbers of NumPy, which is not imported here for a quick start of verbs
         return plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
@@ -124,14 +122,10 @@ def plain(value: Any) -> Any:
         return value.document()
     if is_dataclass(value):
         return document_of(value)
-    if isinstance(value, complex | np.complexfloating):
-        return [plain(float(value.real)), plain(float(value.imag))]
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
     if isinstance(value, Path):
         return str(value)
-    if isinstance(value, np.bool_):
-        return bool(value)
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
     return value

@@ -60,8 +60,8 @@ PANELS: dict[str, str] = {
 
 RECORDINGS = {
     "dpcontrol.judge.run_view.RunView": "rerun_recording:write_recording",
-    "dpcontrol.judge.comparison.RunComparison": "comparison:write_comparison_recording",
-    "dpcontrol.walks.atlas.Atlas": "atlas:write_atlas_recording",
+    "dpcontrol.judge.comparison.RunComparison": "comparison_recording:write_comparison_recording",
+    "dpcontrol.walks.atlas.Atlas": "atlas_recording:write_atlas_recording",
 }
 """Functions `write(result, path)` of Rerun recordings."""
 

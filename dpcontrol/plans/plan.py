@@ -22,7 +22,7 @@ from dpcontrol.foundation.cache import cache_file, keep, kept
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
-from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
+from dpcontrol.foundation.progress import Cost, Progress, Reporting, announce, no_progress, part_of
 from dpcontrol.foundation.shown import Timed, checked_times
 from dpcontrol.logs.layout import state_names
 from dpcontrol.plans.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
@@ -126,7 +126,7 @@ class Plan(ByReference, Timed, Documented):
 
     def preflight(
         self, options: Mapping[str, object] | None = None, *, runs: int = 0, workers: int = 0, yes: bool = False,
-        progress: Progress = no_progress,
+        progress: Reporting = None,
     ) -> Any:  # fmt: skip
         """Deprecated: use `dp.closed_loop(plan).preflight()`.
 

@@ -7,15 +7,15 @@ import pytest
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.rendering import render
-from dpcontrol.pages.renderers import PANELS, RENDERERS, renderer
+from dpcontrol.pages.renderers import PANELS, RECORDINGS, RENDERERS, renderer
 
 
-@pytest.mark.parametrize("name", [*RENDERERS, *PANELS])
-def test_each_entry_of_the_table_names_a_class_and_a_function(name: str) -> None:
-    module, _, kind = name.rpartition(".")
-    place = RENDERERS.get(name) or PANELS[name]
-    assert inspect.isclass(getattr(import_module(module), kind))
-    assert inspect.isfunction(renderer(place))
+@pytest.mark.parametrize("table", [RENDERERS, PANELS, RECORDINGS])
+def test_each_entry_of_a_table_names_a_class_and_a_function(table: dict[str, str]) -> None:
+    for name, place in table.items():
+        module, _, kind = name.rpartition(".")
+        assert inspect.isclass(getattr(import_module(module), kind))
+        assert inspect.isfunction(renderer(place))
 
 
 def test_a_result_without_a_renderer_is_rejected_with_the_results_that_have_one() -> None:
