@@ -5,6 +5,7 @@ DPCONTROL_STORE_FILM=1 replaces the film in README.
 
 import io
 import os
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -39,15 +40,16 @@ document.querySelector(arguments[0]).click();
   else setTimeout(wait, 1);
 })();"""
 INTERVALS = """
-const done = arguments[1], canvas = document.getElementById("stage"), begin = performance.now(), found = [];
+const [seconds, done] = arguments, canvas = document.getElementById("stage"), begin = performance.now(), found = [];
 const pen = canvas.getContext("2d", { willReadFrequently: true });
 let shown = null, last = begin;
 requestAnimationFrame(function look(now) {
-  const text = pen.getImageData(0, 0, canvas.width, canvas.height).data.join("");
-  if (text !== shown) found.push(now - last);
-  if (text !== shown) last = now;
-  shown = text;
-  if (now - begin < 1000 * arguments[0]) requestAnimationFrame(look);
+  const pixels = new Uint32Array(pen.getImageData(0, 0, canvas.width, canvas.height).data.buffer);
+  const sum = pixels.reduce((sum, pixel, place) => (31 * sum + pixel + place) | 0, 0);
+  if (sum !== shown) found.push(now - last);
+  if (sum !== shown) last = now;
+  shown = sum;
+  if (now - begin < 1000 * seconds) requestAnimationFrame(look);
   else done(found.slice(1).sort((a, b) => a - b)[Math.floor(found.length / 2)]);
 });"""
 
@@ -64,10 +66,15 @@ def test_a_saved_itinerary_takes_few_clicks_and_a_minute_and_arms_move_smoothly(
     assert page.press("run")["run"]["completed"]
     page.press("save")
     assert clicks <= CLICKS
-    assert time.monotonic() - begin <= SECONDS
-    assert page.driver.execute_async_script(ANSWERED, '[data-role="wraps-plus"]') <= 1e3 * ANSWER
+    seconds = time.monotonic() - begin
+    assert seconds <= SECONDS
+    answer = page.driver.execute_async_script(ANSWERED, '[data-role="wraps-plus"]')
+    assert answer <= 1e3 * ANSWER
     page.idle()
-    assert page.driver.execute_async_script(INTERVALS, WATCHED) <= 1e3 * INTERVAL
+    interval = page.driver.execute_async_script(INTERVALS, WATCHED)
+    sys.stdout.write(f"{clicks} clicks, {seconds:.1f} s; answer {answer:.0f} ms, frames {interval:.1f} ms apart\n")
+    assert interval is not None
+    assert interval <= 1e3 * INTERVAL
 
 
 # Replaces the page's clock by one that the recorder advances, and adds a visible pointer.
