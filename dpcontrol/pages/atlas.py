@@ -1,4 +1,7 @@
-"""An atlas on one page: all orbits and tubes in space, then the cuts of each kind of connection."""
+"""An atlas on one page.
+
+All orbits and tubes in space are followed by the cuts of each kind of connection.
+"""
 
 from __future__ import annotations
 

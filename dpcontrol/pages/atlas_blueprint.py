@@ -1,4 +1,7 @@
-"""Layout of an atlas in the Rerun viewer: views, their ranges and the summary."""
+"""Layout of an atlas in the Rerun viewer.
+
+It consists of views, their ranges and the summary.
+"""
 
 from __future__ import annotations
 
@@ -54,6 +57,10 @@ def section_frame(atlas: Atlas, kind: AtlasKind) -> tuple[float, Box]:
     With this scale the cuts are drawn two thirds as high as wide.
 
     The factor is needed because the viewer's scales are equal.
+
+    Args:
+        atlas: atlas with the kind.
+        kind: kind of connection.
     """
     points = np.concatenate([run for _, _, run in section_curves(atlas, kind)])
     spans = np.maximum(np.ptp(np.quantile(points, [0.01, 0.99], axis=0), axis=0), 1e-12)

@@ -25,9 +25,14 @@ def draw_cuts(
 ) -> None:
     """Draw both tubes' cuts of a kind and mark its connections.
 
-    Those of `shown` are marked and labelled by `numbers`.
-
-    `sense` selects the crossings to draw; None draws both.
+    Args:
+        axes: panel.
+        atlas: with the kind.
+        kind: of connections.
+        shown: marked connections, all by default.
+        numbers: labels by connection name.
+        legend: True adds a key.
+        sense: drawn crossings, None for both.
     """
     section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
     coordinate, period = section_axes(section, atlas)

@@ -26,7 +26,9 @@ def row_of(
     flat: bool = False,
     share: float = 1.65,
 ) -> list[Panel | Stack]:
-    """Return a row of panels: a kind's cuts, and the flights of `shown` with their numbers.
+    """Return a row of panels: cuts and flights.
+
+    The cuts are those of a kind; the flights of `shown` have their numbers.
 
     Args:
         atlas: with the kind.
@@ -55,6 +57,13 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
     """Draw a flight with both orbits in the plane of coordinates.
 
     It starts at its source's named position.
+
+    Args:
+        axes: panel to draw on.
+        atlas: atlas with the connection.
+        connection: connection to draw.
+        colour: colour of the flight.
+        labelled: True to label the vertical axis.
     """
     for saddle, winding in ((connection.source, ()), (connection.target, connection.winding)):
         orbit = next(o for o in atlas.orbits if o.saddle == saddle)
@@ -77,7 +86,13 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
 
 
 def draw_angles(axes: Axes, atlas: Atlas, connection: AtlasConnection) -> None:
-    """Draw both angles over time, with the section crossing at zero."""
+    """Draw both angles over time, with the section crossing at zero.
+
+    Args:
+        axes: panel to draw on.
+        atlas: atlas with the connection.
+        connection: connection to draw.
+    """
     for arm in range(len(atlas.periods) // 2):
         axes.plot(connection.times, connection.states[:, arm], color=style.arm_colour(arm), linewidth=1.3)
     for time in (-connection.time_out, connection.time_in):
@@ -104,13 +119,20 @@ def draw_space(
 ) -> None:
     """Draw the tubes of cuts, all orbits, and flights in space.
 
-    The axes have ticks every `steps` half turns.
+    Ticks of x and y are `steps` half turns apart. Orbits have `one_colour`, by default their saddle's. `sense` selects
+    branches by the sense of their final crossings; None draws both. `saddles` selects orbits; None draws all.
 
     Flights start at their source's named position. If they end whole turns away, the target orbit is drawn there.
 
     Args:
-        sense: sense of the branches' final crossings; None draws both.
-        saddles: saddles of the orbits to draw.
+        axes: panel in space.
+        atlas: with the orbits.
+        cuts: of tubes.
+        one_colour: of all orbits.
+        flights: connections.
+        steps: half turns.
+        sense: 1, -1 or None.
+        saddles: of the orbits.
     """
     picked = [0, 1, len(atlas.periods) // 2]
     for tube in (part for cut in cuts for part in tubes_of_cut(atlas, cut) if sense in (None, part.sense)):

@@ -1,4 +1,7 @@
-"""Parts of an atlas to draw: tubes, curves on the section, places and colours of connections."""
+"""Parts of an atlas to draw.
+
+They are tubes, curves on the section, places and colours of connections.
+"""
 
 from __future__ import annotations
 
@@ -46,6 +49,10 @@ def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array
     """Return the cuts of a kind's tubes as runs.
 
     A run has (stable, sign of the crossing, points (K, 2) within a period).
+
+    Args:
+        atlas: atlas with the kind.
+        kind: kind of connection.
     """
     found = []
     for stable, saddle, hit in ((False, kind.source, kind.hits[0]), (True, kind.target, kind.hits[1])):
@@ -64,6 +71,10 @@ def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
     """Return the point (q, p/p₀) of a connection on its section.
 
     The angle q is within a period.
+
+    Args:
+        atlas: atlas with the connection.
+        connection: connection with a section.
     """
     _, period = section_axes(connection.section, atlas)
     q, p = connection.point
@@ -74,6 +85,10 @@ def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
     """Return both branches of a saddle's tubes up to a cut.
 
     The stable tube is found by time reversal.
+
+    Args:
+        atlas: atlas with the cut.
+        cut: cut of the saddle's tubes.
     """
     parts = []
     for stable in (False, True):
@@ -92,13 +107,23 @@ def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind | None:
     """Return the last kind searched between two saddles, or None.
 
     Kinds with connections are preferred.
+
+    Args:
+        atlas: atlas with the kinds.
+        source: saddle that the connections leave.
+        target: saddle that they join.
     """
     kinds = [kind for kind in atlas.kinds if (kind.source, kind.target) == (source, target)]
     return kinds[-1] if kinds else None
 
 
 def connections_of(atlas: Atlas, kind: AtlasKind) -> tuple[AtlasConnection, ...]:
-    """Return the connections of a kind."""
+    """Return the connections of a kind.
+
+    Args:
+        atlas: atlas with the kind.
+        kind: kind of connection.
+    """
     return tuple(c for c in atlas.between(kind.source, kind.target) if c.hits == kind.hits)
 
 
@@ -106,6 +131,11 @@ def stable_direction(atlas: Atlas, cut: AtlasCut, direction: int) -> int:
     """Return the sign of a stable tube's crossing of the section.
 
     It follows from its unstable image's.
+
+    Args:
+        atlas: atlas with the cut.
+        cut: cut of the saddle's tubes.
+        direction: sign of the unstable image's crossing.
     """
     normal = np.asarray(cut.section.normal)
     # Under time reversal a crossing changes sides unless the reverser also flips the section.
@@ -129,7 +159,13 @@ def colours(connections: tuple[AtlasConnection, ...]) -> dict[str, str]:
 
 
 def placed(atlas: Atlas, orbit: AtlasOrbit, winding: Sequence[int] = ()) -> Array:
-    """Return an orbit as a closed curve (M, N), shifted by turns."""
+    """Return an orbit as a closed curve (M, N), shifted by turns.
+
+    Args:
+        atlas: atlas with the orbit.
+        orbit: orbit to shift.
+        winding: whole turns of each coordinate; none by default.
+    """
     turns = np.zeros(len(atlas.periods))
     turns[: len(winding)] = winding
     return np.vstack([orbit.samples, orbit.samples[:1]]) + turns * atlas.turn_lengths

@@ -38,6 +38,10 @@ _MOMENTS = 240
 def write_atlas_recording(atlas: Atlas, path: Path) -> None:
     """Write the recording of an atlas to `path` (`*.rrd`) with its blueprint.
 
+    Args:
+        atlas: atlas to write.
+        path: file, `*.rrd`.
+
     Raises:
         InputError: the recording cannot be written.
     """

@@ -72,11 +72,15 @@ class Drawn:
 def draw_figures(
     names: Sequence[str], gallery: Gallery, folder: Path, *, progress: Progress = no_progress
 ) -> tuple[Drawn, ...]:
-    """Draw figures to NAME.png in `folder`, all if `names` is empty.
+    """Draw figures to NAME.png in a folder.
 
-    Their captions are written to captions.json there.
+    Their captions are written to captions.json there. Captions of figures drawn there earlier are kept.
 
-    Captions of figures drawn there earlier are kept.
+    Args:
+        names: names of the figures; all if empty.
+        gallery: data sources.
+        folder: folder of the files.
+        progress: receiver of progress reports.
 
     Raises:
         InputError: a name is unknown, or the folder is not writable.

@@ -32,7 +32,10 @@ class Gallery:
 
 
 def cached_gallery() -> Gallery:
-    """Return the gallery whose data is computed on first use and kept in the cache."""
+    """Return the gallery whose data is kept in the cache.
+
+    The data is computed on first use.
+    """
     model = cache(load_model)
     return Gallery(
         system=lambda name: model(name).system,

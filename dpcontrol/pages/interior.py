@@ -1,4 +1,7 @@
-"""The inside of a tube's cut, and the images of its points at every return to the section."""
+"""The inside of a tube's cut, and its returns.
+
+The images of its points are drawn at every return to the section.
+"""
 
 from functools import partial
 
@@ -60,7 +63,10 @@ def _returns(
     box: tuple[float, float],
     periodic: tuple[RotatingOrbit, ...],
 ) -> None:
-    """Draw the points at the start, k = 0, or at their k-th return."""
+    """Draw the points at the start or at a return.
+
+    The start has k = 0, the k-th return k.
+    """
     saturation = 0.12 + 0.88 * np.clip(interior.radius, 0, 1)
     hue = interior.angle / (2 * np.pi)
     colours = hsv_to_rgb(np.column_stack([hue, saturation, np.full(len(hue), 0.93)]))
@@ -84,7 +90,10 @@ def _returns(
 
 
 def _marker(interior: TubeInterior) -> float:
-    """Return the marker area, points², that makes neighbours of the start's grid overlap."""
+    """Return the area of the markers, points².
+
+    Neighbours of the start's grid overlap with this area.
+    """
     spans = np.ptp(interior.points, axis=0)
     across = max(len(np.unique(np.round(interior.points[:, k], 9))) for k in (0, 1))
     # A cut spans about half of an axis that is 230 points long either way.

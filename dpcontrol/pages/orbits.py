@@ -1,4 +1,7 @@
-"""Families of Lyapunov orbits on one page: period and multipliers against energy, and the orbits' shapes."""
+"""Families of Lyapunov orbits on one page.
+
+It shows period and multipliers against energy, and the orbits' shapes.
+"""
 
 from collections.abc import Sequence
 from functools import partial
@@ -23,7 +26,9 @@ _SHADES = colormaps["viridis"]
 def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
     """Return a page on the families of one system.
 
-    There must be at least one family.
+    Args:
+        families: families to draw, at least one.
+        title: title of the page.
     """
     energies = np.concatenate([family.energies for family in families])
     scale = Normalize(float(energies.min()), float(energies.max()))

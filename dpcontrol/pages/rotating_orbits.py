@@ -1,4 +1,7 @@
-"""Families of rotating orbits on one page: trace and period against energy, and the orbits."""
+"""Families of rotating orbits on one page.
+
+It shows trace and period against energy, and the orbits.
+"""
 
 from collections.abc import Sequence
 from functools import partial

@@ -1,4 +1,7 @@
-"""One chart of each result, drawn in given axes: the chart that says most about it."""
+"""One chart of each result, drawn in given axes.
+
+It is the most informative chart of the result.
+"""
 
 from typing import Any
 
@@ -66,7 +69,14 @@ def _rings(axes: Axes, orbit: LyapunovOrbit, turns: Array | None = None) -> None
 
 
 def orbit(axes: Axes, found: LyapunovOrbit | RotatingOrbit) -> None:
-    """Draw an orbit in the phase plane of its most active arm, or in the plane of positions."""
+    """Draw an orbit in the phase plane of its most active arm.
+
+    Without angles it is drawn in the plane of positions.
+
+    Args:
+        axes: panel to draw on.
+        found: orbit to draw.
+    """
     states, n = found.sample(400), found.system.dimension // 2
     arm = int(np.argmax(np.ptp(states[:, :n], axis=0)))
     columns = (arm, n + arm) if found.system.si else (0, 1)
@@ -76,12 +86,22 @@ def orbit(axes: Axes, found: LyapunovOrbit | RotatingOrbit) -> None:
 
 
 def sustained(axes: Axes, found: SustainedOrbit) -> None:
-    """Draw the angles of a sustained orbit over one period."""
+    """Draw the angles of a sustained orbit over one period.
+
+    Args:
+        axes: panel to draw on.
+        found: orbit to draw.
+    """
     _angles(axes, sustained_view(found, found.arms.length))
 
 
 def family(axes: Axes, found: LyapunovFamily | RotatingFamily) -> None:
-    """Draw the periods of a family over the energy."""
+    """Draw the periods of a family over the energy.
+
+    Args:
+        axes: panel to draw on.
+        found: family to draw.
+    """
     system = found.members[0].system
     axes.plot(found.energies, found.periods, color=style.INK, linewidth=1.6)
     energy, period = (f"{name}{system.unit(unit, ' ({})')}" for name, unit in (("energy", "J"), ("period", "s")))
@@ -94,7 +114,12 @@ def family_page(found: LyapunovFamily) -> Figure:
 
 
 def tube(axes: Axes, found: Tube) -> None:
-    """Draw the trajectories of a tube in the plane of positions."""
+    """Draw the trajectories of a tube in the plane of positions.
+
+    Args:
+        axes: panel to draw on.
+        found: tube to draw.
+    """
     strands = found.strands()
     for k, strand in enumerate(strands):
         branch = found.branches[k * len(found.branches) // len(strands)]
@@ -112,13 +137,23 @@ def _curves(axes: Axes, pieces: tuple[Piece, ...], stable: bool) -> None:
 
 
 def cut(axes: Axes, found: Cut) -> None:
-    """Draw a cut in the section's coordinates."""
+    """Draw a cut in the section's coordinates.
+
+    Args:
+        axes: panel to draw on.
+        found: cut to draw.
+    """
     _curves(axes, found.pieces, found.stable)
     quiet(axes, f"crossing {found.hit} of {found.section.name}", x="q", y="p / p₀")
 
 
 def search(axes: Axes, found: ConnectionSearch) -> None:
-    """Draw the cuts of both tubes and the connections."""
+    """Draw the cuts of both tubes and the connections.
+
+    Args:
+        axes: panel to draw on.
+        found: search to draw.
+    """
     tubes = (found.source.manifold(), found.target.manifold(stable=True))
     for side, own in zip(tubes, found.cuts, strict=True):
         pieces = tuple(side.placed(piece, own.section) for piece in own.pieces)
@@ -130,7 +165,12 @@ def search(axes: Axes, found: ConnectionSearch) -> None:
 
 
 def connection(axes: Axes, found: Connection) -> None:
-    """Draw a connection between its orbits in the plane of positions."""
+    """Draw a connection between its orbits in the plane of positions.
+
+    Args:
+        axes: panel to draw on.
+        found: connection to draw.
+    """
     system = found.source.system
     _rings(axes, found.source)
     _rings(axes, found.target, np.asarray(found.orbit.end.turns) * system.turn_lengths)
@@ -139,21 +179,40 @@ def connection(axes: Axes, found: Connection) -> None:
 
 
 def symmetric(axes: Axes, found: SymmetricSearch) -> None:
-    """Draw all connections of a search in the plane of positions."""
+    """Draw all connections of a search in the plane of positions.
+
+    Args:
+        axes: panel to draw on.
+        found: search to draw.
+    """
     for one in found.connections:
         axes.plot(*one.sample(600)[:, :2].T, linewidth=1.0, label=f"{one.source.energy:.6g}")
         _plane(axes, one.source.system, (0, 1), f"{found.saddle}: {len(found.connections)} connections")
 
 
 def bifurcations(axes: Axes, found: BifurcationSearch) -> None:
-    """Draw the section's momentum of each connection over the energy, with the bifurcations and the counts."""
+    """Draw the section's momentum of each connection over the energy.
+
+    The bifurcations and the counts are added.
+
+    Args:
+        axes: panel to draw on.
+        found: search to draw.
+    """
     draw_momentum_branches(axes, branch_diagram(found))
     title = f"{found.source} → {found.target}: {len(found.events)} bifurcations on {found.section.name}"
     quiet(axes, title, x=f"energy{found.system.unit('J', ' ({})')}", y="p / p₀")
 
 
 def proof(axes: Axes, found: Any) -> None:
-    """Draw the bounds of a proof that are small numbers, such as the radii of its balls."""
+    """Draw the bounds of a proof that are small numbers.
+
+    The radii of its balls are an example.
+
+    Args:
+        axes: panel to draw on.
+        found: proof to draw.
+    """
     bounds = {name.replace("_", " "): size for name, value in found.figures.items() if 0 < (size := _size(value)) < 1}
     axes.barh(list(bounds), list(bounds.values()), color=style.GOOD if found.proved else style.LIMIT, height=0.6)
     axes.set_xscale("log")
@@ -162,7 +221,10 @@ def proof(axes: Axes, found: Any) -> None:
 
 
 def _size(value: object) -> float:
-    """Return a number of a proof's figures, or 0 for an enclosure or a list."""
+    """Return a number of a proof's figures, or 0.
+
+    Enclosures and lists return 0.
+    """
     try:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
@@ -170,13 +232,25 @@ def _size(value: object) -> float:
 
 
 def polished(axes: Axes, found: Polished) -> None:
-    """Draw the effort of the robust plan and of the polished one."""
+    """Draw the effort of the robust plan and of the polished one.
+
+    Args:
+        axes: panel to draw on.
+        found: both plans.
+    """
     axes.bar([side.name for side in found.sides], [side.effort for side in found.sides], color=style.ARMS[0], width=0.5)
     quiet(axes, found.status, y="effort (m²/s³)")
 
 
 def walk(axes: Axes, found: ShadowingOrbit) -> None:
-    """Draw the angles of a walk over time, or its orbit in the plane of positions."""
+    """Draw the angles of a walk over time.
+
+    Without angles its orbit is drawn in the plane of positions.
+
+    Args:
+        axes: panel to draw on.
+        found: orbit of the walk.
+    """
     story = _story(found)
     if not story.has_angles:
         walk_plane(axes, story)
@@ -196,7 +270,12 @@ def walk_page(found: ShadowingOrbit) -> Figure:
 
 
 def edges(axes: Axes, found: Edges) -> None:
-    """Draw a connection graph."""
+    """Draw a connection graph.
+
+    Args:
+        axes: panel to draw on.
+        found: edges of the graph.
+    """
     graph = found.graph()
     places = nx.circular_layout(graph)
     nx.draw_networkx(graph, places, ax=axes, node_color="white", edgecolors=style.INK, node_size=2400, font_size=8)
@@ -207,7 +286,12 @@ def edges(axes: Axes, found: Edges) -> None:
 
 
 def atlas(axes: Axes, found: Atlas) -> None:
-    """Draw the cuts of the first kind of connections."""
+    """Draw the cuts of the first kind of connections.
+
+    Args:
+        axes: panel to draw on.
+        found: atlas to draw.
+    """
     if found.kinds:
         draw_cuts(axes, found, max(found.kinds, key=lambda kind: kind.count), legend=False)
 
@@ -223,7 +307,12 @@ def plan_view(found: Plan) -> RunView:
 
 
 def plan(axes: Axes, found: Plan) -> None:
-    """Draw the angles of a plan."""
+    """Draw the angles of a plan.
+
+    Args:
+        axes: panel to draw on.
+        found: plan to draw.
+    """
     _angles(axes, plan_view(found))
 
 
@@ -233,7 +322,12 @@ def plan_page(found: Plan) -> Figure:
 
 
 def comparison(axes: Axes, found: RunComparison) -> None:
-    """Draw the angles of all runs on one clock."""
+    """Draw the angles of all runs on one clock.
+
+    Args:
+        axes: panel to draw on.
+        found: runs to draw.
+    """
     for run in found.runs:
         for arm in range(run.view.arms):
             axes.plot(run.view.time, run.view.state[:, arm], color=style.arm_colour(arm), linewidth=0.9)
@@ -241,7 +335,12 @@ def comparison(axes: Axes, found: RunComparison) -> None:
 
 
 def closed_loop(axes: Axes, found: ClosedLoop) -> None:
-    """Draw the angles of the plan that a closed loop follows."""
+    """Draw the angles of the plan that a closed loop follows.
+
+    Args:
+        axes: panel to draw on.
+        found: closed loop with the plan.
+    """
     plan(axes, found.plan)
 
 
@@ -251,22 +350,42 @@ def closed_loop_page(found: ClosedLoop) -> Figure:
 
 
 def run(axes: Axes, found: Run) -> None:
-    """Draw the angles of a run."""
+    """Draw the angles of a run.
+
+    Args:
+        axes: panel to draw on.
+        found: run to draw.
+    """
     log(axes, found.log)
 
 
 def log(axes: Axes, found: RunLog) -> None:
-    """Draw the angles of a log."""
+    """Draw the angles of a log.
+
+    Args:
+        axes: panel to draw on.
+        found: log to draw.
+    """
     _angles(axes, run_view(found) if "reference.npz" in found.attachments else series_of(found))
 
 
 def campaign_summary(axes: Axes, found: CampaignSummary) -> None:
-    """Draw the share of completed runs of each group."""
+    """Draw the share of completed runs of each group.
+
+    Args:
+        axes: panel to draw on.
+        found: summary to draw.
+    """
     campaign.draw_groups(axes, found)
 
 
 def whole_campaign(axes: Axes, found: Campaign) -> None:
-    """Draw the share of completed runs of each group."""
+    """Draw the share of completed runs of each group.
+
+    Args:
+        axes: panel to draw on.
+        found: campaign to draw.
+    """
     campaign.draw_groups(axes, summary_of(found.table.to_pydict(), found.place))
 
 
@@ -276,12 +395,22 @@ def campaign_page(found: Campaign) -> Figure:
 
 
 def whole_night(axes: Axes, found: Night) -> None:
-    """Draw the causes of falls in a night."""
+    """Draw the causes of falls in a night.
+
+    Args:
+        axes: panel to draw on.
+        found: night to draw.
+    """
     night.draw_causes(axes, found)
 
 
 def whole_preflight(axes: Axes, found: Preflight) -> None:
-    """Draw the shares of completed runs and of each other ending."""
+    """Draw the shares of completed runs and of each other ending.
+
+    Args:
+        axes: panel to draw on.
+        found: preflight to draw.
+    """
     names = ["completed", *(one.words for one in found.endings)]
     counts = np.array([found.share.successes, *(one.runs for one in found.endings)])
     colours = [style.GOOD, *[style.LIMIT] * len(found.endings)]
@@ -291,7 +420,12 @@ def whole_preflight(axes: Axes, found: Preflight) -> None:
 
 
 def identification(axes: Axes, found: Identification) -> None:
-    """Draw the errors of each candidate."""
+    """Draw the errors of each candidate.
+
+    Args:
+        axes: panel to draw on.
+        found: identification to draw.
+    """
     draw_candidates(axes, found)
 
 
@@ -301,7 +435,12 @@ def identification_page(found: Identification) -> Figure:
 
 
 def recording(axes: Axes, found: Recording) -> None:
-    """Draw the measured angles, segment by segment."""
+    """Draw the measured angles, segment by segment.
+
+    Args:
+        axes: panel to draw on.
+        found: recording to draw.
+    """
     for part in found.split():
         for arm in range(found.arms):
             axes.plot(part.time, part.angles[:, arm], color=style.arm_colour(arm), linewidth=0.9)

@@ -1,4 +1,7 @@
-"""A reference's transfers between equilibria on one page: a square of pictures, from row to column."""
+"""A reference's transfers between equilibria on one page.
+
+It shows a square of pictures, from row to column.
+"""
 
 from collections.abc import Sequence
 from functools import partial
@@ -79,7 +82,10 @@ def _cell(
     title: str,
     name: str,
 ) -> None:
-    """Draw one transfer, with its equilibria's names at the edges of the square."""
+    """Draw one transfer in its cell.
+
+    Its equilibria's names are at the edges of the square.
+    """
     (half, high), n = box, len(arm_lengths)
     axes.set(xlim=(-half, half), ylim=(-high, high), xticks=[], yticks=[])
     axes.set_aspect("equal")

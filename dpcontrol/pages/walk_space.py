@@ -32,6 +32,10 @@ def space(axes: Axes, story: WalkStory) -> None:
     """Draw the orbit in space, coloured by time, over periodic orbits.
 
     Space is (first coordinate, second, first rate).
+
+    Args:
+        axes: panel in space.
+        story: walk to draw.
     """
     rate = story.states.shape[1] // 2
     picked = [0, 1, rate]
@@ -72,13 +76,19 @@ def connected_pieces(points: Array) -> list[Array]:
 
 
 def _lengths(story: WalkStory) -> Array:
-    """Return the period (N,) of each coordinate, zero for those that are not angles."""
+    """Return the period (N,) of each coordinate.
+
+    It is zero for those that are not angles.
+    """
     periods = story.orbit.connections[0].source.system.periods
     return np.where(np.isfinite(periods), periods, 0.0)
 
 
 def _window(story: WalkStory, lifted: bool) -> Array:
-    """Return the middle (N,) of the drawn period, with bounds that intersect no periodic orbit."""
+    """Return the middle (N,) of the drawn period.
+
+    Its bounds intersect no periodic orbit.
+    """
     middle = np.zeros(story.states.shape[1])
     samples = np.vstack([curve.samples for curve in story.curves.values()])
     for k, period in enumerate(_lengths(story)):
@@ -94,7 +104,10 @@ def _window(story: WalkStory, lifted: bool) -> Array:
 
 
 def _together(points: Array) -> list[list[int]]:
-    """Return indices of points (k, 2) in groups that share a label: those within a small distance on the page."""
+    """Return indices of points (k, 2) in groups that share a label.
+
+    Points of a group are within a small distance on the page.
+    """
     groups: list[list[int]] = []
     for k, point in enumerate(points):
         near = (g for g in groups if np.abs(points[g[0]] - point).max() < _TOGETHER)

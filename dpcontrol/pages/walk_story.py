@@ -1,4 +1,7 @@
-"""An orbit that follows a walk, sampled once for drawing. Stays are the periods near a periodic orbit."""
+"""An orbit that follows a walk, sampled once for drawing.
+
+Stays are the periods near a periodic orbit.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,4 +1,7 @@
-"""A walk's orbit on one page: its symbols over time, the arms as a filmstrip, the orbit in space and in the plane."""
+"""A walk's orbit on one page.
+
+It shows symbols over time, the arms as a filmstrip, and the orbit in space and in the plane.
+"""
 
 from functools import partial
 
@@ -44,6 +47,10 @@ def plane(axes: Axes, story: WalkStory) -> None:
     """Draw the orbit in the plane of positions, coloured by time.
 
     This is for a system without arms.
+
+    Args:
+        axes: panel to draw on.
+        story: walk to draw.
     """
     for saddle, curve in story.curves.items():
         closed = np.vstack([curve.samples, curve.samples[:1]])
@@ -69,7 +76,10 @@ FILM_SYMBOLS = 48
 def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, model: str) -> Figure:
     """Return the page of a walk as a figure.
 
-    The arm_lengths (n,) are in m, or None for a system without arms and film.
+    Args:
+        orbit: orbit of the walk.
+        arm_lengths: (n,) m; None for a system without arms and film.
+        model: name of the model.
     """
     walk = WalkStory(orbit, arm_lengths)
     view = walk.view(model)

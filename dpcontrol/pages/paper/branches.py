@@ -1,4 +1,7 @@
-"""Branches of connections against energy, with their births, splittings and grazes of the section."""
+"""Branches of connections against energy.
+
+Their births, splittings and grazes of the section are marked.
+"""
 
 from functools import partial
 
@@ -49,7 +52,12 @@ def _angle_branches(axes: Axes, diagram: BranchDiagram) -> None:
 
 
 def draw_momentum_branches(axes: Axes, diagram: BranchDiagram) -> None:
-    """Draw connections by momentum and energy, with their bifurcations and counts."""
+    """Draw connections by momentum and energy, with their bifurcations and counts.
+
+    Args:
+        axes: panel to draw on.
+        diagram: branches to draw.
+    """
     quiet(axes, x="energy (J)", y="p / p₀")
     _branches(axes, diagram, 1)
     _counts(axes, diagram)

@@ -64,6 +64,10 @@ def numbered(connections: tuple[AtlasConnection, ...], kept: list[AtlasConnectio
     """Return the number of each connection by name.
 
     Connections of one colour share a number.
+
+    Args:
+        connections: connections to number.
+        kept: one connection of each colour, in numbered order.
     """
     look = colours(connections)
     number = {look[c.name]: str(k + 1) for k, c in enumerate(kept)}

@@ -1,4 +1,7 @@
-"""Both landscapes of potential energy, with Hill's regions at energies between the critical points."""
+"""Both landscapes of potential energy, with Hill's regions.
+
+The regions are at energies between the critical points.
+"""
 
 from functools import partial
 

@@ -45,7 +45,10 @@ def lyapunov_orbits_page(gallery: Gallery) -> PaperFigure:
 
 
 def _orbits(axes: Axes, curves: list[tuple[float, Array]], saddle: str, system: System, arm: int) -> None:
-    """Draw orbits in the phase plane of an arm, labelled with their energies at the top of each."""
+    """Draw orbits in the phase plane of an arm.
+
+    The inner arm's panel has labels with their energies, from the top.
+    """
     number = style.number(arm)
     for k, (energy, states) in enumerate(curves):
         colour = style.SERIES[k]
@@ -62,7 +65,7 @@ def _orbits(axes: Axes, curves: list[tuple[float, Array]], saddle: str, system: 
 
 
 def _motion(axes: Axes, system: System, energy: float, states: Array) -> None:
-    """Draw the arms to scale at a few times of half a period."""
+    """Draw the arms to scale at some times of half a period."""
     arms = system.model.arms.length if hasattr(system, "model") else (1.0, 1.0)  # type: ignore[attr-defined]
     for share in np.linspace(0, 0.5, _POSES):
         # Half a period leads from rest on one side to rest on the other.

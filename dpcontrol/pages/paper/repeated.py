@@ -25,6 +25,10 @@ def draw_repeated(gallery: Gallery, *, turns: int) -> PaperFigure:
     """Draw connections of Down-Up that turn the outer arm several times.
 
     The energy is -0.07 J. Their angles are drawn over time.
+
+    Args:
+        gallery: data sources.
+        turns: number of turns, 2 or 3.
     """
     # The outer arm passes hanging once per turn: for two turns the unstable tube's second crossing is the last.
     hits = (turns, 1)

@@ -1,4 +1,4 @@
-"""Homoclinic connections that return to the angles at which they began, without a whole turn."""
+"""Homoclinic connections that return to their initial angles without a whole turn."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -109,7 +109,10 @@ def _returning_cuts(axes: Axes, search: ConnectionSearch, back: Sequence, shades
 
 
 def _by_flight(connections: Sequence) -> dict[str, str]:
-    """Return a colour for each connection by name; symmetric images have equal durations and share one."""
+    """Return a colour for each connection by name.
+
+    Symmetric images have equal durations and share one.
+    """
     lengths: list[float] = []
     for c in sorted(connections, key=lambda c: c.time_in + c.time_out):
         if not lengths or c.time_in + c.time_out - lengths[-1] > 1e-6:

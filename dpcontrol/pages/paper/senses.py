@@ -20,6 +20,10 @@ def senses_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
     """Draw a saddle's tubes at 0.2 J and their cuts.
 
     The two senses of rotation are separate.
+
+    Args:
+        gallery: data sources.
+        saddle: "down-up" or "up-down".
     """
     atlas = gallery.atlas("lab", SENSES_ENERGY, (1, 1))
     kind = kind_of(atlas, saddle, saddle)

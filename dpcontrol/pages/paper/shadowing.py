@@ -51,7 +51,10 @@ def shadowing_page(gallery: Gallery) -> PaperFigure:
 
 
 def _outer_arm(axes: Axes, states: Array, title: str) -> None:
-    """Draw the outer arm in its phase plane, its angle within the turn about upright."""
+    """Draw the outer arm in its phase plane.
+
+    Its angle is within the turn about upright.
+    """
     for part in wrapped_runs(np.column_stack([states[:, 1] - np.pi, states[:, 3]]), (2 * np.pi, None)):
         axes.plot(part[:, 0] + np.pi, part[:, 1], color=style.arm_colour(1), linewidth=1.1)
     quiet(axes, title, x="θ₂ modulo a turn (rad)", y="ω₂ (rad/s)")

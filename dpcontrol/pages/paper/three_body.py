@@ -1,4 +1,4 @@
-"""Tubes and connections of three bodies: from L1 to L2, and homoclinic ones."""
+"""Tubes and connections of three bodies: L1 to L2, and homoclinic ones."""
 
 from collections.abc import Sequence
 from functools import partial

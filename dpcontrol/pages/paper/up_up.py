@@ -71,7 +71,7 @@ def up_up_page(gallery: Gallery) -> PaperFigure:
 
 
 def _manifolds(axes: Axes, points: Array, sense: Array, way: int) -> None:
-    """Draw the points at which both manifolds cross the section in one direction."""
+    """Draw points where both manifolds cross the section in one direction."""
     q = (points[:, 0] + np.pi) % (2 * np.pi) - np.pi
     # Time reversal changes the sign of momenta and of the crossing.
     for sign, colour in ((1, style.UNSTABLE), (-1, style.STABLE)):

@@ -1,4 +1,7 @@
-"""Colour wheels: the images of each point inside a tube's cut at every return to the section."""
+"""Colour wheels of the points inside a tube's cut.
+
+They show the images of each point at every return to the section.
+"""
 
 from dataclasses import fields, replace
 
@@ -53,6 +56,10 @@ def kept_inside(interior: TubeInterior, arm: int) -> tuple[RotatingOrbit, ...]:
     """Return the symmetric orbits that stay inside both tubes' cuts.
 
     They turn `arm` and cross the cuts at every lap.
+
+    Args:
+        interior: points inside the tube.
+        arm: number of the arm, from 1.
     """
     orbit, section = interior.orbit, interior.section
     own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
@@ -74,6 +81,10 @@ def wheels_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
     """Draw the returns of the inside of a saddle's unstable tube.
 
     There are three each way. Periodic orbits inside are marked.
+
+    Args:
+        gallery: data sources.
+        saddle: "down-up" or "up-down".
     """
     system, energy = gallery.system("lab"), WHEEL_ENERGIES[saddle]
     orbit = lyapunov_orbit(system, saddle, energy=energy)
