@@ -1,4 +1,7 @@
-"""A campaign on one page: shares of completed runs, and where and why the others failed."""
+"""A campaign on one page, with its completed and failed runs.
+
+It shows the shares of completed runs, and where and why the others failed.
+"""
 
 from functools import partial
 from textwrap import shorten
@@ -36,7 +39,10 @@ def draw_campaign(summary: CampaignSummary) -> Figure:
 
 
 def _bars_of(summary: CampaignSummary) -> list[tuple[Group, str]]:
-    """Return the groups to draw as bars with their labels; few mismatches are kept apart."""
+    """Return the groups to draw as bars with their labels.
+
+    Few mismatches are kept apart.
+    """
     families = {level.label for level in summary.levels}
     if summary.axis == "mismatch" and 0 < len(summary.levels) <= _APART * len(families):
         return [(level, f"{level.label} · mismatch {level.low:.3g}") for level in summary.levels]

@@ -1,4 +1,4 @@
-"""Spreads of a campaign's runs: values of completed runs and of the others."""
+"""Spreads of a campaign's runs: values of completed ones and of others."""
 
 from collections.abc import Sequence
 from textwrap import shorten
@@ -55,7 +55,10 @@ def _bars(
     colour: str,
     row: int | None = None,
 ) -> None:
-    """Draw a histogram, failed runs stacked on completed ones; a given row sets the scale."""
+    """Draw a histogram, failed runs stacked on completed ones.
+
+    A given row sets the scale.
+    """
     counts = [np.histogram(np.clip(1e3 * values, edges[0], edges[-1]), edges)[0] for values in (good, bad)]
     scale = 1.0 if row is None else 0.85 / max(int(np.add(*counts).max()), 1)
     look = {"width": np.diff(edges), "align": "edge", "alpha": 0.75}

@@ -1,4 +1,7 @@
-"""One description of a diagram over time, which matplotlib and Rerun both draw."""
+"""The description of a diagram over time.
+
+Both matplotlib and Rerun draw from it.
+"""
 
 from dataclasses import dataclass
 
@@ -98,7 +101,10 @@ class Chart:
         return f"{self.title}{f' ({self.unit})' if self.unit else ''}{self.hint}"
 
     def scaled(self) -> tuple[float, str]:
-        """Return the factor from SI units to a page's unit, and the page's title."""
+        """Return the factor and the title for a page.
+
+        The factor converts SI units to the page's unit.
+        """
         parts = [np.abs(self.shown)] if self.shown else [np.abs(line.values) for line in self.lines]
         finite = [part[np.isfinite(part)] for part in parts]
         largest = max((float(part.max()) for part in finite if part.size), default=0.0)

@@ -22,6 +22,11 @@ def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
     """Return a series (K,) of a view, thinned to its peaks.
 
     In its gaps nan interrupts lines.
+
+    Args:
+        view: run with the gaps.
+        time: (K,) s.
+        values: (K,) in any unit.
     """
     rows = extreme_rows(values, bins=_BINS)
     time, values = time[rows], values[rows]
@@ -33,7 +38,10 @@ def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _limit(axes: Axes, value: float) -> None:
-    """Draw a limit and shade the range beyond it if the curves come near."""
+    """Draw a limit if the curves come near it.
+
+    The range beyond the limit is shaded.
+    """
     low, high = axes.get_ylim()
     if low - 0.35 * (high - low) < value < high + 0.35 * (high - low):
         axes.axhline(value, color=style.LIMIT, linewidth=1.1, linestyle=style.DASHED)
@@ -50,7 +58,13 @@ _UNIT = np.array([1 / np.pi, 1.0])
 def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = None) -> None:
     """Draw a chart's lines, bands, levels and limits.
 
-    A line of a view other than `view` has no gaps. `span` is the time range to show, s; all by default.
+    A line of a view other than `view` has no gaps.
+
+    Args:
+        axes: panel to draw on.
+        chart: chart to draw.
+        view: run with gaps and symbols.
+        span: time range to show, s; all by default.
     """
     scale, title = chart.scaled()
     quiet(axes, title, x="time (s)" if view.arm_lengths else "time")
@@ -140,7 +154,12 @@ def _named_level(axes: Axes, level: LevelLine) -> None:
 def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True) -> None:
     """Draw runs in one arm's phase plane.
 
-    Each has a colour. Orbits and tubes are those of the first run.
+    Orbits and tubes are those of the first run.
+
+    Args:
+        axes: panel to draw on.
+        runs: phase planes, each with a colour.
+        tubes: True to draw the tubes.
     """
     first, _ = runs[0]
     quiet(axes, f"Arm {first.arm + 1}: ω{style.number(first.arm)} (rad/s) over θ{style.number(first.arm)}")
@@ -174,14 +193,20 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
 
 
 def _joined(curves: list[Array]) -> Array:
-    """Return curves (K, 2) as one (2, M) in page units, separated by nan."""
+    """Return curves (K, 2) as one (2, M) in page units.
+
+    They are separated by nan.
+    """
     apart = np.full((1, 2), np.nan)
     parts = [part for points in curves for part in (points * _UNIT, apart)]
     return np.concatenate(parts).T if parts else np.zeros((2, 0))
 
 
 def _name_ends(axes: Axes, first: Array, last: Array) -> None:
-    """Label start and end at their marks, with one label if they are near each other."""
+    """Label start and end at their marks.
+
+    They share one label if they are near each other.
+    """
     spans = np.abs([np.diff(axes.get_xlim())[0], np.diff(axes.get_ylim())[0]]).clip(1e-9)
     near = bool((np.abs(last - first) < np.array([0.16, 0.12]) * spans).all())
     for text, place in [("start, end", first)] if near else [("start", first), ("end", last)]:

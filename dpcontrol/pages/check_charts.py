@@ -25,7 +25,10 @@ def check_charts(view: RunView) -> tuple[Chart, ...]:
 
 
 def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None = None) -> tuple[Line, ...]:
-    """Return a line for each arm's angle of values (K, …), with its reach."""
+    """Return a line for each arm's angle.
+
+    The angles are columns of the values (K, …); `reach` has the half widths of their bands.
+    """
     return tuple(
         Line(f"arm_{arm + 1}", f"arm {arm + 1}", f"θ{style.number(arm)}", view.time, values[:, arm],
              style.arm_colour(arm), width, reach=None if reach is None else reach[:, arm])
@@ -83,7 +86,10 @@ def _energy(view: RunView) -> Chart | None:
 
 
 def _nis(view: RunView) -> Chart | None:
-    """Draw means of the NIS over windows, and the 95 % range of a consistent estimator."""
+    """Draw means of the NIS over windows.
+
+    The 95 % range of a consistent estimator is added.
+    """
     if view.nis is None:
         return None
     time, means = smoothed_nis(view)

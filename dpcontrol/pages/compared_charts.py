@@ -36,9 +36,10 @@ def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
 
 
 def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title: str, prefix: str) -> Chart | None:
-    """Return one chart of all runs from those of their lines whose keys start with `prefix`.
+    """Return one chart of all runs.
 
-    Of several such lines, such as errors of several arms, the one with the largest size is used.
+    It has those of their lines whose keys start with `prefix`. Several such lines of a run, such as errors of several
+    arms, are replaced by their largest size at each time.
     """
     lines: list[Line] = []
     for k, (run, own) in enumerate(zip(comparison.runs, every, strict=True)):
@@ -74,5 +75,10 @@ def _plain(name: str) -> str:
 
 
 def run_path(k: int, run: ComparedRun) -> str:
-    """Return the path of a run's strips in a recording."""
+    """Return the path of a run's strips in a recording.
+
+    Args:
+        k: index of the run, from 0.
+        run: run of the comparison.
+    """
     return f"{k + 1}_{_plain(run.name)}"

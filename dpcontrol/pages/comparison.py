@@ -1,4 +1,7 @@
-"""Several runs on one page: charts over the common clock, phase planes, and the arms at the same instants."""
+"""Several runs on one page.
+
+It shows charts over the common clock, phase planes, and the arms at the same instants.
+"""
 
 from __future__ import annotations
 

@@ -17,6 +17,10 @@ from dpcontrol.pages.strips import strips
 def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
     """Write the recording of a comparison to `path` (`*.rrd`).
 
+    Args:
+        comparison: runs to write.
+        path: file, `*.rrd`.
+
     Raises:
         InputError: it cannot be written.
     """

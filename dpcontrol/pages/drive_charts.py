@@ -1,4 +1,4 @@
-"""Charts of the drive: acceleration and velocity of the cart, with their limits."""
+"""Charts of the drive: the cart's acceleration and velocity, with their limits."""
 
 from typing import Any
 
@@ -20,7 +20,14 @@ DRIVEN = {
 
 
 def use_of(view: RunView, which: int) -> dict[str, Any]:
-    """Return one of the cart's limits and its use by a reference, as fields of a chart."""
+    """Return a limit of the cart and its use by a reference.
+
+    They are fields of a chart.
+
+    Args:
+        view: run or reference.
+        which: 0 for position, 1 for velocity, 2 for acceleration.
+    """
     used = None if view.summary is None else view.summary.uses[which].largest
     return {"bound": None if view.limits is None else view.limits[which], "used": used}
 
@@ -29,6 +36,11 @@ def limit_lines(view: RunView, which: int, *, side: bool = False) -> tuple[Level
     """Return one of the cart's limits as levels.
 
     They are named by their side of the track, or as bounds.
+
+    Args:
+        view: run or reference.
+        which: 0 for position, 1 for velocity, 2 for acceleration.
+        side: True for names by side.
     """
     if view.limits is None:
         return ()
@@ -63,7 +75,10 @@ def _role(key: str) -> str:
 
 
 def velocity_chart(view: RunView) -> Chart | None:
-    """Draw a reference's cart velocity, which has a limit; for a run the position is enough."""
+    """Draw a reference's cart velocity, which has a limit.
+
+    For a run the position is enough.
+    """
     if view.summary is None:
         return None
     values = view.state[:, -1]

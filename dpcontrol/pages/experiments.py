@@ -17,6 +17,10 @@ def draw_design(design: Design, *, title: str) -> Figure:
     """Return a figure that compares designs.
 
     Swings are drawn over their first two angles, the cart's sines over frequency.
+
+    Args:
+        design: designs to compare.
+        title: end of the page's title.
     """
     first, second = design.best_pair()
     swings = [e for e in design.experiments if e.kind == "swing"]

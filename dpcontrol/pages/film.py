@@ -1,4 +1,6 @@
-"""A film of a run, a recording, a reference or an orbit: the arms on their cart, in real time, over the itinerary.
+"""A film of a motion: the arms over the itinerary.
+
+The motion is a run, a recording, a reference or an orbit. The arms move on their cart, in real time.
 
 Static parts (title, track, limits, the story over time) are drawn once by matplotlib as on a page. Moving parts are
 drawn over them for each frame by Pillow: the reference's ghost, the tip's path, cart, arms, and a cursor in the story.
@@ -98,7 +100,10 @@ class Film:
         return image, scene, others[0] if others else None
 
     def _extent(self) -> tuple[Range, Range]:
-        """Return the range of arms, ghost and cart in the film along x and y, m."""
+        """Return the range of a film's moving parts, m.
+
+        It is the range of arms, ghost and cart along x and y.
+        """
         view, reach = self.view, sum(self.view.arm_lengths)
         rows, cart = self.rows[self.rows >= 0], 0.16 * reach
         spots = [np.array([(middle + side, 0.0) for middle in self.pivots[rows] for side in (-cart, cart)])]
@@ -206,7 +211,10 @@ def _font() -> ImageFont.FreeTypeFont:
 
 
 def _placed(frame: Image.Image, axes: Axes, x: Any, y: Any) -> list[Point]:
-    """Return positions on axes as pixels of a frame, from its upper left corner."""
+    """Return positions on axes as pixels of a frame.
+
+    Pixels are counted from its upper left corner.
+    """
     points = axes.transData.transform(np.column_stack([x, y]))
     return [(float(px), frame.height - float(py)) for px, py in points]
 

@@ -1,4 +1,4 @@
-"""A filmstrip: the arms on their cart at several times, beside one another."""
+"""A filmstrip: arms on their cart at several times, side by side."""
 
 from dataclasses import replace
 from typing import Any
@@ -21,11 +21,15 @@ _TRACE = 0.25
 
 
 def draw_film(axes: Axes, view: RunView, times: Array) -> None:
-    """Draw the arms at several times (K,) s.
+    """Draw the arms at several times.
 
     The reference is grey behind them. The tip's path begins at the last frame.
-
     Times outside the motion are skipped.
+
+    Args:
+        axes: panel to draw on.
+        view: motion to draw.
+        times: (K,) s.
     """
     state, arms, reach = view.state, view.arms, sum(view.arm_lengths)
     horizontal, vertical = film_extent(view, times)
@@ -66,7 +70,12 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
 
 
 def frame_position(view: RunView, frame: int) -> float:
-    """Return the drawn position of the pivot of a frame, m."""
+    """Return the drawn position of the pivot of a frame, m.
+
+    Args:
+        view: motion in the film.
+        frame: number of the frame, from 0.
+    """
     return frame * _FRAME_STEP * sum(view.arm_lengths)
 
 
@@ -74,6 +83,10 @@ def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
     """Return the x and y limits in m for `draw_film`.
 
     Vertically they cover the arms in its frames.
+
+    Args:
+        view: motion in the film.
+        times: (K,) s of the frames.
     """
     reach, before = sum(view.arm_lengths), round(_TRACE * view.rate_hz)
     rows = np.unique(np.add.outer(film_rows(view, times), np.arange(-before, 1)).clip(0))
@@ -87,23 +100,39 @@ def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
 
 
 def film_height(view: RunView, times: Array, *, width: float) -> float:
-    """Return the height of a film of this width at equal scales."""
+    """Return the height of a film of this width at equal scales.
+
+    Args:
+        view: motion in the film.
+        times: (K,) s of the frames.
+        width: width of the film, in the height's unit.
+    """
     (left, right), (low, high) = film_extent(view, times)
     return width * (high - low) / (right - left)
 
 
 def film_rows(view: RunView, times: Array) -> NDArray[np.int64]:
-    """Return the ticks shown in the film."""
+    """Return the ticks shown in the film.
+
+    Args:
+        view: motion in the film.
+        times: (K,) s of the frames.
+    """
     return np.searchsorted(view.time, times).clip(0, len(view.time) - 1)
 
 
 def film_times(view: RunView, *, frames: int, until: float = np.inf) -> Array:
-    """Return (frames,) times for a filmstrip.
+    """Return (frames,) times in s for a filmstrip.
 
     They are distributed among the symbols' crossings, otherwise evenly.
 
     On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. For a run
-    that failed, the last quarter of the frames covers its end. `until` is the latest time, s.
+    that failed, the last quarter of the frames covers its end.
+
+    Args:
+        view: motion in the film.
+        frames: number of frames.
+        until: latest time, s; the end by default.
     """
     time = view.time[view.time <= until]
     if view.good is False and frames > 3 and time[-1] > time[0]:

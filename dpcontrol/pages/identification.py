@@ -1,4 +1,7 @@
-"""An identification on one page: accuracy on recordings that the fit did not use, errors, and profiles of the loss."""
+"""An identification on one page.
+
+It shows accuracy on recordings that the fit did not use, errors, and profiles of the loss.
+"""
 
 from functools import partial
 
@@ -16,7 +19,13 @@ _PER_ROW = 4
 
 
 def draw_identification(found: Identification, curves: tuple[LossProfile, ...], *, title: str) -> Figure:
-    """Return the page on an identification as a figure."""
+    """Return the page on an identification as a figure.
+
+    Args:
+        found: identification to draw.
+        curves: profiles of the loss.
+        title: title of the page.
+    """
     page = Page(title)
     candidates = 1.0 + 0.2 * (len(found.candidates) + 1)
     page.row(
@@ -40,7 +49,12 @@ def _nothing(axes: Axes) -> None:
 
 
 def draw_candidates(axes: Axes, found: Identification) -> None:
-    """Draw each candidate's errors on the segments left out."""
+    """Draw each candidate's errors on the segments left out.
+
+    Args:
+        axes: panel to draw on.
+        found: identification with the candidates.
+    """
     rows = [("the starting model", found.started_at), *((" + ".join(c.terms), c.left_out) for c in found.candidates)]
     for y, (_, rms) in enumerate(rows):
         chosen = y == found.chosen + 1

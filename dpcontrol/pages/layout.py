@@ -1,4 +1,6 @@
-"""The layout engine of all pages: rows of panels, strips and tables below a title and a verdict.
+"""The layout engine of all pages.
+
+A page has rows of panels, strips and tables below a title and a verdict.
 
     Page("Outer turn", "completed", good=True).row(angles, rates).strip(modes).table(rows).figure()
 
@@ -86,22 +88,46 @@ class Page:
     _rows: list[tuple[float, Callable[[SubFigure], None]]] = field(default_factory=list)
 
     def row(self, *items: Item, height: float) -> "Page":
-        """Add panels beside one another, of a height in inches."""
+        """Add panels beside one another.
+
+        Args:
+            *items: panels, stacks or functions that draw.
+            height: height of the row, inches.
+        """
         if items:
             self._rows.append((height, lambda part: _row(part, items)))
         return self
 
     def strip(self, draw: Draw, *, height: float) -> "Page":
-        """Add one panel as wide as the page, without frame."""
+        """Add one panel as wide as the page, without frame.
+
+        Args:
+            draw: function that draws on axes.
+            height: height of the panel, inches.
+        """
         return self.row(Panel(draw), height=height)
 
     def table(self, rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), height: float = 0.0) -> "Page":
-        """Add a table of texts, below an optional heading."""
+        """Add a table of texts, below an optional heading.
+
+        Args:
+            rows: texts by row.
+            heading: texts above the columns.
+            height: height in inches; 0 fits the rows.
+        """
         lines = max(len(rows) + bool(heading), 1)
         return self.row(table(rows, heading=heading), height=height or 2 * _EDGE + lines * _height(style.TEXT))
 
     def text(self, text: str, *, colour: str = style.NOTE, size: float = style.SMALL) -> "Page":
-        """Add a paragraph, wrapped to the width of the page; an empty one adds nothing."""
+        """Add a paragraph, wrapped to the width of the page.
+
+        An empty one adds nothing.
+
+        Args:
+            text: text of the paragraph.
+            colour: colour of the text.
+            size: size of the text, points.
+        """
         lines = [part for line in text.splitlines() for part in wrapped(line, size, self.width - 2 * _EDGE)]
         if lines:
             height = len(lines) * _height(size) + 0.5 * _EDGE
@@ -175,7 +201,15 @@ def _grid(part: SubFigure, items: Sequence[Panel | Draw], *, across: bool) -> No
 
 
 def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: str = "") -> Draw:
-    """Return a panel with a table of texts; columns are as wide as their longest text."""
+    """Return a panel with a table of texts.
+
+    Columns are as wide as their longest text.
+
+    Args:
+        rows: texts by row.
+        heading: texts above the columns; none by default.
+        title: title of the panel.
+    """
 
     def draw(axes: Axes) -> None:
         axes.axis("off")
@@ -197,7 +231,15 @@ def table(rows: Sequence[Sequence[str]], *, heading: Sequence[str] = (), title: 
 
 
 def list_panel(rows: Sequence[Sequence[str]], *, heading: Sequence[str], title: str) -> Panel:
-    """Return a table with a title, as a panel whose share is its height in inches."""
+    """Return a table with a title, as a panel.
+
+    The share of the panel is its height in inches.
+
+    Args:
+        rows: texts by row.
+        heading: texts above the columns.
+        title: title of the panel.
+    """
     height = (len(rows) + 1) * _height(style.TEXT) + 2 * _height(style.HEAD) + _EDGE
     return Panel(table(rows, heading=heading, title=title), share=height)
 
@@ -236,7 +278,12 @@ class ShownFigure(Figure):
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of a width and a height in inches."""
+    """Return an empty figure.
+
+    Args:
+        width: width in inches.
+        height: height in inches.
+    """
     figure = ShownFigure(figsize=(width, height), dpi=_DPI, facecolor=style.PAPER, layout="constrained")
     figure.get_layout_engine().set(w_pad=_EDGE / 2, h_pad=_EDGE / 2, wspace=0.02, hspace=0.02)  # type: ignore[union-attr]
     FigureCanvasAgg(figure)
@@ -244,7 +291,10 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def _literal_texts(figure: Figure) -> None:
-    """Draw texts literally: a dollar sign begins no formula, and control characters are written out."""
+    """Draw texts literally.
+
+    A dollar sign begins no formula, and control characters are written out.
+    """
     for text in figure.findobj(Text):
         # The tick labels of a logarithmic axis are formulas of matplotlib.
         if isinstance(text, Text) and "$" in text.get_text() and "\\mathdefault" not in text.get_text():
@@ -255,7 +305,10 @@ def _literal_texts(figure: Figure) -> None:
 
 @contextmanager
 def missing_glyphs_as_boxes() -> Iterator[None]:
-    """Draw characters that no font has as boxes, without a warning for each."""
+    """Draw characters that no font has as boxes.
+
+    There is no warning for each of them.
+    """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from font", category=UserWarning)
         yield
@@ -263,6 +316,10 @@ def missing_glyphs_as_boxes() -> Iterator[None]:
 
 def save_figure(figure: Figure, path: Path | str) -> None:
     """Write a figure as PNG or PDF, by the name's suffix.
+
+    Args:
+        figure: figure to write.
+        path: file, `*.png` or `*.pdf`.
 
     Raises:
         InputError: the file cannot be written.
@@ -284,7 +341,12 @@ def save_figure(figure: Figure, path: Path | str) -> None:
 
 @cache
 def text_width(text: str, size: float) -> float:
-    """Return the width of a line of text of a size in points, inches."""
+    """Return the width of a line of text, inches.
+
+    Args:
+        text: text of the line.
+        size: size of the text, points.
+    """
     if not text.strip():
         return 0.0
     literal = printable(text).replace("$", r"\$")
@@ -293,7 +355,15 @@ def text_width(text: str, size: float) -> float:
 
 
 def wrapped(text: str, size: float, width: float) -> list[str]:
-    """Return a text of a size in points as lines within a width in inches; longer words are broken."""
+    """Return a text as lines within a width.
+
+    Longer words are broken.
+
+    Args:
+        text: text to wrap.
+        size: size of the text, points.
+        width: width of the lines, inches.
+    """
     space, lines, used = text_width("n n", size) - text_width("nn", size), [""] if text else [], 0.0
     for word in text.split(" "):
         for part in [word] if text_width(word, size) <= width else wrap(word, 20):
@@ -307,7 +377,13 @@ def wrapped(text: str, size: float, width: float) -> list[str]:
 
 
 def cropped(text: str, size: float, width: float) -> str:
-    """Return a text of a size in points, cut to a width in inches."""
+    """Return a text, cut to a width.
+
+    Args:
+        text: text to cut.
+        size: size of the text, points.
+        width: greatest width, inches.
+    """
     if text_width(text, size) <= width:
         return text
     return text[: max(1, int(len(text) * width / text_width(text, size)) - 2)].rstrip() + " …"
@@ -316,7 +392,11 @@ def cropped(text: str, size: float, width: float) -> str:
 def key(axes: Axes, entries: Iterable[tuple[str, str | dict[str, Any]]]) -> None:
     """Add a key below the title of a panel.
 
-    Entries are labels with a colour or a line style. More than four are refused: label these curves directly.
+    More than four entries are refused: label these curves directly.
+
+    Args:
+        axes: panel of the key.
+        entries: labels, each with a colour or a line style.
     """
     handles = []
     for label, given in entries:
@@ -337,7 +417,10 @@ MOST_IN_KEY = 4
 
 
 def settle(figure: Figure) -> None:
-    """Wrap titles to the widths of their panels, move them above keys, and move apart direct labels."""
+    """Arrange titles, keys and direct labels.
+
+    Titles are wrapped to the widths of their panels and moved above keys. Direct labels are moved apart.
+    """
     _literal_texts(figure)
     with missing_glyphs_as_boxes():
         figure.draw_without_rendering()
@@ -362,7 +445,10 @@ def settle(figure: Figure) -> None:
 
 
 def _turn_aside(labels: list[Any]) -> None:
-    """Move labels round their points, and away from them, until none overlaps an earlier one."""
+    """Move labels until none overlaps an earlier one.
+
+    They move round their points, and away from them.
+    """
     taken: list[Any] = []
     for label in labels:
         for x, y in ((r * c, r * d) for r in (1, 2, 3) for c, d in _AROUND):
@@ -378,7 +464,10 @@ _AROUND = ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1))
 
 
 def _spread(axes: Axes, labels: list[Any]) -> None:
-    """Move direct labels up so that they do not overlap, and down from the panel's upper edge."""
+    """Move direct labels apart so that they do not overlap.
+
+    They move up, and down from the panel's upper edge.
+    """
     step = _height(style.SMALL) * axes.get_figure(root=True).dpi  # type: ignore[union-attr]
     low, high = axes.transAxes.transform([(0, 0), (0, 1)])[:, 1]
     heights = [float(axes.transData.transform((0, label.xy[1]))[1]) for label in labels]
@@ -395,7 +484,10 @@ def _spread(axes: Axes, labels: list[Any]) -> None:
 
 
 def darken(figure: Figure) -> None:
-    """Turn a page into its dark variant for README pictures: neutral and dark colours are replaced."""
+    """Turn a page into its dark variant for README pictures.
+
+    Neutral and dark colours are replaced.
+    """
     for artist in figure.findobj():
         for name in _COLOURED:
             get, put = getattr(artist, f"get_{name}", None), getattr(artist, f"set_{name}", None)

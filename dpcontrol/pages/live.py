@@ -1,4 +1,6 @@
-"""Show a run live in a Rerun viewer: the loop sends rows through a pipe to a separate process.
+"""Show a run live in a Rerun viewer.
+
+The loop sends rows through a pipe to a separate process.
 
 The loop never waits. Fifty times a second it writes a row of some 300 bytes to a non-blocking pipe, and drops the row
 if the pipe is full. Run as a program, this module is the receiving process. Its arguments are a file with the run's
@@ -114,7 +116,14 @@ class LiveView:
         self._left = -(count - self._left) % self._every
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Show one event."""
+        """Show one event.
+
+        Args:
+            time_s: time, s.
+            level: debug, info, warn, error or fatal.
+            name: originating part.
+            text: a sentence.
+        """
         self._send(_EVENT, json.dumps([time_s, level, name, text], ensure_ascii=False).encode())
 
     def _send(self, kind: bytes, content: bytes) -> None:
@@ -155,6 +164,10 @@ class ShownState:
         """Return the initial view, without flight data.
 
         It shows the plan with its orbits and tubes.
+
+        Args:
+            recording: recording of the viewer.
+            start: log before the first row.
         """
         from dpcontrol.judge.of_log import reference_view
         from dpcontrol.judge.score import plan_of
@@ -164,7 +177,12 @@ class ShownState:
         return cls(recording, replace(start, rate_hz=RATE, extras=None), planned)
 
     def add(self, rows: Array, events: tuple[Event, ...]) -> None:
-        """Show new rows (K, D) and events."""
+        """Show new rows and events.
+
+        Args:
+            rows: (K, D) new rows.
+            events: new events.
+        """
         from dpcontrol.pages import rerun_recording as recorded
         from dpcontrol.pages.check_charts import check_charts
         from dpcontrol.pages.motion_charts import motion_charts
@@ -209,6 +227,10 @@ def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tupl
     """Yield rows (K, D) and events as they arrive.
 
     The end is the closing of the pipe or the viewer.
+
+    Args:
+        pipe: file descriptor of the pipe.
+        viewer: process of the viewer; None if it was not opened here.
     """
     kept, closed = b"", False
     while not closed and (viewer is None or viewer.poll() is None):
@@ -254,7 +276,9 @@ def _opened(address: str) -> "tuple[str, subprocess.Popen[Any] | None]":
 def show(file: Path, address: str) -> None:
     """Show the data on standard input.
 
-    The pickled log before its first row is `file`, deleted after reading.
+    Args:
+        file: pickled log before its first row, deleted after reading.
+        address: address of an open viewer; "" opens one.
     """
     with contextlib.suppress(AttributeError, OSError):
         os.nice(10)

@@ -1,4 +1,4 @@
-"""Charts of a reference's mesh: lengths of its intervals and errors between its nodes."""
+"""Charts of a reference's mesh: interval lengths and errors between nodes."""
 
 import numpy as np
 

@@ -1,4 +1,6 @@
-"""A run, a recording, a reference or an orbit on one page, drawn by matplotlib from its story (`series`).
+"""A motion on one page, drawn by matplotlib from its story (`series`).
+
+The motion is a run, a recording, a reference or an orbit.
 
 The top shows the verdict, the closest approach to failing, the filter, and the largest values against their limits.
 Below are the itinerary as planned and done, and a film of the arms. Phase planes, charts over time, symbols and events
@@ -43,7 +45,9 @@ _LISTED = 7
 def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
     """Return the page of a view as a figure.
 
-    The charts in `more` are added to the view's.
+    Args:
+        view: motion to draw.
+        more: charts added to the view's.
     """
     charts = [*motion_charts(view), *check_charts(view), *extra_charts(view), *more]
     half = (len(charts) + 1) // 2
@@ -73,7 +77,10 @@ def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
 
 
 def _uses(axes: Axes, uses: Sequence[NearestLimit]) -> None:
-    """Draw the largest values as shares of their limits, the largest share at the top."""
+    """Draw the largest values as shares of their limits.
+
+    The largest share is at the top.
+    """
     quiet(axes, "Largest values, as shares of their limits")
     for k, use in enumerate(uses):
         axes.barh(k, min(use.share, _FULL), color=style.LIMIT if use.share > _NEAR else style.CART, height=0.6)
@@ -114,7 +121,10 @@ def _lists(view: RunView) -> list[Panel]:
 
 
 def _some(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return rows, or the first and the last of many: the start states the kind of run, the end its result."""
+    """Return rows, or the first and the last of many.
+
+    The start states the kind of run, the end its result.
+    """
     if len(rows) <= _LISTED:
         return list(rows)
     left = len(rows) - _LISTED + 1

@@ -1,4 +1,7 @@
-"""Parts of panels that every page shares: frames, axes in units of π, badges, marks, direct labels."""
+"""Parts of panels that every page shares.
+
+They are frames, axes in units of π, badges, marks and direct labels.
+"""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +16,14 @@ from dpcontrol.walks.atlas import Atlas
 
 
 def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "") -> None:
-    """Set a panel's title, axis labels, and plain frame and grid."""
+    """Set a panel's title, axis labels, and plain frame and grid.
+
+    Args:
+        axes: panel to label.
+        title: title of the panel.
+        x: label of the x axis.
+        y: label of the y axis.
+    """
     if title:
         axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK, pad=4)
     axes.set_xlabel(x, fontsize=style.SMALL, color=style.NOTE, labelpad=1)
@@ -28,13 +38,24 @@ def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "") -> None:
 
 
 def bare(axes: Axes, title: str = "") -> None:
-    """Leave a panel without frame and ticks."""
+    """Leave a panel without frame and ticks.
+
+    Args:
+        axes: panel to clear.
+        title: title of the panel.
+    """
     axes.axis("off")
     axes.set_title(title, loc="left", fontsize=style.HEAD, color=style.INK, pad=4)
 
 
 def empty(axes: Axes, title: str, text: str) -> None:
-    """Write in a panel why it shows nothing."""
+    """Write in a panel why it shows nothing.
+
+    Args:
+        axes: panel to write on.
+        title: title of the panel.
+        text: reason.
+    """
     bare(axes, title)
     axes.text(0.0, 0.9, text, transform=axes.transAxes, va="top", fontsize=style.TEXT, color=style.NOTE)
 
@@ -42,7 +63,12 @@ def empty(axes: Axes, title: str, text: str) -> None:
 def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float, float] = (1.0, 1.0)) -> None:
     """Label the axes of a panel in space.
 
-    They are (first coordinate, second, first rate), with ticks every `steps` half turns.
+    They are (first coordinate, second, first rate).
+
+    Args:
+        axes: panel in space.
+        of: system or atlas with the labels.
+        steps: tick distances of x and y, half turns.
     """
     for k, (which, step) in enumerate(zip("xy", steps, strict=True)):
         getattr(axes, f"set_{which}label")(of.labels[k], fontsize=style.SMALL)
@@ -56,7 +82,10 @@ def quiet_space(axes: Axes, of: System | Atlas, *, steps: tuple[float, float] = 
 def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
     """Tick the "x" or "y" axis in multiples of π.
 
-    The step is `step` of them or adapted to the data.
+    Args:
+        axes: panel with the axis.
+        which: "x" or "y".
+        step: tick distance, half turns; adapted to the data by default.
     """
     axis = axes.xaxis if which == "x" else axes.yaxis
     if step is None:
@@ -83,13 +112,26 @@ def label_in_pi(axis: Axis) -> None:
 
 
 def mark_times(axes: Axes, moments: list[float]) -> None:
-    """Mark moments (s) with a dotted line."""
+    """Mark moments with a dotted line.
+
+    Args:
+        axes: panel over time.
+        moments: times, s.
+    """
     for moment in moments:
         axes.axvline(moment, color=style.MARK, linewidth=0.9, linestyle=style.DOTTED, zorder=1.5)
 
 
 def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SMALL) -> None:
-    """Put a symbol's number, white on a dark disc."""
+    """Put a symbol's number, white on a dark disc.
+
+    Args:
+        axes: panel to draw on.
+        number: number of the symbol.
+        x: position in data.
+        y: position in data.
+        size: size of the text, points.
+    """
     axes.text(
         x, y, str(number), ha="center", va="center_baseline", fontsize=size, color="white", zorder=6, clip_on=False,
         bbox={"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
@@ -101,7 +143,9 @@ def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]
 
     It is split at the bounds.
 
-    `periods` is (D,), None or zero for coordinates without a period.
+    Args:
+        curve: (K, D) in any unit.
+        periods: (D,) in the curve's unit, None or zero for coordinates without a period.
     """
     lengths = np.array([period or 0.0 for period in periods])
     turns = np.rint(curve / np.where(lengths, lengths, np.inf))
@@ -115,10 +159,13 @@ def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]
 
 
 def name_curves(axes: Axes, names: list[tuple[float, str, str]]) -> None:
-    """Label curves directly at the right end of a panel, in place of a key.
+    """Label curves directly at the right end of a panel.
 
-    Each name has the height of its curve's end in data, its text and its colour. The layout engine moves apart labels
-    that would overlap.
+    The labels take the place of a key. The layout engine moves apart labels that would overlap.
+
+    Args:
+        axes: panel with the curves.
+        names: height of the curve's end in data, text and colour of each label.
     """
     for height, text, colour in names:
         axes.annotate(
@@ -131,7 +178,16 @@ DIRECT, BESIDE = "direct label", "label beside a point"
 
 
 def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str) -> None:
-    """Label a point directly, with an outline; the layout engine moves labels round their points if they overlap."""
+    """Label a point directly, with an outline.
+
+    The layout engine moves labels round their points if they overlap.
+
+    Args:
+        axes: panel with the point.
+        text: text of the label.
+        at: (x, y) in data.
+        colour: colour of the label.
+    """
     axes.annotate(
         text, at, xytext=(5, 5), textcoords="offset points", fontsize=style.SMALL, color=colour, weight="bold",
         zorder=7, path_effects=[withStroke(linewidth=2.5, foreground=style.PAPER)],

@@ -1,4 +1,6 @@
-"""A picture of a review, by the Rerun viewer if it can render without a screen, otherwise by matplotlib.
+"""A picture of a review, by the Rerun viewer or by matplotlib.
+
+The viewer draws the picture if it can render without a screen, otherwise matplotlib does.
 
 The viewer is a separate program: opened for the user, or started without a screen under a time limit. Run as a program,
 this module takes the picture. Its arguments are the viewer's executable, the recording, the picture and the time in s.
@@ -143,6 +145,10 @@ def view_in_window(shown: Any, name: str) -> Path:
 
     The recording is removed when the viewer is closed or fails.
 
+    Args:
+        shown: run, reference, comparison or atlas.
+        name: name of the recording.
+
     Raises:
         InputError: the viewer or the display is missing, or the viewer ended at once.
         PartMissing: rerun-sdk is not installed.
@@ -181,12 +187,18 @@ def missing_renderer() -> str | None:
 
 
 def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seconds: float = _SECONDS) -> str | None:
-    """Write a picture (PNG) of the viewer at `moment` (s).
+    """Write a picture (PNG) of the viewer.
 
     The viewer shows the recording from `write`.
 
     The viewer runs under a separate process, which is ended with all its children after `seconds`.
     Returns None if the picture was written, otherwise the reason.
+
+    Args:
+        write: function that writes the recording to a file.
+        path: file of the picture.
+        moment: displayed time, s.
+        seconds: time limit, s.
 
     Raises:
         InputError: the picture cannot be written to `path`.
@@ -232,7 +244,10 @@ def _run(arguments: list[str], environment: dict[str, str], *, seconds: float) -
 
 
 def _end(pid: int) -> None:
-    """End a process started here, and the viewer it started, which has a separate process group."""
+    """End a process started here, and the viewer it started.
+
+    The viewer has a separate process group.
+    """
     import psutil
 
     try:
@@ -298,6 +313,10 @@ def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
 def write_recording(shown: Shown, path: Path) -> None:
     """Write the Rerun recording (`*.rrd`) of a review.
 
+    Args:
+        shown: run, reference, comparison or atlas.
+        path: file, `*.rrd`.
+
     Raises:
         InputError: it cannot be written, or the log was removed.
     """
@@ -308,6 +327,10 @@ def write_picture(shown: Shown, path: Path | str) -> Picture:
     """Write a PNG of a review.
 
     It comes from the Rerun viewer if this machine can render it, otherwise from matplotlib.
+
+    Args:
+        shown: run, reference, comparison or atlas.
+        path: file, `*.png`.
 
     Raises:
         InputError: the file cannot be written.
@@ -344,6 +367,12 @@ def take(program: Path, recording: Path, picture: Path, *, moment: float) -> str
     """Write `picture`; return None, or the reason for failure.
 
     No time limit applies: set one from outside.
+
+    Args:
+        program: the viewer's executable.
+        recording: recording to show, `*.rrd`.
+        picture: file to write, `*.png`.
+        moment: displayed time, s.
     """
     from rerun.experimental import ViewerClient
 
@@ -375,7 +404,14 @@ def take(program: Path, recording: Path, picture: Path, *, moment: float) -> str
 
 
 def main(program: str, recording: str, picture: str, moment: str) -> int:
-    """Take the picture given on the command line; return the exit code."""
+    """Take the picture given on the command line; return the exit code.
+
+    Args:
+        program: the viewer's executable.
+        recording: recording to show, `*.rrd`.
+        picture: file to write, `*.png`.
+        moment: displayed time, s.
+    """
     try:
         reason = take(Path(program), Path(recording), Path(picture), moment=float(moment))
     except Exception as error:  # noqa: BLE001 - any exception of the viewer's client is the reason to report

@@ -37,7 +37,12 @@ class Plane:
 
 
 def plane(view: RunView, arm: int) -> Plane:
-    """Return an arm's phase plane with the plan's orbits and tubes."""
+    """Return an arm's phase plane with the plan's orbits and tubes.
+
+    Args:
+        view: run or reference.
+        arm: index of the arm, from 0.
+    """
     columns = [arm, view.arms + arm]
     step = max(1, len(view.time) // _MOST)
     walked = view.state[:, columns]

@@ -1,4 +1,4 @@
-"""Ranges of axes and times, and rows that suffice to draw a curve."""
+"""Ranges of axes and times, and rows that suffice for curves."""
 
 import math
 
@@ -19,7 +19,11 @@ def gap_times(view: RunView) -> Array:
 def spans(time: Array, flags: NDArray[np.bool_]) -> list[Range]:
     """Return start and end in s of each stretch with true flags.
 
-    The `flags` are (N,). A stretch lasts at least a tick.
+    A stretch lasts at least a tick.
+
+    Args:
+        time: (N,) s.
+        flags: (N,) bool.
     """
     padded_flags = np.concatenate([[False], flags, [False]])
     edges = np.flatnonzero(padded_flags[1:] != padded_flags[:-1])
@@ -30,6 +34,10 @@ def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
     """Return the rows of the extremes of values (N,) in `bins`.
 
     The last row is included. Few values are all returned.
+
+    Args:
+        values: (N,) in any unit.
+        bins: number of bins.
     """
     size = len(values) // bins
     if size < 3:
@@ -54,6 +62,10 @@ def ticked(low: float, high: float) -> Range:
     The viewer labels multiples of a power of ten.
 
     The bound is extended to the nearer next multiple, or to both if they are equally near.
+
+    Args:
+        low: lower bound, in any unit.
+        high: upper bound, in the same unit.
     """
     step = 10.0 ** math.ceil(math.log10(max(high - low, 1e-12) / _LABELLED))
     margin = _EDGE * (high - low)

@@ -67,13 +67,23 @@ RECORDINGS = {
 
 
 def record(result: object, path: Path) -> None:
-    """Write the Rerun recording of a result."""
+    """Write the Rerun recording of a result.
+
+    Args:
+        result: result to write.
+        path: file, `*.rrd`.
+    """
     kind = type(result)
     renderer(RECORDINGS[f"{kind.__module__}.{kind.__qualname__}"])(result, path)
 
 
 def new_axes(width: float, height: float) -> Any:
-    """Return the axes of a new figure of this size, in inches."""
+    """Return the axes of a new figure of this size.
+
+    Args:
+        width: width in inches.
+        height: height in inches.
+    """
     figure = renderer("layout:new_figure")(width, height)
     figure.set_layout_engine("constrained")
     return figure.add_subplot()

@@ -1,4 +1,6 @@
-"""A run, a recording or a reference as a Rerun recording, built from its story (`series`), and its layout.
+"""A motion as a Rerun recording, built from its story (`series`).
+
+The motion is a run, a recording or a reference. The layout of the recording is built here too.
 
 A log's messages supply the scene; its numbers become curves with names and colours. The viewer can also open the log
 without the blueprint, in its default layout. Times are durations from the start. In the scene x points right and z up.
@@ -53,7 +55,15 @@ _NO_GAPS: Array = np.zeros(0)
 
 
 def follow(recording: rr.RecordingStream, path: str, look: Any, time: Array, columns: Any) -> None:
-    """Record values at times (K,) s under a path, in constant style."""
+    """Record values at times under a path, in constant style.
+
+    Args:
+        recording: recording to extend.
+        path: path in the recording.
+        look: constant style.
+        time: (K,) s.
+        columns: values as columns of Rerun.
+    """
     recording.log(path, look, static=True)
     recording.send_columns(path, indexes=[rr.TimeColumn(TIMELINE, duration=time)], columns=columns)
 
@@ -64,7 +74,14 @@ def trace_rows(view: RunView) -> NDArray[np.int64]:
 
 
 def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: RunView) -> None:
-    """Record a chart's lines and levels under `home` and its key."""
+    """Record a chart's lines and levels under `home` and its key.
+
+    Args:
+        recording: recording to extend.
+        home: parent path.
+        chart: chart to record, skipped without a key.
+        view: run with time range and gaps.
+    """
     if not chart.key:
         return
     home = f"{home}/{chart.key}"
@@ -114,7 +131,14 @@ def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array =
 
 
 def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Strip], view: RunView) -> None:
-    """Record strips of named states, each from its start time, s."""
+    """Record strips of named states, each from its start time, s.
+
+    Args:
+        recording: recording to extend.
+        home: parent path.
+        strips: strips to record.
+        view: run with the time range.
+    """
     for strip in strips:
         changes, colours = _changes(strip.spans, view)
         if not changes:
@@ -175,6 +199,12 @@ def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, bo
     """Record the phase plane of each arm under `home/arm_K`.
 
     Grid lines cross its box.
+
+    Args:
+        recording: recording to extend.
+        home: parent path.
+        view: run to record.
+        boxes: box of each arm; fitted to the run by default.
     """
     for arm in range(view.arms):
         at, shown = f"{home}/arm_{arm + 1}", plane(view, arm)
@@ -189,7 +219,13 @@ def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, bo
 
 
 def record_places(recording: rr.RecordingStream, home: str, view: RunView) -> None:
-    """Record the position of each arm in its phase plane."""
+    """Record the position of each arm in its phase plane.
+
+    Args:
+        recording: recording to extend.
+        home: parent path.
+        view: run to record.
+    """
     rows = trace_rows(view)
     for arm in range(view.arms):
         look = rr.Points2D.from_fields(colors=[style.rgb(style.LIMIT)], radii=rr.Radius.ui_points(5))
@@ -225,6 +261,9 @@ def reading_lines(
     They are at round values across, and at multiples of π or round values along.
 
     Args:
+        recording: recording to extend.
+        at: parent path.
+        box: bounds as drawn.
         scale: drawn length of one unit across.
         turning: True if x is an angle.
         dark: True for a dark background.
@@ -270,7 +309,11 @@ _DEPTH = -0.05
 def trace_tip(recording: rr.RecordingStream, path: str, view: RunView, *, frame: str | None = None) -> None:
     """Trace the tip in the outermost arm's plane, over recent moments.
 
-    `frame` is a frame of the log's transforms, if any.
+    Args:
+        recording: recording to extend.
+        path: path in the recording.
+        view: run to record.
+        frame: frame of the log's transforms, if any.
     """
     rows = trace_rows(view)
     points = _points(view.state[rows], view)
@@ -288,6 +331,11 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
     """Draw the moving arms, the reference, the cart and the track.
 
     The reference is grey, behind the arms. The track ends at the limits.
+
+    Args:
+        recording: recording to extend.
+        home: parent path.
+        view: run to record.
     """
     rows = trace_rows(view)
     reach = sum(view.arm_lengths)
@@ -320,7 +368,10 @@ def _track(recording: rr.RecordingStream, home: str, view: RunView, *, reach: fl
 
 
 def _points(states: Array, view: RunView) -> Array:
-    """Return pivot, elbows and tip (K, n+1, 3), m, of states (K, …)."""
+    """Return pivot, elbows and tip of states (K, …).
+
+    They are (K, n+1, 3), m.
+    """
     points = arm_points(states[:, : view.arms], view.arm_lengths)
     pivot = states[:, 2 * view.arms] if view.has_cart else np.zeros(len(states))
     return np.stack([points[..., 0] + pivot[:, None], np.zeros(points.shape[:2]), points[..., 1]], axis=-1)
@@ -371,7 +422,11 @@ def page(
 ) -> rrb.Blueprint:
     """Return a blueprint of columns of views, without side panels.
 
-    Widths are in proportion to their shares.
+    Args:
+        columns: columns of views.
+        shares: relative widths of the columns.
+        timeline: name of the timeline.
+        growing: True to follow the latest time.
     """
     playing: dict[str, Any] = {"play_state": "following"} if growing else {}
     return rrb.Blueprint(
@@ -385,7 +440,14 @@ def page(
 
 
 def scene_view(view: RunView, *, from_log: bool, home: str = "/scene", name: str = "Scene") -> rrb.View:
-    """Return the view of the pendulum in space, seen from the front."""
+    """Return the view of the pendulum in space, seen from the front.
+
+    Args:
+        view: recorded run.
+        from_log: True if the scene comes from the log.
+        home: path of a scene without a log.
+        name: title of the view.
+    """
     reach = sum(view.arm_lengths)
     distance = max(2.4 * reach, 1.9 * view.limits[0] if view.limits else 0.0)
     homes = ["/pendulum", "/reference_pendulum", "/tf"] if from_log else [home]
@@ -409,7 +471,12 @@ def summary_view() -> rrb.View:
 def plane_view(arm: int, home: str, box: Box, *, name: str, free: float = 0.1) -> rrb.View:
     """Return the view of an arm's phase plane.
 
-    The margin for labels is `free`, as a share of the box.
+    Args:
+        arm: index of the arm, from 0.
+        home: parent path.
+        box: bounds as drawn.
+        name: title of the view.
+        free: margin for labels, as a share of the box.
     """
     left, right, top, bottom = box
     wide, high = free * (right - left), free * (bottom - top)
@@ -424,7 +491,11 @@ def plane_view(arm: int, home: str, box: Box, *, name: str, free: float = 0.1) -
 def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
     """Return the views of charts.
 
-    Named levels or several runs have a legend. For `growing` see `blueprint`.
+    Named levels or several runs have a legend.
+
+    Args:
+        charts: charts to show; those without a key are omitted.
+        growing: as in `blueprint`.
     """
     corner = rrb.Corner2D.RightTop
     return [
@@ -440,7 +511,10 @@ def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
 
 
 def _shown(chart: Chart) -> tuple[float, float] | None:
-    """Return the initial range of a chart in the viewer; None for an empty chart."""
+    """Return the initial range of a chart in the viewer.
+
+    It is None for an empty chart.
+    """
     if chart.shown:
         return ticked(*chart.shown)
     values = np.concatenate([line.values for line in chart.lines])
@@ -460,6 +534,10 @@ def write_recording(view: RunView, path: Path) -> None:
     """Write the recording of a view to `path` (`*.rrd`).
 
     A log must still exist at its original path.
+
+    Args:
+        view: run or reference.
+        path: file, `*.rrd`.
 
     Raises:
         InputError: the recording cannot be written, or the log was removed.
@@ -488,6 +566,12 @@ def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> It
 
     It becomes the file `path` if the block ends without an error.
 
+    Args:
+        path: file, `*.rrd`.
+        name: name of the recording.
+        view: blueprint.
+        summary: text in Markdown.
+
     Raises:
         InputError: it cannot be written.
     """
@@ -504,7 +588,12 @@ def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> It
 
 
 def record_events(recording: rr.RecordingStream, view: RunView) -> None:
-    """Record a run's events."""
+    """Record a run's events.
+
+    Args:
+        recording: recording to extend.
+        view: run with the events.
+    """
     if view.events:
         columns = rr.TextLog.columns(
             text=[f"[{event.name}] {event.text}" for event in view.events],

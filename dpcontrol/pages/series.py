@@ -1,4 +1,4 @@
-"""Charts of a run by name, further estimates, and margins along a reference."""
+"""Charts of a run by name, further estimates, and a reference's margins."""
 
 import numpy as np
 

@@ -1,4 +1,7 @@
-"""The story of a run over time: planned and flown stays, symbols, and the controller's modes, as strips."""
+"""The story of a run over time, as strips.
+
+They show planned and flown stays, symbols, and the controller's modes.
+"""
 
 from dataclasses import dataclass
 
@@ -19,19 +22,32 @@ _AROUND = 0.62
 
 
 def story_rows(view: RunView, *, span: Range | None = None) -> list[Strip]:
-    """Return the rows of the story, from the top."""
+    """Return the rows of the story, from the top.
+
+    Args:
+        view: run to draw.
+        span: displayed time range, s; all by default.
+    """
     return [strip for strip in strips(view, until=None if span is None else span[1]) if strip.name]
 
 
 def story_height(view: RunView, *, span: Range | None = None) -> float:
-    """Return the height of a story, inches; 0 without rows."""
+    """Return the height of a story, inches; 0 without rows.
+
+    Args:
+        view: run to draw.
+        span: displayed time range, s; all by default.
+    """
     rows = story_rows(view, span=span)
     return _AROUND + _ROW * len(rows) if rows else 0.0
 
 
 @dataclass(frozen=True)
 class _Clock:
-    """The time range of a story, s, and the time that a length in inches takes."""
+    """The time range of a story, s, and its scale.
+
+    The scale `second` is the time per inch, s.
+    """
 
     begin: float
     end: float
@@ -45,7 +61,11 @@ class _Clock:
 def story(axes: Axes, view: RunView, *, span: Range | None = None, width: float = style.WIDTH) -> None:
     """Draw planned stays, decoded stays and modes over time.
 
-    `span` is the time range to show, s; by default that of the motion and its plan. `width` is the panel's, inches.
+    Args:
+        axes: panel to draw on.
+        view: run to draw.
+        span: displayed time range, s; by default that of the motion and its plan.
+        width: width of the panel, inches.
     """
     rows = story_rows(view, span=span)
     begin, end = span or view.span
@@ -70,7 +90,10 @@ def story(axes: Axes, view: RunView, *, span: Range | None = None, width: float 
 
 
 def _part(axes: Axes, part: Span, place: int, clock: _Clock, *, marks: list[float], mode: bool) -> None:
-    """Draw a span of a strip, with its text if there is room between the symbols' marks, s."""
+    """Draw a span of a strip, with its text if possible.
+
+    The text needs room between the symbols' marks, s.
+    """
     # A mode of one tick, as at an end, is widened to remain visible.
     width = max(part.last - part.first, (0.06 if part.kind == "mode" else 0.04) * clock.second)
     first = part.last - width if part.kind == "mode" else part.first
@@ -91,7 +114,10 @@ def _part(axes: Axes, part: Span, place: int, clock: _Clock, *, marks: list[floa
 
 
 def _numbers(axes: Axes, view: RunView, rows: list[str], clock: _Clock) -> None:
-    """Number the symbols at their planned and actual times, and name them above if there is room."""
+    """Number the symbols at their planned and actual times.
+
+    They are named above if there is room.
+    """
     free, last = clock.begin, -1e9
     for i, (name, planned, done) in enumerate(view.symbols):
         for row, moment in ((rows[0], planned), ("done", done)):

@@ -42,7 +42,9 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
 
     The itinerary has a planned and a flown strip.
 
-    `until` is the planned end of the run, s; the plan's end by default.
+    Args:
+        view: run to draw.
+        until: planned end of the run, s; the plan's end by default.
     """
     begin, end = view.time_range
     due = view.plan.duration if until is None else until
@@ -77,7 +79,10 @@ _MOTIONS = {
 
 
 def _motions(view: RunView) -> Iterator[Span]:
-    """Yield the periods of a run on its itinerary, returning to rest, and starting again."""
+    """Yield the periods of a run by activity.
+
+    The run is on its itinerary, returns to rest, or starts again.
+    """
     # The first event of a log describes its controller.
     changes = [event for event in view.events if event.name in _MOTIONS and (event.name, event.time) != (START, 0.0)]
     if not any(event.name == RETURN for event in changes):

@@ -1,4 +1,6 @@
-"""The visual standard of all pages, figures, films and recordings: type scale, palette, numbers (see `guide/style.md`).
+"""The visual standard of all pages, figures, films and recordings (see `guide/style.md`).
+
+It sets type scale, palette and numbers.
 
 A colour has one meaning. The roles in `ROLES` remain distinct for people with deuteranopia, protanopia or tritanopia.
 `SERIES` numbers items without a role, such as the runs of a comparison.
@@ -104,7 +106,12 @@ def number(i: int) -> str:
 
 
 def in_pi(half_turns: float, *, digits: int = 3) -> str:
-    """Return half turns as an angle in units of π."""
+    """Return half turns as an angle in units of π.
+
+    Args:
+        half_turns: angle, half turns.
+        digits: number of significant digits.
+    """
     if abs(half_turns) < 1e-9:
         return "0"
     text = f"{half_turns:.{digits}g}"
