@@ -14,7 +14,7 @@ FEWEST_ARGUMENTS = 2
 """Arguments from which a function needs `Args:`; the summary can describe a single one. Overrides have no docstring."""
 PACKAGES = (
     "bench", "bifurcations", "control", "dynamics", "foundation", "identification", "judge", "logs", "loop", "orbits",
-    "planner", "plans", "proofs", "recordings", "references", "rig", "runs", "shooting", "tubes", "walks",
+    "pages", "planner", "plans", "proofs", "recordings", "references", "rig", "runs", "shooting", "tubes", "walks",
 )  # fmt: skip
 """Packages whose docstrings are checked. Those of verbs in `cli` are help texts; `test_api_reference` checks `api`."""
 
