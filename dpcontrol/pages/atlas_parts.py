@@ -106,7 +106,7 @@ def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
 def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind | None:
     """Return the last kind searched between two saddles, or None.
 
-    Kinds with connections are preferred.
+    A search ends with the first kind that has connections.
 
     Args:
         atlas: atlas with the kinds.
