@@ -61,7 +61,7 @@ def _part(value: Any, path: str) -> Any:
     Its steps are attributes, items of mappings, places in sequences, and methods without arguments.
     """
     for name in path.lstrip("#").split("."):
-        if isinstance(value, list | tuple):
+        if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
             value = value[int(name)] if name.isdigit() else [getattr(one, name) for one in value]
         else:
             value = value[name] if isinstance(value, Mapping) else getattr(value, name)

@@ -2,11 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from dpcontrol.foundation.document import Documented, document_of, plain
+
+
+class Gap(NamedTuple):
+    low: float
+    high: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,12 @@ def test_without_keys_a_dataclass_has_all_its_fields():
 
 def test_entries_of_a_mapping_keep_its_keys():
     assert document_of({"by": {1: (3, 4)}}, "by:entries,bytes") == {"by": {"1": {"entries": 3, "bytes": 4}}}
+
+
+def test_named_tuples_are_objects():
+    assert document_of({"gaps": [Gap(0.0, np.array([1.0]))]}, "gaps:low,high") == {
+        "gaps": [{"low": 0.0, "high": [1.0]}]
+    }
 
 
 def test_the_objects_own_document_joins_further_entries():
