@@ -173,16 +173,21 @@ def _number(level: str) -> tuple[float, str]:
         return -1.0, level
 
 
-def failures(flights: Iterable[Flown], folder: Path) -> str:
+def failures(flights: Iterable[Flown], folder: Path, *, searches: bool = True) -> str:
     """Return lines for each scene that was refused or did not complete all its runs, with the reasons.
 
-    Each refusal is followed by the transfers and connections that independent searches do not find either.
+    Args:
+        flights: scenes with their planning and their runs.
+        folder: folder of the scenes' files.
+        searches: add to each refusal what independent searches do not find either, which takes minutes.
     """
     lines = []
     for one in flights:
         head = f"{one.scene.name} ({one.scene.factors['arms']} arms, {one.scene.factors['itinerary']})"
         if one.planned.outcome != "planned":
             lines.append(f"{head}: {one.planned.outcome} after {one.planned.seconds:.0f} s: {one.planned.reason}")
+            if not searches:
+                continue
             file = folder / "files" / f"{one.scene.name}.toml"
             missing = [*missing_connections(file), *missing_transfers(file, attempts=ATTEMPTS)]
             lines.append(f"    independent searches do not find: {', '.join(missing) or 'nothing amiss'}")
