@@ -78,8 +78,7 @@ def orbit_command(
 ) -> Answer:
     """Compute a Lyapunov orbit or its family, with Floquet multipliers.
 
-    The orbit is about a saddle at an energy. A family is followed from its saddle until it ends, loses hyperbolicity or
-    leaves the given energies.
+    A family is followed from its saddle until it ends, loses hyperbolicity or leaves the given energies.
 
     --rotating selects the symmetric orbits on which one arm rotates, with their stability. Their families start from
     the orbits at --energy, or at the middle of --energies.
@@ -310,10 +309,9 @@ def connect_command(
 ) -> Answer:
     """Find every connection between Lyapunov orbits at given section hits.
 
-    The orbits are those of two saddles, or of one. The list contains all connections on the torus of angles: both
-    senses, mirror pairs and reflections. The walk of an itinerary can use their names. The exit code is 1 if the list
-    may be incomplete (`complete` in --json). With --name, only that connection counts, and `complete` is false if there
-    may be others.
+    The list contains all connections on the torus of angles: both senses, mirror pairs and reflections. The walk of an
+    itinerary can use their names. The exit code is 1 if the list may be incomplete (`complete` in --json). With --name,
+    only that connection counts, and `complete` is false if there may be others.
 
     Another --section gives other connections first. Homoclinics that pass the other saddle cross "aligned" twice, so
     --hits 1,2 finds them there.
@@ -454,11 +452,10 @@ def bifurcations_command(
 ) -> Answer:
     """Find the energies at which connections appear, vanish or split.
 
-    Energies at which only their number of hits changes are found too. There are three kinds. At a saddle-node, two
-    connections meet and vanish. At a pitchfork, a mirror pair splits off a symmetric connection. At a section-artefact,
-    the connection continues, but gains or loses an earlier crossing of the section. Changes of the count without such
-    an event are reported. If trajectories scatter before they arrive, connections accumulate without end, and counts
-    are lower bounds.
+    There are three kinds of events. At a saddle-node, two connections meet and vanish. At a pitchfork, a mirror pair
+    splits off a symmetric connection. At a section-artefact, the connection continues, but gains or loses an earlier
+    crossing of the section. Changes of the count without such an event are reported. If trajectories scatter before
+    they arrive, connections accumulate without end, and counts are lower bounds.
     """
     from dpcontrol import api
     from dpcontrol.plans.model import load_model
@@ -499,9 +496,9 @@ def atlas_command(
 ) -> Answer:
     """Compute all orbits, tubes and connections of an energy.
 
-    The orbits are Lyapunov orbits and rotating orbits. The atlas is one file with orbits, cuts, and connections with
-    their flights. It is cached by content. Draw it with `dpcontrol review FILE`. The exit code is 1 if the list of
-    connections may be incomplete.
+    The orbits are Lyapunov orbits about the saddles and rotating orbits. The atlas is one file with orbits, cuts, and
+    connections with their flights. It is cached by content. Draw it with `dpcontrol review FILE`. The exit code is 1 if
+    the list of connections may be incomplete.
     """
     from dpcontrol.plans.atlas import AtlasSettings, make_atlas, save_atlas
     from dpcontrol.plans.model import load_model

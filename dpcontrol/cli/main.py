@@ -148,9 +148,7 @@ class _Verbs(click.Group):
 @click.option("--debug", is_flag=True, expose_value=False, help="Traceback of an error on stderr; also after a verb.")
 @click.pass_context
 def cli(ctx: click.Context) -> None:
-    """Design trajectories of a double pendulum, and test closed loops.
-
-    The pendulum is on a cart. Closed loops follow the trajectories.
+    """Design and track trajectories of a double pendulum on a cart.
 
     Default names are free names: logs/NAME.mcap, then logs/NAME.2.mcap. A file that --out names is replaced only by
     the command that made it, or with --force. Pictures and plans are always replaced.

@@ -58,8 +58,8 @@ def plan_command(
 ) -> Answer:
     """Plan an itinerary: connections, shadowing orbit and reference.
 
-    The reference includes friction and cart. Plans are cached by content, so the same itinerary is planned once. Each
-    transfer is cached too, so interrupted planning resumes with the next one.
+    Plans are cached by content, so the same itinerary is planned once. Each transfer is cached too, so interrupted
+    planning resumes with the next one.
     """
     from dpcontrol import api
     from dpcontrol.foundation.files import write_whole
@@ -152,8 +152,8 @@ def reference_command(
 ) -> Answer:
     """Show a reference: motion, limits, effort, mesh, error and origin.
 
-    The limits are those of the cart, with their use. FILE is a .npz from `dpcontrol plan --out`. numpy can read it;
-    dpcontrol.references.reference documents its layout. The error between nodes is measured again.
+    FILE is a .npz from `dpcontrol plan --out`. numpy can read it; dpcontrol.references.reference documents its layout.
+    The error between nodes is measured again.
     """
     from dpcontrol.references.reference import load_reference, summarised
 

@@ -17,10 +17,9 @@ def planner_command(
 ) -> None:
     """Plan in the browser, from an energy to a run.
 
-    The arms are those of `lab` or of MODEL. Choose an energy, click connections to build a walk, plan it, and run it.
-    Itinerary, log and film are saved in ./itineraries and ./logs. The page works offline and only on this computer,
-    because its address contains a token. The planner serves until Ctrl-C. It needs an extra: pip install
-    'dpcontrol[planner]'.
+    MODEL is `lab` by default. Choose an energy, click connections to build a walk, plan it, and run it. Itinerary, log
+    and film are saved in ./itineraries and ./logs. The page works offline and only on this computer, because its
+    address contains a token. The planner serves until Ctrl-C. It needs an extra: pip install 'dpcontrol[planner]'.
     """
     from dpcontrol import api
 

@@ -74,9 +74,9 @@ def prove_command(
 ) -> Answer:
     """Prove in ball arithmetic that orbits exist, or check a certificate.
 
-    A proof is of an orbit, a closed walk, connections or a horseshoe. Parameters and energy are exact decimals. The
-    answer is "proved", or "not proved" with the enclosure that does not close. The latter is not a disproof. Separate
-    code checks certificates.
+    Statements concern an orbit, a closed walk, a connection or a horseshoe. Parameters and energy are exact decimals.
+    The answer is "proved", or "not proved" with the enclosure that does not close. The latter is not a disproof.
+    Separate code checks certificates.
     """
     from dpcontrol.foundation.files import checked_target
     from dpcontrol.foundation.parts import part

@@ -55,7 +55,7 @@ def import_command(
 ) -> Answer:
     """Import a recording of the bench as a log.
 
-    The formats are MATLAB, CSV, Parquet, MCAP and ROS bags. Gaps, repeated times, missing numbers, wrapped angles and
+    It reads MATLAB, CSV, Parquet, MCAP and ROS bags. Gaps, repeated times, missing numbers, wrapped angles and
     contradicting columns are rejected with their row. --repair selects the faults to correct, and the log records the
     corrections. Segments count from 0, rows from 1. Unusual but possible data cause a remark: a constant angle, and
     with --model a recording that its arms cannot have made. --simulated gives data with known truth for `identify` and
@@ -122,7 +122,7 @@ def identify_command(
 ) -> Answer:
     """Identify a model from LOGS that `dpcontrol import` wrote.
 
-    The result has inertia ratios, friction laws and encoder zeros. Every third segment is held out, and the friction
+    The model gets inertia ratios, friction laws and encoder zeros. Every third segment is held out, and the friction
     laws are chosen by the error on these segments. --design needs no log.
     """
     if design:
@@ -227,10 +227,10 @@ def replay_command(
 ) -> Answer:
     """Predict a recording by a model, and run an estimator.
 
-    The estimator runs on the recording's angles. Both results are written beside the measurements. Each segment is
-    predicted in one piece from its best initial state. The prediction is the reference of the log, so `dpcontrol
-    review` shows both. If the cart moved, as in a log of `dpcontrol run`, its command or its recorded motion is the
-    input of the model. The encoder zeros of the model file are subtracted.
+    The log contains the prediction, the estimates and the measurements. Each segment is predicted in one piece from its
+    best initial state. The prediction is the reference of the log, so `dpcontrol review` shows both. If the cart moved,
+    as in a log of `dpcontrol run`, its command or its recorded motion is the input of the model. The encoder zeros of
+    the model file are subtracted.
     """
     from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file

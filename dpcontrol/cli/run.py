@@ -356,10 +356,10 @@ def export_command(
 ) -> Answer:
     """Write the controller of an itinerary as C99.
 
-    It is for your own target, with estimator, law and supervisor in one call. The itinerary is planned first if its
-    plan is not cached. The folder has a Makefile, a replay program and a page on the wiring. Only laws with gains by
-    time can be exported: tvlqr, adaptive, lqr, feedforward. Settings of the bench, such as --mismatch, only change the
-    simulated run that `make check` replays.
+    The C code has estimator, law and supervisor in one call. The itinerary is planned first if its plan is not cached.
+    The folder has a Makefile, a replay program and a page on the wiring. Only laws with gains by time can be exported:
+    tvlqr, adaptive, lqr, feedforward. Settings of the bench, such as --mismatch, only change the simulated run that
+    `make check` replays.
     """
     from dpcontrol.control.export import COARSER, kibibytes
     from dpcontrol.plans.itinerary import load_itinerary
@@ -445,9 +445,9 @@ def rig_command(
 ) -> None:
     """Start an example bench for runs over UDP in real time.
 
-    It simulates the arms and cart of the itinerary. It prints its address for `dpcontrol run ITINERARY --rig ADDRESS`
-    and serves one run after another until Ctrl-C. The arms start at the beginning of the itinerary. `dpcontrol guide
-    packets` describes the packets. If other computers can reach --host, loops need the key of the bench.
+    The bench simulates the arms and cart of the itinerary. It prints its address for `dpcontrol run ITINERARY --rig
+    ADDRESS` and serves one run after another until Ctrl-C. The arms start at the beginning of the itinerary. `dpcontrol
+    guide packets` describes the packets. If other computers can reach --host, loops need the key of the bench.
     """
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.rig.bench import BenchServerSettings
@@ -501,10 +501,10 @@ def commission_command(
 ) -> Answer:
     """Measure a rig before its first run: signs, delay, lag, zeros.
 
-    Scales and switches are measured too. The arms must hang, and the cart must stand at the centre. The cart moves a
-    few millimetres, then follows a chirp within 10 mm. The motion of cart and arms gives signs, order, counts and zeros
-    of the encoders, and direction and gain of the drive. Ctrl-C brakes the cart. The exit code is 1 if a finding is
-    wrong. Settings and faults apply to the example bench. For more, see `dpcontrol guide commission`.
+    The arms must hang, and the cart must stand at the centre. The cart moves a few millimetres, then follows a chirp
+    within 10 mm. The motion of cart and arms gives signs, order, counts and zeros of the encoders, and direction and
+    gain of the drive. Ctrl-C brakes the cart. The exit code is 1 if a finding is wrong. Settings and faults apply to
+    the example bench. For more, see `dpcontrol guide commission`.
     """
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text, rig_link
@@ -697,10 +697,9 @@ def preflight_command(
 ) -> Answer:
     """Predict whether the first run on a rig completes.
 
-    The result also has the likely endings and helpful changes. The arms are drawn from the identified uncertainty of
-    the model, or from a mismatch if the model file has none. The bench is that of [run], which `dpcontrol commission
-    --write` fills with measurements. The limit of a disturbance is the value at which the itinerary completes half as
-    often. A repeated command resumes after an interruption.
+    The arms are drawn from the identified uncertainty of the model, or from a mismatch if the model file has none. The
+    bench is that of [run], which `dpcontrol commission --write` fills with measurements. The limit of a disturbance is
+    the value at which the itinerary completes half as often. A repeated command resumes after an interruption.
     """
     from dpcontrol.pages.layout import save_figure
     from dpcontrol.plans.itinerary import load_itinerary

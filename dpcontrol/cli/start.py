@@ -43,7 +43,7 @@ def demo_command(
 ) -> Answer:
     """Plan, run, score and picture one itinerary.
 
-    By default, it is a full turn of the outer arm at no cost in energy. All steps are computed: Lyapunov orbit, tube,
+    The default is a full turn of the outer arm at no cost in energy. All steps are computed: Lyapunov orbit, tube,
     connections, and the reference with friction and cart. The closed loop has encoders, an estimator, and a plant that
     differs from the model.
     """

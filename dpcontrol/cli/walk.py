@@ -113,10 +113,9 @@ def walk_command(
 ) -> Answer:
     """List, count and create walks on the connection graph.
 
-    The graph is that of an energy. --solve computes the orbit that follows each walk, with an estimate of its error.
-    The orbit is homoclinic, heteroclinic, or with --periodic periodic. Give one walk by its symbols (-s) or its stops
-    (--through). --length lists all walks of a length, and --random draws some. Without these options, the graph itself
-    is shown.
+    --solve computes the orbit that follows each walk, with an estimate of its error. The orbit is homoclinic,
+    heteroclinic, or with --periodic periodic. Give one walk by its symbols (-s) or its stops (--through). --length
+    lists all walks of a length, and --random draws some. Without these options, the graph itself is shown.
 
     A symbol selects the connection at the largest angle. At other energies this can be another connection; --compare
     reports the energies of such changes.
