@@ -202,7 +202,7 @@ class Diagram(Documented):
     def off_front(self, point: Point) -> float:
         """Return the distance of a point from the front.
 
-        It is a share, 0 on the front.
+        The distance is a share, 0 on the front.
 
         Args:
             point: point of this diagram.
@@ -443,7 +443,7 @@ class EdgeMap(Documented):
     def finding(self) -> str:
         """Return the map's result in one sentence.
 
-        It has the range of the borders, and how well theory predicts them.
+        The sentence has the range of the borders, and how well theory predicts them.
         """
         measured = [b.measured for b in self.borders if b.measured is not None]
         if not measured:
@@ -459,7 +459,7 @@ class EdgeMap(Documented):
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each border with a fault.
 
-        It is missing, contradicts its prediction, or fails silently.
+        A fault is a missing border, one that contradicts its prediction, or a silent failure.
         """
         found = []
         for b in self.borders:

@@ -137,7 +137,7 @@ def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
 def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]) -> float:
     """Return the largest scaled error of matching states.
 
-    It is infinite if one is missing.
+    The largest scaled error is infinite if one is missing.
 
     Args:
         orbit: orbit of the connections.
@@ -191,7 +191,7 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
 def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
     """Return the intersections of cuts, without refinement.
 
-    They are states. The seeds of the cuts are at `distance`.
+    The intersections are states. The seeds of the cuts are at `distance`.
     """
     system, settings = orbit.system, ConnectionSettings(distance=distance)
     section = system.section_between(orbit.saddle, orbit.saddle)
@@ -284,7 +284,7 @@ def transcription_chart(quick: bool, progress: Progress) -> PrecisionChart:
 def crossing_problem() -> ReferenceProblem:
     """Return the problem of crossing from down-up to up-down.
 
-    It has the lab's friction and lasts 5.5 s.
+    The problem has the lab's friction and lasts 5.5 s.
 
     Raises:
         GoalMissed: the connection or its orbit was not found.

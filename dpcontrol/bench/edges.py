@@ -126,7 +126,7 @@ class LoopCase:
 def farthest_at_last(run: BatchRun) -> float:
     """Return the largest final distance of the angles, rad.
 
-    It is measured from the reference over a run's last tenth.
+    The largest final distance is measured from the reference over a run's last tenth.
 
     Args:
         run: run along a reference.
@@ -267,7 +267,7 @@ def mismatch_border(loop_case: LoopCase, delay: float, *, ratio: float, predicte
 def held_delay_border(rate: float, *, ratio: float) -> Border:
     """Return the border of the delay for held arms, s.
 
-    It has its prediction.
+    The border comes with its prediction.
 
     Args:
         rate: rate of the loop, Hz.
@@ -299,7 +299,7 @@ def longest_delay(loop_case: LoopCase, error: Array, *, acceleration: float) -> 
 def held_mismatch_border(delay: float, *, ratio: float) -> Border:
     """Return the border of mismatch for held arms.
 
-    It has its prediction.
+    The border comes with its prediction.
 
     Args:
         delay: known delay, s.

@@ -385,7 +385,7 @@ def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> 
 def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) -> Trajectory:
     """Return a shot motion as a first trajectory.
 
-    It is on the even mesh.
+    The shot motion is on the even mesh.
 
     Args:
         problem: problem with its duration.
@@ -486,7 +486,7 @@ def refined(problem: ReferenceProblem, motion: Trajectory) -> Reference | None:
 def resampled(motion: Trajectory, duration: float) -> Trajectory:
     """Return a motion stretched to another duration.
 
-    It is on the even mesh.
+    The motion is on the even mesh.
 
     Args:
         motion: motion of six states.
@@ -690,7 +690,7 @@ def charted(
 ) -> Charted | None:
     """Return the cheapest of some tries refined and checked.
 
-    None if all are invalid.
+    The result is None if all are invalid.
 
     Args:
         one: flight along tubes.
@@ -832,7 +832,7 @@ def stop_by_stop(problem: ReferenceProblem, count: int) -> ReferenceProblem:
 def walked(count: int, effort: Effort) -> Compared:
     """Return a walk of some turns of the outer arm.
 
-    It is found by tubes and by methods without them.
+    The walk is found by tubes and by methods without them.
 
     Args:
         count: number of turns.
@@ -963,7 +963,7 @@ AS_CHEAP = 1.1
 def as_cheap(one: Compared, method: str) -> int:
     """Return the number of a method's tries with little effort.
 
-    They are as cheap as the flight along tubes.
+    These tries find motions as cheap as the flight along tubes.
 
     Args:
         one: flight by every method.
@@ -1050,7 +1050,7 @@ def effort_panel(flights: Sequence[Compared]) -> Diagram:
 def feedback_panel(flights: Sequence[Compared]) -> Diagram:
     """Return the diagram of the loop's effort at ±5 %.
 
-    It is drawn against that of the reference.
+    The diagram is drawn against that of the reference.
     """
     points, missing = [], []
     for one in flights:

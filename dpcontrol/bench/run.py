@@ -251,7 +251,7 @@ def losses(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ..
 def slower(before: Sequence[Diagram], after: Sequence[Diagram]) -> tuple[str, ...]:
     """Return a sentence for each default with a larger x value.
 
-    It is compared with the earlier one.
+    The value is compared with the earlier one.
 
     Args:
         before: panels of the earlier drawing.

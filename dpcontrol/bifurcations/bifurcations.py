@@ -131,7 +131,7 @@ def _located(
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
     """Locate the turn after a point of a path.
 
-    None if it is not found.
+    The result is None if it is not found.
 
     Args:
         problem: matching of two tubes.

@@ -303,7 +303,7 @@ class LinkProblem:
     def distance_between(self, first: Link, second: Link) -> float:
         """Return the distance of two links in phases and relative duration.
 
-        It is infinite for different branches.
+        The distance is infinite for different branches.
 
         Args:
             first: link at any energy.
@@ -374,7 +374,7 @@ class Path:
 def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: float = 1 / 32) -> PathPoint | None:
     """Continue a connection to another energy.
 
-    None if it may turn.
+    The result is None if it may turn.
 
     Each step is predicted along ∂(φ_u, φ_s, T)/∂H and solved at fixed energy. The tangency σ must keep its sign, which
     changes at a turn. This is cheaper than `follow`, which handles turns.

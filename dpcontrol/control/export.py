@@ -64,7 +64,7 @@ SAME_IN_SINGLE = (1e-5, 1e-7)
 class Figures(NamedTuple):
     """Resources that a controller needs on its target, in bytes.
 
-    None if gcc is missing.
+    The result is None if gcc is missing.
     """
 
     operations: int
@@ -202,7 +202,7 @@ def _without_end(rows: Array) -> Array:
 def _error_between(law: Array) -> float:
     """Return the interpolation error between every `COARSER`-th row.
 
-    It is relative to each column's maximum.
+    The interpolation error is relative to each column's maximum.
     """
     places = np.arange(len(law))
     lines = [np.interp(places, places[::COARSER], column[::COARSER]) for column in law.T]
@@ -445,7 +445,7 @@ def _delay(program: TickProgram) -> float:
 def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
     """Return the sizes of code and stack from gcc, in bytes.
 
-    None if gcc is missing or fails.
+    The result is None if gcc is missing or fails.
     """
     with TemporaryDirectory(prefix="dpcontrol-") as name:
         folder = Path(name)

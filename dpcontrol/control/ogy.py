@@ -143,7 +143,7 @@ def parameter_directions(equations: Equations, parameters: Array) -> Array:
 def sensitivities(orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", directions: Array) -> Array:
     """Return D (k, N, m), derivatives of section-to-section flights.
 
-    They are central differences of Runge-Kutta flights under the orbit's input.
+    The derivatives are central differences of Runge-Kutta flights under the orbit's input.
 
     Args:
         orbit: the sustained orbit.
@@ -204,7 +204,7 @@ def disturbance_shifts(
 ) -> Array:
     """Return shifts s (k, m) of the pulses, in m/s².
 
-    They are those for each unit of known periodic disturbances.
+    The shifts are those for each unit of known periodic disturbances.
 
     Args:
         maps: maps from each of k sections to the next.

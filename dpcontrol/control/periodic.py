@@ -195,7 +195,7 @@ def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort:
 def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArray[np.complex128]:
     """Return the multipliers (N,) of a period, largest first.
 
-    They are those under p = -K ξ. The loop is stable below 1.
+    The multipliers are those under p = -K ξ. The loop is stable below 1.
 
     Args:
         matrices: A (m, N, N) of each part of the period.

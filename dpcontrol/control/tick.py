@@ -726,7 +726,7 @@ class TickEquations:
     def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """Return the cart's accelerations in the period, m/s².
 
-        They are the mean and the one at the end.
+        One is the mean, the other that at the end.
 
         The drive keeps its velocity reference within its limit. If that already exceeds the limit, the drive returns it
         with at most its largest acceleration, see `DriveLimits.acting`.
@@ -969,7 +969,7 @@ class TickEquations:
     def _farthest(self, known: "_Known", acts: "_Acts") -> ca.SX:
         """Return the cart's resting place if it brakes now.
 
-        It is in m from the centre.
+        The cart's resting place is in m from the centre.
         """
         m, c, n = known.memory, known.numbers, self.filter.arms
         x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m["velocity"]
@@ -1093,7 +1093,7 @@ class TickEquations:
     def _stopping_point(self, position: ca.SX, velocity: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
         """Return the cart's resting place if it brakes now.
 
-        It is measured from the centre in the direction of the cart's motion, m.
+        The cart's resting place is measured from the centre in the direction of the cart's motion, m.
 
         It is negative on the side of its start, and includes the margin.
         """

@@ -222,8 +222,8 @@ class ArmChainParameters(Settings):
     def mismatched(self, fraction: float, random: np.random.Generator) -> "ArmChainParameters":
         """Return arms with random errors relative to these.
 
-        They are a possible plant for this model. Each mass, centre, length and inertia is multiplied by an independent
-        uniform 1 ± fraction; each friction coefficient by 1 ± 5 fraction, but never below zero.
+        These arms are a possible plant for this model. Each mass, centre, length and inertia is multiplied by an
+        independent uniform 1 ± fraction; each friction coefficient by 1 ± 5 fraction, but never below zero.
 
         Args:
             fraction: largest relative error of inertial parameters.
@@ -363,7 +363,7 @@ def damping_scales(base: Any, count: int) -> list[Any]:
 def equations_of(arms: ArmChainParameters, level: Level) -> Equations:
     """Return the equations at a level for `arms.base()`.
 
-    They have the friction laws of these arms.
+    The equations have the friction laws of these arms.
 
     Args:
         arms: parameters of the arms.
@@ -446,7 +446,7 @@ def ratio_names(arms: ArmChainParameters) -> tuple[str, ...]:
 def inertial_count(count: int) -> int:
     """Return the number of ratios other than friction.
 
-    It is 3n-2 for two arms or more.
+    The number is 3n-2 for two arms or more.
 
     Args:
         count: number n of arms.
@@ -479,7 +479,7 @@ def _unit(base: Array, count: int) -> float:
 def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
     """Return the base parameters with C = 1 as a list.
 
-    They are in the arithmetic of the ratios.
+    The base parameters are in the arithmetic of the ratios.
 
     Args:
         ratios: ratios (m,) of `base_ratios`, numbers or symbols.

@@ -276,7 +276,7 @@ class _ByCasadi:
 def _kept_at(function: ca.Function) -> Path | None:
     """Return the cache file of a function's machine code.
 
-    None if the processor is unknown.
+    The result is None if the processor is unknown.
 
     Compiling takes four times as long as reading. The code is specific to this processor and to all compiler versions.
     """

@@ -361,7 +361,7 @@ def plant_step(
 ) -> Compiled:
     """Return `fixed_step` of `plant_equations` as machine code.
 
-    It is built once per process.
+    The code is built once per process.
 
     With components, the next state is settled by them and followed by their guards.
 

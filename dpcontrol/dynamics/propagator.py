@@ -105,7 +105,7 @@ class Section:
     def height(self, states: Array) -> Array:
         """Return n·x - offset (…).
 
-        It is zero, or a multiple of the period, on the section.
+        The value is zero, or a multiple of the period, on the section.
 
         Args:
             states: states (…, N).
@@ -149,7 +149,7 @@ class Section:
     def mark(self, state: Array) -> str:
         """Return "+" or "-" for the side of a state.
 
-        "" if the section does not have two sides.
+        The result is "" if the section does not have two sides.
 
         Args:
             state: state (N,).
@@ -222,7 +222,7 @@ _MADE: WeakKeyDictionary[Equations, dict[Hashable, Any]] = WeakKeyDictionary()
 def _copied(equations: Equations, kind: Hashable, make: Callable[[], Any]) -> Any:
     """Return a copy of the integrator that `make` compiles.
 
-    It is compiled from the equations, once for each `kind` of them.
+    The copy is compiled from the equations, once for each `kind` of them.
 
     Even with cached machine code, building an integrator takes 8 to 60 ms, and copying it 2 ms. The original is never
     used itself.
@@ -848,7 +848,7 @@ class ExtendedPropagator:
     def energy(self, state: Extended) -> Any:
         """Return the energy H at a state, a 113-bit real.
 
-        It is in the equations' unit (J for a pendulum).
+        The energy is in the equations' unit (J for a pendulum).
 
         Args:
             state: state (N,).

@@ -291,7 +291,7 @@ class System(Brief, InUnits):
     def nearest_turns(self, difference: Array) -> Array:
         """Return the whole periods (…, N) nearest to a difference.
 
-        They are integers, zero off angles.
+        The whole periods are integers, zero off angles.
 
         Args:
             difference: difference of states (…, N).
@@ -315,7 +315,7 @@ class System(Brief, InUnits):
 def saddle_index(numeric: NumericEquations, state: Array) -> int:
     """Return the number of unstable directions of an equilibrium.
 
-    It is the index of the saddle, zero for a centre.
+    This number is the index of the saddle, zero for a centre.
 
     Args:
         numeric: equations with parameters.
@@ -515,7 +515,7 @@ def _equilibria(
 def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | None], near: Array) -> Array:
     """Return the periods (N,) of the coordinates (n,).
 
-    They are infinite where there is none.
+    The periods are infinite where there is none.
     """
     n = len(near) // 2
     if len(periods) != n or any(p is not None and not number("periods", p) > 0 for p in periods):
@@ -736,7 +736,7 @@ def _lagrangian(q: tuple[ca.SX, ...], v: tuple[ca.SX, ...], parameters: dict[str
 def three_body_system(name: str, parameters: ThreeBodyParameters) -> System:
     """Return the restricted three-body problem as a system.
 
-    It has the equilibria L1, L2 and L3.
+    The system has the equilibria L1, L2 and L3.
 
     Homoclinics are cut on y = 0, x < 0; connections between L1 and L2 on x = 1 - μ.
 

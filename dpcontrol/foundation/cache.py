@@ -76,7 +76,7 @@ def cache_file(kind: str, name: str, key: str) -> Path:
 def kept(file: Path) -> bytes | None:
     """Return the content stored under this name.
 
-    None if it is missing or damaged.
+    The result is None if it is missing or damaged.
 
     Args:
         file: entry, from `cache_file`.

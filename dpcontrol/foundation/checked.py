@@ -168,7 +168,7 @@ def _fits(value: Any, hint: Any) -> bool:
 def _is_line(text: str) -> bool:
     """Return True if a text is one short printable line.
 
-    It has no control characters and fits in a path.
+    Such a line has no control characters and fits in a path.
     """
     parts = re.split(r"[/\\]", text)
     return printable(text) == text and "\n" not in text and len(text) < 4000 and all(len(one) < 250 for one in parts)

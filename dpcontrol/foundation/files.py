@@ -437,7 +437,7 @@ def write_archive(
 def archive_format(path: Path | str) -> str:
     """Return the format in a file's header.
 
-    "" if it has none or is not readable.
+    The result is "" if it has none or is not readable.
 
     Args:
         path: archive, or any other file.

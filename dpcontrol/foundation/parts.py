@@ -91,7 +91,7 @@ _DISTRIBUTIONS = (
 def versions() -> dict[str, str]:
     """Return the versions of dpcontrol, Python, system and packages.
 
-    "" if not installed.
+    The result is "" if not installed.
     """
     found = {"dpcontrol": __version__, "python": platform.python_version(), "system": platform.platform()}
     for name in _DISTRIBUTIONS:

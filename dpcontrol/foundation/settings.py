@@ -293,7 +293,7 @@ def check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:
 def nearest(value: str, choices: Iterable[str]) -> str:
     """Return the choice with the nearest spelling, ignoring case.
 
-    "" if all differ much.
+    The result is "" if all differ much.
 
     Args:
         value: value given by the user.
@@ -423,7 +423,7 @@ def _set(lines: list[str], header: int, key: str, value: str, end: str) -> None:
 def _end_of_value(lines: Sequence[str], k: int) -> int | None:
     """Return the line after the value of a key.
 
-    None if line k has no key.
+    The result is None if line k has no key.
     """
     if not lines[k].strip() or lines[k].lstrip().startswith("#"):
         return None

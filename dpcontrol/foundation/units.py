@@ -76,7 +76,7 @@ class InUnits:
     def unit(self, name: str, form: str = " {}") -> str:
         """Return a unit of SI as it follows a number.
 
-        "" if the system has its own units.
+        The result is "" if the system has its own units.
 
         Args:
             name: unit, such as "J".

@@ -93,7 +93,7 @@ class Swings:
     ) -> tuple[Array, Array]:
         """Return states and sensitivities from each start.
 
-        They are (W, K, N) and (W, K, N, N+m).
+        The states and sensitivities are (W, K, N) and (W, K, N, N+m).
 
         Args:
             starts: initial states (W, N).
@@ -129,7 +129,7 @@ class Swings:
 def _nominal(arms: ArmChainParameters) -> ArmChainParameters:
     """Return arms that represent all of the same kind.
 
-    They have the same count, gravity, friction laws and smoothing.
+    The arms have the same count, gravity, friction laws and smoothing.
     """
     one = (1.0,) * arms.count
     names = ("mass", "centre_of_mass", "length", "inertia", "viscous", *arms.friction)
@@ -543,7 +543,7 @@ def _step(normal: _Normal, values: Array, lower: Array) -> tuple[Array, list[Arr
 def _scores(one: _Chain, mixed: Array, threshold: float) -> Array:
     """Return each sample's gradient (K, f) of the loss.
 
-    It is that by the unknowns, with the start eliminated.
+    Each gradient is that by the unknowns, with the start eliminated.
     """
     n = len(mixed)
     along = one.slope[..., n:] - one.slope[..., :n] @ mixed

@@ -173,7 +173,7 @@ ALIKE = 0.95
 def correlation_time(residuals: Sequence[Array]) -> float:
     """Return the integrated autocorrelation time of residuals, in samples.
 
-    It is at least 1.
+    The integrated autocorrelation time is at least 1.
 
     The sum ends when the autocorrelation, pooled over swings and angles, first falls below 0.05.
 
@@ -275,7 +275,7 @@ def undetermined_of(
 def correlation_of(covariance: Array) -> Array:
     """Return the correlation matrix (f, f).
 
-    It is zero for numbers without variance or undetermined.
+    The correlation matrix is zero for numbers without variance or undetermined.
 
     Args:
         covariance: covariance (f, f).
@@ -497,7 +497,7 @@ def identify(
 def choose(candidates: Sequence[Candidate]) -> int:
     """Return the index of the simplest candidate near the best.
 
-    It is within one standard error of the best.
+    The index is within one standard error of the best.
 
     The standard error is that of the best candidate's mean over the held-out segments. Among candidates with equally
     many unknowns, the better one is chosen. Differences due to rounding are ignored.

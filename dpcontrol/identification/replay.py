@@ -361,7 +361,7 @@ def estimate_recording(
 def _nearby(state: Array, acceleration: Array, times: Array) -> Array:
     """Return the states (M, 2n) a few ms away.
 
-    They are at `times` (M,) s from `state` (2n,).
+    The states are at `times` (M,) s from `state` (2n,).
     """
     n = len(acceleration)
     angles = state[:n] + np.outer(times, state[n:]) + np.outer(times**2 / 2, acceleration)
@@ -461,7 +461,7 @@ class Replay(Brief, Documented):
     def cart(self) -> str:
         """Return the source of the cart's acceleration.
 
-        It is "" if the cart was clamped.
+        The result is "" if the cart was clamped.
         """
         if not self.carts:
             return ""

@@ -103,7 +103,7 @@ class CampaignSummary(Shown):
     def good(self) -> bool | None:
         """True if nine of ten runs complete, False below half.
 
-        It is None in between.
+        The result is None in between.
         """
         return self.share.likely
 
@@ -228,7 +228,7 @@ def _share(done: Rows, chosen: Rows) -> Share:
 def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
     """Return a column as numbers, nan for missing values.
 
-    It is None if it has no numbers.
+    The result is None if it has no numbers.
     """
     try:
         values = np.array([np.nan if v is None else float(v) for v in table.get(name, [])])

@@ -278,7 +278,7 @@ def _period(notes: PlanNotes, stop: int) -> float:
 def planned_wraps(notes: PlanNotes, stop: int) -> float | None:
     """Return the unrounded wraps at an interior stop.
 
-    They are counted from 0 and result from the plan's times.
+    The unrounded wraps are counted from 0 and result from the plan's times.
 
     Args:
         notes: notes of the plan.

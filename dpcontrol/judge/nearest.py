@@ -81,7 +81,7 @@ def limit_uses(view: RunView) -> tuple[NearestLimit, ...]:
 def closest_approach(view: RunView) -> str:
     """Return the closest approach to a limit in a sentence.
 
-    It is "" without limits.
+    The result is "" without limits.
 
     Args:
         view: data of the run.

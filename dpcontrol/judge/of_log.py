@@ -212,7 +212,7 @@ def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) 
 def limits_of(plan: Reference) -> tuple[float, float, float]:
     """Return the cart's limits in a plan.
 
-    They are position in m, velocity in m/s, and acceleration in m/s².
+    The cart's limits are position in m, velocity in m/s, and acceleration in m/s².
 
     Args:
         plan: reference with limits.
@@ -296,7 +296,7 @@ def _without_plan(log: RunLog) -> str:
 def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
     """Return the arm parameters under a name, or None.
 
-    They are in a log's metadata.
+    The arm parameters are in a log's metadata.
     """
     try:
         values: dict[str, Any] = json.loads(log.metadata[name])
@@ -309,7 +309,7 @@ def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
 def _system(log: RunLog) -> System | None:
     """Return the conservative pendulum of the log's model, or None.
 
-    It is None if the log names no model.
+    The result is None if the log names no model.
     """
     arms = _arms(log, MODEL_METADATA)
     return None if arms is None else pendulum_system(log.metadata.get("model", "model"), arms)
@@ -350,7 +350,7 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
 def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> dict[str, float]:
     """Return the relative errors of the model's ratios, by extra.
 
-    They are differences between the plant's and the model's ratios.
+    The relative errors are differences between the plant's and the model's ratios.
     """
     n = model.count
     names = [f"M{i}{j}" for i in range(1, n + 1) for j in range(i, n + 1)]

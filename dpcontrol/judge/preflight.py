@@ -108,7 +108,7 @@ class HazardBorder(Documented):
     def margin(self) -> float | None:
         """Factor by which the bench may worsen, or None.
 
-        It is None without this trouble or without a known border.
+        The result is None without this trouble or without a known border.
         """
         if self.border is None or not self.set or math.isinf(self.set):
             return None

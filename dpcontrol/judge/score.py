@@ -322,7 +322,7 @@ def score(log: RunLog) -> Score:
 def _hardest(log: RunLog) -> float | None:
     """Return the greatest acceleration applied by the drive, m/s².
 
-    None if the true state is unknown.
+    The result is None if the true state is unknown.
 
     Logs of earlier versions lack it. In these, the loop's figure counts only if the cart's true velocity changed as
     much: blows change the velocity alone, and a wrong estimate changes the loop's figure alone.
@@ -361,7 +361,7 @@ def flights_of(log: RunLog) -> tuple[Flight, ...]:
 def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
     """Return the number of attempts of each symbol.
 
-    It is 0 for those not started; the first `done` were completed.
+    The number is 0 for those not started; the first `done` were completed.
     """
     out = [0] * symbols
     for event in log.events:

@@ -306,7 +306,7 @@ def open_partial(path: Path) -> tuple[Path, FileIO]:
 def partials_of(path: Path) -> tuple[Path, ...]:
     """Return the partial files of a log, oldest first.
 
-    They are abandoned or still growing.
+    The partial files are abandoned or still growing.
 
     Args:
         path: path of the complete log.

@@ -335,7 +335,7 @@ def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
 def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
     """Return the names of the state's entries in order.
 
-    They are `angle_1 …`, `rate_1 …`, then the cart's.
+    The names are `angle_1 …`, `rate_1 …`, then the cart's.
 
     Args:
         arms: number of arms.

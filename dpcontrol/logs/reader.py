@@ -220,7 +220,7 @@ class VerifiedFile:
     def _no_measurements(self) -> str:
         """Return the reason why a foreign file's /joint_states is unusable.
 
-        It is "" if it is usable.
+        The result is "" if it is usable.
         """
         decompressor = zstandard.ZstdDecompressor()
         # A foreign file can hold anything; unreadable chunks count as having no channels.
@@ -892,7 +892,7 @@ def _decode(file: VerifiedFile) -> RunLog:
 def _extras(names: tuple[str, ...], rows: list[Array]) -> Extras | None:
     """Return the extras in rows (time, standard deviations, values).
 
-    None if there are no rows.
+    The result is None if there are no rows.
     """
     if not sum(map(len, rows)):
         return None

@@ -210,7 +210,7 @@ def _with_times(rows: Mapping[int, tuple[float, ...]]) -> Array:
 def _drawn_lengths(topics: Mapping[str, Topic]) -> list[float]:
     """Return the arm lengths drawn in the robot description, m.
 
-    They have six digits. Without a description there are none.
+    The arm lengths have six digits. Without a description there are none.
     """
     robot = topics.get(layout.ROBOT)
     if robot is None or robot.schema != layout.STRING[0]:

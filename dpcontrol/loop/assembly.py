@@ -131,7 +131,7 @@ class Assembly:
     def recovery(self) -> RecoveryPlan | None:
         """The recovery from falls, using the reference's starts.
 
-        None if falls end runs.
+        The result is None if falls end runs.
 
         Raises:
             InputError: the reference has no starts, or the controller has no time-indexed gains.

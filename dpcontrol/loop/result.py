@@ -84,7 +84,7 @@ class Rig(Protocol):
     def truth(self) -> Array | None:
         """Return the true state (2n+2,), or None if it is unknown.
 
-        It is the state at the last reading's tick.
+        The true state is the state at the last reading's tick.
         """
         ...
 

@@ -425,7 +425,7 @@ class SimulatedBench:
     def _age(self, k: int) -> Any:
         """Return the age of a reading, s, or None.
 
-        It is None if the bench does not report ages.
+        The result is None if the bench does not report ages.
         """
         # The first reading shows the initial state.
         return self._ages[k] if self._reports and k else None
@@ -580,7 +580,7 @@ class BatchBench(SimulatedBench):
     def failed(self) -> NDArray[np.bool_] | None:
         """True for each state (S,) that is not finite.
 
-        None if all are finite.
+        The result is None if all are finite.
         """
         # One sum detects the rare failure; only then is each run checked.
         if math.isfinite(np.add.reduce(self._plant.state, axis=None)):

@@ -195,7 +195,7 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
 def _joined(curves: list[Array]) -> Array:
     """Return curves (K, 2) as one (2, M) in page units.
 
-    They are separated by nan.
+    The curves are separated by nan.
     """
     apart = np.full((1, 2), np.nan)
     parts = [part for points in curves for part in (points * _UNIT, apart)]

@@ -38,8 +38,8 @@ def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
 def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title: str, prefix: str) -> Chart | None:
     """Return one chart of all runs.
 
-    It has those of their lines whose keys start with `prefix`. Several such lines of a run, such as errors of several
-    arms, are replaced by their largest size at each time.
+    The chart has those of their lines whose keys start with `prefix`. Several such lines of a run, such as errors
+    of several arms, are replaced by their largest size at each time.
     """
     lines: list[Line] = []
     for k, (run, own) in enumerate(zip(comparison.runs, every, strict=True)):

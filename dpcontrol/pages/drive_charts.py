@@ -22,7 +22,7 @@ DRIVEN = {
 def use_of(view: RunView, which: int) -> dict[str, Any]:
     """Return a limit of the cart and its use by a reference.
 
-    They are fields of a chart.
+    Both are fields of a chart.
 
     Args:
         view: run or reference.
@@ -35,7 +35,7 @@ def use_of(view: RunView, which: int) -> dict[str, Any]:
 def limit_lines(view: RunView, which: int, *, side: bool = False) -> tuple[LevelLine, ...]:
     """Return one of the cart's limits as levels.
 
-    They are named by their side of the track, or as bounds.
+    The levels are named by their side of the track, or as bounds.
 
     Args:
         view: run or reference.

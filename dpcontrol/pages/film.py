@@ -102,7 +102,7 @@ class Film:
     def _extent(self) -> tuple[Range, Range]:
         """Return the range of a film's moving parts, m.
 
-        It is the range of arms, ghost and cart along x and y.
+        The range is the range of arms, ghost and cart along x and y.
         """
         view, reach = self.view, sum(self.view.arm_lengths)
         rows, cart = self.rows[self.rows >= 0], 0.16 * reach

@@ -141,7 +141,7 @@ def badge(axes: Axes, number: int, x: float, y: float, *, size: float = style.SM
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
     """Return a curve (K, D) as runs within one period about zero.
 
-    It is split at the bounds.
+    The curve is split at the bounds.
 
     Args:
         curve: (K, D) in any unit.

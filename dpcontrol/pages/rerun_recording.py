@@ -370,7 +370,7 @@ def _track(recording: rr.RecordingStream, home: str, view: RunView, *, reach: fl
 def _points(states: Array, view: RunView) -> Array:
     """Return pivot, elbows and tip of states (K, …).
 
-    They are (K, n+1, 3), m.
+    The points (K, n+1, 3) are in m.
     """
     points = arm_points(states[:, : view.arms], view.arm_lengths)
     pivot = states[:, 2 * view.arms] if view.has_cart else np.zeros(len(states))
@@ -513,7 +513,7 @@ def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
 def _shown(chart: Chart) -> tuple[float, float] | None:
     """Return the initial range of a chart in the viewer.
 
-    It is None for an empty chart.
+    The result is None for an empty chart.
     """
     if chart.shown:
         return ticked(*chart.shown)

@@ -78,7 +78,7 @@ def connected_pieces(points: Array) -> list[Array]:
 def _lengths(story: WalkStory) -> Array:
     """Return the period (N,) of each coordinate.
 
-    It is zero for those that are not angles.
+    The period is zero for those that are not angles.
     """
     periods = story.orbit.connections[0].source.system.periods
     return np.where(np.isfinite(periods), periods, 0.0)

@@ -159,7 +159,7 @@ def make_atlas(
 ) -> FoundAtlas:
     """Return a model's atlas at an energy, from the cache if possible.
 
-    It is cached if it is complete.
+    The atlas is cached if it is complete.
 
     Args:
         model: model, or a conservative system.
@@ -373,7 +373,7 @@ def _strands(
 def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
     """Return `count` of the indices of samples.
 
-    They are spread evenly over half the time and half the scaled path.
+    The samples are spread evenly over half the time and half the scaled path.
     """
     path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(states / system.scale, axis=0), axis=1))]
     along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]

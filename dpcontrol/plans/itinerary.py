@@ -283,7 +283,7 @@ def _followed(law: Any) -> dict[str, Any]:
 def _of_kind(role: str, value: Any, now: Any) -> Any:
     """Return the settings of a controller or an estimator.
 
-    It is named by its kind or given as an object.
+    The object is named by its kind or given as an object.
 
     Raises:
         InputError: an unknown kind.
@@ -446,7 +446,7 @@ def load_itinerary(name: str) -> Itinerary:
 def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
     """Return the itinerary of a plan's file.
 
-    It is read from the texts that its reference was made from.
+    The itinerary is read from the texts that its reference was made from.
 
     Args:
         file: file of the plan (.npz).

@@ -82,7 +82,7 @@ class Model:
     def unit(self, name: str, form: str = " {}") -> str:
         """Return a unit of SI as a suffix of numbers.
 
-        It is "" for three bodies, whose units are dimensionless.
+        The result is "" for three bodies, whose units are dimensionless.
 
         Args:
             name: unit, such as "J".

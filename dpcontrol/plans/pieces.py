@@ -139,7 +139,7 @@ def solve_pieces(
 ) -> list[SolvedPiece]:
     """Return the pieces of all goals, with transfers between them.
 
-    They are in order.
+    The pieces are in order.
 
     The list ends with a reference that did not converge, because the next piece would start from its end.
 
@@ -273,7 +273,7 @@ _PHASES = 1000
 def _off_last_orbit(goal: Goal, found: Reference, lift: Array) -> float:
     """Return a walk's distance from its last orbit, rad.
 
-    It is the distance of the angles over the last period.
+    The distance is that of the angles over the last period.
     """
     orbit, n = goal.orbits[1], len(lift)
     shares = np.linspace(0.0, 1.0, _PHASES)
@@ -306,7 +306,7 @@ class _Way:
 def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
     """Return the transfer from one goal to the next, or None.
 
-    It is None if their orbits have the same saddle.
+    The result is None if their orbits have the same saddle.
     """
     rest = resting_place(itinerary.model.system)
     text = " to ".join("rest" if name == rest else name for name in (before.where[1], after.where[0]))

@@ -336,7 +336,7 @@ def recoverable(
 ) -> Plan:
     """Return a plan with transfers from rest to its stops.
 
-    They are added if its runs recover from falls.
+    Transfers are added if its runs recover from falls.
 
     Args:
         plan: plan of an itinerary.

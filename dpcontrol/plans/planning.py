@@ -276,7 +276,7 @@ def _late(flight: Goal) -> float:
 def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
     """Return the sustained orbits of a walk by saddle.
 
-    They have the intervals of the itinerary's own method.
+    The sustained orbits have the intervals of the itinerary's own method.
     """
     # The cheapest orbit, not the nearest to the Lyapunov orbit.
     sought = replace(itinerary.reference, pendulum_weight=0.0, cart_weight=1.0)

@@ -229,7 +229,7 @@ def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, s
 def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:
     """Return the largest deviation of angles by the parameters.
 
-    It is per unit relative error of the arms' parameters, rad.
+    The largest deviation is per unit relative error of the arms' parameters, rad.
 
     It is infinite if the motion's end cannot be stabilised.
 

@@ -487,7 +487,7 @@ def constant_angles(recording: Recording) -> tuple[str, ...]:
 def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str) -> str:
     """Return a sentence on the contradiction between arms and recording.
 
-    It is "" if the contradiction is small.
+    The result is "" if the contradiction is small.
 
     Args:
         recording: the recording.

@@ -229,7 +229,7 @@ def _mapping(table: Table, name: str) -> Mapping:
 def _period(sampling: Table) -> float:
     """Return the sampling period, s.
 
-    It is 0 if it is not given as a number.
+    The sampling period is 0 if it is not given as a number.
     """
     period, rate = sampling.number("period", 0.0), sampling.number("rate", 0.0)
     if "period" in sampling and not 1e-6 <= period <= 1:
@@ -385,7 +385,7 @@ def _samples(
 ) -> Samples:
     """Return the samples of one stretch of a file.
 
-    They are in SI units and the package's directions.
+    The samples are in SI units and the package's directions.
 
     Args:
         found: columns (K, …) by kind, the angles first.
@@ -731,7 +731,7 @@ _PACKED = 15
 def _unpacked_size(path: Path) -> int:
     """Return the unpacked size of a version 5 file, bytes.
 
-    It is that of the compressed variables, from their headers.
+    The unpacked size is that of the compressed variables, from their headers.
     """
     data = path.read_bytes()
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128], "")
@@ -748,7 +748,7 @@ def _unpacked_size(path: Path) -> int:
 def _hdf5_size(path: Path) -> int:
     """Return the unpacked size of a version 7.3 file, bytes.
 
-    It is that of the data sets.
+    The size is that of the data sets.
     """
     h5py = package("h5py")
     sizes: list[int] = []

@@ -423,7 +423,7 @@ def cart_motion(part: Recording) -> CartMotion | None:
 def smoothed_derivative(values: Array, period: float, order: int = 1) -> Array:
     """Return the derivative of samples (K, …) by cubics through 20 ms.
 
-    It is zero for fewer than five samples.
+    The derivative is zero for fewer than five samples.
 
     Args:
         values: samples (K, …).

@@ -350,7 +350,7 @@ _NODE = 1e-3
 def _tightened(limits: Limits, required: Limits, largest: dict[str, float]) -> Limits | None:
     """Return node limits that pull the polynomials inside `required`.
 
-    None if they are inside.
+    The result is None if they are inside.
     """
     changes = {}
     for name, bound in required.named().items():

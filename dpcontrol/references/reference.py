@@ -232,7 +232,7 @@ def start_arrays(which: int, lead_in: Reference) -> dict[str, Array]:
 def start_reference(reference: Reference, which: int) -> Reference | None:
     """Return the transfer of a plan's start.
 
-    None if the start is at rest.
+    The result is None if the start is at rest.
 
     Args:
         reference: reference of the plan.
@@ -385,7 +385,7 @@ class ReferenceSummary:
     def errors(self) -> Array | None:
         """Errors between nodes (N,), scaled, measured again on each interval.
 
-        None if the arms are unknown or heyoka is not installed.
+        They are None if the arms are unknown or heyoka is not installed.
         """
         if self.arms is None or not installed("heyoka"):
             return None
@@ -402,7 +402,7 @@ class ReferenceSummary:
     def energies(self, states: Array) -> Array | None:
         """Return the pendulum's energies (K,), J.
 
-        None if the arms are unknown.
+        The result is None if the arms are unknown.
 
         Args:
             states: states (K, N).

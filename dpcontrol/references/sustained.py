@@ -275,7 +275,8 @@ class SustainedOrbit(ByReference, Timed):
     def pieces(self, begin: float, end: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
         """Return transition matrices (P, N, N) and pulse responses (P, N).
 
-        They are those of the pieces between two times. A piece ends where an interval of the reference does.
+        The transition matrices are those of the pieces between two times. A piece ends where an interval of the
+        reference does.
 
         Args:
             begin: start of the first piece, s.

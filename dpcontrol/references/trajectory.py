@@ -53,7 +53,7 @@ class Trajectory(Brief):
     def effort(self) -> float:
         """Return ∫u² of the first input by the method's quadrature.
 
-        It is in m²/s³ for an acceleration.
+        The ∫u² is in m²/s³ for an acceleration.
         """
         return float((self.inputs[..., 0] ** 2 @ self.method.weights) @ np.diff(self.mesh))
 
@@ -167,7 +167,7 @@ def power_coefficients(points: Array, values: Array) -> Array:
 def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Array:
     """Return the largest scaled error in each interval, (N,).
 
-    It is infinite if the propagation fails.
+    The largest scaled error is infinite if the propagation fails.
 
     Args:
         problem: equations and limits.
@@ -193,7 +193,7 @@ def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Ar
 def interval_propagator(problem: ReferenceProblem, method: Method) -> "PolynomialInputPropagator":
     """Return the propagator for intervals of a method.
 
-    It is compiled when first used and kept with the problem.
+    The propagator is compiled when first used and kept with the problem.
 
     Args:
         problem: equations.
@@ -263,7 +263,7 @@ def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[
 def _limited_curves(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
     """Return each limited quantity in an interval.
 
-    It has places, and values (N, …) there.
+    Each has places, and values (N, …) there.
     """
     inputs, method = trajectory.inputs[..., 0], trajectory.method
     slopes = inputs @ differentiation_matrix(method.points).T / np.diff(trajectory.mesh)[:, None]
@@ -278,7 +278,7 @@ def _limited_curves(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
 def where_largest(trajectory: Trajectory, name: str) -> float:
     """Return the time of a limited quantity's largest value, s.
 
-    It is found on the dense grid.
+    The time is found on the dense grid.
 
     Args:
         trajectory: motion.

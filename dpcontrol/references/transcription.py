@@ -104,7 +104,7 @@ def interval_derivatives(
 def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int, int]) -> ca.MX:
     """Return the sparse matrix with given values (K,).
 
-    They are at (rows, columns) (K,); those at the same place are added.
+    The values are at (rows, columns) (K,); those at the same place are added.
     """
     place = columns * shape[0] + rows
     order = np.argsort(place, kind="stable")

@@ -398,7 +398,7 @@ class UdpBench:
 def _connected_socket(shared: socket.socket, client: Any) -> socket.socket | None:
     """Return a socket at the same address for `client` only.
 
-    None if not supported.
+    The result is None if not supported.
     """
     own = socket.socket(shared.family, socket.SOCK_DGRAM)
     try:

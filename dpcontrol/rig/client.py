@@ -364,7 +364,7 @@ class UdpRig:
     def _packet_of(self, k: int) -> ReadingPacket | None:
         """Return the reading of tick k, or None.
 
-        It is None if the reading is lost or overdue.
+        The result is None if the reading is lost or overdue.
         """
         waiting, settings, period = self._waiting, self._settings, self.period
         if k in waiting:
@@ -407,7 +407,7 @@ class UdpRig:
     def _received(self, wait: float) -> ReceivedPacket | None:
         """Return the next valid packet, or None.
 
-        It is None if none arrives within `wait` s.
+        The result is None if none arrives within `wait` s.
         """
         until = time.perf_counter() + wait
         try:

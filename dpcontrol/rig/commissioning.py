@@ -581,7 +581,7 @@ def _wait_until_still(session: _Session, options: CommissioningSettings, notify:
 def _chirp(arms: ArmChainParameters, period: float, options: CommissioningSettings) -> tuple[Array, Array]:
     """Return the positions and accelerations of a logarithmic chirp.
 
-    They are (K,), in m and in m/s².
+    The positions and accelerations are (K,), in m and in m/s².
     """
     slowest = float(modes(arms).frequencies.min()) / (2 * np.pi)
     low, high = 0.6 * slowest, min(options.highest, 0.1 / period)
@@ -1047,7 +1047,7 @@ def _lateness(drive: DriveFit, settings: LoopSettings, period: float, changes: d
 def _with_error(value: float, error: float) -> str:
     """Return a number with its standard error.
 
-    It is rounded to two digits of the error.
+    The number is rounded to two digits of the error.
     """
     digits = min(max(1 - math.floor(math.log10(max(error, 1e-9))), 0), 4)
     return f"{value:.{digits}f} ± {error:.{digits}f}"

@@ -295,7 +295,7 @@ def _write(path: Path, table: "pa.Table") -> None:
 def _read(path: Path) -> "pa.Table | None":
     """Return a campaign's table, or None.
 
-    It is None if the file is absent, damaged or of another kind.
+    The result is None if the file is absent, damaged or of another kind.
     """
     pa = part("pyarrow")
     try:
@@ -309,7 +309,7 @@ def _read(path: Path) -> "pa.Table | None":
 def _kept(part: Path, extra: Sequence[str]) -> "pa.Table | None":
     """Return a finished job's rows, or None.
 
-    They are None if they are absent, damaged or have other columns.
+    The finished job's rows are None if they are absent, damaged or have other columns.
     """
     table = _read(part)
     return table if table is not None and table.schema.equals(_schema(extra)) else None

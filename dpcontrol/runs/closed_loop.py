@@ -339,7 +339,7 @@ class ClosedLoop(Timed):
     ) -> ControllerSource:
         """Return the controller as C99.
 
-        It is written to a folder or a unit if one is given.
+        The controller is written to a folder or a unit if one is given.
 
         Args:
             folder: folder to write, or NAME.fmu for a co-simulation unit (FMI 2.0).
@@ -369,7 +369,7 @@ class ClosedLoop(Timed):
 def linked(rig: object) -> RigLink | None:
     """Return the link to a bench in real time, or None.
 
-    It is None for any other rig.
+    The result is None for any other rig.
 
     Args:
         rig: a user's object, FILE.py:CLASS, an address or a link.

@@ -46,7 +46,7 @@ def example_bench(
 ) -> UdpBench:
     """Return the example bench of an itinerary, ready to serve runs.
 
-    It is compiled already.
+    The example bench is compiled already.
 
     Args:
         itinerary: arms, cart and settings of the bench.

@@ -187,7 +187,7 @@ def night_cost(
 def night_plan(itinerary: Itinerary, *, yes: bool = False, progress: Progress = no_progress) -> Plan:
     """Return the plan of a long run.
 
-    It has cached transfers from rest to its stops.
+    The plan has cached transfers from rest to its stops.
 
     Args:
         itinerary: itinerary of `night_itinerary`.
@@ -411,7 +411,7 @@ _TRIAL = 1.5
 def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
     """Return a night's expected wait for its first transfer from rest.
 
-    It is that of a simulated night, in ticks.
+    The night's expected wait is that of a simulated night, in ticks.
 
     The transfer is needed if laps begin from rest. It may be needed after a blow: the forecast is then the geometric
     mean of a night with the wait and one without.

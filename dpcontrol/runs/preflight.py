@@ -596,7 +596,7 @@ def _all(pieces: Any, count: int, what: str, progress: Progress) -> Any:
 def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
     """Return the causes of failed runs, the most frequent first.
 
-    They are in the loop's terms.
+    The causes are in the loop's terms.
 
     Args:
         ends: endings of all runs.

@@ -189,7 +189,7 @@ class Run(Timed):
     def plant(self) -> ArmChainParameters | None:
         """The simulated arms as drawn for this run, or None.
 
-        It is None for logs of rigs and of early versions.
+        The result is None for logs of rigs and of early versions.
 
         Raises:
             InputError: this part of the log is damaged.
@@ -213,7 +213,7 @@ class Run(Timed):
     def states(self, times: Any = None) -> Array:
         """Return the states at given times, interpolated linearly between ticks.
 
-        They are the true states of a simulated run, otherwise the estimated ones.
+        The states are the true states of a simulated run, otherwise the estimated ones.
 
         Args:
             times: times (K,) of the log, s; by default 200 from the first to the last.
@@ -442,7 +442,7 @@ def _extras(ticks: Ticks, names: tuple[str, ...]) -> Extras | None:
 def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
     """Return the writer of a run's log.
 
-    It has the metadata known before the run.
+    The writer has the metadata known before the run.
 
     Args:
         plan: plan of the run.
@@ -708,7 +708,7 @@ def export_plan(
 ) -> ControllerSource:
     """Return the controller of a planned itinerary as C.
 
-    It is written to a folder atomically if one is given.
+    The controller is written to a folder atomically if one is given.
 
     Args:
         plan: plan of the itinerary.

@@ -320,7 +320,7 @@ class _ExactEquations(ShootingEquations):
 def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:
     """Return the lifted γ(φ) (N,) at the end's phase.
 
-    It is time-reversed for a stable manifold.
+    The state is time-reversed for a stable manifold.
     """
     orbit = end.manifold.orbit
     system = orbit.system

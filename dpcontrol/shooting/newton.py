@@ -309,7 +309,7 @@ class ShootingEquations:
     def normals(self, states: Array) -> Array:
         """Return the normals (nodes, N) of inner nodes.
 
-        They are those of a section at marked nodes, else of the flow.
+        The normals are those of a section at marked nodes, else of the flow.
 
         Args:
             states: states (K + 1, N) of all nodes.
@@ -745,7 +745,7 @@ def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
 def _stop_distances(shot: Shot, stops: Sequence[LyapunovOrbit]) -> tuple[float, ...]:
     """Return each stop's scaled distance from the nearest node.
 
-    It is that of the stop's periodic orbit.
+    The distance is that of the stop's periodic orbit.
     """
     states, nodes = shot.orbit.states, sorted(shot.guess.markers)
     curves: dict[str, OrbitCurve] = {}

@@ -554,7 +554,7 @@ class _Approach:
 def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array) -> list[_Approach | None]:
     """Return candidates at phase pairs (K, 2), or None.
 
-    None if a trajectory does not arrive, or without derivatives.
+    The result is None if a trajectory does not arrive, or without derivatives.
     """
     section = sides[0].section
     position, along = np.asarray(section.position), np.asarray(section.momentum) / momentum_scale(system, section)

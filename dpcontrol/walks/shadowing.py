@@ -57,7 +57,7 @@ class ShadowingSettings:
 def phase_gap(before: Connection, after: Connection) -> float:
     """Return the phase from arrival to next departure.
 
-    It is in [0, 1).
+    The phase is in [0, 1).
 
     Args:
         before: connection to an orbit.

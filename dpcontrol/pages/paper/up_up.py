@@ -21,7 +21,7 @@ _FALL = 60.0
 def up_up_states(system: System) -> Array:
     """Return the first crossings of θ₂ = 2πk on Up-Up's unstable manifold.
 
-    They are states (K, N).
+    The first crossings are states (K, N).
     """
     top = system.equilibria["up-up"]
     values, vectors = np.linalg.eig(system.numeric.jacobian(top))
