@@ -1,7 +1,7 @@
 """Small sizes of the benchmarks: constants and arguments with which each does little of its work.
 
 The constants of a benchmark set its size and its aims. Here some are replaced, and aims of time become bounds that
-every machine meets. All together take at most three minutes of one core.
+every machine meets. All together take some ten minutes of one core.
 """
 
 import math
