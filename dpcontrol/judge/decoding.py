@@ -114,6 +114,9 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
         if reached >= len(clock) or (lost is not None and reached > lost):
             break
         inside = np.flatnonzero((clock >= begin) & (clock <= end))
+        if not inside.size:
+            # Crossings far from their due times can move the clock past a whole stop.
+            break
         visits.append(_visit(angles, inside, stop, notes))
     crossings = crossings[: max(0, len(visits) - 1)]
     return Decoded(tuple(visits), crossings, _wraps(crossings, due, notes), lost)

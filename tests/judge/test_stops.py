@@ -146,3 +146,18 @@ def test_a_run_can_wobble_after_the_plans_end() -> None:
     angles = motion(times, FIRST, SECOND)
     angles[times > END + PERIOD, 0] += 4.0
     assert times[decode_run(times, angles, plan()).lost] == pytest.approx(END + PERIOD, abs=2e-3)
+
+
+def test_a_run_whose_clock_skips_a_short_stop_ends_before_it() -> None:
+    """The second turn comes a period early, so the plan's time jumps from 3.3 to 4.1 s, over the hold at 3.6 s."""
+    held = plan()
+    first, second = held.notes["symbols"]
+    between = {**first, "section": None}
+    held.notes["symbols"] = [first, {**between, "time": 3.3}, {**between, "time": 3.9}, second]
+    held.notes["transfers"] = [(3.0, 3.6), (3.7, 4.2)]
+    before, *_, after = held.notes["stops"]
+    held.notes["stops"] = [before, *[{**before, "angles": [0.0, np.pi + TURN]}] * 3, after]
+    held.notes["wraps"] = [None] * 3
+    times = np.arange(0.0, END, 0.005)
+    decoded = decode_run(times, motion(times, FIRST, SECOND - PERIOD), held)
+    assert decoded.matched == 2
