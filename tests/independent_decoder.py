@@ -145,15 +145,16 @@ def _half_way(plan: Plan, states: Array, spans: list[tuple[int, int]], flight: i
 def phase_turns(plan: Plan, states: Array, spans: list[tuple[int, int]], stop: int) -> float:
     """Return the turns of the phase about a stop between the neighbouring halfway points.
 
-    The phase is that of the arm with the largest swing about its middle, so a tilted track has no effect. In flight,
-    arms may be at rest without a phase, so a period of the orbit counts as a turn.
+    The phase is that of the arm with the largest swing about its median, so a tilted track has no effect. The middle
+    of its range would be off for swings that decay between two flights. In flight, arms may be at rest without a
+    phase, so a period of the orbit counts as a turn.
     """
     n, (first, last) = plan.arms, spans[stop]
     index = plan.notes["stops"][stop]["orbit"]
     arm = int(np.argmax(np.ptp(plan.curves[index][:, :n], axis=0)))
     begin, end = (_half_way(plan, states, spans, flight) for flight in (stop - 1, stop))
     rows = states[first : last + 1]
-    middle = (rows[:, arm].max() + rows[:, arm].min()) / 2
+    middle = np.median(rows[:, arm])
     phase = np.unwrap(np.arctan2(-rows[:, n + arm] / RATE_UNIT, rows[:, arm] - middle))
     flown = (first - begin + end - last) / plan.rate / plan.notes["orbits"][index]["period"]
     return float(phase[-1] - phase[0]) / (2 * np.pi) + flown
