@@ -564,7 +564,7 @@ class Settings:
 
     @classmethod
     def _refused(cls, key: str, value: Any, complaint: str) -> InputError:
-        return InputError(f"{f'{cls.TABLE}: ' if cls.TABLE else ''}{key} = {value!r}: {complaint}")
+        return InputError(f"{f'{cls.TABLE}: ' if cls.TABLE else ''}{key} = {shortened(value)}: {complaint}")
 
     def refusal(self, key: str, complaint: str) -> InputError:
         """Return the error of a setting's present value.
@@ -635,7 +635,7 @@ class Place:
             value: its value.
             complaint: what is wrong, such as "must be positive".
         """
-        return InputError(f"{self} {key} = {value!r}: {complaint}")
+        return InputError(f"{self} {key} = {shortened(value)}: {complaint}")
 
 
 def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iterable[str] = ()) -> T:
