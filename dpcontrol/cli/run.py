@@ -90,7 +90,7 @@ class _Setting(click.ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, Any]:
         name, equals, text = str(value).partition("=")
-        if not equals or not text.strip():
+        if not name.strip() or not equals or not text.strip():
             self.fail(f"{value!r} is not PATH=VALUE, as in drive.lag=0.005", param, ctx)
         return resolved(name), parsed(name, text)
 
@@ -103,7 +103,7 @@ class _Values(_Setting):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, list[Any]]:
         name, equals, texts = str(value).partition("=")
         values = values_in(texts)
-        if not equals or not all(text.strip() for text in values):
+        if not name.strip() or not equals or not all(text.strip() for text in values):
             self.fail(f"{value!r} is not PATH=VALUE,VALUE,…, as in mismatch=0.05,0.1", param, ctx)
         resolved(name)
         return name.strip().replace("-", "_"), [parsed(name, text) for text in values]
