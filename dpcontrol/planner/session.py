@@ -94,6 +94,8 @@ class PageSession:
             given = dict(json.loads(text))
             self._acknowledged = int(given.pop("n", 0))
             self._set_message("")
+            # Half a character, which JSON can escape, could not be sent back.
+            json.dumps(given, ensure_ascii=False).encode()
             getattr(self, f"do_{given.pop('do')}")(**given)
         except InputError as error:
             self._set_message(str(error), "error")
@@ -345,7 +347,8 @@ class PageSession:
 
 
 def _message(kind: str, value: Any) -> str:
-    return json.dumps({kind: plain(value)}, ensure_ascii=False)
+    # A text with an error may have dates in place of numbers.
+    return json.dumps({kind: plain(value)}, ensure_ascii=False, default=str)
 
 
 def _names() -> itertools.chain[str]:

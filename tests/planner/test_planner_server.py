@@ -106,6 +106,8 @@ def test_the_page_contacts_no_other_host() -> None:
         {"do": "set", "values": {"energy": float("nan")}}, {"do": "run"}, {"do": "film"}, {"do": "save"},
         {"do": "name", "name": "../x"}, {"do": "model", "name": "three-body"}, {"do": "run", "seed": -1}, "{",
         {"do": "set", "table": "sensors", "values": {}}, {"do": "model", "name": "nothing"}, {"do": "plan"},
+        {"do": "toml", "text": f"energy = {'9' * 400}"}, {"do": "toml", "text": "run.mismatch = 2026-01-01"},
+        {"do": "toml", "text": "run.lag = 07:32:00"}, {"do": "set", "values": {"start": "\ud800"}},
     ],
 )  # fmt: skip
 def test_invalid_commands_are_answered_with_a_message(page: Page, command: Any) -> None:
