@@ -108,7 +108,7 @@ def _check_script() -> None:
         )
     if "__main__" not in Path(file).read_text(encoding="utf-8", errors="replace"):
         raise InputError(
-            f'{file}: this work starts processes, which import the script: put its calls below `if __name__ == '
+            f"{file}: this work starts processes, which import the script: put its calls below `if __name__ == "
             '"__main__":`, or give workers=1'
         )
 
