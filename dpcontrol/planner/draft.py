@@ -1,7 +1,6 @@
 """Draft of an itinerary, stored only as TOML text."""
 
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -75,7 +74,7 @@ class Draft:
         if self.itinerary is not None:
             return self.itinerary.walks[0].energy if self.itinerary.walks else None
         energy = self.values.get("energy")
-        return float(energy) if isinstance(energy, int | float) and abs(energy) <= sys.float_info.max else None
+        return float(energy) if isinstance(energy, int | float) and abs(energy) < 1e300 else None
 
     @cached_property
     def stops(self) -> list[str]:
