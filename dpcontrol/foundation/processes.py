@@ -91,9 +91,9 @@ def in_processes(
 
 
 def _check_script() -> None:
-    """Reject a call at the top level of a script without a test of `__name__`.
+    """Reject a call at the top level of a script.
 
-    New processes import the script, and would make the same call.
+    A test of `__name__` allows it. New processes import the script, and would make the same call.
     """
     main = sys.modules["__main__"]
     file, frame = getattr(main, "__file__", None), inspect.currentframe()

@@ -157,7 +157,10 @@ def _kinds(kinds: Mapping[str, type], default: str) -> dict[str, Any]:
 
 
 def _controller_schema() -> dict[str, Any]:
-    """Return the schema of [controller]: only TVLQR hands over to a keeper, and is then the default."""
+    """Return the schema of [controller].
+
+    Only TVLQR hands over to a keeper, and is then the default.
+    """
     made = _kinds(CONTROLLERS, "adaptive")
     for one in made["anyOf"]:
         one["properties"]["keep"] = {"enum": ["none"], "default": "none"}

@@ -342,7 +342,9 @@ def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
 
 
 def counted(total: int) -> str:
-    """Return a number of walks as text, such as "1,234" or "about 10^47".
+    """Return a number of walks as text.
+
+    Examples are "1,234" and "about 10^47".
 
     Args:
         total: the number, of any length.
