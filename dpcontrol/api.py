@@ -1375,11 +1375,13 @@ def list_walks(
         >>> len(dp.list_walks(dp.graph(lab, energy=-0.07), 2))
         64
     """
-    from dpcontrol.walks.walks import LISTED, all_walks, is_closed
+    from dpcontrol.walks.walks import LISTED, all_walks, counted, is_closed
 
     total = count_walks(graph, length, source=source, target=target)
     if total > LISTED:
-        raise InputError(f"length = {length}: there are {total:,} such walks, and {LISTED:,} can be listed; draw some")
+        raise InputError(
+            f"length = {length}: there are {counted(total)} such walks, and {LISTED:,} can be listed; draw some"
+        )
     chains = all_walks(graph, length, source=source, target=target)
     return tuple(tuple(c.name for c in chain) for chain in chains if not periodic or is_closed(chain))
 

@@ -166,6 +166,10 @@ def is_sampled(result: Any) -> None:
     first, last = result.time_range
     states = result.states(np.linspace(first, last, 5))
     assert result.sample(5) == pytest.approx(states)
+    # Any shape of times and any order, as a number or an array.
+    assert result.states(last) == pytest.approx(states[4])
+    assert result.states([[last, first]]) == pytest.approx(states[None, [4, 0]])
+    assert result.states([]).shape == (0, states.shape[1])
     table = result.frame(5)
     assert list(table.columns) == list(result.columns)
     assert table.to_numpy() == pytest.approx(states)
@@ -239,6 +243,14 @@ def test_methods_of_results_refuse_wrong_arguments(call: Any, words: str, result
     with pytest.raises(dp.InputError) as refused:
         call(results["orbit"])
     assert words in str(refused.value)
+
+
+def test_axes_in_space_are_refused(results: dict[str, Any]) -> None:
+    for projection in ("3d", "polar"):
+        axes = Figure().add_subplot(projection=projection)
+        for name in ("orbit", "proof", "search"):
+            with pytest.raises(dp.InputError, match=f"axes = {projection} axes: pictures need plane rectangular axes"):
+                results[name].plot(axes)
 
 
 def test_a_night_is_a_table_of_its_files(results: dict[str, Any]) -> None:

@@ -335,6 +335,7 @@ MISTAKES: list[tuple[str, dict[str, Any]]] = [
     ("shadow", {"walk": "$request", "found": "$graph_other"}),
     ("count_walks", {"source": "no such"}),
     ("list_walks", {"length": 50}),
+    ("list_walks", {"length": 100_000}),
     ("list_walks", {"target": "up-down"}),
     ("random_walks", {"lengths": (3, 1)}),
     ("random_walks", {"extra_wraps": (3, 1)}),

@@ -14,7 +14,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from io import TextIOWrapper
 from typing import Any
 
@@ -107,6 +107,7 @@ class _Verbs(click.Group):
         if args[:1] == ["help"]:
             # `help VERB` is `VERB --help`.
             args = [*args[1:2], "--help"]
+        ctx.meta["help"] = bool({"-h", "--help"}.intersection(args))
         return super().parse_args(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
@@ -157,7 +158,9 @@ def cli(ctx: click.Context) -> None:
     130 interrupted, 143 ended by SIGTERM, 137 killed because a computation did not stop.
     """
     if ctx.invoked_subcommand in VERBS:
-        ctx.default_map = _defaults()
+        # Help is shown whatever the configuration contains.
+        with suppress(InputError) if ctx.meta["help"] else nullcontext():
+            ctx.default_map = _defaults()
 
 
 def _defaults() -> dict[str, dict[str, Any]]:
@@ -198,14 +201,13 @@ def main(arguments: list[str] | None = None) -> None:
         with interrupts():
             cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
         code = 0
-    except click.ClickException as error:
-        call.as_json |= "--json" in given
-        code = _failed(error, given, call)
     except click.exceptions.Exit as done:
         code = done.exit_code
     except (KeyboardInterrupt, click.Abort) as error:
         code = _interrupted(error)
     except Exception as error:  # noqa: BLE001 - the last one: a traceback on a user's terminal is a defect
+        # The error may precede the verb, which reads the option.
+        call.as_json |= "--json" in given
         code = _failed(error, given, call)
     sys.exit(code)
 

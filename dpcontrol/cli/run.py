@@ -44,7 +44,7 @@ from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.rendering import live_view
 from dpcontrol.foundation.settings import suggest
-from dpcontrol.plans.overrides import NAMED, option_of, parsed, paths, resolved, typed
+from dpcontrol.plans.overrides import NAMED, option_of, parsed, paths, resolved, typed, values_in
 
 if TYPE_CHECKING:
     from dpcontrol.judge.preflight import Preflight
@@ -90,7 +90,7 @@ class _Setting(click.ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, Any]:
         name, equals, text = str(value).partition("=")
-        if not equals or not text.strip():
+        if not name.strip() or not equals or not text.strip():
             self.fail(f"{value!r} is not PATH=VALUE, as in drive.lag=0.005", param, ctx)
         return resolved(name), parsed(name, text)
 
@@ -102,10 +102,11 @@ class _Values(_Setting):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, list[Any]]:
         name, equals, texts = str(value).partition("=")
-        if not equals or not all(text.strip() for text in texts.split(",")):
+        values = values_in(texts)
+        if not name.strip() or not equals or not all(text.strip() for text in values):
             self.fail(f"{value!r} is not PATH=VALUE,VALUE,…, as in mismatch=0.05,0.1", param, ctx)
         resolved(name)
-        return name.strip().replace("-", "_"), [parsed(name, text) for text in texts.split(",")]
+        return name.strip().replace("-", "_"), [parsed(name, text) for text in values]
 
 
 def run_settings() -> Any:

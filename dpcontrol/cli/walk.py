@@ -159,6 +159,7 @@ def walk_command(
             LISTED,
             all_walks,
             count_walks,
+            counted,
             drawn_requests,
             is_closed,
             request,
@@ -197,8 +198,8 @@ def walk_command(
             total = count_walks(edges, length, source=source, target=target)
             if total > LISTED:
                 raise InputError(
-                    f"--length {length}: there are {total:,} such walks, more than the {LISTED:,} that are listed; "
-                    "draw some with --random"
+                    f"--length {length}: there are {counted(total)} such walks, more than the {LISTED:,} that are "
+                    "listed; draw some with --random"
                 )
             announced(total, length, "--length")
             walks = all_walks(edges, length, source=source, target=target)

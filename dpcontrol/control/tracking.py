@@ -69,7 +69,7 @@ from dpcontrol.control.lqr import ClosingWeights, QuadraticWeights
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.settings import setting
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.reference import Reference
 
@@ -237,7 +237,7 @@ class PhaseSession(ClockedSession):
 
 
 @dataclass(frozen=True)
-class FeedforwardSettings:
+class FeedforwardSettings(Settings, table="controller"):
     """The reference's input alone.
 
     It shows that even a correct reference needs feedback.

@@ -123,6 +123,8 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
     """
     for number in itertools.count(1):
         place = path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
+        if place.is_dir():
+            continue
         with ExitStack() as stack:
             try:
                 stack.enter_context(claimed(place))

@@ -4,16 +4,19 @@ Results arrive in any order. If a process dies, new processes are started and it
 process dies, its workers end.
 """
 
+import inspect
 import multiprocessing
 import multiprocessing.connection
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
@@ -48,12 +51,14 @@ def in_processes(
         remedy: end of the error message.
 
     Raises:
+        InputError: the call is at the top level of a script, which each process would run again.
         GoalMissed: the process of a piece died repeatedly.
     """
     if workers == 1 or len(pieces) == 1:
         for piece in pieces:
             yield piece, function(piece)
         return
+    _check_script()
     left = list(range(len(pieces)))
     for _ in range(ATTEMPTS):
         done: set[int] = set()
@@ -83,6 +88,29 @@ def in_processes(
     raise GoalMissed(
         f"workers died {ATTEMPTS} times, with {len(left)} unfinished jobs; is there enough memory? {remedy}"
     )
+
+
+def _check_script() -> None:
+    """Reject a call at the top level of a script.
+
+    A test of `__name__` allows it. New processes import the script, and would make the same call.
+    """
+    main = sys.modules["__main__"]
+    file, frame = getattr(main, "__file__", None), inspect.currentframe()
+    while frame is not None and not (frame.f_globals is vars(main) and frame.f_code.co_name == "<module>"):
+        frame = frame.f_back
+    # Programs started by `python -m` are not imported again.
+    if frame is None or file is None or main.__spec__ is not None:
+        return
+    if not os.path.isfile(file):
+        raise InputError(
+            f"{file}: this work starts processes, which import the script: save it in a file, or give workers=1"
+        )
+    if "__main__" not in Path(file).read_text(encoding="utf-8", errors="replace"):
+        raise InputError(
+            f"{file}: this work starts processes, which import the script: put its calls below `if __name__ == "
+            '"__main__":`, or give workers=1'
+        )
 
 
 def end_with_parent() -> None:

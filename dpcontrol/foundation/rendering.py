@@ -34,9 +34,12 @@ def render(result: object, axes: Axes | None = None) -> Figure:
         The new figure, or the figure of `axes`.
 
     Raises:
-        InputError: the result has no renderer, or its picture has several panels and does not fit in `axes`.
+        InputError: the result has no renderer, its picture has several panels and does not fit in `axes`, or these
+            are not plane and rectangular.
     """
     table = import_module(_TABLE)
+    if axes is not None and axes.name != "rectilinear":
+        raise InputError(f"axes = {axes.name} axes: pictures need plane rectangular axes, as plt.subplots makes them")
     for kind in type(result).__mro__:
         name = f"{kind.__module__}.{kind.__qualname__}"
         if axes is not None and name in table.PANELS:

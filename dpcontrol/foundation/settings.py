@@ -564,7 +564,7 @@ class Settings:
 
     @classmethod
     def _refused(cls, key: str, value: Any, complaint: str) -> InputError:
-        return InputError(f"{f'{cls.TABLE}: ' if cls.TABLE else ''}{key} = {value!r}: {complaint}")
+        return InputError(f"{f'{cls.TABLE}: ' if cls.TABLE else ''}{key} = {shortened(value)}: {complaint}")
 
     def refusal(self, key: str, complaint: str) -> InputError:
         """Return the error of a setting's present value.
@@ -635,7 +635,7 @@ class Place:
             value: its value.
             complaint: what is wrong, such as "must be positive".
         """
-        return InputError(f"{self} {key} = {value!r}: {complaint}")
+        return InputError(f"{self} {key} = {shortened(value)}: {complaint}")
 
 
 def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iterable[str] = ()) -> T:
@@ -663,6 +663,8 @@ def decode(kind: type[T], values: Mapping[str, Any], place: Place, *, also: Iter
         sentences = [f"{place} {one.removeprefix(f'{kind.TABLE}: ')}" for one in mistakes_of(error)]  # type: ignore[attr-defined]
         raise InputErrors(sentences) if len(sentences) > 1 else InputError(sentences[0]) from error
     except ValidationError as error:
+        if not all(one["loc"] for one in error.errors(include_url=False, include_context=False)):
+            raise InputError(f"{place} a text is not valid Unicode; write it again") from error
         wrong = {str(one["loc"][0]): one for one in error.errors(include_url=False, include_context=False)}
     known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
     mistakes = Mistakes()

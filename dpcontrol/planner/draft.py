@@ -74,7 +74,7 @@ class Draft:
         if self.itinerary is not None:
             return self.itinerary.walks[0].energy if self.itinerary.walks else None
         energy = self.values.get("energy")
-        return float(energy) if isinstance(energy, int | float) else None
+        return float(energy) if isinstance(energy, int | float) and abs(energy) < 1e300 else None
 
     @cached_property
     def stops(self) -> list[str]:

@@ -45,7 +45,7 @@ class PageSession:
         self._name = next(name for name in _names() if not (_ITINERARIES / f"{name}.toml").exists())
         self._atlas: dict[str, Any] = {}
         self._made: dict[str, Any] = {}
-        self._made_of = ""
+        self._made_of, self._written = "", b""
         self._saved: dict[str, str] = {}
         self._message = {"text": "", "kind": ""}
         self._acknowledged = 0
@@ -184,6 +184,7 @@ class PageSession:
         toml = self._target(_ITINERARIES / f"{self._name}.toml", "toml")
         log = None if run is None else self._target(_LOGS / f"{self._name}-{run['seed']}.mcap", "log")
         write_whole(toml, text)
+        self._written = toml.read_bytes()
         self._note(toml=str(toml))
         if log is not None and run is not None:
             write_whole(log, Path(run["log"]).read_bytes())
@@ -229,8 +230,10 @@ class PageSession:
 
     def _target(self, file: Path, kind: str) -> Path:
         """Return the path, of a new file or one saved here."""
-        if file.exists() and self._saved.get(kind) != str(file):
-            raise InputError(f"{file} exists and was not saved by this page: choose another name")
+        if file.exists() and (
+            self._saved.get(kind) != str(file) or (kind == "toml" and file.read_bytes() != self._written)
+        ):
+            raise InputError(f"{file} exists, and is not as this page saved it: choose another name")
         return file
 
     def _note(self, **saved: str) -> None:
@@ -345,7 +348,8 @@ class PageSession:
 
 
 def _message(kind: str, value: Any) -> str:
-    return json.dumps({kind: plain(value)}, ensure_ascii=False)
+    # A text with an error may have dates in place of numbers, and half characters, which only their escapes can send.
+    return json.dumps({kind: plain(value)}, default=str)
 
 
 def _names() -> itertools.chain[str]:

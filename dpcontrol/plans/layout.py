@@ -35,7 +35,7 @@ class WalkPart(Settings):
     energy: float = setting(unit="J", help="Energy, zero at the pivot's height.")
     walk: tuple[str, ...] = setting(help="Symbols of the walk.")
     wraps: tuple[int, ...] = setting((), least=0, help="Laps at each interior stop.")
-    repeat: int = setting(1, least=1, help="Repetitions of a closed walk.")
+    repeat: int = setting(1, least=1, most=10_000, help="Repetitions of a closed walk.")
     lead_in: int = setting(2, least=0, help="Laps on the first orbit.")
     lead_out: int = setting(2, least=0, help="Laps on the last orbit.")
 

@@ -6,7 +6,7 @@ A model file of identified arms gives the source and the uncertainty of each num
 import tomllib
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
@@ -29,7 +29,16 @@ from dpcontrol.foundation.arguments import path as path_of
 from dpcontrol.foundation.checked import checked
 from dpcontrol.foundation.errors import InputError, Mistakes, remark
 from dpcontrol.foundation.files import in_the_way, write_whole
-from dpcontrol.foundation.settings import Place, Settings, decode, nearest, parse_toml, read_toml, setting
+from dpcontrol.foundation.settings import (
+    Place,
+    Settings,
+    bounds_of,
+    decode,
+    nearest,
+    parse_toml,
+    read_toml,
+    setting,
+)
 from dpcontrol.foundation.shipped import find
 from dpcontrol.foundation.units import Usual
 
@@ -213,6 +222,11 @@ class Title(Settings):
     system: str = setting("arm-chain", choices=SYSTEMS, help="System that the parameters belong to.")
 
 
+def _like(kind: type, name: str, default: Any = MISSING, /, *, help: str) -> Any:
+    """Declare a key with the bounds and the unit of a parameter."""
+    return setting(default, help=help, **vars(bounds_of(kind)[name]))
+
+
 @dataclass(frozen=True)
 class _Sourced(Settings):
     """A table with the source of its numbers."""
@@ -224,29 +238,35 @@ class _Sourced(Settings):
 class _Arms(_Sourced, table="arms"):
     """Inertial parameters, one number for each arm from the pivot outwards."""
 
-    mass: tuple[float, ...] = setting(unit="kg", help="Masses.")
-    centre_of_mass: tuple[float, ...] = setting(
-        unit="m", help="Distances of the centres of mass from the upper joints."
+    mass: tuple[float, ...] = _like(ArmChainParameters, "mass", help="Masses.")
+    centre_of_mass: tuple[float, ...] = _like(
+        ArmChainParameters, "centre_of_mass", help="Distances of the centres of mass from the upper joints."
     )
-    length: tuple[float, ...] = setting(unit="m", help="Lengths from joint to joint.")
-    inertia: tuple[float, ...] = setting(unit="kg m²", help="Moments of inertia about the centres of mass.")
+    length: tuple[float, ...] = _like(ArmChainParameters, "length", help="Lengths from joint to joint.")
+    inertia: tuple[float, ...] = _like(
+        ArmChainParameters, "inertia", help="Moments of inertia about the centres of mass."
+    )
 
 
 @dataclass(frozen=True)
 class _Gravity(_Sourced, table="gravity"):
     """The gravity in which the arms swing."""
 
-    acceleration: float = setting(unit="m/s²", help="Acceleration of gravity.")
+    acceleration: float = _like(ArmChainParameters, "gravity", help="Acceleration of gravity.")
 
 
 @dataclass(frozen=True)
 class _Friction(_Sourced, table="friction"):
     """Friction of the joints, one number for each."""
 
-    viscous: tuple[float, ...] = setting(unit="N m s/rad", help="Viscous friction.")
-    coulomb: tuple[float, ...] = setting((), unit="N m", help="Dry friction.")
-    quadratic: tuple[float, ...] = setting((), unit="N s²/m²", help="Drag of the air at the centres of oscillation.")
-    smoothing: float | None = setting(None, unit="rad/s", help="Rate below which dry friction is smoothed.")
+    viscous: tuple[float, ...] = _like(ArmChainParameters, "viscous", help="Viscous friction.")
+    coulomb: tuple[float, ...] = _like(ArmChainParameters, "coulomb", (), help="Dry friction.")
+    quadratic: tuple[float, ...] = _like(
+        ArmChainParameters, "quadratic", (), help="Drag of the air at the centres of oscillation."
+    )
+    smoothing: float | None = _like(
+        ArmChainParameters, "smoothing", None, help="Rate below which dry friction is smoothed."
+    )
 
 
 @dataclass(frozen=True)
@@ -268,7 +288,7 @@ class _Uncertain(_Sourced, table="uncertainty"):
 class _Primaries(_Sourced, table="primaries"):
     """The two heavy bodies of a restricted three-body problem."""
 
-    mass_ratio: float = setting(help="Mass of the lighter body as a share of both.")
+    mass_ratio: float = _like(ThreeBodyParameters, "mass_ratio", help="Mass of the lighter body as a share of both.")
 
 
 REQUIRED: dict[str, dict[str, type]] = {
@@ -309,11 +329,7 @@ def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
     mistakes.report()
     title, sources = found.pop("title"), {name: one.source for name, one in found.items() if one is not None}
     if system == "three-body":
-        try:
-            parameters = ThreeBodyParameters(mass_ratio=found["primaries"].mass_ratio)
-        except InputError as error:
-            message = str(error).removeprefix(f"{ThreeBodyParameters.TABLE}: ")
-            raise InputError(f"{top} [primaries] {message}") from error
+        parameters = ThreeBodyParameters(mass_ratio=found["primaries"].mass_ratio)
         return Model(path.stem, path, title, parameters, sources, text)
     arms, friction, encoders, uncertain = (found[name] for name in ("arms", "friction", "encoders", "uncertainty"))
     laws: dict[str, Any] = {law.value: getattr(friction, law.value) for law in Friction}
@@ -330,9 +346,7 @@ def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
         remarks = oddities(chain)
     except InputError as error:
         key = str(error).split()[0]
-        table = {"acceleration": "gravity"}.get(
-            key, "friction" if key in ("viscous", "smoothing", *Friction) else "arms"
-        )
+        table = {"acceleration": "gravity"}.get(key, "friction" if key in ("viscous", *Friction) else "arms")
         raise InputError(f"{top} [{table}] {error}") from error
     zeros = () if encoders is None else encoders.zeros
     try:

@@ -6,14 +6,17 @@ Paths follow the fields of `LoopSettings`, such as `mismatch`, `drive.lag` and `
 `estimator` alone are kinds, or a user's objects.
 """
 
+import re
 import shlex
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import fields
 from functools import cache
 from numbers import Integral, Real
 from typing import Any, NamedTuple, get_type_hints
 
+from dpcontrol.foundation.arguments import shortened
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Bounds, nearest
 
@@ -136,13 +139,14 @@ def _of_type(name: str, value: Any, hint: Any) -> Any:
         return tuple(value)
     if isinstance(value, Real) and not isinstance(value, bool):
         number: Any = value
-        if hint is int and (isinstance(value, Integral) or float(number).is_integer()):
-            return int(number)
-        if hint is not int and "float" in str(hint) and hint != tuple[float, ...]:
-            return float(number)
+        with suppress(OverflowError):
+            if hint is int and (isinstance(value, Integral) or float(number).is_integer()):
+                return int(number)
+            if hint is not int and "float" in str(hint) and hint != tuple[float, ...]:
+                return float(number)
     if hint is str and isinstance(value, str):
         return value
-    raise InputError(f"{name} = {value!r}: must be {_kind(hint)}")
+    raise InputError(f"{name} = {shortened(value)}: must be {_kind(hint)}")
 
 
 def _kind(hint: Any) -> str:
@@ -166,11 +170,24 @@ def parsed(name: str, text: str) -> Any:
     hint, text = paths()[resolved(name)].hint, text.strip()
     try:
         if "tuple" in str(hint) and (text.startswith("[") or "," in text or "float" not in str(hint)):
-            parts = [part.strip() for part in text.strip("[]").split(",") if part.strip()]
+            parts = [part.strip() for part in (text[1:-1] if re.fullmatch(r"\[.*\]", text) else text).split(",")]
+            # The last value of a list may be followed by a comma, as in TOML.
+            parts = parts if parts[-1] else parts[:-1]
+            if not all(parts):
+                raise ValueError(text)
             return tuple(parts if "str" in str(hint) else map(float, parts))
         return text if hint is str else int(text) if hint is int else float(text)
     except ValueError:
-        raise InputError(f"{name} = {text!r}: must be {_kind(hint)}") from None
+        raise InputError(f"{name} = {shortened(text)}: must be {_kind(hint)}") from None
+
+
+def values_in(text: str) -> list[str]:
+    """Return the texts between commas, except those within brackets.
+
+    Args:
+        text: values of one setting, such as "0.1,0.2" or "[0.1,0.2],[0.2,0.1]".
+    """
+    return re.split(r",(?![^\[\]]*\])", text)
 
 
 def typed(settings: Mapping[str, Any]) -> str:

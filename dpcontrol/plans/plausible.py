@@ -77,6 +77,14 @@ def rig_oddities(limits: Limits, loop: LoopSettings, *, arms: int, zeros: Sequen
         raise InputError(
             f"[run] stuck_sensor = {sensor}: must be 0 to {arms}: 0 is the encoder of the inner arm, {arms} the cart's"
         )
+    for number, blow in enumerate(loop.disturbances.explicit, start=1):
+        if blow.arm >= arms:
+            raise InputError(f"[blows {number}] arm = {blow.arm}: must be 0 to {arms - 1}, 0 for the inner arm")
+    for name in ("play", "known_play", "stiction"):
+        try:
+            loop.mechanics.of_each(name, arms)
+        except InputError as error:
+            raise InputError(f"[run] {str(error).removeprefix('mechanics: ')}") from error
     parts = [("[limits]", limits, _LIMITS), ("[run]", loop, _LOOP), ("[run]", loop.sensors, _SENSORS)]
     parts += [("[run]", loop.drive, _DRIVE), ("[run]", loop.disturbances, _DISTURBANCES)]
     parts += [("[[run.blows]]", blow, _BLOW) for blow in loop.disturbances.explicit]

@@ -4,7 +4,7 @@ Both are made from the declarations of the settings.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from typing import Any, get_type_hints
 
@@ -104,12 +104,13 @@ def _itinerary_schema() -> dict[str, Any]:
     part_keys = {key: value for part in reversed(parts) for key, value in part["properties"].items()}
     run = _object(RunTable)
     run["properties"]["blows"] = {"type": "array", "items": _object(Push)}
+    alone = [*part_keys, "parts"]
     tables = {
         "limits": _object(Limits),
         "reference": _object(ReferenceSettings),
         "run": run,
-        "controller": _kinds(CONTROLLERS, "adaptive", {"keep": {"enum": list(KEEPERS), "default": "none"}}),
-        "estimator": _kinds(ESTIMATORS, "ekf", {}),
+        "controller": _controller_schema(),
+        "estimator": _kinds(ESTIMATORS, "ekf"),
         "supervisor": _object(SupervisorSettings),
         "parts": {"type": "array", "items": {"anyOf": parts}, "minItems": 1},
     }
@@ -118,9 +119,17 @@ def _itinerary_schema() -> dict[str, Any]:
         "title": "Itinerary of dpcontrol",
         "type": "object",
         "properties": {**_object(Header)["properties"], **part_keys, **tables},
-        "anyOf": [{"required": [key]} for key in ("walk", "hold", "orbit", "parts")],
+        "anyOf": [
+            *({"required": part["required"], "properties": _absent(alone, part["properties"])} for part in parts),
+            {"required": ["parts"], "properties": _absent(part_keys)},
+        ],
         "additionalProperties": False,
     }
+
+
+def _absent(keys: Iterable[str], allowed: Iterable[str] = ()) -> dict[str, bool]:
+    """Return the schema of keys that must be absent, except those allowed."""
+    return {key: False for key in keys if key not in set(allowed)}
 
 
 def _model_schema() -> dict[str, Any]:
@@ -137,14 +146,28 @@ def _model_schema() -> dict[str, Any]:
     return {"$schema": _DRAFT, "title": "Model of dpcontrol", "anyOf": systems}
 
 
-def _kinds(kinds: Mapping[str, type], default: str, more: Mapping[str, Any]) -> dict[str, Any]:
+def _kinds(kinds: Mapping[str, type], default: str) -> dict[str, Any]:
     """Return the schema of a table whose `kind` chooses its keys."""
     found = []
     for name, kind in kinds.items():
         one = _object(kind)
-        one["properties"] |= {**more, "kind": {"const": name}}
+        one["properties"] |= {"kind": {"const": name}}
         found.append(one | ({} if name == default else {"required": ["kind"]}))
     return {"anyOf": found}
+
+
+def _controller_schema() -> dict[str, Any]:
+    """Return the schema of [controller].
+
+    Only TVLQR hands over to a keeper, and is then the default.
+    """
+    made = _kinds(CONTROLLERS, "adaptive")
+    for one in made["anyOf"]:
+        one["properties"]["keep"] = {"enum": ["none"], "default": "none"}
+    tvlqr = next(one for one in made["anyOf"] if one["properties"]["kind"] == {"const": "tvlqr"})
+    keeps = {"enum": [name for name in KEEPERS if name != "none"]}
+    keeping = {**tvlqr, "properties": {**tvlqr["properties"], "keep": keeps}, "required": ["keep"]}
+    return {"anyOf": [*made["anyOf"], keeping]}
 
 
 def _object(kind: type) -> dict[str, Any]:

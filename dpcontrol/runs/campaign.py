@@ -545,7 +545,9 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
             {**canonical(fixed), **canonical({name: value for name, (value, _) in zip(names, values, strict=True)})}
         )
         chosen = {name: shown for name, (_, shown) in zip(names, values, strict=True)}
-        label = ", ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
+        label = ", ".join(f"{k}={v:.12g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
+        if any(label == case.label for case in cases):
+            raise InputError(f"over: {label} is listed twice; list each value once")
         cases.append(Case(label or "as the scene", tuple(chosen.items()), scene.loop))
     return tuple(cases)
 
@@ -556,7 +558,10 @@ def _shown(values: Sequence[Any]) -> list[Any]:
     Objects by name, repeated names numbered from the second on.
     """
     out: list[Any] = []
-    for value in values:
+    for given in values:
+        # Numbers of numpy are shown as Python's, and lists as the command line takes them.
+        value = given.item() if isinstance(given, np.generic) else given
+        value = f"[{','.join(map(str, value))}]" if is_list(value) else value
         plain = isinstance(value, int | float | str)
         name = value if plain else getattr(value, "__name__", type(value).__name__)
         same = 0 if plain else sum(str(one).partition(" ")[0] == name for one in out)

@@ -119,15 +119,18 @@ class Connection(ConnectionRecord, Timed):
         """Return the states at given times.
 
         Args:
-            times: times (K,) from the section, s; by default 200 over the whole connection.
+            times: times (…) from the section, s; by default 200 over the whole connection.
 
         Returns:
-            States (K, N), with whole turns counted.
+            States (…, N), with whole turns counted.
 
         Raises:
             InputError: the times are not finite numbers.
         """
-        return self.sample() if times is None else self.orbit.sample(checked_times(times))
+        if times is None:
+            return self.sample()
+        found = checked_times(times)
+        return self.orbit.sample(found.ravel()).reshape(*found.shape, len(self.columns))
 
     @property
     def solution(self) -> Guess:

@@ -320,15 +320,18 @@ class ShadowingOrbit(Timed, Documented):
         """Return the states at given times.
 
         Args:
-            times: times (K,) from the start, s; by default 200 over the whole walk.
+            times: times (…) from the start, s; by default 200 over the whole walk.
 
         Returns:
-            States (K, N), with whole turns counted.
+            States (…, N), with whole turns counted.
 
         Raises:
             InputError: the times are not finite numbers.
         """
-        return self.sample() if times is None else self.orbit.sample(checked_times(times))
+        if times is None:
+            return self.sample()
+        found = checked_times(times)
+        return self.orbit.sample(found.ravel()).reshape(*found.shape, len(self.columns))
 
 
 def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:

@@ -10,6 +10,7 @@ belongs to its arrival, which ends when it comes near the last orbit after its l
 Source: Kaheman et al. (2023), theorem 4.1.
 """
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -338,6 +339,17 @@ def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
     for c in edges.connections:
         counts[names.index(c.source.saddle), names.index(c.target.saddle)] += 1
     return names, counts
+
+
+def counted(total: int) -> str:
+    """Return a number of walks as text.
+
+    Examples are "1,234" and "about 10^47".
+
+    Args:
+        total: the number, of any length.
+    """
+    return f"{total:,}" if total < 10**12 else f"about 10^{int(total.bit_length() * math.log10(2))}"
 
 
 def count_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> int:

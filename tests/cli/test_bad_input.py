@@ -22,7 +22,7 @@ REPLACED = {
         "model",
         "acceleration = 9.8085802336215",
         "acceleration = 1" + 400 * "0",
-        "acceleration = inf: must be a finite number",
+        "acceleration = inf: must be positive",
     ),
     "nested too deeply": ("model", 'title = "', "x = " + 5000 * "[" + '\ntitle = "', "nested"),
     "a mass beyond any bench": (

@@ -55,6 +55,14 @@ def test_an_error_is_reported_with_its_line(before: str, after: str, line: int) 
     assert draft.itinerary is None
 
 
+@pytest.mark.parametrize("energy", ["9" * 400, "nan", "2026-01-01", "[1]"])
+def test_an_energy_that_is_no_number_can_be_shown(energy: str) -> None:
+    draft = read_draft(FIRST.replace("energy = 0.2", f"energy = {energy}"))
+    assert draft.mistake is not None
+    assert draft.mistake.line == 3
+    assert draft.document()["toml"] == draft.text
+
+
 def test_a_text_with_an_error_cannot_be_edited_by_clicks() -> None:
     draft = read_draft(FIRST.replace("energy = 0.2", "energy = "))
     with pytest.raises(InputError, match=r"line 3 .* correct it first"):

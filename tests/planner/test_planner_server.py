@@ -3,6 +3,7 @@
 import http.client
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -90,8 +91,6 @@ def test_a_socket_without_token_or_from_another_site_is_refused(address: str, wr
 
 
 def test_the_page_contacts_no_other_host() -> None:
-    from pathlib import Path
-
     for file in (Path(dp.__file__).parent / "planner" / "static").iterdir():
         text = file.read_text(encoding="utf-8")
         assert "http://" not in text
@@ -106,6 +105,8 @@ def test_the_page_contacts_no_other_host() -> None:
         {"do": "set", "values": {"energy": float("nan")}}, {"do": "run"}, {"do": "film"}, {"do": "save"},
         {"do": "name", "name": "../x"}, {"do": "model", "name": "three-body"}, {"do": "run", "seed": -1}, "{",
         {"do": "set", "table": "sensors", "values": {}}, {"do": "model", "name": "nothing"}, {"do": "plan"},
+        {"do": "toml", "text": f"energy = {'9' * 400}"}, {"do": "toml", "text": "run.mismatch = 2026-01-01"},
+        {"do": "toml", "text": "run.lag = 07:32:00"}, {"do": "set", "values": {"start": "\ud800"}},
     ],
 )  # fmt: skip
 def test_invalid_commands_are_answered_with_a_message(page: Page, command: Any) -> None:
@@ -148,6 +149,9 @@ def test_an_itinerary_is_saved_without_replacing_another(page: Page, address: st
     page.send({"do": "name", "name": "mine"})
     assert page.send({"do": "save"})["saved"]["toml"].endswith("mine.toml")
     assert page.send({"do": "save"})["message"]["kind"] == "good"
+    Path("itineraries/mine.toml").write_text("# edited elsewhere\n", encoding="utf-8")
+    assert "is not as this page saved it" in page.send({"do": "save"})["message"]["text"]
+    assert Path("itineraries/mine.toml").read_text(encoding="utf-8") == "# edited elsewhere\n"
     other = Page(address, "one-more")
     other.send({"do": "set", "values": {"walk": ["down-up -"], "wraps": []}})
     other.send({"do": "name", "name": "mine"})

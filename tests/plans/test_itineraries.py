@@ -88,8 +88,9 @@ def test_one_round_is_the_unchanged_walk(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "naming"),
     [
-        ({"repeat": "0"}, ["repeat = 0", "at least 1"]),
-        ({"repeat": "-2"}, ["repeat = -2", "at least 1"]),
+        ({"repeat": "0"}, ["repeat = 0", "1 to 10000"]),
+        ({"repeat": "-2"}, ["repeat = -2", "1 to 10000"]),
+        ({"repeat": "1000000000", "wraps": "[0, 1]"}, ["repeat = 1000000000", "1 to 10000"]),
         ({"repeat": "2.0"}, ["repeat = 2.0", "whole number"]),
         ({"repeat": '"twice"'}, ["repeat = 'twice'", "whole number"]),
         ({"repeat": "true"}, ["repeat = True", "whole number"]),

@@ -18,7 +18,7 @@ from dpcontrol.foundation.shipped import folders
 from dpcontrol.logs import compare_messages
 from dpcontrol.plans.itinerary import itinerary_from, load_itinerary, setting_of
 from dpcontrol.plans.model import load_model, model_from
-from dpcontrol.plans.overrides import NAMED, parsed, paths, typed
+from dpcontrol.plans.overrides import NAMED, parsed, paths, typed, values_in
 from dpcontrol.plans.tables import settings_page
 from dpcontrol.runs.run import stored_settings
 
@@ -70,6 +70,16 @@ def test_the_schema_is_valid_accepts_every_shipped_file_and_rejects_mistakes(of:
             assert not valid({**turn, "run": run}), run
         assert valid({**turn, "controller": {"kind": "lqr", "damping": 0.1}})
         assert not valid({**turn, "controller": {"kind": "tvlqr", "damping": 0.1}})
+        assert valid({**turn, "controller": {"keep": "ogy", "schedule": "time"}})
+        assert not valid({**turn, "controller": {"keep": "ogy", "kind": "adaptive"}})
+        for lacking in ("energy", "walk"):
+            assert not valid({key: value for key, value in turn.items() if key != lacking})
+        assert not valid({**turn, "hold": "up-up"})
+        assert not valid({**turn, "parts": [{"hold": "up-up"}]})
+    else:
+        arms = tomllib.loads(LAB)
+        assert not valid({**arms, "gravity": {**arms["gravity"], "acceleration": -9.81}})
+        assert not valid({**arms, "arms": {**arms["arms"], "mass": [0.1, -0.1]}})
 
 
 def value_of(path: str) -> Any:
@@ -130,6 +140,8 @@ def test_settings_of_a_law_have_paths_too() -> None:
         ({"lag": True}, "lag = True: must be a number"),
         ({"ages": 3}, "ages = 3: must be text"),
         ({"lag": -1}, "drive: lag = -1.0: must be 0 to 1 s"),
+        ({"lag": 10**400}, f"lag = 1{39 * '0'}…: must be a number"),
+        ({"play": (0.1, 0.2, 0.3)}, "[run] play = (0.1, 0.2, 0.3): must be one number, or 2, one for each arm"),
         ({"controller": "tvlq"}, "controller = 'tvlq': did you mean 'tvlqr'?"),
         ({"hold": "neares"}, "supervisor: hold = 'neares': did you mean 'nearest'?"),
     ],
@@ -222,6 +234,7 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("wrong choice", f"{TURN}[reference]\nsolver = 'ipot'\n", "[reference] solver = 'ipot': did you mean 'ipopt'?"),
     ("wrong kind", f"{TURN}[estimator]\nkind = 'efk'\n", "[estimator] kind = 'efk': did you mean 'ekf'?"),
     ("another kind's key", f"{TURN}[controller]\nkind = 'lqr'\ntrust = 1\n", "[controller] the key 'trust' is unknown"),
+    ("any key of no feedback", f"{TURN}[controller]\nkind = 'feedforward'\nrate = 1\n", "the key 'rate' is unknown"),
     ("text in a list", f"{TURN}[run]\nplay = [0.1, 'x']\n", "[run] play holds 'x': must be"),
     ("value for a table", f"run = 3\n{TURN}", "run = 3: must be a table, [run]"),
     ("impossible walk", 'energy = -0.07\nwalk = ["down-up ?"]\n', "walk: "),
@@ -236,12 +249,50 @@ MISTAKES: list[tuple[str, str, str]] = [
 
 
 @pytest.mark.parametrize(("what", "text", "told"), MISTAKES, ids=[one[0] for one in MISTAKES])
-def test_each_of_twenty_mistakes_is_one_sentence(what: str, text: str, told: str) -> None:
+def test_each_of_these_mistakes_is_one_sentence(what: str, text: str, told: str) -> None:
     with pytest.raises(InputError) as refused:
         itinerary_from(text, "scene", load_model("lab"))
     (sentence,) = mistakes_of(refused.value)
     assert sentence.startswith("scene.toml: ")
     assert told in sentence
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "value"),
+    [
+        ("play", "[0.1, 0.2]", (0.1, 0.2)), ("play", "0.1,0.2,", (0.1, 0.2)), ("augment", "", ()),
+        ("augment", "[zeros,drive]", ("zeros", "drive")),
+    ],
+)  # fmt: skip
+def test_a_list_is_written_with_or_without_brackets(path: str, text: str, value: Any) -> None:
+    assert parsed(path, text) == value
+
+
+@pytest.mark.parametrize("text", ["[", "]", ",", "[,]", "1,,2", "[[1]]", "[1", "1,x"])
+def test_text_that_is_no_list_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="must be a number or a list of numbers"):
+        parsed("play", text)
+
+
+def test_lists_are_varied_if_they_are_in_brackets() -> None:
+    assert values_in("[0.1,0.2],0.3,[0.2, 0.1]") == ["[0.1,0.2]", "0.3", "[0.2, 0.1]"]
+    assert values_in("0.1,0.2") == ["0.1", "0.2"]
+
+
+def test_a_blow_on_an_arm_that_does_not_exist_is_refused_with_its_table() -> None:
+    blow = f"{TURN}[[run.blows]]\ntime = 0.1\n[[run.blows]]\ntime = 0.1\narm = 2\n"
+    with pytest.raises(InputError, match=r"scene.toml: \[blows 2\] arm = 2: must be 0 to 1"):
+        itinerary_from(blow, "scene", load_model("lab")).remark_on_rig()
+
+
+def test_several_values_out_of_bounds_in_a_model_are_each_reported_with_their_table() -> None:
+    text = re.sub(r"(?m)^mass\s*=\s*\[", "mass = [-1.0, ", LAB).replace("acceleration = ", "acceleration = -")
+    text = re.sub(r"(?m)^viscous\s*=\s*\[", "viscous = [-1.0, ", text)
+    with pytest.raises(InputError) as refused:
+        model_from(text, "mine")
+    assert [one.partition(" = ")[0] for one in mistakes_of(refused.value)] == [
+        "mine.toml: [arms] mass", "mine.toml: [gravity] acceleration", "mine.toml: [friction] viscous",
+    ]  # fmt: skip
 
 
 def test_mistakes_in_a_model_are_reported_together() -> None:

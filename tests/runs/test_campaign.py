@@ -421,6 +421,26 @@ def test_impossible_campaigns_are_refused(values: dict[str, Any], naming: str) -
         CampaignSettings(**values)
 
 
+@pytest.mark.parametrize(
+    ("values", "labels"),
+    [
+        ({"lag": np.array([0.0, 0.1])}, ["lag=0", "lag=0.1"]),
+        ({"counts": np.array([1000, 2000])}, ["counts=1000", "counts=2000"]),
+        ({"lag": [0.001, 0.0010000001]}, ["lag=0.001", "lag=0.0010000001"]),
+        ({"play": [(0.1, 0.2), 0.1, [0.2, 0.1]]}, ["play=[0.1,0.2]", "play=0.1", "play=[0.2,0.1]"]),
+    ],
+)
+def test_each_case_has_its_values_as_its_name(values: dict[str, Any], labels: list[str]) -> None:
+    cases = cases_of(load_itinerary("hold-down-down"), fixed={}, over=values)
+    assert [case.label for case in cases] == labels
+
+
+def test_a_value_that_is_listed_twice_is_refused() -> None:
+    # Two cases of one name would be counted as one.
+    with pytest.raises(InputError, match="over: lag=0 is listed twice"):
+        cases_of(load_itinerary("hold-down-down"), fixed={}, over={"lag": [0, 0.1, 0.0]})
+
+
 def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) -> None:
     cases = standard_cases(turn, fixed={}, controllers=["tvlqr", "feedforward"])
     assert len(cases) == 2 * 9 * LEVELS == len({case.label for case in cases})
