@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 from generated_scenes import Scene
-from scene_flights import Flown
+from scene_flights import Flown, plan_key
 
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, save_figure
-from dpcontrol.plans.itinerary import Itinerary
-from dpcontrol.references.reference import Reference
+from dpcontrol.plans.itinerary import Itinerary, load_itinerary
+from dpcontrol.references.reference import Reference, load_reference
 
 SHAKEN, GROWN = 2.0, 0.6
 """Shaking and growth beyond which runs are lost."""
@@ -53,8 +53,14 @@ def demands(scene: Scene, itinerary: Itinerary, reference: Reference) -> tuple[f
     return shaking, float(np.log(largest)) / fine * late
 
 
-def draw_limits(flights: Sequence[Flown], asked: Sequence[tuple[float, float]], file: Path) -> str:
-    """Draw the share of runs completed over shaking and growth, and return the counts within both limits."""
+def _asked(flight: Flown, folder: Path) -> tuple[float, float]:
+    itinerary = load_itinerary(str(flight.scene.write(folder / "files")))
+    return demands(flight.scene, itinerary, load_reference(folder / f"{plan_key(flight.scene)}.npz"))
+
+
+def draw_limits(flights: Sequence[Flown], folder: Path, file: Path) -> str:
+    """Draw the share of runs completed over shaking and growth, and return the counts within and beyond the limits."""
+    asked = [_asked(flight, folder) for flight in flights]
     within = [f for f, (shaking, growth) in zip(flights, asked, strict=True) if shaking < SHAKEN and growth < GROWN]
     beyond = [f for f in flights if f not in within]
 

@@ -17,6 +17,7 @@ from generated_scenes import sampled_scene
 from independent_decoder import last_gap, plan_of
 from independent_tubes import missing_connections
 from scene_flights import Flown, failures, flown_scene, planned_scene, plans_folder, table_by_factor
+from scene_limits import draw_limits
 from scipy.stats import binom
 
 from dpcontrol.plans.itinerary import load_itinerary
@@ -65,6 +66,9 @@ def _check(
         searches: search independently for what refused scenes need.
     """
     sys.stdout.write(f"\n{table_by_factor(flights)}\n\n{failures(flights, folder, searches=searches)}\n")
+    chart = folder / "limits.png"
+    sys.stdout.write(f"{draw_limits([one for one in flights if one.runs], folder, chart)}: {chart}\n")
+    assert chart.stat().st_size > 10_000
     flights = [one for one in flights if one.scene.seed not in known]
     ready = sum(one.planned.outcome == "planned" for one in flights)
     runs, done = sum(len(one.runs) for one in flights), sum(one.completed for one in flights)
