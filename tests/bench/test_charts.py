@@ -154,7 +154,7 @@ def test_an_unknown_chart_is_refused_with_the_known_ones(tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow
 def test_maps_are_computed_together_and_returned_in_the_requested_order(tmp_path):
     asked = ["edges-ogy", "edges-moving"]
     drawn = draw_charts(asked, tmp_path, quick=True)

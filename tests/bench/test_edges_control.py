@@ -70,7 +70,7 @@ def test_mismatch_ends_where_the_eigenvalue_leaves_the_circle():
     assert found.says
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow
 def test_a_slow_loop_has_the_border_of_a_fast_one():
     slow, fast = (held_delay_border(rate, ratio=1.2) for rate in (40.0, 80.0))
     for found in (slow, fast):
@@ -117,7 +117,7 @@ def test_far_beyond_the_border_of_mismatch_the_run_ends_with_its_reason():
         assert any(end in lost.says for end in ENDS)
 
 
-@pytest.mark.benchmark(reason="campaigns on both sides of three margins")
+@pytest.mark.slow
 def test_campaigns_end_near_the_margins_of_the_loop():
     held = followed("hold-up-up", "lqr", 8)
     for name, value in held.margins.items():

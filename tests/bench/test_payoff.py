@@ -176,7 +176,7 @@ def test_an_energy_is_poor_where_another_takes_less_or_more_runs_come_through() 
     assert energy_text(0.2, [fewer, loop(0.1, 2.0, 1.0)]).endswith("100% of runs complete it, not 50%")
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow
 def test_the_quick_chart_holds_flights_that_scipy_confirms(tmp_path, monkeypatch) -> None:
     """Slow: searches, although in this process and no more than one of each kind."""
     few = replace(payoff.QUICK, waves=1, homotopies=1, inputs=0, cem=1, seeds=2, factors=(1.0,), walks=(1,))

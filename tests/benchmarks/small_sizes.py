@@ -488,6 +488,35 @@ SIZES = [
     ),
     Small("bench/test_chart_accuracy", "test_refined_connections_are_at_rounding_and_two_flights_are_not"),
     Small("bench/test_chart_accuracy", "test_more_points_on_the_same_intervals_are_nearer_and_cost_the_same"),
+    Small(
+        "loop/test_margins",
+        "test_a_flight_has_on_an_orbit_the_margins_of_the_orbit",
+        {"RATE": 200.0},
+    ),
+    Small(
+        "planner/test_planner_numbers",
+        "test_a_saved_itinerary_takes_few_clicks_and_a_minute_and_arms_move_smoothly",
+        {
+            "ENERGY": "-0.07",
+            "CONNECTIONS": ("down-up>down-up", "down-up>down-up"),
+            "SECONDS": NEVER,
+            "ANSWER": NEVER,
+            "INTERVAL": NEVER,
+            "WATCHED": 1.0,
+        },
+        prints=("6 clicks, ", " ms apart\n"),
+    ),
+    Small(
+        "planner/test_planner_numbers",
+        "test_the_film_in_readme_shows_the_planner_in_use",
+        # Fewer frames, of which each movement of the pointer takes the same number.
+        {"ENERGY": "-0.07", "CONNECTIONS": ("down-up>down-up", "down-up>down-up"), "RATE": 4, "LONGEST": 25.0},
+    ),
+    Small(
+        "rig/test_hostile_packets",
+        "test_a_run_under_a_hundred_thousand_packets_obeys_its_loop_only_and_logs_the_flood",
+        {"MANY": 2000, "PAUSE": 0.02},
+    ),
     Small("bench/test_edges_control", "test_mismatch_ends_where_the_eigenvalue_leaves_the_circle"),
     Small("bench/test_edges_estimation", "test_a_stuck_encoder_is_reported_after_what_must_pass_and_not_long_after"),
 ]
@@ -535,19 +564,3 @@ WITHOUT = {
     ): "the small size of test_chart_ratios compares the errors of a chart in the same way",
 }
 """Reasons of benchmarks without a small size, by module and function."""
-
-TO_DO = {
-    ("bench/test_edges_control", "test_a_slow_loop_has_the_border_of_a_fast_one"),
-    ("bench/test_edges_control", "test_campaigns_end_near_the_margins_of_the_loop"),
-    ("bench/test_charts", "test_maps_are_computed_together_and_returned_in_the_requested_order"),
-    ("bench/test_payoff", "test_the_quick_chart_holds_flights_that_scipy_confirms"),
-    ("cli/test_demo_and_review_verbs", "test_report_shows_the_margins_of_a_log_on_request"),
-    ("loop/test_margins", "test_a_flight_has_on_an_orbit_the_margins_of_the_orbit"),
-    ("plans/test_kept_walks", "test_other_controllers_follow_the_same_reference"),
-    ("planner/test_planner_numbers", "test_a_saved_itinerary_takes_few_clicks_and_a_minute_and_arms_move_smoothly"),
-    ("planner/test_planner_numbers", "test_the_film_in_readme_shows_the_planner_in_use"),
-    ("references/test_failures", "test_a_straight_line_is_not_accepted_as_an_itinerary"),
-    ("rig/test_hostile_packets", "test_a_run_under_a_hundred_thousand_packets_obeys_its_loop_only_and_logs_the_flood"),
-    ("walks/test_extended_shadowing", "test_connections_of_the_rotating_orbit_are_mirror_images"),
-}
-"""Long tests outside tests/benchmarks that still lack a small size, by module and function; no more may be added."""

@@ -1,7 +1,8 @@
 """Errors of the first estimates, compared with the best possible ones.
 
 The benchmark measures the error of the worse angle from 20 ms on: the largest, the 95th and the 50th percentile of 100
-seeds, on the bench of the guide's table. It also tests whether the means of 50 NIS stay in their band.
+seeds, on the bench of the guide's table. It also tests whether the means of 50 NIS leave their band more often or
+farther than those of a consistent filter.
 
 The best possible estimate from 21 readings is the mean of the posterior of zeros and initial angles. Both are uniform
 within their bounds, and the readings have only rounding errors. The motion is linearised about the true one, and the
@@ -20,7 +21,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dpcontrol.control.estimator_settings import MEANS_OF, mean_band
+from dpcontrol.control.estimator_settings import MEANS_OF, chi_square_band, mean_band
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings, sampled_model
@@ -49,7 +50,9 @@ BAR = 0.025
 NEAR = 1.5
 """Times the best possible that the worst of the filter's errors may be; 1.1 to 1.3 as measured."""
 SETTLED = 0.5
-"""s in which no mean of the NIS leaves its band; later as many may as chance makes."""
+"""s whose means of the NIS are judged by themselves, since the filter begins with errors that are not normal."""
+BY_CHANCE = 0.025
+"""Share of the means of a consistent filter that lie above their 95 % band."""
 
 
 @pytest.mark.parametrize("name", ["outer-turn", "cross", "up-up"])
@@ -67,8 +70,12 @@ def test_the_first_estimates_come_near_to_the_best_possible(name: str) -> None:
     errors: list[float] = []
     within: list[float] = []
     first: list[float] = []
+    first_above: list[float] = []
     above: list[float] = []
-    top = mean_band(arms.count + 1)[1]
+    top, settling = mean_band(arms.count + 1)[1], round(SETTLED * case.loop.rate)
+    # Of a consistent filter, all first means of all runs lie below this with a probability of 97.5 %.
+    outside = 2 * BY_CHANCE * MEANS_OF / (RUNS * settling)
+    highest = chi_square_band(MEANS_OF * (arms.count + 1), share=1 - outside)[1] / MEANS_OF
     best: dict[str, list[float]] = {kind: [] for kind in kinds}
     for seed in range(FIRST_SEED, FIRST_SEED + RUNS):
         loop = replace(case.loop, seed=seed)
@@ -79,22 +86,24 @@ def test_the_first_estimates_come_near_to_the_best_possible(name: str) -> None:
         far = np.flatnonzero(angles > BAR)
         within.append((int(far[-1]) + 1) / loop.rate if far.size else 0.0)
         means = np.convolve(ticks.control[1:, 5], np.full(MEANS_OF, 1 / MEANS_OF), "valid")
-        settling = round(SETTLED * loop.rate)
         first.append(float(means[:settling].max()))
+        first_above.append(float(np.mean(means[:settling] > top)))
         above.append(float(np.mean(means[settling:] > top)))
         for kind, error in zip(kinds, posterior_errors(reference, arms, loop, list(kinds.values())), strict=True):
             best[kind].append(error)
     sys.stdout.write(
         f"\n{name}: all within {1e3 * BAR:g} mrad from {max(within):.3f} s on\n"
-        f"means of NIS at most {max(first):.2f} in the first {SETTLED:g} s, band up to {top:.2f}, later "
-        f"{np.mean(above):.2%} above it\nerror after 20 ms, mrad\n"
+        f"means of NIS at most {max(first):.2f} in the first {SETTLED:g} s, by chance {highest:.2f}; "
+        f"{np.mean(first_above):.2%} above their band, which ends at {top:.2f}, later {np.mean(above):.2%}\n"
+        "error after 20 ms, mrad\n"
     )
     for kind, found in {"the filter": errors, **best}.items():
         worst, many, half = (1e3 * np.quantile(found, share) for share in (1.0, 0.95, 0.5))
         sys.stdout.write(f"  {kind:26s} worst {worst:5.1f}  95 % {many:5.1f}  median {half:5.1f}\n")
     assert max(errors) < NEAR * max(best["as the filter knows them"])
-    assert max(first) <= top
-    assert np.mean(above) <= 0.025
+    assert max(first) <= highest
+    assert np.mean(first_above) <= BY_CHANCE
+    assert np.mean(above) <= BY_CHANCE
 
 
 def posterior_errors(

@@ -82,7 +82,9 @@ def joint_optimum(plan: Plan, begin: float, end: float, weight: float) -> tuple[
     opti.minimize(effort + weight * h * ca.sumsqr(away))
     opti.set_initial(x, first)
     opti.set_initial(u, pushes)
-    opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "max_iter": 1000, "tol": 1e-6})
+    # With IPOPT's default barrier, the search along two turns stalls from iteration 140 on.
+    options = {"print_level": 0, "max_iter": 500, "tol": 1e-6, "mu_strategy": "adaptive"}
+    opti.solver("ipopt", {"print_time": False}, options)
     found = opti.solve()
     return np.array(found.value(x)).T, np.ravel(found.value(u)), float(found.value(effort))
 

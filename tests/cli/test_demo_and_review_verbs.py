@@ -182,7 +182,7 @@ def test_the_actual_itinerary_is_reported_beside_the_planned_one(demo: tuple[Pat
     assert view.crossings[0] == pytest.approx(passed, abs=2 / log.rate_hz)
 
 
-@pytest.mark.benchmark(reason="the margins of the demo's flight, twice")
+@pytest.mark.slow
 def test_report_shows_the_margins_of_a_log_on_request(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     page, log = tmp_path / "page.png", demo[0] / "logs/outer-turn-0.mcap"
     shown = dpcontrol("report", log, "--margins", "--picture", page, "--json").document

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.calming import CalmingSettings, calming_controller
 from dpcontrol.control.estimator_settings import AdaptiveEkfSettings
 from dpcontrol.control.interface import MANY
+from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings, sampled_model
@@ -67,10 +68,12 @@ def calmed(
     law = calming_controller(
         sampled_model(arms, run.rate), LIMITS, settings or CalmingSettings(), reaction=0.002, seconds=seconds
     )
-    start = fallen_states(seeds, fastest)
-    draws = [run.draw(arms, ticks=law.ticks + 1, seed=seed) for seed in seeds]
+    # The bench and the filter compute full vectors of the processor.
+    lanes, count = [*seeds, *seeds[-1:] * (-len(seeds) % VECTOR)], len(seeds)
+    start = fallen_states(lanes, fastest)
+    draws = [run.draw(arms, ticks=law.ticks + 1, seed=seed) for seed in lanes]
     nowhere = still(np.zeros(6), 1.0, method=method_named("radau-7"), limits=LIMITS, interval=1.0)
-    ticker = Assembly(nowhere, arms, run, law=law).ticker(runs=len(seeds))
+    ticker = Assembly(nowhere, arms, run, law=law).ticker(runs=len(lanes))
     bench = BatchBench(draws, run.bench, limits=LIMITS, start=start, queued=list(ticker.queued), lanes=MANY)
     ticker.lose()
     # What is known of the cart is not lost with the arms.
@@ -79,14 +82,15 @@ def calmed(
         memory[place] = start[:, 5]
     for name, value in calming_bounds(LIMITS).items():
         ticker.program.set_number(name, value)
-    rest, farthest = np.full(len(seeds), np.inf), np.zeros(len(seeds))
+    rest, farthest = np.full(len(lanes), np.inf), np.zeros(len(lanes))
     with np.errstate(all="ignore"):
         for k in range(law.ticks):
             report = ticker(k, bench.read())
-            bench.command(report[ticker.at["command"]][: len(seeds)])
+            bench.command(report[ticker.at["command"]])
             truth = bench.truth
             farthest = np.maximum(farthest, np.abs(truth[4]))
             away = np.abs(truth[:2] - 2 * np.pi * np.rint(truth[:2] / (2 * np.pi))).max(0)
             calm = (away <= ANGLE) & (np.abs(truth[2:4]).max(0) <= RATE) & (np.abs(truth[4:]).max(0) <= CENTRE)
             rest = np.where(calm, np.minimum(rest, k / run.rate), np.inf)
-    return Calmed(rest, farthest, dict(bench.faults))
+    faults = {lane: text for lane, text in bench.faults.items() if lane < count}
+    return Calmed(rest[:count], farthest[:count], faults)

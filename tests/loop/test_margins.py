@@ -21,6 +21,8 @@ from dpcontrol.references.problem import Limits
 NEAR = 0.07
 """Share of a margin: close to it, the nonlinear loop diverges slowly."""
 FREE = Limits(position=1e6, velocity=1e6, acceleration=1e6)
+RATE = 1000.0
+"""Hz: of the loop along a flight."""
 PERTURBED = 1e-7
 """rad: small, so that the difference of two runs is linear, and large against rounding."""
 
@@ -118,7 +120,7 @@ def test_a_kept_orbit_is_lost_where_its_margins_end() -> None:
 @pytest.mark.benchmark(reason="windows along a long flight")
 def test_a_flight_has_on_an_orbit_the_margins_of_the_orbit() -> None:
     plan, arms = plan_of("turn-from-rest"), plan_of("turn-from-rest").itinerary.model.arms
-    settings = LoopSettings(seed=0, controller=TvlqrSettings(closing=1.0))
+    settings = LoopSettings(seed=0, rate=RATE, controller=TvlqrSettings(closing=1.0))
     flight = Assembly(plan.reference, arms, settings).margins()
     kept = settled_margins(Assembly(plan_of("keep-down-up").reference, arms, settings).margins())
     # The walk's own orbit, which it wobbles on, away from both ends of its stay.

@@ -19,6 +19,8 @@ pytest.importorskip("selenium")
 from selenium.webdriver.common.keys import Keys
 
 pytestmark = pytest.mark.benchmark
+ENERGY, CONNECTIONS = "0.2", ("down-up>up-down", "up-down>down-up")
+"""Energy, J, and the ends of the connections of the planned walk."""
 CLICKS, SECONDS = 12, 60.0
 """Bounds from the first click to a saved itinerary, if the atlas is cached."""
 ANSWER, INTERVAL = 0.2, 0.018
@@ -56,10 +58,10 @@ requestAnimationFrame(function look(now) {
 
 def test_a_saved_itinerary_takes_few_clicks_and_a_minute_and_arms_move_smoothly(page: Page) -> None:
     page.driver.set_script_timeout(60)
-    begin, clicks = time.monotonic(), 6
-    page.type("energy", "0.2")
-    page.connect("down-up>up-down")
-    page.connect("up-down>down-up")
+    begin, clicks = time.monotonic(), 4 + len(CONNECTIONS)
+    page.type("energy", ENERGY)
+    for ends in CONNECTIONS:
+        page.connect(ends)
     page.press("wraps-plus")
     assert page.press("plan")["plan"]["converged"]
     page.type("mismatch", "5" + Keys.TAB)
@@ -144,10 +146,10 @@ class Recorder:
 def test_the_film_in_readme_shows_the_planner_in_use(page: Page, tmp_path: Path) -> None:
     page.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": STEPPED})
     page.driver.refresh()
-    page.type("energy", "0.2")
+    page.type("energy", ENERGY)
     recorder = Recorder(page)
     recorder.record(0.5)
-    for ends in ("down-up>up-down", "up-down>down-up"):
+    for ends in CONNECTIONS:
         recorder.press(page.role("connection", f'[data-name^="{ends}"]'), rest=1.2, after=0.2)
     recorder.press(page.role("wraps-plus", '[data-stop="0"]'))
     recorder.press(page.role("plan"), after=2.2)

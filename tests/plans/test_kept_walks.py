@@ -171,7 +171,7 @@ def test_a_run_is_repeated_from_its_log_message_for_message(scene: Writer, tmp_p
     assert "messages are identical" in again.stdout
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow
 def test_other_controllers_follow_the_same_reference(scene: Writer, tmp_path: Path) -> None:
     table = tmp_path / "c.parquet"
     shown = dpcontrol(

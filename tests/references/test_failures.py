@@ -44,7 +44,7 @@ def test_references_of_orbits_stay_close_to_their_orbits(
     assert farthest(problem_of(orbit.guess, orbit.duration), reference) < 0.5 * FARTHEST
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow
 def test_a_straight_line_is_not_accepted_as_an_itinerary() -> None:
     orbit = stitched(OUTER_TURN_LOW, DOWN_UP_LOW, DOWN_UP_LOW, wraps=1)
     found = find_reference(problem_of(straight(orbit), orbit.duration), QUICK)

@@ -27,6 +27,8 @@ from dpcontrol.rig.client import Deadlines, LinkSettings, UdpRig, parse_address
 from dpcontrol.rig.packets import KEY_VARIABLE, Condition, Kind, Role, Talk, shared_key
 
 FEW, MANY = 200, 100_000  # Few enough that a socket holds them all, should the bench stall.
+PAUSE = 0.001
+"""s between bursts of the flood, each of as many packets as FEW."""
 FORGED = 1e6
 """m/s² that every forged command asks for, and no loop here."""
 
@@ -368,11 +370,11 @@ def _flood(to: Address, known: list[bytes], over: threading.Event, sent: list[in
         others = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(100)]
         made = [hostile(rng, known) for _ in range(5000)]
         while not over.is_set() or sent[0] < MANY:
-            for data in made[:200]:
+            for data in made[:FEW]:
                 with suppress(OSError):
                     rng.choice(others).sendto(data, to)
-            sent[0] += 200
-            time.sleep(0.001)
+            sent[0] += FEW
+            time.sleep(PAUSE)
 
 
 @pytest.mark.benchmark  # A whole run in real time, and a hundred thousand packets beside it.

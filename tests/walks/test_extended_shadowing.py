@@ -99,7 +99,7 @@ def test_a_symmetric_orbit_meets_its_symmetry_line(turns):
     assert abs(state[0]) < SAME
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow
 def test_connections_of_the_rotating_orbit_are_mirror_images(lab):
     """Two separate searches, from and to the rotating orbit with λ = -2.74."""
     vertex = rotating_vertex(rotating_orbits(lab.system, 2, -0.06985)[-1])
