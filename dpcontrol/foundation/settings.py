@@ -17,7 +17,6 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from numbers import Real
@@ -125,94 +124,33 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
         file: its name in messages.
 
     Raises:
-        InputError: the layout of the text is not supported; the message has the lines to write by hand.
+        InputError: the text cannot be changed; the message has the lines to write by hand.
     """
+    import tomlkit
+
     before = tomllib.loads(text)
     wanted = {**before, table: {**before.get(table, {}), **values}} if table else {**before, **values}
-    end = "\r\n" if "\r\n" in text else "\n"
-    lines = text.splitlines(keepends=True)
-    if lines and not lines[-1].endswith(("\n", "\r")):
-        lines[-1] += end
-    header = re.compile(rf"\s*\[\s*{re.escape(table)}\s*\]\s*(#.*)?$")
-    first = next((k for k, line in enumerate(lines) if header.match(line)), None) if table else -1
-    if first is None:
-        lines += [end, f"[{table}]{end}"] if lines else [f"[{table}]{end}"]
-        first = len(lines) - 1
+    document = tomlkit.parse(text)
+    if table and table not in document:
+        document[table] = tomlkit.table()
+    edited: Any = document[table] if table else document
     for key, value in values.items():
-        _set(lines, first, key, _toml(value), end)
-    out = "".join(lines)
-    try:
-        # As text, because NaN is not equal to itself.
-        same = _as_text(tomllib.loads(out)) == _as_text(wanted)
-    except tomllib.TOMLDecodeError:
-        same = False
-    if not same:
+        item: Any = tomlkit.item(list(value) if isinstance(value, tuple) else value)
+        # A walk has a line for each symbol.
+        lines = isinstance(value, list | tuple) and len(value) > 1 and all(isinstance(one, str) for one in value)
+        edited[key] = item.multiline(True) if lines else item
+    out = tomlkit.dumps(document)
+    out = re.sub(r"\r?\n", "\r\n", out) if "\r\n" in text else out
+    if _as_text(tomllib.loads(out)) != _as_text(wanted):
         shown = ", ".join(f"{key} = {value!r}" for key, value in values.items())
         where = f"its [{table}]" if table else "it"
-        raise InputError(f"{file}: {where} is not written line by line and was not changed; write there {shown}")
+        raise InputError(f"{file}: {where} could not be changed; write there {shown}")
     return out
 
 
 def _as_text(values: Mapping[str, Any]) -> str:
+    """Return values as text, because NaN is not equal to itself."""
     return json.dumps(values, default=str, sort_keys=True)
-
-
-def _toml(value: Any) -> str:
-    """Return a value as TOML.
-
-    A list of several texts has a line for each.
-    """
-    if isinstance(value, list | tuple) and len(value) > 1 and all(isinstance(one, str) for one in value):
-        return "[\n" + "".join(f"  {_toml(one)},\n" for one in value) + "]"
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _set(lines: list[str], header: int, key: str, value: str, end: str) -> None:
-    """Set one key of a table in place.
-
-    The table's header is line `header`.
-    """
-    last = k = header + 1
-    while k < len(lines) and not lines[k].lstrip().startswith("["):
-        stop = _end_of_value(lines, k)
-        if stop is None:
-            k += 1
-            continue
-        found = re.match(rf"(\s*{re.escape(key)}\s*=\s*)(.*)", "".join(lines[k:stop]), re.DOTALL)
-        if found:
-            comment = "" if "\n" in value else _comment(found[1], found[2])
-            if comment:
-                # The comment stays in its column if the value leaves room.
-                room = len(found[2].rstrip("\r\n")) - len(comment.lstrip())
-                comment = f"{'':{max(room - len(value), 1)}}{comment.lstrip()}"
-            lines[k:stop] = [f"{found[1]}{value}{comment}{end}"]
-            return
-        last = k = stop
-    lines.insert(last, f"{key} = {value}{end}")
-
-
-def _end_of_value(lines: Sequence[str], k: int) -> int | None:
-    """Return the line after the value of a key.
-
-    The result is None if line k has no key.
-    """
-    if not lines[k].strip() or lines[k].lstrip().startswith("#"):
-        return None
-    for stop in range(k + 1, len(lines) + 1):
-        with suppress(tomllib.TOMLDecodeError):
-            tomllib.loads("".join(lines[k:stop]))
-            return stop
-    return None
-
-
-def _comment(begin: str, rest: str) -> str:
-    """Return the comment after a value, with its leading blanks."""
-    rest = rest.rstrip("\r\n")
-    for found in re.finditer(r"\s*#", rest):
-        with suppress(tomllib.TOMLDecodeError):
-            tomllib.loads(begin + rest[: found.start()])
-            return rest[found.start() :]
-    return ""
 
 
 @dataclass(frozen=True)
