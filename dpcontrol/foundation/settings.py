@@ -17,7 +17,6 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from numbers import Real
@@ -28,235 +27,6 @@ from dpcontrol.foundation.arguments import shortened
 from dpcontrol.foundation.errors import InputError, InputErrors, Mistakes, mistakes_of
 
 T = TypeVar("T")
-
-
-_READERS = {
-    float: "number",
-    int: "integer",
-    str: "text",
-    tuple[str, ...]: "texts",
-    float | tuple[float, ...]: "number_or_numbers",
-}
-"""Types of settings that a table can fill, with the method that reads each."""
-
-
-class Table:
-    """One table of a TOML file.
-
-    Values are taken key by key; `finish` rejects keys that were not taken.
-
-    Every method raises InputError with one sentence when a key is missing, unknown or of the wrong kind.
-    """
-
-    def __init__(self, values: Mapping[str, Any], *, file: str, name: str = "") -> None:
-        self._values = dict(values)
-        self._taken: set[str] = set()
-        self.file, self.name = file, name
-
-    def where(self, key: str | None = None) -> str:
-        """Return "FILE: [table] key" for a message.
-
-        Args:
-            key: key of this table; None for the table itself.
-        """
-        table = f" [{self.name}]" if self.name else ""
-        return f"{self.file}:{table}{f' {key}' if key else ''}"
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._values
-
-    def _take(self, key: str, default: Any) -> Any:
-        self._taken.add(key)
-        if key in self._values:
-            return self._values[key]
-        if default is MISSING:
-            raise InputError(f"{self.where()} the key {key!r} is missing{self.misspelt(key)}")
-        return default
-
-    def misspelt(self, key: str) -> str:
-        """Return a hint if an unused key resembles a missing one.
-
-        The hint is "; is … a misspelling of it?", or "".
-
-        Args:
-            key: the missing key.
-        """
-        others = [] if key in self._values else [k for k in self._values if k not in self._taken]
-        close = difflib.get_close_matches(key, others, n=1)
-        return f"; is {close[0]!r} a misspelling of it?" if close else ""
-
-    def text(self, key: str, default: Any = MISSING, *, allowed: Iterable[str] | None = None) -> str:
-        """Return a string.
-
-        Args:
-            key: key of this table.
-            default: value of a missing key, which is otherwise an error.
-            allowed: allowed strings; None for any.
-        """
-        value = self._take(key, default)
-        if not isinstance(value, str):
-            raise InputError(f"{self.where(key)} = {value!r}: must be text in quotes")
-        if allowed is not None and value not in (choices := list(allowed)):
-            raise InputError(f"{self.where(key)} = {value!r}: {suggest(value, choices)}")
-        return value
-
-    def number(self, key: str, default: Any = MISSING) -> float:
-        """Return a finite number.
-
-        Args:
-            key: key of this table.
-            default: value of a missing key, which is otherwise an error.
-        """
-        return self._number(self._take(key, default), key)
-
-    def integer(self, key: str, default: Any = MISSING, *, least: int = 0) -> int:
-        """Return a whole number.
-
-        Args:
-            key: key of this table.
-            default: value of a missing key, which is otherwise an error.
-            least: smallest allowed number.
-        """
-        return self._integer(self._take(key, default), key, least)
-
-    def numbers(self, key: str, default: Any = MISSING) -> tuple[float, ...]:
-        """Return a list of finite numbers.
-
-        Args:
-            key: key of this table.
-            default: value of a missing key, which is otherwise an error.
-        """
-        return tuple(self._number(v, key) for v in self._list(key, default))
-
-    def number_or_numbers(self, key: str, default: Any = MISSING) -> float | tuple[float, ...]:
-        """Return a finite number or a list of them.
-
-        Args:
-            key: key of this table.
-            default: value of a missing key, which is otherwise an error.
-        """
-        return self.numbers(key, default) if isinstance(self._values.get(key), list) else self.number(key, default)
-
-    def integers(self, key: str, default: Any = MISSING, *, least: int = 0) -> tuple[int, ...]:
-        """Return a list of whole numbers.
-
-        Args:
-            key: key of this table.
-            default: value of a missing key, which is otherwise an error.
-            least: smallest allowed number.
-        """
-        return tuple(self._integer(v, key, least) for v in self._list(key, default))
-
-    def texts(self, key: str, default: Any = MISSING) -> tuple[str, ...]:
-        """Return a list of strings.
-
-        Args:
-            key: key of this table.
-            default: value of a missing key, which is otherwise an error.
-        """
-        values = self._list(key, default)
-        for value in values:
-            if not isinstance(value, str):
-                raise InputError(f"{self.where(key)} holds {value!r}: must be a list of texts in quotes")
-        return tuple(values)
-
-    def table(self, key: str, *, required: bool = False) -> "Table":
-        """Return a table within this one.
-
-        Args:
-            key: key of this table.
-            required: raise an error for a missing table, which is otherwise empty.
-        """
-        value = self._take(key, MISSING if required else {})
-        if not isinstance(value, dict):
-            raise InputError(f"{self.where(key)} = {value!r}: must be a table, [{key}]")
-        return Table(value, file=self.file, name=f"{self.name}.{key}" if self.name else key)
-
-    def tables(self, key: str) -> "list[Table]":
-        """Return the tables of an array of tables, [[key]].
-
-        Args:
-            key: key of this table; a missing one has no tables.
-        """
-        value = self._take(key, [])
-        if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
-            raise InputError(f"{self.where(key)} = {value!r}: must be tables, each under [[{key}]]")
-        return [Table(one, file=self.file, name=f"{key} {k}") for k, one in enumerate(value, start=1)]
-
-    def remaining(self) -> dict[str, Any]:
-        """Return the unused keys, and mark them as used."""
-        rest = {key: value for key, value in self._values.items() if key not in self._taken}
-        self._taken |= set(rest)
-        return rest
-
-    def settings(self, kind: type[T], /, *, also: Iterable[str] = (), **given: Any) -> T:
-        """Return a settings dataclass filled from this table.
-
-        Missing keys take the fields' defaults. Errors of the dataclass's checks are reported with this table's place.
-
-        Args:
-            kind: the dataclass.
-            also: further keys, for suggestions.
-            **given: fields that the caller sets and that are not allowed in the file.
-        """
-        hints = get_type_hints(kind)
-        values = dict(given)
-        readers = {f.name: _READERS[hints[f.name]] for f in fields(kind) if hints[f.name] in _READERS}  # type: ignore[arg-type]
-        simple = [name for name in readers if name not in given]
-        values.update({name: getattr(self, readers[name])(name) for name in simple if name in self})
-        self.finish(also=[*simple, *also])
-        for one in fields(kind):  # type: ignore[arg-type]
-            if one.name not in values and one.default is MISSING and one.default_factory is MISSING:
-                raise InputError(f"{self.where()} the key {one.name!r} is missing")
-        return self.checked(kind, **values)
-
-    def checked(self, kind: type[T], /, **values: Any) -> T:
-        """Construct a dataclass, with this table's place in its errors.
-
-        Args:
-            kind: the dataclass.
-            **values: its fields by name.
-        """
-        try:
-            return kind(**values)
-        except InputError as error:
-            # Messages of settings begin with their table, as this table's place already does.
-            message = str(error).removeprefix(f"{getattr(kind, 'TABLE', '')}: ")
-            raise InputError(f"{self.where()} {message}") from error
-
-    def finish(self, *, also: Iterable[str] = ()) -> None:
-        """Reject unused keys.
-
-        Args:
-            also: further keys, for suggestions.
-        """
-        for key in self._values:
-            if key not in self._taken:
-                known = sorted(self._taken | set(also))
-                place = f"{self.where()} " if self.name else f"{self.where()} at the top level, "
-                raise InputError(f"{place}the key {key!r} is unknown: {suggest(key, known)}")
-
-    def _list(self, key: str, default: Any) -> list[Any] | tuple[Any, ...]:
-        value = self._take(key, default)
-        if not isinstance(value, list | tuple):
-            raise InputError(f"{self.where(key)} = {value!r}: must be a list in square brackets")
-        return value
-
-    def _number(self, value: Any, key: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{self.where(key)} = {value!r}: must be a number")
-        try:
-            number = float(value)
-        except OverflowError:
-            raise InputError(f"{self.where(key)}: must be a finite number; this one has too many digits") from None
-        if not math.isfinite(number):
-            raise InputError(f"{self.where(key)} = {value!r}: must be a finite number")
-        return number
-
-    def _integer(self, value: Any, key: str, least: int) -> int:
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise InputError(f"{self.where(key)} = {value!r}: must be a whole number of at least {least}")
-        return value
 
 
 def suggest(value: str, choices: Iterable[str]) -> str:
@@ -354,94 +124,33 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) 
         file: its name in messages.
 
     Raises:
-        InputError: the layout of the text is not supported; the message has the lines to write by hand.
+        InputError: the text cannot be changed; the message has the lines to write by hand.
     """
+    import tomlkit
+
     before = tomllib.loads(text)
     wanted = {**before, table: {**before.get(table, {}), **values}} if table else {**before, **values}
-    end = "\r\n" if "\r\n" in text else "\n"
-    lines = text.splitlines(keepends=True)
-    if lines and not lines[-1].endswith(("\n", "\r")):
-        lines[-1] += end
-    header = re.compile(rf"\s*\[\s*{re.escape(table)}\s*\]\s*(#.*)?$")
-    first = next((k for k, line in enumerate(lines) if header.match(line)), None) if table else -1
-    if first is None:
-        lines += [end, f"[{table}]{end}"] if lines else [f"[{table}]{end}"]
-        first = len(lines) - 1
+    document = tomlkit.parse(text)
+    if table and table not in document:
+        document[table] = tomlkit.table()
+    edited: Any = document[table] if table else document
     for key, value in values.items():
-        _set(lines, first, key, _toml(value), end)
-    out = "".join(lines)
-    try:
-        # As text, because NaN is not equal to itself.
-        same = _as_text(tomllib.loads(out)) == _as_text(wanted)
-    except tomllib.TOMLDecodeError:
-        same = False
-    if not same:
+        item: Any = tomlkit.item(list(value) if isinstance(value, tuple) else value)
+        # A walk has a line for each symbol.
+        lines = isinstance(value, list | tuple) and len(value) > 1 and all(isinstance(one, str) for one in value)
+        edited[key] = item.multiline(True) if lines else item
+    out = tomlkit.dumps(document)
+    out = re.sub(r"\r?\n", "\r\n", out) if "\r\n" in text else out
+    if _as_text(tomllib.loads(out)) != _as_text(wanted):
         shown = ", ".join(f"{key} = {value!r}" for key, value in values.items())
         where = f"its [{table}]" if table else "it"
-        raise InputError(f"{file}: {where} is not written line by line and was not changed; write there {shown}")
+        raise InputError(f"{file}: {where} could not be changed; write there {shown}")
     return out
 
 
 def _as_text(values: Mapping[str, Any]) -> str:
+    """Return values as text, because NaN is not equal to itself."""
     return json.dumps(values, default=str, sort_keys=True)
-
-
-def _toml(value: Any) -> str:
-    """Return a value as TOML.
-
-    A list of several texts has a line for each.
-    """
-    if isinstance(value, list | tuple) and len(value) > 1 and all(isinstance(one, str) for one in value):
-        return "[\n" + "".join(f"  {_toml(one)},\n" for one in value) + "]"
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _set(lines: list[str], header: int, key: str, value: str, end: str) -> None:
-    """Set one key of a table in place.
-
-    The table's header is line `header`.
-    """
-    last = k = header + 1
-    while k < len(lines) and not lines[k].lstrip().startswith("["):
-        stop = _end_of_value(lines, k)
-        if stop is None:
-            k += 1
-            continue
-        found = re.match(rf"(\s*{re.escape(key)}\s*=\s*)(.*)", "".join(lines[k:stop]), re.DOTALL)
-        if found:
-            comment = "" if "\n" in value else _comment(found[1], found[2])
-            if comment:
-                # The comment stays in its column if the value leaves room.
-                room = len(found[2].rstrip("\r\n")) - len(comment.lstrip())
-                comment = f"{'':{max(room - len(value), 1)}}{comment.lstrip()}"
-            lines[k:stop] = [f"{found[1]}{value}{comment}{end}"]
-            return
-        last = k = stop
-    lines.insert(last, f"{key} = {value}{end}")
-
-
-def _end_of_value(lines: Sequence[str], k: int) -> int | None:
-    """Return the line after the value of a key.
-
-    The result is None if line k has no key.
-    """
-    if not lines[k].strip() or lines[k].lstrip().startswith("#"):
-        return None
-    for stop in range(k + 1, len(lines) + 1):
-        with suppress(tomllib.TOMLDecodeError):
-            tomllib.loads("".join(lines[k:stop]))
-            return stop
-    return None
-
-
-def _comment(begin: str, rest: str) -> str:
-    """Return the comment after a value, with its leading blanks."""
-    rest = rest.rstrip("\r\n")
-    for found in re.finditer(r"\s*#", rest):
-        with suppress(tomllib.TOMLDecodeError):
-            tomllib.loads(begin + rest[: found.start()])
-            return rest[found.start() :]
-    return ""
 
 
 @dataclass(frozen=True)
@@ -718,6 +427,8 @@ _TYPES = {
     int: "must be a whole number",
     str: "must be text in quotes",
     bool: "must be true or false",
+    float | None: "must be a number",
+    int | None: "must be a whole number",
     tuple[str, ...]: "must be a list of texts in quotes",
     tuple[int, ...]: "must be a list of whole numbers",
     tuple[float, ...]: "must be a list of numbers",

@@ -37,12 +37,12 @@ of kilobytes.
 
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import IO, Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ from dpcontrol.foundation.document import fields_of, picked, plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, content_hash, write_archive
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Settings, adapter, setting
 from dpcontrol.orbits.cut import Cut, Piece, section_points
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitRecord, equilibria
 from dpcontrol.orbits.manifold import UnstableManifold
@@ -529,22 +529,12 @@ def _typed(value: Any, hint: Any, name: str) -> Any:
 
     Lists become tuples. An impossible value raises ValueError.
     """
-    parts = get_args(hint)
-    if type(None) in parts:
-        if value is None:
-            return None
-        hint = next(part for part in parts if part is not type(None))
-        parts = get_args(hint)
-    if get_origin(hint) is tuple and isinstance(value, list):
-        if parts[-1:] == (...,):
-            return tuple(_typed(item, parts[0], name) for item in value)
-        return tuple(_typed(item, part, name) for item, part in zip(value, parts, strict=True))
     if hint is float and value is None:
         return float("nan")
-    kinds = {float: (int, float), int: int, str: str, bool: bool}.get(hint, dict if get_origin(hint) is Mapping else ())
-    if not isinstance(value, kinds) or (isinstance(value, bool) and hint is not bool):
-        raise ValueError(f"its {name} is {value!r:.80}")
-    return value
+    try:
+        return adapter(hint).validate_json(json.dumps(value), strict=True)
+    except ValueError as error:
+        raise ValueError(f"its {name} is {value!r:.80}") from error
 
 
 def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:

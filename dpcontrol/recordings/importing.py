@@ -5,13 +5,7 @@ Columns are mapped and checked, repaired on request, and cut into segments.
 A MATLAB file of cells has one segment per cell. A table or a whole MATLAB recording is one segment, unless a repair
 cuts it. Segments whose times overlap are laid end to end, and a note reports this.
 
-A small TOML file, the mapping, defines the columns: units, sign, zero, sampling.
-
-    angle = sign · unit · value - zero,       rate = sign · unit · value
-
-The `zero` is the reading of a hanging arm, in rad after the sign: 0 if the recording counts from hanging, π if it
-counts from upright. Relative encoders are summed from the inner arm outwards. Columns have the names of the file: a
-table header, or in MATLAB notation a variable, a field, a cell or a row (`data{2}.Values.Data`, `Y(1,:)`).
+The mapping (`dpcontrol.recordings.mapping`) defines the columns: units, sign, zero, sampling.
 
 Files are CSV, Parquet, or MATLAB of any version. Table cells that are not numbers are reported by row. MATLAB's
 versions 4 to 7 are read by scipy; version 7.3 (HDF5) and objects (time series, Simulink data sets) by mat-io.
@@ -23,10 +17,9 @@ import math
 import re
 import struct
 import zlib
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -38,8 +31,7 @@ from dpcontrol.foundation.errors import InputError, PartMissing
 from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source
 from dpcontrol.foundation.parts import part as package
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.settings import Table, read_toml, suggest
-from dpcontrol.foundation.shipped import MAPPINGS, mappings
+from dpcontrol.foundation.settings import suggest
 from dpcontrol.recordings.bags import is_bag, read_bag
 from dpcontrol.recordings.checks import (
     ANGLE,
@@ -51,222 +43,8 @@ from dpcontrol.recordings.checks import (
     checked_repairs,
     sound_segments,
 )
+from dpcontrol.recordings.mapping import LENGTH_UNITS, TIME_UNITS, Mapping, load_mapping
 from dpcontrol.recordings.recording import Recording
-
-ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "counts": 0.0}
-RATE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180, "turns/s": 2 * np.pi, "rpm": np.pi / 30, "counts/s": 0.0}
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-ZEROS = {"hanging": 0.0, "upright": np.pi}
-_DIRECTION = ("sign", "zero", "relative")
-
-
-@dataclass(frozen=True)
-class Mapping:
-    """Rules for reading a recording.
-
-    Lists start at the inner arm and have one value for all arms or one for each.
-
-    Attributes:
-        angle_columns: empty if `state_cells` name cell arrays with the rows of all angles, then of all rates.
-        time_column: "" if not given.
-        period: 0 s if not given.
-        period_variable: variable that holds the period.
-        angle_scale: one unit of the file, rad.
-        rate_scale: one unit of the file, rad/s.
-        sign: ±1.
-        zero: rad.
-        relative: True if outer angles count from the arm before.
-        cart_column: in units of `cart_scale` m.
-        command_column: in m/s².
-        arm_lengths: m.
-    """
-
-    name: str
-    title: str
-    arm_lengths: tuple[float, ...]
-    angle_columns: tuple[str, ...] = ()
-    rate_columns: tuple[str, ...] = ()
-    time_column: str = ""
-    time_scale: float = 1.0
-    period: float = 0.0
-    period_variable: str = ""
-    state_cells: tuple[str, ...] = ()
-    time_cells: tuple[str, ...] = ()
-    angle_scale: float = 1.0
-    rate_scale: float = 1.0
-    sign: tuple[float, ...] = (1.0,)
-    zero: tuple[float, ...] = (0.0,)
-    relative: bool = False
-    cart_column: str = ""
-    cart_scale: float = 1.0
-    command_column: str = ""
-
-    @property
-    def named(self) -> tuple[str, ...]:
-        """Names of all columns to read."""
-        single = (self.time_column, self.cart_column, self.command_column)
-        return (*self.angle_columns, *self.rate_columns, *filter(None, single))
-
-    def angles(self, values: Array) -> Array:
-        """Return absolute angles (K, n), rad, of file values.
-
-        They count from hanging, counter-clockwise.
-
-        Args:
-            values: values (K, n) in the file's unit and directions.
-        """
-        n = values.shape[1]
-        angles = values * self.angle_scale * _each(self.sign, n) - _each(self.zero, n)
-        return np.cumsum(angles, axis=1) if self.relative else angles
-
-    def rates(self, values: Array) -> Array:
-        """Return absolute rates (K, n), rad/s, of file values.
-
-        Args:
-            values: values (K, n) in the file's unit and directions.
-        """
-        rates = values * self.rate_scale * _each(self.sign, values.shape[1])
-        return np.cumsum(rates, axis=1) if self.relative else rates
-
-    def lengths(self, arms: int) -> tuple[float, ...]:
-        """Return the length of each arm, m.
-
-        The last one is repeated if the mapping has fewer.
-
-        Args:
-            arms: number of arms.
-        """
-        given = self.arm_lengths[:arms]
-        return given + (self.arm_lengths[-1],) * (arms - len(given))
-
-
-def _each(values: tuple[float, ...], arms: int) -> Array:
-    return np.full(arms, values[0]) if len(values) == 1 else np.array(values[:arms])
-
-
-def load_mapping(name: str) -> Mapping:
-    """Return the mapping in a TOML file.
-
-    Args:
-        name: path of the file, or name of a shipped mapping.
-
-    Raises:
-        InputError: the mapping is missing, or its file has a mistake; reports file, table, key, value and range.
-    """
-    path = Path(name)
-    if path.suffix != ".toml":
-        path = MAPPINGS / f"{name}.toml"
-        known = mappings()
-        if name not in known:
-            raise InputError(
-                f"there is no mapping named {name!r}; {suggest(name, known)}; the path of a TOML file works"
-            )
-    table = Table(read_toml(path)[0], file=str(path))
-    return _mapping(table, path.stem)
-
-
-def _mapping(table: Table, name: str) -> Mapping:
-    cells, sampling, time = table.table("cells"), table.table("sampling"), table.table("time")
-    angles, rates, cart = table.table("angles", required=True), table.table("rates"), table.table("cart")
-    state_cells = cells.texts("states", ())
-    columns = angles.texts("columns", ()) if state_cells else angles.texts("columns")
-    count = 2 * np.pi / angles.integer("counts_per_turn", least=1) if "counts_per_turn" in angles else 0.0
-    angle_unit = angles.text("unit", "rad", allowed=ANGLE_UNITS)
-    rate_unit = rates.text("unit", "rad/s", allowed=RATE_UNITS)
-    sign, zero, relative = _direction(angles)
-    found = Mapping(
-        name=name,
-        title=table.text("title", name),
-        arm_lengths=table.numbers("arm_lengths"),
-        angle_columns=columns,
-        rate_columns=rates.texts("columns", ()),
-        time_column=time.text("column", ""),
-        time_scale=TIME_UNITS[time.text("unit", "s", allowed=TIME_UNITS)],
-        period=_period(sampling),
-        period_variable=sampling.text("variable", ""),
-        state_cells=state_cells,
-        time_cells=cells.texts("time", ()),
-        angle_scale=ANGLE_UNITS[angle_unit] or count,
-        rate_scale=RATE_UNITS[rate_unit] or count,
-        sign=sign,
-        zero=zero,
-        relative=relative,
-        cart_column=cart.text("position", ""),
-        cart_scale=LENGTH_UNITS[cart.text("unit", "m", allowed=LENGTH_UNITS)],
-        command_column=cart.text("command", ""),
-    )
-    for part in (table, cells, sampling, time, angles, rates, cart):
-        part.finish()
-    lengths, time_cells = found.arm_lengths, found.time_cells
-    if not lengths or any(not 0 < length <= 100 for length in lengths):
-        raise InputError(f"{table.where('arm_lengths')} = {list(lengths)}: must be lengths in metres, 0 to 100")
-    if not state_cells and not columns:
-        raise InputError(f"{angles.where('columns')} = []: name one column for each arm, inner arm first")
-    if state_cells and (columns or found.rate_columns or found.cart_column or found.command_column):
-        raise InputError(f"{cells.where('states')}: rows of cells replace all columns of a recording; name no others")
-    if len(time_cells) not in (0, len(state_cells)):
-        raise InputError(f"{cells.where('time')} = {list(time_cells)}: give one name for each of `states`, or none")
-    if found.rate_columns and len(found.rate_columns) != len(columns):
-        raise InputError(
-            f"{rates.where('columns')}: {len(found.rate_columns)} rates for {len(columns)} angles; give as many"
-        )
-    for name, times in Counter(found.named).items():
-        if times > 1:
-            raise InputError(f"{angles.where('columns')}: {name!r} is named twice; a column has one meaning")
-    if not (found.time_column or time_cells or found.period or found.period_variable):
-        raise InputError(f"{table.file}: neither [time] column nor [sampling] period is given; give one of them")
-    if "counts" in (angle_unit, rate_unit.partition("/")[0]) and not count:
-        raise InputError(f"{angles.where()} the unit is counts but counts_per_turn is missing; add counts_per_turn")
-    for key, values in (("sign", sign), ("zero", zero)):
-        if columns and len(values) not in (1, len(columns)):
-            raise InputError(
-                f"{angles.where(key)}: {len(values)} values for {len(columns)} angles; give one or as many"
-            )
-    return found
-
-
-def _period(sampling: Table) -> float:
-    """Return the sampling period, s.
-
-    The sampling period is 0 if it is not given as a number.
-    """
-    period, rate = sampling.number("period", 0.0), sampling.number("rate", 0.0)
-    if "period" in sampling and not 1e-6 <= period <= 1:
-        raise InputError(f"{sampling.where('period')} = {period!r}: must be 1e-6 to 1 seconds")
-    if "rate" in sampling and not 1 <= rate <= 1e6:
-        raise InputError(f"{sampling.where('rate')} = {rate!r}: must be 1 to 1e6 samples per second")
-    return period or (1 / rate if rate else 0.0)
-
-
-def _direction(angles: Table) -> tuple[tuple[float, ...], tuple[float, ...], bool]:
-    """Return sign, zero in rad and True for relative outer angles.
-
-    The keys of [angles] have single values or lists.
-    """
-    rest = angles.remaining()
-    for key in rest:
-        if key not in _DIRECTION:
-            known = [*_DIRECTION, "columns", "unit", "counts_per_turn"]
-            raise InputError(f"{angles.where()} the key {key!r} is unknown: {suggest(key, known)}")
-    sign, zero = (
-        value if isinstance(value := rest.get(key, default), list) else [value]
-        for key, default in (("sign", 1), ("zero", "hanging"))
-    )
-    for value in sign:
-        if isinstance(value, bool) or value not in (1, -1):
-            raise InputError(f"{angles.where('sign')} = {value!r}: must be 1, counter-clockwise, or -1, clockwise")
-    shown: list[Any] = [ZEROS.get(value) if isinstance(value, str) else value for value in zero]
-    for value, number in zip(zero, shown, strict=True):
-        if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) <= 100:
-            raise InputError(f"{angles.where('zero')} = {value!r}: must be 'hanging', 'upright' or an angle in rad")
-    if not sign or not zero:
-        raise InputError(f"{angles.where()} sign and zero: give one value, or a list of one for each arm")
-    relative = rest.get("relative", False)
-    if not isinstance(relative, bool):
-        raise InputError(f"{angles.where('relative')} = {relative!r}: must be true or false")
-    return tuple(map(float, sign)), tuple(map(float, shown)), relative
-
 
 MATLAB, TABLES = (".mat",), (".csv", ".tsv", ".txt", ".parquet")
 MOST_ARMS = 6
@@ -331,7 +109,7 @@ def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
     """
     for name in _KNOWN:
         mapping = load_mapping(name)
-        wanted = (*mapping.state_cells[:1], *mapping.angle_columns, *mapping.rate_columns, mapping.cart_column)
+        wanted = (*mapping.cells.states[:1], *mapping.angles.columns, *mapping.rates.columns, mapping.cart.position)
         try:
             for column_name in filter(None, wanted):
                 find(variables, column_name, file=path)
@@ -347,7 +125,9 @@ def _without_missing_rates(mapping: Mapping, path: Path) -> Mapping:
     The rates are removed if the table has none of their columns.
     """
     there = table_columns(path)
-    return mapping if any(name in there for name in mapping.rate_columns) else replace(mapping, rate_columns=())
+    if any(name in there for name in mapping.rates.columns):
+        return mapping
+    return replace(mapping, rates=replace(mapping.rates, columns=()))
 
 
 def _check_columns(path: Path, mapping: Mapping, what: str) -> None:
@@ -355,10 +135,10 @@ def _check_columns(path: Path, mapping: Mapping, what: str) -> None:
 
     `what` has only columns.
     """
-    if mapping.state_cells:
+    if mapping.cells.states:
         raise InputError(f"{path}: the mapping {mapping.name!r} is for MATLAB cells; give one with columns: --mapping")
-    if mapping.period_variable:
-        raise InputError(f"{path}: {what} holds no variable {mapping.period_variable!r}; give [sampling] period")
+    if mapping.sampling.variable:
+        raise InputError(f"{path}: {what} holds no variable {mapping.sampling.variable!r}; give [sampling] period")
 
 
 def _table(path: Path, mapping: Mapping) -> list[Samples]:
@@ -373,11 +153,11 @@ def _of_columns(path: Path, mapping: Mapping, columns: dict[str, Array], period:
         raise InputError(f"{path}: the columns differ in length ({shown_lengths}); a row needs a value of each")
 
     groups = {
-        ANGLE: mapping.angle_columns, RATE: mapping.rate_columns, CART: (mapping.cart_column,),
-        COMMAND: (mapping.command_column,),
+        ANGLE: mapping.angles.columns, RATE: mapping.rates.columns, CART: (mapping.cart.position,),
+        COMMAND: (mapping.cart.command,),
     }  # fmt: skip
     found = {kind: np.column_stack([columns[name] for name in names]) for kind, names in groups.items() if any(names)}
-    return _samples(path, str(path), mapping, found, columns.get(mapping.time_column), period)
+    return _samples(path, str(path), mapping, found, columns.get(mapping.time.column), period)
 
 
 def _samples(
@@ -394,7 +174,7 @@ def _samples(
     count, arms = found[ANGLE].shape
     if arms > MOST_ARMS:
         raise InputError(f"{path}: {arms} angles; a recording has 1 to {MOST_ARMS} arms")
-    for key, given in (("sign", mapping.sign), ("zero", mapping.zero)):
+    for key, given in (("sign", mapping.angles.signs), ("zero", mapping.angles.zeros)):
         if len(given) not in (1, arms):
             raise InputError(
                 f"{path}: the mapping's {key} has {len(given)} values for {arms} arms; give one or as many"
@@ -402,11 +182,15 @@ def _samples(
     names: list[str] = []
     for kind in found:
         names += [f"{kind} {i + 1}" for i in range(arms)] if kind in (ANGLE, RATE) else [kind]
-    read = {ANGLE: mapping.angles, RATE: mapping.rates, CART: lambda cart: cart * mapping.cart_scale}
+    read = {
+        ANGLE: mapping.absolute_angles,
+        RATE: mapping.absolute_rates,
+        CART: lambda cart: cart * LENGTH_UNITS[mapping.cart.unit],
+    }
     return Samples(
         where=where,
         rows=np.arange(1, count + 1),
-        time=np.arange(count) * period if time is None else time * mapping.time_scale,
+        time=np.arange(count) * period if time is None else time * TIME_UNITS[mapping.time.unit],
         values=np.column_stack([read[kind](values) if kind in read else values for kind, values in found.items()]),
         names=tuple(names),
     )
@@ -414,21 +198,21 @@ def _samples(
 
 def _matlab(path: Path, mapping: Mapping, variables: dict[str, Any]) -> tuple[list[Samples], float]:
     period = mapping.period
-    if mapping.period_variable:
-        given = numbers(find(variables, mapping.period_variable, file=path), mapping.period_variable, file=path)
-        period = float(given[0]) * mapping.time_scale
+    if mapping.sampling.variable:
+        given = numbers(find(variables, mapping.sampling.variable, file=path), mapping.sampling.variable, file=path)
+        period = float(given[0]) * TIME_UNITS[mapping.time.unit]
         if given.size != 1 or not 1e-6 <= period <= 1:
             shown = f"{given[0]:.6g}" if given.size == 1 else f"{given.size} numbers"
-            raise InputError(f"{path}: {mapping.period_variable} is {shown}; a sampling period is 1e-6 to 1 s")
-    if not mapping.state_cells:
+            raise InputError(f"{path}: {mapping.sampling.variable} is {shown}; a sampling period is 1e-6 to 1 s")
+    if not mapping.cells.states:
         found = {name: column(variables, name, file=path) for name in mapping.named}
         return [_of_columns(path, mapping, found, period)], period
     stretches: list[Samples] = []
-    for k, name in enumerate(mapping.state_cells):
+    for k, name in enumerate(mapping.cells.states):
         # Only the first exists in every file: a data set may have no validation part.
         if k and name not in variables:
             continue
-        times = mapping.time_cells[k] if mapping.time_cells else ""
+        times = mapping.cells.time[k] if mapping.cells.time else ""
         stretches += _cells(path, mapping, variables, name, times, period)
     arms = {stretch.arms for stretch in stretches}
     if len(arms) > 1:

@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.files import content_hash
@@ -396,7 +397,8 @@ def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
     """
     found = sorted(points, key=lambda p: hazard.place(p.value))
     places = [hazard.place(p.value) for p in found]
-    shares = falling(np.array([p.share for p in found]), np.array([p.reference for p in found]))
+    weights = [max(p.reference, 1) for p in found]
+    shares = isotonic_regression([p.share for p in found], weights=weights, increasing=False).x
     bands = [wilson(min(p.completed, p.reference), p.reference) for p in found]
     low = np.minimum.accumulate([band.low for band in bands])
     high = np.maximum.accumulate([band.high for band in bands][::-1])[::-1]
@@ -404,27 +406,6 @@ def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
     start = [own] if math.isfinite(own) and own < places[0] else []
     x = np.array([*start, *places])
     return [_crossing(x, np.concatenate([np.ones(len(start)), curve])) for curve in (shares, low, high)]
-
-
-def falling(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the least-squares falling sequence nearest to weighted values.
-
-    Adjacent violators are pooled.
-
-    Args:
-        values: values (K,).
-        weights: weights (K,).
-
-    Returns:
-        Sequence (K,).
-    """
-    pools: list[tuple[float, float, int]] = []
-    for value, weight in zip(values.tolist(), weights.tolist(), strict=True):
-        pools.append((value, weight, 1))
-        while len(pools) > 1 and pools[-2][0] < pools[-1][0]:
-            (a, m, k), (b, n, j) = pools[-2:]
-            pools[-2:] = [((m * a + n * b) / (m + n), m + n, k + j)]
-    return np.repeat([value for value, _, _ in pools], [count for _, _, count in pools])
 
 
 def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | None:

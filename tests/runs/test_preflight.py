@@ -23,7 +23,6 @@ from dpcontrol.runs.preflight import (
     ASSUMED_MISMATCH,
     PreflightSettings,
     SceneChange,
-    falling,
     hazards,
     preflight,
     with_known_errors,
@@ -185,12 +184,6 @@ def test_arms_are_drawn_from_their_known_errors(turn: Plan) -> None:
     assert (known.loop.model_uncertainty, known.loop.mismatch) == (1.0, 0.0)
     assert listed[0].source.startswith("identified")
     assert with_known_errors(replace(scene, model=model), {"mismatch": 0.1})[0].loop.model_uncertainty == 0
-
-
-def test_the_falling_sequence_next_to_values_is_that_of_the_textbook() -> None:
-    # Barlow et al.: pooled blocks take their weighted mean.
-    assert falling(np.array([1.0, 0.4, 0.8, 0.1]), np.array([1.0, 1.0, 3.0, 1.0])) == pytest.approx([1, 0.7, 0.7, 0.1])
-    assert falling(np.array([0.9, 0.5, 0.2]), np.ones(3)) == pytest.approx([0.9, 0.5, 0.2])
 
 
 def test_a_gain_and_its_error_weigh_both_kinds_of_seeds() -> None:

@@ -1,0 +1,246 @@
+"""Mappings: TOML files for the columns of a recording.
+
+They give units, sign, zero and sampling.
+
+    angle = sign · unit · value - zero,       rate = sign · unit · value
+
+The `zero` is the reading of a hanging arm, in rad after the sign: 0 if the recording counts from hanging, π if it
+counts from upright. Relative encoders are summed from the inner arm outwards. Columns have the names of the file: a
+table header, or in MATLAB notation a variable, a field, a cell or a row (`data{2}.Values.Data`, `Y(1,:)`).
+"""
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.errors import InputError, Mistakes
+from dpcontrol.foundation.settings import Place, Settings, decode, read_toml, setting, suggest
+from dpcontrol.foundation.shipped import MAPPINGS, mappings
+
+ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "counts": 0.0}
+RATE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180, "turns/s": 2 * np.pi, "rpm": np.pi / 30, "counts/s": 0.0}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+ZEROS = {"hanging": 0.0, "upright": np.pi}
+_LARGEST_ZERO = 100.0
+
+
+@dataclass(frozen=True)
+class _Top(Settings):
+    """The top level of a mapping's file."""
+
+    arm_lengths: tuple[float, ...] = setting(above=0, most=100, unit="m", help="Lengths of the arms, for pictures.")
+    title: str = setting("", help="Title; by default the file's name.")
+
+    def _check_together(self) -> None:
+        if not self.arm_lengths:
+            raise self.refusal("arm_lengths", "give the length of each arm, m")
+
+
+@dataclass(frozen=True)
+class _Time(Settings, table="time"):
+    """The times of the samples."""
+
+    column: str = setting("", help="Column of the times.")
+    unit: str = setting("s", choices=tuple(TIME_UNITS), help="Unit of the times.")
+
+
+@dataclass(frozen=True)
+class _Sampling(Settings, table="sampling"):
+    """The time between samples."""
+
+    period: float | None = setting(None, least=1e-6, most=1, unit="s", help="Time between samples.")
+    rate: float | None = setting(None, least=1, most=1e6, unit="Hz", help="Samples per second.")
+    variable: str = setting("", help="Variable of a MATLAB file that holds the period.")
+
+
+@dataclass(frozen=True)
+class _Cells(Settings, table="cells"):
+    """Cell arrays of a MATLAB file, which replace all columns."""
+
+    states: tuple[str, ...] = setting((), help="Cell arrays with rows of all angles, then of all rates.")
+    time: tuple[str, ...] = setting((), help="Cell arrays with the times of `states`.")
+
+
+@dataclass(frozen=True)
+class _Angles(Settings, table="angles"):
+    """The angles, inner arm first.
+
+    Lists have one value for all arms or one for each.
+    """
+
+    columns: tuple[str, ...] = setting((), help="Columns of the angles.")
+    unit: str = setting("rad", choices=tuple(ANGLE_UNITS), help="Unit of the angles.")
+    counts_per_turn: int | None = setting(None, least=1, help="Counts of the encoder in a turn.")
+    sign: float | tuple[float, ...] = setting(1.0, help="1 for counter-clockwise, -1 for clockwise.")
+    zero: Any = "hanging"
+    relative: bool = False
+
+    def _check_together(self) -> None:
+        if any(abs(one) != 1 for one in self.signs):
+            raise self.refusal("sign", "must be 1, counter-clockwise, or -1, clockwise")
+        for one in self.zeros:
+            if isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= _LARGEST_ZERO:
+                raise self.refusal("zero", "must be 'hanging', 'upright' or an angle in rad, or a list of these")
+        for key, values in (("sign", self.signs), ("zero", self.zeros)):
+            if len(values) not in ({1, len(self.columns)} if self.columns else range(1, 100)):
+                raise self.refusal(key, f"give one value, or one for each of {len(self.columns)} angles")
+        if self.unit == "counts" and self.counts_per_turn is None:
+            raise InputError("angles: the unit is counts but counts_per_turn is missing; add counts_per_turn")
+
+    @property
+    def signs(self) -> tuple[float, ...]:
+        """Signs, one for all arms or one for each."""
+        return self.sign if isinstance(self.sign, tuple) else (self.sign,)
+
+    @property
+    def zeros(self) -> tuple[Any, ...]:
+        """Readings of hanging arms, rad, one for all or one for each."""
+        given = self.zero if isinstance(self.zero, list | tuple) else [self.zero]
+        return tuple(ZEROS.get(one) if isinstance(one, str) else one for one in given)
+
+
+@dataclass(frozen=True)
+class _Rates(Settings, table="rates"):
+    """The rates, inner arm first."""
+
+    columns: tuple[str, ...] = setting((), help="Columns of the rates.")
+    unit: str = setting("rad/s", choices=tuple(RATE_UNITS), help="Unit of the rates.")
+
+
+@dataclass(frozen=True)
+class _Cart(Settings, table="cart"):
+    """The cart and its command."""
+
+    position: str = setting("", help="Column of the cart's position.")
+    unit: str = setting("m", choices=tuple(LENGTH_UNITS), help="Unit of the position.")
+    command: str = setting("", help="Column of the commanded acceleration, m/s².")
+
+
+_TABLES = {"time": _Time, "sampling": _Sampling, "cells": _Cells, "angles": _Angles, "rates": _Rates, "cart": _Cart}
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """Rules for reading a recording: the tables of the mapping's file."""
+
+    name: str
+    arm_lengths: tuple[float, ...]
+    time: _Time
+    sampling: _Sampling
+    cells: _Cells
+    angles: _Angles
+    rates: _Rates
+    cart: _Cart
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Names of all columns to read."""
+        single = (self.time.column, self.cart.position, self.cart.command)
+        return (*self.angles.columns, *self.rates.columns, *filter(None, single))
+
+    @property
+    def period(self) -> float:
+        """Time between samples, s; 0 if not given."""
+        return self.sampling.period or (1 / self.sampling.rate if self.sampling.rate else 0.0)
+
+    def absolute_angles(self, values: Array) -> Array:
+        """Return absolute angles (K, n), rad, of file values.
+
+        They count from hanging, counter-clockwise.
+
+        Args:
+            values: values (K, n) in the file's unit and directions.
+        """
+        return self._turned(values, ANGLE_UNITS[self.angles.unit], self.angles.zeros)
+
+    def absolute_rates(self, values: Array) -> Array:
+        """Return absolute rates (K, n), rad/s, of file values.
+
+        Args:
+            values: values (K, n) in the file's unit and directions.
+        """
+        return self._turned(values, RATE_UNITS[self.rates.unit], (0.0,))
+
+    def _turned(self, values: Array, unit: float, zeros: tuple[float, ...]) -> Array:
+        n, counts = values.shape[1], self.angles.counts_per_turn
+        scale = unit or 2 * np.pi / (counts or 1)
+        turned = values * scale * _each(self.angles.signs, n) - _each(zeros, n)
+        return np.cumsum(turned, axis=1) if self.angles.relative else turned
+
+    def lengths(self, arms: int) -> tuple[float, ...]:
+        """Return the length of each arm, m.
+
+        The last one is repeated if the mapping has fewer.
+
+        Args:
+            arms: number of arms.
+        """
+        given = self.arm_lengths[:arms]
+        return given + (self.arm_lengths[-1],) * (arms - len(given))
+
+
+def _each(values: tuple[float, ...], arms: int) -> Array:
+    return np.full(arms, values[0]) if len(values) == 1 else np.array(values[:arms])
+
+
+def load_mapping(name: str) -> Mapping:
+    """Return the mapping in a TOML file.
+
+    Args:
+        name: path of the file, or name of a shipped mapping.
+
+    Raises:
+        InputError: the mapping is missing, or its file has a mistake; reports file, table, key, value and range.
+    """
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = MAPPINGS / f"{name}.toml"
+        known = mappings()
+        if name not in known:
+            raise InputError(
+                f"there is no mapping named {name!r}; {suggest(name, known)}; the path of a TOML file works"
+            )
+    document, top, mistakes = read_toml(path)[0], Place(str(path)), Mistakes()
+    found: dict[str, Any] = {}
+    with mistakes:
+        rest = {key: value for key, value in document.items() if key not in _TABLES}
+        found["arm_lengths"] = decode(_Top, rest, top, also=_TABLES).arm_lengths
+    for table, kind in _TABLES.items():
+        with mistakes:
+            values = document.get(table, {})
+            if not isinstance(values, dict):
+                raise top.error(table, values, f"must be a table, [{table}]")
+            found[table] = decode(kind, values, replace(top, table=table))
+    mistakes.report()
+    mapping = Mapping(path.stem, **found)
+    _check(mapping, top)
+    return mapping
+
+
+def _check(mapping: Mapping, top: Place) -> None:
+    """Reject tables that do not fit together.
+
+    Raises:
+        InputError: names file, table and key.
+    """
+    columns, rates, cells = mapping.angles.columns, mapping.rates.columns, mapping.cells
+    if not cells.states and not columns:
+        raise InputError(f"{top} [angles] columns = []: name one column for each arm, inner arm first")
+    if cells.states and (columns or rates or mapping.cart.position or mapping.cart.command):
+        raise InputError(f"{top} [cells] states: rows of cells replace all columns of a recording; name no others")
+    if len(cells.time) not in (0, len(cells.states)):
+        raise InputError(f"{top} [cells] time = {list(cells.time)}: give one name for each of `states`, or none")
+    if rates and len(rates) != len(columns):
+        raise InputError(f"{top} [rates] columns: {len(rates)} rates for {len(columns)} angles; give as many")
+    for name, times in Counter(mapping.named).items():
+        if times > 1:
+            raise InputError(f"{top} [angles] columns: {name!r} is named twice; a column has one meaning")
+    if not (mapping.time.column or cells.time or mapping.period or mapping.sampling.variable):
+        raise InputError(f"{top} neither [time] column nor [sampling] period is given; give one of them")
+    if mapping.rates.unit == "counts/s" and mapping.angles.counts_per_turn is None:
+        raise InputError(f"{top} [rates] the unit is counts/s but counts_per_turn is missing; add it to [angles]")
