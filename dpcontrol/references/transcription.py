@@ -119,12 +119,13 @@ def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int,
     return ca.MX(sparsity, ca.mtimes(ca.DM(gather, 1.0), values))
 
 
-def solver_options(settings: ReferenceSettings, *, warm: bool = False) -> dict[str, Any]:
+def solver_options(settings: ReferenceSettings, *, warm: bool = False, far: bool = False) -> dict[str, Any]:
     """Return casadi's options for IPOPT or fatrop.
 
     Args:
         settings: solver and iterations.
         warm: True if the search starts from a solution on another mesh, which a large barrier would lose.
+        far: True if the solution is far from the start. IPOPT then adapts its barrier at each step.
     """
     shared: dict[str, Any] = {"print_time": False, "error_on_fail": False}
     if settings.solver == "fatrop":
@@ -139,6 +140,7 @@ def solver_options(settings: ReferenceSettings, *, warm: bool = False) -> dict[s
             # IPOPT would otherwise widen every bound by 1e-8 before it starts.
             "bound_relax_factor": 0.0,
             "mu_init": 1e-6 if warm else 0.1,
+            "mu_strategy": "adaptive" if far else "monotone",
         }
     return shared | {f"{settings.solver}.{name}": value for name, value in own.items()}
 
@@ -373,7 +375,13 @@ class _Program:
 
 
 def solve(
-    problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits, warm: bool = False
+    problem: ReferenceProblem,
+    first: Trajectory,
+    *,
+    settings: ReferenceSettings,
+    limits: Limits,
+    warm: bool = False,
+    far: bool = False,
 ) -> Solved:
     """Solve the program on the mesh of a trajectory.
 
@@ -383,13 +391,14 @@ def solve(
         settings: solver and weights.
         limits: limits of the cart at all nodes.
         warm: True if `first` is nearly a solution.
+        far: True if `first` is far from a solution.
 
     Raises:
         InputError: a formulation that the solver does not support.
     """
     began = time.perf_counter()
     program = _Program(problem, settings, first, limits)
-    options = solver_options(settings, warm=warm) | program.options
+    options = solver_options(settings, warm=warm, far=far) | program.options
     solver = ca.nlpsol("reference", settings.solver, program.program, options)
     low, high = program.bounds()
     x0 = np.clip(program.start(), low, high)
