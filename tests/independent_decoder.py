@@ -23,6 +23,8 @@ RATE_UNIT = 8.0
 """Rate equivalent to one rad, rad/s: a swing's frequency makes distances independent of the phase."""
 NEAR = 0.5
 """rad, scaled."""
+BESIDE = 1.5
+"""Distance within which the reference counts as near other orbits, over NEAR."""
 LOOKS = 200.0
 """Hz."""
 BRIEF = 0.02
@@ -174,7 +176,8 @@ def faults(plan: Plan, states: Array, accelerations: Array | None) -> list[str]:
         return [*out, f"the reference itself does not make its stops: {[s[0] for s in wanted]}"]
     if spans is None:
         return [*out, f"stops {[s[0] for s in seen]} instead of {stops}"]
-    strange = {s[0] for s in seen} - {s[0] for s in wanted}
+    # A run may be near an orbit that the reference only just misses.
+    strange = {s[0] for s in seen} - {s[0] for s in labels(plan, plan.states, BESIDE * NEAR)}
     if strange:
         out.append(f"was at {strange}")
     for k, asked in enumerate(plan.notes["wraps"]):

@@ -203,10 +203,12 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
     notes, n = plan_notes(plan), angles.shape[1]
     way = plan.state(plan.mesh[0] + np.arange(0.0, plan.duration + _GRID, _GRID).clip(max=plan.duration))[:, :n]
     # A sustained orbit has the plant's period, so any phase of it may match.
-    window = shortest_period(notes) * (0.5 if "program" in notes or "stay" in notes else 0.25)
+    kept = "program" in notes or "stay" in notes
+    window = max(orbit["period"] for orbit in notes["orbits"]) / 2 if kept else shortest_period(notes) / 4
     reach = int(np.ceil(window / _GRID))
     # After the plan's end a run may continue around the last orbit, period by period.
     last = _period(notes, -1)
+    way = np.concatenate([way, way[-round(last / _GRID) :]])
     clock = clock - np.ceil((clock - plan.duration).clip(min=0.0) / last) * last
     places = np.rint(clock / _GRID).astype(np.intp)
 

@@ -161,3 +161,16 @@ def test_a_run_whose_clock_skips_a_short_stop_ends_before_it() -> None:
     times = np.arange(0.0, END, 0.005)
     decoded = decode_run(times, motion(times, FIRST, SECOND - PERIOD), held)
     assert decoded.matched == 2
+
+
+def test_a_kept_stop_may_have_any_phase_of_its_own_orbit() -> None:
+    """The other orbit of the plan is faster, and half its period is no bound for the phase at this stop."""
+    kept = plan(program=[])
+    kept.notes["orbits"].append({"saddle": "up-down", "period": PERIOD / 8})
+    kept.notes["wraps"] = [None]
+    times = np.arange(0.0, END, 0.005)
+    angles = motion(times, FIRST, SECOND)
+    angles[:, 0] = wobble(times + PERIOD / 2 * np.clip((times - 6.2) / PERIOD, 0, 1))
+    decoded = decode_run(times, angles, kept)
+    assert decoded.lost is None
+    assert decoded.matched == 3
