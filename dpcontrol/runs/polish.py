@@ -59,16 +59,20 @@ class _JointSearch:
     """One search: method, interval in s, weight and limit of iterations.
 
     The weight is that of the distance to the robust plan.
+
+    far: True if IPOPT adapts its barrier. Long motions need it. Short ones then may end in a more costly minimum.
     """
 
     method: str
     interval: float
     weight: float = 0.0
     iterations: int = 300
+    far: bool = False
 
 
 _SEARCHES = (
-    _JointSearch("radau-7", 0.05), _JointSearch("radau-5", 0.05), _JointSearch("radau-3", 0.0125),
+    _JointSearch("radau-7", 0.05), _JointSearch("radau-7", 0.05, far=True),
+    _JointSearch("radau-5", 0.05, far=True), _JointSearch("radau-3", 0.02),
     _JointSearch("radau-5", 0.05, weight=1.0), _JointSearch("radau-5", 0.05, weight=10.0),
 )  # fmt: skip
 """Tried in turn; those with a weight stay near the robust plan, at more effort."""
@@ -261,8 +265,7 @@ def _searched(
         progress(f"as one, {part.duration:.1f} s", k / len(_SEARCHES))
         wanted = _settings(settings, search.weight, search.method, search.iterations)
         first = on_mesh(part, even_mesh(part.duration, search.interval), method_named(search.method))
-        # With IPOPT's usual barrier, most of these searches stall for hundreds of iterations.
-        solved = solve(problem, first, settings=wanted, limits=problem.limits, far=True)
+        solved = solve(problem, first, settings=wanted, limits=problem.limits, far=search.far)
         if solved.succeeded:
             found.append(solved.trajectory)
     return sorted(found, key=lambda motion: motion.effort)
