@@ -3,9 +3,10 @@
 import json
 import os
 import subprocess
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -323,13 +324,27 @@ def test_a_repetition_of_a_log_without_comparable_messages_writes_nothing() -> N
     assert {path.name for path in Path().iterdir()} == {"rest.toml", "rest.mcap", "other.mcap"}
 
 
-def _copied(reader: McapReader, writer: Writer) -> None:
-    """Copy a log as another program does: with its own numbers of schemas and channels."""
+def test_a_log_whose_schema_rerun_rejects_is_recorded_from_its_values() -> None:
+    """This ended in a traceback."""
+    assert dpcontrol("run", "rest.toml", "--out", "rest.mcap").code == 0
+    with Path("rest.mcap").open("rb") as file, Path("other.mcap").open("wb") as copy:
+        _copied(make_reader(file), Writer(copy), {"tf2_msgs/msg/TFMessage": b"ge"})
+    ended = dpcontrol("review", "other.mcap", "--save", "other.rrd")
+    assert ended.code == 0, ended.stderr
+    assert Path("other.rrd").stat().st_size > 10_000
+
+
+def _copied(reader: McapReader, writer: Writer, schemas: Mapping[str, bytes] = MappingProxyType({})) -> None:
+    """Copy a log as another program does: with its own numbers of schemas and channels, and the given schemas."""
     writer.start()
     channels: dict[int, int] = {}
     for schema, channel, message in reader.iter_messages():
         if channel.id not in channels:
-            number = 0 if schema is None else writer.register_schema(schema.name, schema.encoding, schema.data)
+            number = (
+                0
+                if schema is None
+                else writer.register_schema(schema.name, schema.encoding, schemas.get(schema.name, schema.data))
+            )
             channels[channel.id] = writer.register_channel(
                 channel.topic, channel.message_encoding, number, channel.metadata
             )
