@@ -125,15 +125,16 @@ def run_settings() -> Any:
 def _given(settings: Sequence[tuple[str, Any]], **named: Any) -> dict[str, Any]:
     """Return the settings that are given, by path.
 
+    The last value of a path counts, so that a remedy can be appended to a command.
+
     Raises:
-        InputError: a setting is given twice.
+        InputError: a setting is given by its option and by its path.
     """
     given = {resolved(name): value for name, value in named.items() if value is not None}
     for path, value in settings:
         if path in given:
             raise InputError(f"--set {path}={value}: {path} is given twice; give it once")
-        given[path] = value
-    return given
+    return given | dict(settings)
 
 
 BENCH = "Bench"

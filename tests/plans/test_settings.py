@@ -167,7 +167,9 @@ def test_overrides_mean_the_same_in_python_and_on_the_command_line(tmp_path: Pat
     scene.write_text(STILL)
     line = ("run", scene, "--seed", "3", "--out")
     assert dpcontrol(*line, command, *[w for k, v in given.items() for w in ("--set", f"{k}={v}")]).code == 0
-    assert dpcontrol(*line, short, "--lag", "0.002", "--counts", "4000", "--set", "jerk=2000").code == 0
+    # The last value counts, so a printed remedy can be appended.
+    jerks = ("--set", "jerk=1000", "--set", "drive.jerk=2000")
+    assert dpcontrol(*line, short, "--lag", "0.002", "--counts", "4000", *jerks).code == 0
     dp.run(str(scene), settings=given, seed=3, log=own)
     assert compare_messages(command, short).difference is None
     assert compare_messages(command, own).difference is None
