@@ -188,6 +188,8 @@ _AT_SIDE, _IN_PLAY = 0.3, 10.0
 The first is for a joint that moves its encoder and allows for errors of the play. The second is for other joints, whose
 readings are constant for some time.
 """
+_FASTEST = 1.1
+"""Largest velocity of the cart over the drive's limit."""
 _SHAPED_DAMPING = 1.0
 """Damping ratio of a belt with shaped commands."""
 _UNSEEN = 0.2
@@ -973,6 +975,8 @@ class TickEquations:
         """
         m, c, n = known.memory, known.numbers, self.filter.arms
         x, v, sent = acts.ahead[2 * n], acts.ahead[2 * n + 1], m["velocity"]
+        # The drive is no faster, whatever the estimate of a cart whose scale has just stuck.
+        v = ca.fmin(ca.fmax(v, -_FASTEST * c["velocity"]), _FASTEST * c["velocity"])
         farthest = self._stopping_point(x, v, c)
         # Sent commands without an effect yet, for a lagging drive.
         return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m["heading"], c), -_BIG))
