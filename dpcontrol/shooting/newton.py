@@ -171,14 +171,14 @@ class ShootingOrbit(Brief):
         return float(self.times[-1] - self.times[0])
 
     def sample(self, times: Array) -> Array:
-        """Return states (M, N) at any times.
+        """Return states (…, N) at any times.
 
         Each is propagated from the node before it.
 
         Beyond its nodes an open orbit continues on the local manifolds, and a closed orbit repeats.
 
         Args:
-            times: times (M,), s.
+            times: times (…), s.
         """
         times = np.asarray(times, dtype=float)
         rounds = np.zeros_like(times)
@@ -197,8 +197,8 @@ class ShootingOrbit(Brief):
         for k in np.unique(segment[~outside]):
             where = np.flatnonzero((segment == k) & ~outside)
             out[where] = self.system.propagator.sample(self.states[k], wanted[where] - self.times[k])
-        states = out[np.ravel(inverse)]
-        return states if self.turn is None else states + rounds[:, None] * self.turn
+        states = out[np.reshape(inverse, times.shape)]
+        return states if self.turn is None else states + rounds[..., None] * self.turn
 
 
 @dataclass(frozen=True)

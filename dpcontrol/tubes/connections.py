@@ -127,10 +127,7 @@ class Connection(ConnectionRecord, Timed):
         Raises:
             InputError: the times are not finite numbers.
         """
-        if times is None:
-            return self.sample()
-        found = checked_times(times)
-        return self.orbit.sample(found.ravel()).reshape(*found.shape, len(self.columns))
+        return self.sample() if times is None else self.orbit.sample(checked_times(times))
 
     @property
     def solution(self) -> Guess:

@@ -328,10 +328,7 @@ class ShadowingOrbit(Timed, Documented):
         Raises:
             InputError: the times are not finite numbers.
         """
-        if times is None:
-            return self.sample()
-        found = checked_times(times)
-        return self.orbit.sample(found.ravel()).reshape(*found.shape, len(self.columns))
+        return self.sample() if times is None else self.orbit.sample(checked_times(times))
 
 
 def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:
