@@ -110,7 +110,7 @@ def _check_energy(energy: float, saddles: Sequence[str], model: Model, place: Pl
         if energy <= points[saddle].energy:
             raise InputError(
                 f"{place} energy = {energy!r} J: {saddle} has Lyapunov orbits only above its own "
-                f"{points[saddle].energy!r} J; choose a higher energy"
+                f"{points[saddle].energy:.9g} J; choose a higher energy"
             )
 
 
