@@ -547,7 +547,7 @@ def write_recording(view: RunView, path: Path) -> None:
         raise InputError(f"the log {view.path} has gone; put it back and try again")
     from_log = from_log and view.time[-1] - view.time[0] <= _LONG
     if from_log:
-        # Rerun rejects schemas that are not those of ROS, which this program does not read.
+        # Rerun rejects logs with damaged schemas, which this program's own reader does not need.
         with suppress(RuntimeError):
             _record(view, path, from_log=True)
             return

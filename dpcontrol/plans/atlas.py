@@ -4,7 +4,7 @@ It has the orbits of all saddles, one cut per tube, and all kinds of connection.
 
 On disk it is one .npz file, readable with numpy alone (`numpy.load(path)`), without pickles.
 
-Keys; arrays are float64 unless said otherwise. K-th orbit, cut, piece and connection, counted from 0:
+Arrays are float64 unless said otherwise. K and J count orbits, cuts, pieces and connections from 0. Keys:
 
     header   JSON text (a 0-d string array), numbers with all their digits, null for infinite or missing values:
              {"format": "dpcontrol-atlas", "version": 2, "model", "title", "energy" (J), "status", "seconds",

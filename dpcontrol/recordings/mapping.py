@@ -34,7 +34,7 @@ class _Top(Settings):
     """The top level of a mapping's file."""
 
     arm_lengths: tuple[float, ...] = setting(above=0, most=100, unit="m", help="Lengths of the arms, for pictures.")
-    title: str = setting("", help="Title; by default the file's name.")
+    title: str = setting("", help="What the mapping reads.")
 
     def _check_together(self) -> None:
         if not self.arm_lengths:

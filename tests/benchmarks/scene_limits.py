@@ -68,7 +68,7 @@ def draw_limits(flights: Sequence[Flown], folder: Path, file: Path) -> str:
         done, runs = sum(f.completed for f in some), sum(len(f.runs) for f in some)
         return f"{done} of {runs} runs of {len(some)} itineraries"
 
-    text = f"Within both limits {counts(within)} complete, beyond them {counts(beyond)}. Numbers: seeds that fail"
+    text = f"Within both limits {counts(within)} complete, beyond them {counts(beyond)}. Numbers: seeds below 90 %"
     page = Page("Itineraries fail where feedback shakes the cart or comes late", text, width=8.0)
 
     def draw(axes) -> None:
@@ -77,7 +77,7 @@ def draw_limits(flights: Sequence[Flown], folder: Path, file: Path) -> str:
         for flight, (shaking, growth) in zip(flights, asked, strict=True):
             share = flight.completed / len(flight.runs)
             colour = style.GOOD if share >= 0.97 else style.LIMIT
-            face = colour if share in (0.0, 1.0) or share >= 0.97 else style.PAPER
+            face = style.PAPER if 0 < share < 0.97 else colour
             x, y = max(shaking, LEAST), max(growth, LEAST)
             axes.plot(x, y, "o", color=colour, mfc=face, ms=6)
             if share < 0.9:
