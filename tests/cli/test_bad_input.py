@@ -31,7 +31,7 @@ REPLACED = {
         "mass           = [1e300",
         "at most 1e+06",
     ),
-    "energy below the saddle's": ("itinerary", "energy = -0.07", "energy = -0.2", "-0.175429746884"),
+    "energy below the saddle's": ("itinerary", "energy = -0.07", "energy = -0.2", "-0.175429747"),
     "walk not connected": ("itinerary", '["down-up +"]', '["down-up +", "up-down +"]', "not connected"),
     "unknown saddle": ("itinerary", '["down-up +"]', '["up-sideways +"]', "up-sideways"),
     "no sense": ("itinerary", '["down-up +"]', '["down-up"]', "down-up +"),
