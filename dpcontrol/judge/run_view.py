@@ -165,6 +165,7 @@ class RunView(Brief):
         summary: of a reference, otherwise None.
         extras: estimated parameters, or None.
         extra_truth: known true values of the parameters by name, a number or (M,) at the extras' times.
+        rewritten: True for a log that another program has rewritten.
     """
 
     path: Path
@@ -197,6 +198,7 @@ class RunView(Brief):
     summary: ReferenceSummary | None = None
     extras: Extras | None = None
     extra_truth: Mapping[str, Array | float] = field(default_factory=dict)
+    rewritten: bool = False
 
     @property
     def arms(self) -> int:
@@ -315,6 +317,7 @@ def series_of(log: RunLog) -> RunView:
         events=log.events,
         metadata=log.metadata,
         extras=log.extras,
+        rewritten=log.rewritten,
     )
 
 

@@ -647,6 +647,7 @@ class RunLog(Shown):
         rate_hz: rate of the loop in Hz.
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s², or None.
         recovered: losses that `dpcontrol recover` reported, a sentence. None without losses.
+        rewritten: True if another program has rewritten it, so that integrity cannot be checked.
     """
 
     path: Path
@@ -665,6 +666,7 @@ class RunLog(Shown):
     limits: tuple[float, float, float] | None
     recovered: str | None = None
     extras: Extras | None = None
+    rewritten: bool = False
 
     def __repr__(self) -> str:
         return f"<log {self.path}: {len(self.time):,} rows at {self.rate_hz:g} Hz>"
@@ -781,7 +783,8 @@ def read_log(path: Path | str) -> RunLog:
         events = [_event_of(time, body) for time, body in found.events]
         extras = _extras(found.tick.extras, found.extras)
         whole = {name: _frozen(values) for name, values in found.rows.items()}
-        return _run_log(file, found.tick, found.described, rows=whole, events=events, extras=extras)
+        log = _run_log(file, found.tick, found.described, rows=whole, events=events, extras=extras)
+        return replace(log, rewritten=True)
 
 
 def _rewritten(file: VerifiedFile) -> Rewritten | None:

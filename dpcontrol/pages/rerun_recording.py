@@ -11,7 +11,7 @@ of 2 rad.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -545,16 +545,8 @@ def write_recording(view: RunView, path: Path) -> None:
     from_log = view.what != "reference"
     if from_log and not view.path.is_file():
         raise InputError(f"the log {view.path} has gone; put it back and try again")
-    from_log = from_log and view.time[-1] - view.time[0] <= _LONG
-    if from_log:
-        # Rerun rejects logs with damaged schemas, which this program's own reader does not need.
-        with suppress(RuntimeError):
-            _record(view, path, from_log=True)
-            return
-    _record(view, path, from_log=False)
-
-
-def _record(view: RunView, path: Path, *, from_log: bool) -> None:
+    # Rerun's reader aborts the process at a damaged message, so it reads only logs whose checksums agree.
+    from_log = from_log and not view.rewritten and view.time[-1] - view.time[0] <= _LONG
     with recording_to(path, view.title, blueprint(view, from_log=from_log), _summary(view)) as recording:
         record_strips(recording, "", strips(view), view)
         for chart in (*motion_charts(view), *check_charts(view), *extra_charts(view)):

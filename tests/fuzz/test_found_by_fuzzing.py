@@ -10,7 +10,7 @@ from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import pytest
-from command_line import PROGRAM, dpcontrol
+from command_line import PROGRAM, dpcontrol, dpcontrol_program
 from mcap.reader import McapReader, make_reader
 from mcap.writer import Writer
 
@@ -334,8 +334,26 @@ def test_a_log_whose_schema_rerun_rejects_is_recorded_from_its_values() -> None:
     assert Path("other.rrd").stat().st_size > 10_000
 
 
-def _copied(reader: McapReader, writer: Writer, schemas: Mapping[str, bytes] = MappingProxyType({})) -> None:
-    """Copy a log as another program does: with its own numbers of schemas and channels, and the given schemas."""
+def test_a_rewritten_log_with_a_damaged_message_is_recorded_from_its_values() -> None:
+    """Rerun's reader aborted the process."""
+    assert dpcontrol("run", "rest.toml", "--out", "rest.mcap").code == 0
+    with Path("rest.mcap").open("rb") as file, Path("other.mcap").open("wb") as copy:
+        _copied(make_reader(file), Writer(copy), damaged="/tf")
+    ended = dpcontrol_program("review", "other.mcap", "--save", "other.rrd", folder=Path())
+    assert ended.code == 0, ended.stderr
+    assert Path("other.rrd").stat().st_size > 10_000
+
+
+_FRAME = b"\x06\0\0\0world\0"
+
+
+def _copied(
+    reader: McapReader, writer: Writer, schemas: Mapping[str, bytes] = MappingProxyType({}), *, damaged: str = ""
+) -> None:
+    """Copy a log as another program does: with its own numbers of schemas and channels, and the given schemas.
+
+    In a message of the topic `damaged`, the length of the frame's name exceeds the message.
+    """
     writer.start()
     channels: dict[int, int] = {}
     for schema, channel, message in reader.iter_messages():
@@ -348,7 +366,11 @@ def _copied(reader: McapReader, writer: Writer, schemas: Mapping[str, bytes] = M
             channels[channel.id] = writer.register_channel(
                 channel.topic, channel.message_encoding, number, channel.metadata
             )
-        writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
+        data = message.data
+        if channel.topic == damaged and message.log_time:
+            before, _, after = data.rpartition(_FRAME)
+            data, damaged = before + b"\xff\xff" + _FRAME[2:] + after, ""
+        writer.add_message(channels[channel.id], message.log_time, data, message.publish_time, message.sequence)
     for record in reader.iter_metadata():
         writer.add_metadata(record.name, record.metadata)
     for attached in reader.iter_attachments():
