@@ -225,12 +225,12 @@ def lifted_guess(goal: Goal, lift: Array) -> Guess:
     return lambda times: sample(times + goal.begin) + turned
 
 
-_ROOM, _ELSEWHERE = 0.05, 0.3
+_ROOM, _ELSEWHERE = 0.05, 0.45
 """Distances of a reference from its last orbit, rad: half the tolerance of runs, and the one that misses the orbit.
 
 Beyond the first, feedback has no margin left.
 """
-_CLOSER = (100.0, 10_000.0)
+_CLOSER = (1e2, 1e4, 1e6)
 """Factors on the pendulum's weight when such a reference is sought again.
 
 With friction, no orbit can be kept exactly, and the cheapest end is not the nearest.

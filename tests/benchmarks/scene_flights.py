@@ -20,6 +20,7 @@ from pathlib import Path
 
 from generated_scenes import Scene
 from independent_decoder import plan_of
+from independent_orbits import unkept_orbits
 from independent_planner import missing_transfers
 from independent_tubes import missing_connections
 from verdict_runs import disagreement, runs
@@ -189,7 +190,9 @@ def failures(flights: Iterable[Flown], folder: Path, *, searches: bool = True) -
             if not searches:
                 continue
             file = folder / "files" / f"{one.scene.name}.toml"
-            missing = [*missing_connections(file), *missing_transfers(file, attempts=ATTEMPTS)]
+            missing = [
+                *missing_connections(file), *unkept_orbits(file), *missing_transfers(file, attempts=ATTEMPTS)
+            ]  # fmt: skip
             lines.append(f"    independent searches do not find: {', '.join(missing) or 'nothing amiss'}")
         elif one.error:
             lines.append(f"{head}: not flown: {one.error}")

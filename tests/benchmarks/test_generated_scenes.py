@@ -111,9 +111,10 @@ def test_the_second_search_finds_the_turns_that_there_are(energy: float, missing
 
 
 @pytest.mark.slow
-def test_a_reference_ends_near_the_orbit_that_its_runs_are_judged_by(tmp_path: Path) -> None:
-    """With the usual weight this one was 0.09 rad off, which left the feedback no room."""
-    plan = make_plan(load_itinerary(str(sampled_scene(20).write(tmp_path))))
+@pytest.mark.parametrize("seed", [20, pytest.param(100, marks=pytest.mark.benchmark)])
+def test_a_reference_ends_near_the_orbit_that_its_runs_are_judged_by(seed: int, tmp_path: Path) -> None:
+    """With the usual weight they were 0.09 and 0.26 rad off, which left the feedback no room."""
+    plan = make_plan(load_itinerary(str(sampled_scene(seed).write(tmp_path))))
     assert plan.converged
     read = plan_of(plan.reference, 1000.0, (1.0, 1.0, 1.0))
     assert last_gap(read, read.states) < ENDS
