@@ -1,8 +1,9 @@
-"""A second search for orbits that a cart keeps against friction, to confirm refusals. It shares no code with the package.
+"""A second search for orbits that a cart keeps against friction, to confirm refusals.
 
-For two arms, the orbit about a saddle is that of `independent_tubes`. One period of the arms with friction is fitted to
-it by Hermite-Simpson collocation with IPOPT: the cart moves within its limits, from any place with any velocity, and the
-mean square of the angles' distance from the orbit is least. The arms may start beside the orbit.
+It shares no code with the package. For two arms, the orbit about a saddle is that of `independent_tubes`. One period of
+the arms with friction is fitted to it by Hermite-Simpson collocation with IPOPT: the cart moves within its limits, from
+any place with any velocity, and the mean square of the angles' distance from the orbit is least. The arms may start
+beside the orbit.
 """
 
 import tomllib
