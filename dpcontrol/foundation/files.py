@@ -455,6 +455,8 @@ def archive_format(path: Path | str) -> str:
 
 
 _LONGEST_HEADER = 1000
+_KINDS = "biufU"
+"""Kinds of arrays in an archive: truth values, real numbers and text."""
 
 
 def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
@@ -473,8 +475,8 @@ def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
         raise ValueError(f"{info.filename} describes its array in {length:,} characters")
     shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     there = info.file_size - stream.tell()
-    if dtype.hasobject:
-        raise ValueError(f"{info.filename} holds Python objects")
+    if dtype.kind not in _KINDS:
+        raise ValueError(f"{info.filename} holds {dtype} instead of numbers")
     if math.prod(shape) > MOST_UNPACKED or dtype.itemsize * math.prod(shape) != there:
         raise ValueError(f"{info.filename} declares {' x '.join(map(str, shape))} values in {there} bytes")
     stream.seek(0)

@@ -256,7 +256,8 @@ def write_samples(
     if recording.cart is not None:
         measured = np.column_stack([measured, recording.cart])
         # Rigs do not report the cart's velocity; it is differentiated from the position.
-        velocity = [np.gradient(part.cart, part.dt) for part in recording.split() if part.cart is not None]
+        carts = [part.cart for part in recording.split() if part.cart is not None]
+        velocity = [np.gradient(cart, recording.dt) if len(cart) > 1 else np.zeros(len(cart)) for cart in carts]
         rates = None if rates is None else np.column_stack([rates, np.concatenate(velocity)])
     parts: dict[str, Array | None] = {"rates": rates, **(states or {})}
     if control:

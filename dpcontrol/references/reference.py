@@ -297,7 +297,7 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
         raise ValueError(f"its points are not those of {method.name}")
     if "support" in arrays and not np.allclose(arrays["support"], method.support, rtol=0, atol=1e-12):
         raise ValueError(f"its states are not given where {method.name} has them")
-    if intervals < 1 or not (np.diff(mesh) > 0).all():
+    if intervals < 1 or not (mesh[1:] > mesh[:-1]).all():
         raise ValueError("its mesh does not rise")
     if states.shape[:2] != (intervals, count + 1) or inputs.shape[:2] != (intervals, count):
         raise ValueError(f"states {states.shape} and inputs {inputs.shape} do not fit its mesh")

@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from dpcontrol.identification.replay import filter_settings
 from dpcontrol.judge.score import score
 from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.pages.layout import Page, new_figure, save_figure
+from dpcontrol.recordings.recording import Recording, write_samples
 from dpcontrol.references.reference import load_reference, save_reference
 
 REST = 'model = "lab"\nstart = "hold"\nhold = "down-down"\nseconds = 0.5\n[controller]\nkind = "lqr"\n'
@@ -230,6 +232,39 @@ def test_a_reference_with_huge_values_is_refused_without_a_warning(part: str, va
     assert ended.code == 2
     assert "or too large" in ended.message
     assert "Warning" not in ended.message
+
+
+def test_a_reference_with_a_mesh_of_infinities_is_refused_without_a_warning() -> None:
+    """NumPy warned of the difference of two infinities."""
+    assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
+    reference = load_reference(Path("reference.npz"))
+    save_reference(Path("far.npz"), replace(reference, mesh=np.full_like(reference.mesh, np.inf)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match="its mesh does not rise"):
+            load_reference(Path("far.npz"))
+
+
+@pytest.mark.parametrize("kind", ["datetime64[s]", "complex128", "V8"])
+def test_an_archive_of_other_values_than_numbers_is_refused(kind: str) -> None:
+    """Dates in the place of an atlas's times ended in a traceback."""
+    assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
+    reference = load_reference(Path("reference.npz"))
+    save_reference(Path("odd.npz"), replace(reference, extra={"times": np.zeros(3, dtype=kind)}))
+    with pytest.raises(InputError, match="instead of numbers"):
+        load_reference(Path("odd.npz"))
+
+
+def test_a_segment_of_one_sample_of_a_moving_cart_is_written() -> None:
+    """Its velocity was differentiated."""
+    zeros, times = np.zeros(4), np.array([0.0, 0.01, 0.02, 9.0])
+    recording = Recording(
+        "swing", "swing.csv", 0.01, times, zeros[:, None], zeros[:, None], ((0, 3), (3, 4)), (0.2,), cart=times
+    )
+    write_samples(recording, Path("swing.mcap"), "import", [(0, 3, "info", ""), (3, 4, "info", "")], metadata={})
+    velocity = read_log(Path("swing.mcap")).rates
+    assert velocity is not None
+    assert velocity[:, 1] == pytest.approx([1.0, 1.0, 1.0, 0.0])
 
 
 @pytest.mark.parametrize("value", ["small", [1e-9], 10**400])
