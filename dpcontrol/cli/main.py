@@ -84,7 +84,8 @@ class _Verbs(click.Group):
 
             def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
                 if not issubclass(category, Remark):
-                    show_others(message, category, *place)
+                    if ctx.obj.debug:
+                        show_others(message, category, *place)
                 elif str(message) not in shown:
                     shown.add(str(message))
                     print_message(f"dpcontrol: {message}")
@@ -146,7 +147,9 @@ class _Verbs(click.Group):
 @click.version_option(
     dpcontrol.__version__, prog_name="dpcontrol", help="Version, and with --json the versions of all parts."
 )
-@click.option("--debug", is_flag=True, expose_value=False, help="Traceback of an error on stderr; also after a verb.")
+@click.option(
+    "--debug", is_flag=True, expose_value=False, help="Tracebacks and libraries' warnings on stderr; also after a verb."
+)
 @click.pass_context
 def cli(ctx: click.Context) -> None:
     """Design and track trajectories of a double pendulum on a cart.

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import warnings
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from mcap.reader import McapReader, make_reader
 from mcap.writer import Writer
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.shipped import find
 from dpcontrol.identification.replay import filter_settings
 from dpcontrol.judge.score import score
 from dpcontrol.logs import LogWriter, read_log
@@ -243,6 +245,19 @@ def test_a_reference_with_a_mesh_of_infinities_is_refused_without_a_warning() ->
         warnings.simplefilter("error")
         with pytest.raises(InputError, match="its mesh does not rise"):
             load_reference(Path("far.npz"))
+
+
+@pytest.mark.parametrize("option", ["", "--debug"])
+def test_numpys_warnings_are_printed_for_debugging_only(option: str) -> None:
+    """A number of an arm without mass overflows."""
+    text = find("models", "lab").read_text()
+    for key, value in (("mass", 1e-150), ("centre_of_mass", 1e-158), ("inertia", 1e-152)):
+        text, count = re.subn(rf"(?m)^({key} *= \[[0-9.]+), [0-9.]+", rf"\1, {value}", text)
+        assert count == 1
+    Path("light.toml").write_text(text)
+    ended = dpcontrol_program("model", "light.toml", *option.split(), folder=Path())
+    assert ended.code == 2
+    assert ("RuntimeWarning" in ended.stderr) == bool(option)
 
 
 @pytest.mark.parametrize("kind", ["datetime64[s]", "complex128", "V8"])
