@@ -118,7 +118,7 @@ def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
 
 
 def against_tvlqr(errors: Diagram) -> str:
-    """Return the adaptive law's figures beside those of TVLQR by time, in a sentence.
+    """Return a sentence on the adaptive law beside TVLQR by time.
 
     Args:
         errors: diagram of the errors on a reference.
