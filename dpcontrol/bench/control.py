@@ -267,8 +267,8 @@ def _pair(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str]
     found, x = measured(task, made, seeds=seeds, default=default), "time of a tick, filter and law, s"
     failed = tuple(replace(p, error=1 - p.others["success"]) for p in found.points)
     return (
-        found.titled(f"{task.title}: error", x, _ERROR, why=why),
-        found.titled(f"{task.title}: failures", x, f"share that fails at {LARGE:.0%} mismatch", points=failed, why=why,
+        found.titled(f"{task.title}, error", x, _ERROR, why=why),
+        found.titled(f"{task.title}, failures", x, f"share that fails at {LARGE:.0%} mismatch", points=failed, why=why,
                     log_y=False),
     )  # fmt: skip
 
@@ -316,7 +316,7 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagr
     )
     why = "more sections detect an error earlier, and then need less effort"
     return error, failures, Diagram(
-        "An orbit by pulses: effort", "rms of the feedback, m/s²", _ERROR, spending, why=why, timed=False
+        "An orbit by pulses, effort", "rms of the feedback, m/s²", _ERROR, spending, why=why, timed=False
     )  # fmt: skip
 
 
@@ -338,7 +338,7 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Diagram:
     }  # fmt: skip
     found = measured(task, made, seeds=seeds, default=("LQR", "effort × 1"))
     return found.titled(
-        "Both arms up: LQR", "rms of the feedback, m/s²", _ERROR, timed=False,
+        "Both arms up, LQR", "rms of the feedback, m/s²", _ERROR, timed=False,
         points=tuple(replace(p, seconds=p.others["effort"]) for p in found.points),
         why="the same weights as TVLQR's, so that a hold passes into a motion without a jump",
     )  # fmt: skip

@@ -339,7 +339,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     costs = tuple(replace(p, error=abs(p.others["cost"] / finest - 1)) for p in found.points)
     label = f"cost, off {FINEST[0]} at {1e3 * FINEST[1]:g} ms, share"
     return (
-        found.titled("one even mesh: error", TIME, "error between nodes, scaled"),
+        found.titled("one even mesh, error", TIME, "error between nodes, scaled"),
         found.titled("one even mesh: cost", TIME, label, points=costs),
     )
 

@@ -201,7 +201,7 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
             along.titled(f"trajectory of a tube, {tube.duration:.2f} s", label, "error, scaled"),
             chaotic.titled(title, label, "error, scaled"),
             chaotic.titled(
-                f"{title}: energy", label, "energy drift, share of the scale", points=drifts, floor=ENERGY_ROUNDING,
+                f"{title}, energy", label, "energy drift, share of the scale", points=drifts, floor=ENERGY_ROUNDING,
                 judged=False,
             ),
             *tick_panels(model.arms, quick=quick),
