@@ -340,7 +340,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     label = f"cost, off {FINEST[0]} at {1e3 * FINEST[1]:g} ms, share"
     return (
         found.titled("one even mesh, error", TIME, "error between nodes, scaled"),
-        found.titled("one even mesh: cost", TIME, label, points=costs),
+        found.titled("one even mesh, cost", TIME, label, points=costs),
     )
 
 
