@@ -647,6 +647,10 @@ class Propagator:
         return out
 
 
+_INTERVAL_STEPS = 2_000
+"""Limit of Taylor steps over the interval of a reference, a hundred times that of fast motions."""
+
+
 class PolynomialInputPropagator:
     """Propagates equations under inputs that are polynomials in time.
 
@@ -693,11 +697,11 @@ class PolynomialInputPropagator:
             duration: time, s.
 
         Raises:
-            ArithmeticError: the state became infinite or undefined.
+            ArithmeticError: the state became infinite or undefined, or is absurdly fast.
         """
         integrator, x, c = self._views
         integrator.time, x[:], c[:] = 0.0, state, coefficients
-        check_arrival(integrator, integrator.propagate_until(duration)[0])
+        check_arrival(integrator, integrator.propagate_until(duration, max_steps=_INTERVAL_STEPS)[0])
         return x.copy()
 
     def sample(self, state: ArrayLike, coefficients: ArrayLike, times: ArrayLike) -> Array:
@@ -709,11 +713,11 @@ class PolynomialInputPropagator:
             times: rising times (K,), s.
 
         Raises:
-            ArithmeticError: the state became infinite or undefined.
+            ArithmeticError: the state became infinite or undefined, or is absurdly fast.
         """
         integrator, x, c = self._views
         integrator.time, x[:], c[:] = 0.0, state, coefficients
-        result = integrator.propagate_grid(np.asarray(times, dtype=float))
+        result = integrator.propagate_grid(np.asarray(times, dtype=float), max_steps=_INTERVAL_STEPS)
         check_arrival(integrator, result[0])
         return np.array(result[-1])
 

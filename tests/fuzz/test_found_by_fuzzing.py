@@ -260,6 +260,14 @@ def test_numpys_warnings_are_printed_for_debugging_only(option: str) -> None:
     assert ("RuntimeWarning" in ended.stderr) == bool(option)
 
 
+def test_a_reference_with_absurd_rates_is_shown_after_a_limited_number_of_steps() -> None:
+    """Its arms turn 10⁸ times in a second, which took minutes to propagate."""
+    assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
+    reference = load_reference(Path("reference.npz"))
+    save_reference(Path("fast.npz"), replace(reference, states=np.full_like(reference.states, 1e9)))
+    assert "inf measured again" in dpcontrol("reference", "fast.npz").stdout
+
+
 @pytest.mark.parametrize("kind", ["datetime64[s]", "complex128", "V8"])
 def test_an_archive_of_other_values_than_numbers_is_refused(kind: str) -> None:
     """Dates in the place of an atlas's times ended in a traceback."""
