@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from ending_truth import Flight, flights
@@ -33,24 +33,30 @@ def completed(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> t
     return 1 - len(problems) / len(seeds), problems
 
 
-def delays_of_stuck_scales(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> list[float]:
-    """Return the delays from the cart's first millimetre to the detection of its stuck scale, s; infinite for none.
+class StuckScale(NamedTuple):
+    """A scale that stuck in a run.
 
-    The scale sticks at a random time of each run. An earlier detection has zero delay.
+    delay: from the cart's first millimetre to the detection, s; infinite for none, zero for an earlier one. moving:
+    time that the cart took for this millimetre, s; infinite if the run ended before.
     """
-    delays = []
+
+    delay: float
+    moving: float
+
+
+def stuck_scales(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> list[StuckScale]:
+    """Return how soon the stuck scale of each run is found; it sticks at a random time."""
+    found = []
     for seed in seeds:
         at = float(np.random.default_rng(seed).uniform(0, 0.8 * plan.reference.duration))
         (flight,) = flown(plan, {**options, "stuck_at": at, "stuck_sensor": 2}, [seed])
         rate, cart = flight.settings.rate, flight.run.truth[:, -2]
         first = min(math.ceil(at * rate), len(cart) - 1)
         moved = np.flatnonzero(np.abs(cart[first:] - cart[first]) >= MOVED)
-        if "scale is stuck" not in flight.run.reason:
-            delays.append(math.inf)
-        elif not len(moved):
-            delays.append(0.0)
-        else:
-            found = re.search(r"t = ([0-9.]+) s", flight.run.reason)
-            assert found
-            delays.append(max(float(found[1]) - (first + int(moved[0])) / rate, 0.0))
-    return delays
+        moving = int(moved[0]) / rate if len(moved) else math.inf
+        told = re.search(r"t = ([0-9.]+) s: the cart's scale is stuck", flight.run.reason)
+        delay = max(float(told[1]) - first / rate - moving, 0.0) if told else math.inf
+        # A scale is never reported before it sticks.
+        assert not told or float(told[1]) >= at, (seed, flight.run.reason)
+        found.append(StuckScale(delay, moving))
+    return found

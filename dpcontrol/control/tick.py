@@ -42,16 +42,22 @@ An arm off its reference can pause alone. So there is a second condition: the fi
 checks, a filter follows a stuck encoder for a tenth of a second. It follows a stuck scale of the cart without end,
 because the cart is unobservable from the arms.
 
-The reading of a healthy cart can also stay constant while the cart reverses within a count q, and noise on commands can
-move the cart against them. So the cart is predicted from its last step only, for the T seconds since:
+The reading of a working scale can stay constant while the cart moves within a count q. So the hypothesis that the scale
+works is tested against the commands. A Kalman filter uses the scale only. Its states are the cart's position p and
+velocity v, and the response g and lag τ of the drive to the commanded acceleration a:
 
-    D = V T + A,    |D| ≥ max(0.8 mm, 10 q, q + 0.7 |A| + 2.5 E T, q + min(noise, 25 q)),    T ≥ 45 ms
+    ṗ = v - τ a,    v̇ = g a + noise on the command
 
-V is its velocity at that step, integrated from commands and corrected by each step of the scale. A is the effect of the
-commands since, of which the drive can give less. E is the largest recent correction of V, which a lag, another response
-or noise enlarge. The noise term is the cart's motion in T due to noise of 1.5 m/s² on each command. q is the resolution
-of the settings, or the smallest observed step if that is larger. After a quarter of a second of one reading, D and V
-decay.
+Every 15 ms it compares its prediction with the reading. A changed reading corrects all states. A constant reading
+allows the prediction to differ by up to q. If it differs by q + e, noise must have moved the cart back. With the
+variance s of the prediction, e²/s is evidence against the scale:
+
+    J ← max(0, J + e²/(s λ) - 1/2),    J ← 0 at each step of the reading
+
+A scale is stuck if J ≥ 30 and its reading has been constant for 45 ms. The noise is that of the settings, but at least
+0.3 m/s² on each command. λ ≥ 1 grows with surprising steps, as after a blow. q is the resolution of the settings, or
+the smallest observed step if that is larger. The filter learns the response and the lag of the drive from the steps,
+so working scales of 0.2 mm reach J = 11 at most. A cart that moves by noise alone gives no evidence.
 
 Age of the readings: a reading of age τ has positions that lack ω τ, with the rates ω. A reported age is corrected in
 the
@@ -152,22 +158,28 @@ _TURNING = 4.0
 """Slow reversal, rad/s² and m/s²: it stays within a count q for 2 √(2 q / this), 18 ms with 40,000 counts."""
 _CART_STILL = 0.045
 """Shortest constant reading of the cart, s."""
-_JOINT_MOVED, _CART_MOVED = 0.02, 8e-4
-"""rad and m."""
-_SCALE_COUNTS = 10.0
-"""Counts of the cart's scale: largest prediction error of a cart that reverses within a count, with a drive that gives
-half of its command, or lags by 20 ms."""
-_SCALE_LAG = 0.02
-"""Time constant of the corrections of the cart's expected velocity by the scale, s."""
-_SCALE_MEMORY = 0.15
-"""Time constant of the size of these corrections, s."""
-_SCALE_WINDOW = 0.25
-"""Duration of one reading after which the expected velocity decays, s: commands cannot predict it for longer."""
-_COMMAND_NOISE, _NOISE_COUNTS = 1.5, 25.0
-"""Five times the command noise of a usual drive, m/s², and a bound in counts: larger motions by noise would leave the
-count."""
-_COMMANDED, _ERRORS = 0.7, 2.5
-"""Tolerated deficit of the drive as a share of the commands' effect, and multiple of recent velocity errors."""
+_JOINT_MOVED = 0.02
+"""rad."""
+_SCALE_CHECK = 0.015
+"""Time between comparisons of the scale with its prediction, s."""
+_SCALE_STUCK, _SCALE_OFFSET = 30.0, 0.5
+"""Evidence that a scale is stuck, and its decrease at each comparison.
+
+The evidence is about twice the logarithm of a likelihood ratio, so noise reaches the bound once in 10⁶ trials.
+"""
+_COMMAND_NOISE = 0.3
+"""Least noise on each command, that of a usual drive, m/s²."""
+_SCALE_ERROR = 1e-5
+"""Standard deviation of a cart's distance from its drive, m."""
+_SCALE_UNSEEN = 2e-4
+"""Assumed count of the cart's scale before its first step, m."""
+_RESPONSE, _RESPONSE_DRIFT = 0.25, 0.02
+"""Standard deviation of the response of the drive, relative, and its drift, 1/√s."""
+_LAG, _LAG_DRIFT = 0.01, 0.002
+"""Standard deviation of the lag of the drive, s, and its drift, s/√s."""
+_SURPRISE, _SURPRISE_MEMORY = 0.3, 1.0
+"""Share of a step's squared relative error that becomes the factor of the variance, and the time constant of its decay,
+s."""
 _COUNTS = 4.0
 _JOINT_HELD, _COUNTS_HELD = 0.05, 8.0
 """Motion of a joint's model during a constant reading, rad and counts. A joint that reverses while its reference
@@ -204,7 +216,7 @@ UNROLLED = 8
 BOUNDS = (
     "share", "acceleration", "velocity", "travel", "reaction", "onset", "brake", "margin", "lost_tracking",
     "lost_estimate", "resynchronise", "restarts", "missing", "can_hold", "trust", "mode",
-    "scale",
+    "scale", "drive_noise",
 )  # fmt: skip
 """Numbers that judge a run.
 
@@ -214,6 +226,7 @@ onset s: from the state ahead until the effect of braking that starts a tick lat
 brake m/s²: twice the acceleration assumed for stopping.
 lost_tracking rad, lost_estimate, resynchronise rad, restarts, missing s, margin m: see `SupervisorSettings`.
 can_hold: 1 if there is a fallback. trust: of an adaptive law. mode: of a tick that tracks or holds, see `Mode`.
+scale m: resolution of the cart's scale. drive_noise m/s²: stated noise on each command.
 """
 
 
@@ -449,11 +462,12 @@ class TickEquations:
 
         For the cart:
 
-            expected m: predicted travel since its reading changed. scale_speed: velocity by scale and commands, m/s.
+            scale (4): expected travel since the last comparison, m, velocity, m/s, response and lag, s, of the drive.
 
-            scale_drift, scale_error: recent corrections of that and their largest size, m/s.
+            scale_covariance: of these, the lower triangle row by row. scale_read: reading at the last comparison, m.
 
-            commanded m, commanded_speed m/s: parts of expected and scale_speed due to commands since.
+            scale_waited: readings since. evidence: that the scale is stuck. scale_level, scale_surprise: factor of the
+            assumed variance, and the squared relative error at the last changed reading.
 
         For the readings' age:
 
@@ -471,9 +485,9 @@ class TickEquations:
         return Layout(
             z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=1,
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, acted=1, cut=1, was_untrusted=1, last=m, step=m,
-            same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, expected=1, commanded=1,
-            commanded_speed=1, scale_speed=1, scale_drift=1, scale_error=1, heading=1, turns=m - 1, timing=1, timed=1,
-            lateness=1, strain=1,
+            same=m, begin=m - 1, away=m - 1, pulled=m - 1, strained=m - 1, held_back=m - 1, scale=4,
+            scale_covariance=10, scale_read=1, scale_waited=1, scale_level=1, scale_surprise=1, evidence=1, heading=1,
+            turns=m - 1, timing=1, timed=1, lateness=1, strain=1,
             **({"mark": m - 1} if self.plays else {}), **({"shaped": 2} if self.shapes else {}),
             **({} if self.own is None else {"own": len(self.own.first)}), **({"origin": m} if self.split else {}),
         )  # fmt: skip
@@ -808,7 +822,7 @@ class TickEquations:
             # A reading within a count's rounding of the last one does not replace it.
             values = {"last": ca.if_else(same, m["last"][i], value), "step": smallest, "same": count}
             if not arm:
-                frozen, scale = self._frozen_scale(m, c, moved, same)
+                frozen, scale = self._frozen_scale(m, c, value, count, smallest)
                 after |= {name: [ca.if_else(fresh, now, m[name])] for name, now in scale.items()}
                 found.append(ca.logic_and(fresh, frozen))
             else:
@@ -843,44 +857,64 @@ class TickEquations:
         return sensor, {name: ca.vertcat(*values) for name, values in after.items()}
 
     def _frozen_scale(
-        self, m: Mapping[str, ca.SX], c: Mapping[str, ca.SX], moved: ca.SX, same: ca.SX
+        self, m: Mapping[str, ca.SX], c: Mapping[str, ca.SX], value: ca.SX, count: ca.SX, smallest: ca.SX
     ) -> tuple[ca.SX, dict[str, ca.SX]]:
         """True if the cart's scale has frozen.
 
-        The second result is the expected cart after a reading.
+        The second result is the cart by scale and commands after a reading.
 
-        moved m: the step of the reading. same: 1 if it is zero.
+        value m: the reading. count: number of equal readings before it. smallest m: smallest step so far.
         """
         period = self.filter.period
-        since = (m["same"][self.filter.arms] + 1) * period
-        # Commands alone predict the cart between two steps of the reading; each step corrects its velocity.
-        # The first reading is not a step.
-        stepped = ca.logic_and(ca.logic_not(same), _finite(moved))
-        wrong = ca.if_else(stepped, (moved - m["expected"]) / (since + _SCALE_LAG), 0)
-        drift = m["scale_drift"] * (1 - min(period / _SCALE_LAG, 1)) + wrong
-        error = ca.fmax(ca.fabs(drift), m["scale_error"] * (1 - min(period / _SCALE_MEMORY, 1)))
-        known = ca.if_else(m["step"][self.filter.arms] <= _BIG, m["step"][self.filter.arms], 0)
-        q, span = ca.fmax(known, c["scale"]), ca.fmin(since, _SCALE_WINDOW)
-        noise = ca.sqrt(period * span) * (span / math.sqrt(3) + _SCALE_LAG / math.sqrt(2))
-        bounds = (
-            ca.SX(_CART_MOVED), _SCALE_COUNTS * q, q + ca.fmin(_COMMAND_NOISE * noise, _NOISE_COUNTS * q),
-            q + _COMMANDED * ca.fabs(m["commanded"]) + _ERRORS * error * since,
-        )  # fmt: skip
-        frozen = _all(same, since >= _CART_STILL - period / 2, ca.fabs(m["expected"]) >= _largest(bounds))
-        kept = {name: ca.if_else(same, m[name], 0) for name in ("expected", "commanded", "commanded_speed")}
-        return frozen, {**kept, "scale_speed": m["scale_speed"] + wrong, "scale_drift": drift, "scale_error": error}
+        first = ca.logic_not(_finite(m["last"][self.filter.arms]))
+        waited = ca.if_else(first, 0, m["scale_waited"] + 1)
+        due = waited * period >= _SCALE_CHECK - period / 2
+        constant = count >= waited
+        q = ca.fmax(ca.if_else(smallest <= _BIG, smallest, _SCALE_UNSEEN), c["scale"])
+        rounding = q**2 / 12 + _SCALE_ERROR**2
+        state, covariance = m["scale"][:, :], unpack(m["scale_covariance"], m["scale"].shape[0])
+        state[0] = ca.if_else(first, 0, state[0])
+        apart = value - m["scale_read"] - state[0]
+        beyond = ca.fmax(ca.fabs(apart) - q, 0)
+        surprise = beyond**2 / (covariance[0, 0] + rounding)
+        # A constant reading does not move the prediction within a count.
+        wrong = ca.if_else(constant, ca.if_else(apart < 0, -beyond, beyond), apart)
+        noise = rounding + ca.if_else(ca.logic_and(constant, beyond <= 0), q**2, 0)
+        gain = covariance[:, 0] / (covariance[0, 0] + noise)
+        corrected = state + gain * wrong
+        corrected[0] -= value - m["scale_read"]
+        level = ca.fmax(m["scale_level"] * (1 - _SCALE_CHECK / _SURPRISE_MEMORY), _SURPRISE * m["scale_surprise"])
+        evidence = ca.if_else(count > 0, m["evidence"], 0)
+        more = ca.fmax(evidence + surprise / m["scale_level"] - _SCALE_OFFSET, 0)
+        evidence = ca.if_else(ca.logic_and(due, constant), more, evidence)
+        stepped, again = ca.logic_and(due, ca.logic_not(constant)), ca.logic_or(first, due)
+        after = {
+            "scale": ca.vertcat(*(ca.if_else(due, corrected[i], state[i]) for i in range(state.shape[0]))),
+            "scale_covariance": ca.if_else(
+                due, pack(covariance - gain @ covariance[0, :]), m["scale_covariance"]
+            ),
+            "scale_read": ca.if_else(again, value, m["scale_read"]), "scale_waited": ca.if_else(due, 0, waited),
+            # The reading may stop between two comparisons, so a surprise counts from the next step.
+            "scale_level": ca.if_else(stepped, ca.fmax(level, 1), m["scale_level"]),
+            "scale_surprise": ca.if_else(stepped, surprise, m["scale_surprise"]), "evidence": evidence,
+        }  # fmt: skip
+        return ca.logic_and(evidence >= _SCALE_STUCK, count * period >= _CART_STILL - period / 2), after
 
-    def _expected_cart(self, watch: Mapping[str, ca.SX], acting: ca.SX) -> dict[str, ca.SX]:
-        """The expected cart a period later, after `acting` m/s²."""
-        period, arms = self.filter.period, self.filter.arms
-        # After a long constant reading, the cart may have rested as well.
-        fades = ca.if_else(watch["same"][arms] * period > _SCALE_WINDOW, 1 - min(period / _SCALE_WINDOW, 1), 1)
-        return {
-            "expected": watch["expected"] * fades + (watch["scale_speed"] + acting * period / 2) * period,
-            "scale_speed": watch["scale_speed"] * fades + acting * period,
-            "commanded": watch["commanded"] * fades + (watch["commanded_speed"] + acting * period / 2) * period,
-            "commanded_speed": watch["commanded_speed"] * fades + acting * period,
-        }
+    def _expected_cart(self, watch: Mapping[str, ca.SX], c: Mapping[str, ca.SX], acting: ca.SX) -> dict[str, ca.SX]:
+        """The cart by scale and commands a period later, after `acting` m/s²."""
+        period, state = self.filter.period, watch["scale"]
+        covariance = unpack(watch["scale_covariance"], state.shape[0])
+        moves = ca.SX.eye(state.shape[0])
+        moves[0, 1:] = ca.horzcat(period, acting * period**2 / 2, -acting * period)
+        moves[1, 2] = acting * period
+        noise = ca.SX(*moves.shape)
+        each = ca.fmax(c["drive_noise"], _COMMAND_NOISE) ** 2 * period
+        noise[0, 0], noise[1, 1] = each * period**3 / 3, each * period
+        noise[0, 1] = noise[1, 0] = each * period**2 / 2
+        # Without motion, the knowledge of the drive fades to that of the start.
+        for i, (sigma, drift) in enumerate(((_RESPONSE, _RESPONSE_DRIFT), (_LAG, _LAG_DRIFT)), start=2):
+            noise[i, i] = ca.if_else(covariance[i, i] < sigma**2, drift**2 * period, 0)
+        return {"scale": moves @ state, "scale_covariance": pack(moves @ covariance @ moves.T + noise)}
 
     def _finish(
         self, known: "_Known", e: Mapping[str, ca.SX], acts: "_Acts", *, predicts: bool
@@ -1040,7 +1074,7 @@ class TickEquations:
             "held": ca.if_else(falls, 1, m["held"]), "moved": ca.if_else(moved, 0, m["moved"] + period),
             "restart": ca.logic_or(again, means.blind), "stopped": verdict.stopped, "acted": path.acting,
             "cut": path.saturated, "was_untrusted": ca.logic_or(m["was_untrusted"], law.untrusted > 0), **verdict.watch,
-            **self._expected_cart(verdict.watch, path.acting), **law.own, **path.after,
+            **self._expected_cart(verdict.watch, known.numbers, path.acting), **law.own, **path.after,
             **self._predicted(known, e, means, path.acting, predicts=predicts),
         }  # fmt: skip
         if self.plays:
@@ -1329,7 +1363,9 @@ class TickProgram:
         start = {
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
             "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
-            "velocity": speed[None], "heading": speed[None], "scale_speed": speed[None],
+            "velocity": speed[None], "heading": speed[None], "scale_level": 1.0,
+            "scale": np.array([0.0, velocity, 1.0, 0.0]),
+            "scale_covariance": packed(np.diag([_SCALE_ERROR, _COMMAND_NOISE * _SCALE_CHECK, _RESPONSE, _LAG]) ** 2),
             "timed": TIMING_PRIOR**2, "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip
         if self.equations.plays:

@@ -257,6 +257,7 @@ class Assembly:
             "resynchronise": s.resynchronise, "restarts": s.restarts, "missing": s.missing,
             "can_hold": s.hold != "none",
             "trust": trust, "mode": Mode.TRACKING, "scale": settings.sensors.cart_resolution,
+            "drive_noise": settings.drive.command_noise,
         }  # fmt: skip
 
     def loop(

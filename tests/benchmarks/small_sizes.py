@@ -188,7 +188,7 @@ SIZES = [
         "benchmarks/test_encoders_and_clocks",
         "test_a_stuck_scale_is_found_soon_after_the_cart_has_moved_a_millimetre",
         {"ITINERARIES": ("turn-from-rest",), "STUCK": range(3)},
-        {"scale": 2e-5, "share": 0.6},
+        {"scale": 2e-5, "share": 0.9},
         prints=("\n20 µm: ", "of 3 within 50 ms"),
     ),
     Small(

@@ -10,7 +10,7 @@ from functools import cache
 from typing import Any
 
 import pytest
-from coarse_benches import completed, delays_of_stuck_scales
+from coarse_benches import completed, stuck_scales
 
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
@@ -23,6 +23,11 @@ SCALES, ENCODERS = (1e-6, 2e-5, 1e-4, 2e-4), (1000, 4000, 40_000)
 """Resolutions of the cart's scale, m, and counts of the encoders."""
 STUCK = range(20)
 """Seeds of runs with a stuck scale."""
+SOON, BRISK = 0.05, 0.04
+"""Delay of a soon detection after the cart's first millimetre, and time for this millimetre at 25 mm/s, s.
+
+Noise on the commands can move slower carts as far.
+"""
 JITTERED_RUNS = 200
 JITTER_SHARES = {0.5: 0.97, 1.0: 0.9}
 """Share of completed runs by the jitter in periods."""
@@ -62,13 +67,13 @@ def test_readings_that_vary_in_age_by_up_to_a_period_complete(rate: float, count
         assert min(row(title, options, range(JITTERED_RUNS))) >= share
 
 
-@pytest.mark.parametrize(("scale", "share"), [(1e-6, 0.9), (2e-5, 0.8), (1e-4, 0.7), (2e-4, 0.5)])
+@pytest.mark.parametrize(("scale", "share"), [(1e-6, 1.0), (2e-5, 0.9), (1e-4, 0.8), (2e-4, 0.75)])
 def test_a_stuck_scale_is_found_soon_after_the_cart_has_moved_a_millimetre(scale: float, share: float) -> None:
-    delays = [
-        delay for name in ITINERARIES
-        for delay in delays_of_stuck_scales(planned(name), {"cart_resolution": scale}, STUCK)
-    ]  # fmt: skip
-    soon = sum(delay <= 0.05 for delay in delays) / len(delays)
-    sys.stdout.write(f"\n{1e6 * scale:.0f} µm: {soon:.0%} of {len(delays)} within 50 ms of a millimetre\n")
+    found = [one for name in ITINERARIES for one in stuck_scales(planned(name), {"cart_resolution": scale}, STUCK)]
+    soon = sum(one.delay <= SOON for one in found) / len(found)
+    sys.stdout.write(f"\n{1e6 * scale:.0f} µm: {soon:.0%} of {len(found)} within 50 ms of a millimetre\n")
+    for delay, moving in sorted(one for one in found if one.delay > SOON):
+        sys.stdout.write(f"  after {1e3 * delay:4.0f} ms, for a millimetre in {1e3 * moving:.0f} ms\n")
     assert soon >= share
-    assert max(delays) < float("inf")
+    assert all(one.delay <= SOON for one in found if one.moving <= BRISK)
+    assert max(one.delay for one in found) < float("inf")

@@ -290,15 +290,26 @@ def watched_scale(
     return math.inf
 
 
-@pytest.mark.parametrize("step", [1e-6, 2e-5, 1e-4, 2e-4])
-def test_a_frozen_scale_is_found_within_50_ms_of_a_millimetre(step: float) -> None:
-    def swings(time: float) -> float:
-        return 0.4 * math.sin(4 * time)
+def swings(time: float) -> float:
+    return 0.4 * math.sin(4 * time)
 
-    assert watched_scale(swings, step=step) == math.inf
+
+def turns(time: float) -> float:
+    """Return a velocity against which the commands act when the scale freezes, at 0.15 s."""
+    return 0.05 * math.cos(9 * time)
+
+
+def creeps(_: float) -> float:
+    return 0.03
+
+
+@pytest.mark.parametrize("step", [1e-6, 2e-5, 1e-4, 2e-4])
+@pytest.mark.parametrize("velocity", [swings, turns, creeps])
+def test_a_frozen_scale_is_found_within_50_ms_of_a_millimetre(step: float, velocity: Callable[[float], float]) -> None:
+    assert watched_scale(velocity, step=step) == math.inf
     for frozen_at in (0.15, 0.4, 1.1):
-        gone = [t for t in np.arange(frozen_at, 2, PERIOD) if abs(_travelled(swings, frozen_at, t)) >= 1e-3]
-        assert watched_scale(swings, step=step, frozen_at=frozen_at) <= gone[0] + 0.05
+        gone = [t for t in np.arange(frozen_at, 2, PERIOD) if abs(_travelled(velocity, frozen_at, t)) >= 1e-3]
+        assert frozen_at < watched_scale(velocity, step=step, frozen_at=frozen_at) <= gone[0] + 0.05
 
 
 def _travelled(velocity: Callable[[float], float], begin: float, end: float) -> float:
@@ -312,17 +323,30 @@ def test_a_cart_that_rests_or_creeps_within_a_count_has_no_frozen_scale() -> Non
     assert watched_scale(lambda time: 1e-3 * math.sin(10 * time), step=2e-4, seconds=20.0) == math.inf
 
 
-@pytest.mark.parametrize("share", [0.5, 1.5])
-def test_a_drive_that_gives_another_share_of_its_commands_has_no_frozen_scale(share: float) -> None:
+@pytest.mark.parametrize(("share", "lag"), [(0.5, 0.0), (1.5, 0.0), (1.0, 0.04)])
+def test_a_drive_that_follows_its_commands_in_another_way_has_no_frozen_scale(share: float, lag: float) -> None:
     tick = Ticked(scale=2e-4, delay=0.0)
+    omega = 2 * math.pi * 0.4
     for k in range(4000):
         # A cart turns back at each end of its swing, where its reading stands longest.
-        angle = 2 * math.pi * 0.4 * k * PERIOD
-        x, sent = 0.05 * math.sin(angle), -0.05 * (2 * math.pi * 0.4) ** 2 * math.sin(angle) / share
+        angle = omega * k * PERIOD
+        x, sent = 0.05 * math.sin(angle), -0.05 * omega**2 * (math.sin(angle) + lag * omega * math.cos(angle)) / share
         if not k:
-            tick.begin(np.zeros(0), velocity=0.05 * 2 * math.pi * 0.4)
+            tick.begin(np.zeros(0), velocity=0.05 * omega)
         seen = np.array([0.0, 0.0, 2e-4 * round(x / 2e-4)])
         assert tick(sent, positions=seen)["outcome"] != Outcome.STUCK
+
+
+def test_a_scale_whose_readings_are_missing_now_and_then_is_not_frozen() -> None:
+    tick, random, x = Ticked(scale=1e-4, delay=0.0), np.random.default_rng(5), 0.0
+    tick.begin(np.zeros(0), velocity=swings(0.0))
+    for k in range(3000):
+        now = k * PERIOD
+        sent = (swings(now + PERIOD) - swings(now)) / PERIOD
+        there = np.full(3, random.random() > 0.5)
+        seen = np.array([0.0, 0.0, 1e-4 * round(x / 1e-4)])
+        assert tick(sent, positions=seen, present=there)["outcome"] != Outcome.STUCK
+        x += (swings(now) + swings(now + PERIOD)) / 2 * PERIOD
 
 
 def test_a_filter_that_has_slipped_a_turn_is_restarted_from_the_encoders() -> None:
