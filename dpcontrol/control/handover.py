@@ -99,7 +99,7 @@ class Program:
         return ProgramSession(self)
 
 
-class ProgramSession:
+class ProgramSession(Session):
     """The active segment and its session.
 
     It also holds the segment's start, and the turns between flight and reference.

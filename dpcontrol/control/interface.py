@@ -245,9 +245,10 @@ class Action(NamedTuple):
     event: str = ""
 
 
-class Session(Protocol):
+class Session(ABC):
     """A controller during one run; it may have a state."""
 
+    @abstractmethod
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return the action for the period from a tick.
 
@@ -256,10 +257,11 @@ class Session(Protocol):
             state: predicted state (N,) at the tick.
             extra: estimated extras (E,).
         """
-        ...
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the reference's clock to the nearest phase.
+
+        Sessions without a clock of the reference do nothing.
 
         Args:
             tick: present tick.
@@ -268,10 +270,10 @@ class Session(Protocol):
         Returns:
             A sentence for the log, or "".
         """
-        ...
+        return ""
 
 
-class ClockedSession(ABC):
+class ClockedSession(Session):
     """A session with its own clock, for one or many runs.
 
     S runs in lockstep have clocks (S,).

@@ -62,6 +62,7 @@ from dpcontrol.control.interface import (
     Lanes,
     Mode,
     SampledModel,
+    Session,
     interpolated,
     pendulum_scale,
 )
@@ -281,7 +282,7 @@ class TrackingController(TimedController):
         return TrackingSession(self, tick)
 
 
-class TrackingSession:
+class TrackingSession(Session):
     """A tracking controller during a flight, from tick `start`.
 
     Its clock is that of the loop.
@@ -304,15 +305,6 @@ class TrackingSession:
         k = min(tick, law.ticks - 1)
         wanted = law.reference_states[min(tick, law.ticks)]
         return Action(float(law.feedforward[k]), float(law.gains[k].dot(wanted - state)), wanted, Mode.TRACKING)
-
-    def resynchronise(self, tick: int, state: Array) -> str:
-        """Do nothing: gains by time have no other clock.
-
-        Args:
-            tick: ignored.
-            state: ignored.
-        """
-        return ""
 
 
 @dataclass(frozen=True)

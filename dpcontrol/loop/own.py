@@ -28,7 +28,7 @@ from uuid import uuid4
 import numpy as np
 
 from dpcontrol.control.estimator_settings import FilterSettings
-from dpcontrol.control.interface import Action, Estimate, Mode, Present, SampledModel
+from dpcontrol.control.interface import Action, Estimate, Mode, Present, SampledModel, Session
 from dpcontrol.control.symbolic import Setpoint, SymbolicLaw
 from dpcontrol.control.tracking import ReferenceController
 from dpcontrol.dynamics.components import SymbolicPlant
@@ -366,7 +366,7 @@ class OwnController:
         return OwnSession(self, lead)
 
 
-class OwnSession:
+class OwnSession(Session):
     """A user's law during a run.
 
     `failure` is the error that ended it.
@@ -398,15 +398,6 @@ class OwnSession:
         except OwnFailure as failure:
             self.failure = failure
         return Action(forward, value - forward, wanted, Mode.TRACKING)
-
-    def resynchronise(self, tick: int, state: Array) -> str:
-        """Do nothing: the loop owns the clock.
-
-        Args:
-            tick: ignored.
-            state: ignored.
-        """
-        return ""
 
 
 class OwnEstimates:
