@@ -335,23 +335,22 @@ class SimulatedBench:
         if np.shape(start)[-1:] != (2 * n + 2,):
             raise InputError(f"the first state has shape {np.shape(start)}: {n} arms on a cart need ({2 * n + 2},)")
 
-        def joined(name: str) -> Array | None:
+        def joined(drawn: list[Array]) -> Array:
             """Return drawn values.
 
             Runs are along the last axis if there are several.
             """
-            drawn = [getattr(d, name) for d in draws]
-            return None if drawn[0] is None else np.stack(drawn, axis=-1) if lanes is MANY else drawn[0]
+            return np.stack(drawn, axis=-1) if lanes is MANY else drawn[0]
 
         def by_tick(name: str, rows: Any = np.ndarray.tolist) -> Any:
             """Return values drawn for each tick.
 
             In a single run they are read tick by tick.
             """
-            return joined(name) if lanes is MANY else draw.reader(name, rows)
+            if lanes is ONE:
+                return draw.reader(name, rows)
+            return joined([d.drawn(name) for d in draws]) if name in draw.streams else None
 
-        errors, zeros = joined("initial_error"), joined("zeros")
-        assert errors is not None
         self.period = draw.period
         """Period of the ticks, s."""
         own = settings.drive.limits(limits)
@@ -371,12 +370,16 @@ class SimulatedBench:
         self._dropped, self._many = by_tick("dropped"), lanes is MANY
         self._last: Any = np.zeros((n + 1, len(draws)) if self._many else n + 1)
         self._encoders = Encoders(
-            n, settings.sensors, zeros=zeros, drift=joined("drift"), lanes=lanes, places=draw.plant.reads
+            n,
+            settings.sensors,
+            zeros=joined([d.zeros for d in draws]),
+            drift=joined([d.drift for d in draws]),
+            lanes=lanes,
+            places=draw.plant.reads,
         )
         first = np.array(start if lanes is ONE else np.broadcast_to(start, (len(draws), 2 * n + 2)), dtype=float).T
-        first[:n] += errors
-        if (rates := joined("initial_rate")) is not None:
-            first[n : 2 * n] += rates
+        first[:n] += joined([d.initial_error for d in draws])
+        first[n : 2 * n] += joined([d.initial_rate for d in draws])
         first[2 * n] += settings.mechanics.initial_cart
         further = np.array([
             d.plant.own_states(state) for d, state in zip(draws, first.reshape(2 * n + 2, -1).T, strict=True)
