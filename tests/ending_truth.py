@@ -86,7 +86,7 @@ class _WithEstimates(JudgedTicks):
 def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) -> list[Flight]:
     """Run these seeds in lockstep if possible, otherwise one by one."""
     loop, arms = itinerary.loop, itinerary.model.arms
-    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference)
+    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference.limits)
     if assembly.lockstep:
         with mock.patch.object(lockstep, "JudgedTicks", _WithEstimates):
             runs = assembly.batch(seeds)

@@ -54,7 +54,7 @@ def runs(itinerary: Itinerary, reference: Reference, options: Mapping[str, Any],
     """Fly these seeds."""
     scene = itinerary.with_run(options)
     loop, arms = scene.loop, scene.model.arms
-    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference)
+    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference.limits)
     lockstep = assembly.lockstep
     flights = assembly.batch(seeds) if lockstep else [BatchRun.of(assembly.simulate(seed=seed)) for seed in seeds]
     bounds = (limits.position, limits.velocity, limits.acceleration)

@@ -81,7 +81,7 @@ class Assembly:
 
         Those of the reference, with the travel of the settings if given.
         """
-        return self.settings.limits(self.reference)
+        return self.settings.limits(self.reference.limits)
 
     @property
     def delay(self) -> float:

@@ -54,7 +54,6 @@ from dpcontrol.loop.result import (
 )
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
-from dpcontrol.references.reference import Reference
 
 _FLUSH_SECONDS = 0.02
 """Ticks between two transfers of rows to the sink, equal to a chunk of a log."""
@@ -479,13 +478,13 @@ class LoopSettings(Settings, table="run"):
         made = [getattr(one, "own", None) for one in (self.controller, self.estimator, self.plant)]
         return tuple(one for one in made if isinstance(one, OwnObject) and not one.source)
 
-    def limits(self, reference: Reference) -> Limits:
+    def limits(self, planned: Limits) -> Limits:
         """Return the cart's limits in this run.
 
         Args:
-            reference: reference with limits, whose travel the settings can replace.
+            planned: limits of the plan, whose travel the settings can replace.
         """
-        return replace(reference.limits, position=self.travel) if self.travel else reference.limits
+        return replace(planned, position=self.travel) if self.travel else planned
 
 
 def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:

@@ -213,7 +213,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
     ended = "" if run.ending is Ending.FINISHED else run.reason
     n = reference.states.shape[-1] // 2 - 1
     loop = job.case.loop
-    limits = loop.limits(reference)
+    limits = loop.limits(reference.limits)
     flown = Flown(
         time=run.times,
         states=run.truth,

@@ -724,7 +724,7 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
                shown=1e3, besides=(("pushes", pushes),)),
         Hazard("zeros", "zero_error", "mrad", sensors.zero_error, 0.05, 0.8, shown=1e3),
         Hazard("counts", "counts", "a turn", sensors.counts or math.inf, 1000, 16, falling=True, step=1.0),
-        Hazard("travel", "travel", "mm", loop.limits(plan.reference).position, math.inf,
+        Hazard("travel", "travel", "mm", loop.limits(plan.reference.limits).position, math.inf,
                plan.reference.max_cart_position, falling=True, shown=1e3),
         Hazard("belt", "belt", "Hz", rig.belt or math.inf, 40.0, 4.0, falling=True, besides=known),
         Hazard("play", "play", "mrad", max(rig.of_each("play", scene.model.arms.count)), 0.01, 0.8, shown=1e3,

@@ -79,7 +79,6 @@ from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.model import model_from
 from dpcontrol.plans.overrides import canonical, paths
 from dpcontrol.plans.plan import Plan, plan_key, recoverable
-from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
 
 if TYPE_CHECKING:
@@ -408,7 +407,7 @@ class _Events(NoSink):
 def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
     """Return the contents of a run's log; more: metadata."""
     scene = plan.itinerary
-    lengths, limits = scene.model.arms.length, scene.loop.limits(plan.reference)
+    lengths, limits = scene.model.arms.length, scene.loop.limits(plan.reference.limits)
     states = {"estimate": ticks.estimates, "reference": ticks.references}
     return RunLog(
         path=Path(f"{scene.name}, seed {scene.loop.seed}"),
@@ -453,7 +452,7 @@ def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
         InputError: the log cannot be written.
     """
     itinerary = plan.itinerary
-    limits = itinerary.loop.limits(plan.reference)
+    limits = itinerary.loop.limits(plan.reference.limits)
     return LogWriter(
         out,
         arm_lengths=itinerary.model.arms.length,
@@ -864,14 +863,9 @@ def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> "Benc
 
     arms, loop = itinerary.model.arms, itinerary.loop
     return BenchRecipe(
-        arms, loop, _limits(itinerary), np.zeros(2 * arms.count + 2), ticks=round(_HANGING * loop.rate),
+        arms, loop, loop.limits(itinerary.limits), np.zeros(2 * arms.count + 2), ticks=round(_HANGING * loop.rate),
         uncertainty=itinerary.uncertainty, zeros=itinerary.zeros, faults=checked_faults(faults, arms.count),
     )  # fmt: skip
-
-
-def _limits(itinerary: Itinerary) -> Limits:
-    travel = itinerary.loop.travel
-    return replace(itinerary.limits, position=travel) if travel else itinerary.limits
 
 
 @dataclass(frozen=True)
@@ -1000,7 +994,7 @@ def commission_rig(
     options, rate = CommissioningSettings(), itinerary.loop.rate
     recipe = hanging_recipe(practice or itinerary, faults=faults)
     find = partial(
-        commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=_limits(itinerary),
+        commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=itinerary.loop.limits(itinerary.limits),
         zeros=itinerary.zeros, switches=switches, options=options, notify=notify,
     )  # fmt: skip
     if link is None:

@@ -76,7 +76,7 @@ def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
     for seed in BLOWN:
         told, settings = Told(), replace(scene.loop, seed=seed)
         result = Assembly(plan.reference, scene.model.arms, settings, law=law).simulate(recovery=how, sink=told)
-        run, limits = BatchRun.of(result), settings.limits(plan.reference)
+        run, limits = BatchRun.of(result), settings.limits(plan.reference.limits)
         flown = Flown(
             time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied,
             rate_hz=settings.rate, limits=(limits.position, limits.velocity, limits.acceleration),
