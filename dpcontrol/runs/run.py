@@ -170,7 +170,8 @@ class Run(Timed):
             InputError: the log lacks the plan, or its law has no margins.
             GoalMissed: no controller can be made for its reference.
         """
-        return logged_margins(self.log)
+        with TemporaryDirectory() as folder:
+            return assembled(_plan(self.log, Path(folder), repeats=False)).margins()
 
     @cached_property
     def _judged(self) -> Score | None:
@@ -539,22 +540,6 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
     then, now = log.metadata.get("version", "?"), dpcontrol.__version__
     versions = None if then == now else f"the log was written by version {then}, this is {now}"
     return Repeat(verdict, compare_messages(source, out), versions)
-
-
-def logged_margins(log: RunLog) -> Margins:
-    """Return the margins of a logged run along its reference.
-
-    The margins are those of gain, delay and lag.
-
-    Args:
-        log: log with the plan of the run.
-
-    Raises:
-        InputError: the log lacks the plan, or its law has no margins.
-        GoalMissed: no controller can be made for its reference.
-    """
-    with TemporaryDirectory() as folder:
-        return assembled(_plan(log, Path(folder), repeats=False)).margins()
 
 
 def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
