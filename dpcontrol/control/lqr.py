@@ -110,10 +110,6 @@ class HoldController(Brief):
         """Return the initial state (N,): the equilibrium."""
         return self.state
 
-    def begin(self) -> "HoldSession":
-        """Return a session for one run."""
-        return HoldSession(self, self.state)
-
     def schedule(self, lead: int) -> GainSchedule:
         """Return the gain schedule, with the same row at every tick.
 
