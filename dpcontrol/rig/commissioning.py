@@ -772,13 +772,10 @@ def modes(arms: ArmChainParameters) -> Modes:
         arms: parameters of the n arms.
     """
     n, base = arms.count, arms.base()
-    upper = np.zeros((n, n))
-    upper[np.triu_indices(n)] = base[: n * (n + 1) // 2]
-    mass = upper + np.triu(upper, 1).T
     weights, coupling = base[n * (n + 1) // 2 :][:n], base[n * (n + 1) // 2 + n :][:n]
     joints = np.linalg.inv(_sums(n))
     drag = joints.T @ np.diag(arms.viscous) @ joints
-    squares, vectors = linalg.eigh(np.diag(weights), mass)
+    squares, vectors = linalg.eigh(np.diag(weights), arms.mass_in_line)
     frequencies = np.sqrt(squares)
     dampings = np.diag(vectors.T @ drag @ vectors) / (2 * frequencies)
     return Modes(frequencies, dampings, vectors * (vectors.T @ coupling), vectors)
