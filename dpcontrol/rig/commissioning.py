@@ -30,6 +30,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 from itertools import permutations
 from typing import Any, ClassVar, NamedTuple
 
@@ -957,10 +958,7 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
     """Judge direction and gain of the drive and of the cart's scale."""
     gain, factors = drive.gain, wiring.factors
     figures = {"gain": gain, "gain_error": drive.errors[2]}
-
-    def wrong(sentence: str, remedy: str) -> Finding:
-        return Finding("drive", Grade.WRONG, sentence, remedy, figures)
-
+    wrong = partial(Finding, "drive", Grade.WRONG, figures=figures)
     if drive.misfit > _LEFT_OVER:
         return Finding(
             "drive", Grade.UNSURE,
@@ -1097,10 +1095,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
         "misfit": wiring.misfit, "swing": swing.swing.tolist(),
     }  # fmt: skip
     joint = "joint" if wiring.form in (Form.SUMMED, Form.RELATIVE) else "absolute"
-
-    def wrong(sentence: str, remedy: str) -> Finding:
-        return Finding("encoders", Grade.WRONG, sentence, remedy, figures)
-
+    wrong = partial(Finding, "encoders", Grade.WRONG, figures=figures)
     stuck = [k for k in range(n) if abs(factors[k]) < _STUCK]
     found = [
         wrong(
@@ -1356,10 +1351,7 @@ def _tried_switch(
     answer, at = _creep(session, side, most, options.creep)
     _return(session, options)
     figures = {"side": name, "answer": answer, "position": at}
-
-    def wrong(sentence: str, remedy: str) -> Finding:
-        return Finding("switches", Grade.WRONG, sentence, remedy, figures)
-
+    wrong = partial(Finding, "switches", Grade.WRONG, figures=figures)
     if answer == -side:
         return wrong(
             f"at the {name}, at {at:+.4f} m, the switch of the other side responds",
