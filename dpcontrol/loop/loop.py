@@ -187,10 +187,10 @@ class ControlLoop:
                 self._emit_news(k)
             if recovery is not None:
                 if self._fall is not None:
-                    self._recover(k, *self._fall, rig)
+                    self._recover(k, *self._fall, recovery, rig)
                 elif not self._stopped and (why := recovery.runs_off(k, report, ticker)):
                     ticker.brake(k)
-                    self._recover(k, Outcome.TRACKING_LOST, why, rig)
+                    self._recover(k, Outcome.TRACKING_LOST, why, recovery, rig)
                 elif not self._stopped:
                     self._emit_choices(done, recovery.follow_up(k, report, ticker, period))
                 if done == ticker.began + ticker.count:
@@ -270,13 +270,11 @@ class ControlLoop:
             # The drive brakes without commands; the loop sends its prediction of the braking meanwhile.
             rig.stop()
 
-    def _recover(self, k: int, outcome: Outcome, why: str, rig: Rig) -> None:
+    def _recover(self, k: int, outcome: Outcome, why: str, recovery: FallRecovery, rig: Rig) -> None:
         """Return from a fall at tick k, or end the run.
 
         The run ends if no attempt is left.
         """
-        recovery = self._recovery
-        assert recovery is not None
         self._fall = None
         choices = recovery.fell(k, outcome, why, self.ticker, self._period)
         if choices is not None:
