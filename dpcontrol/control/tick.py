@@ -77,6 +77,7 @@ from dpcontrol.control.ekf import (
     RESTART_RATE,
     RESTART_VELOCITY,
     FilterEquations,
+    Layout,
     Timing,
     checked_noise,
     pack,
@@ -215,49 +216,6 @@ brake m/s²: twice the acceleration assumed for stopping.
 lost_tracking rad, lost_estimate, resynchronise rad, restarts, missing s, margin m: see `SupervisorSettings`.
 can_hold: 1 if there is a fallback. trust: of an adaptive law. mode: of a tick that tracks or holds, see `Mode`.
 """
-
-
-class Layout:
-    """Contiguous named parts of a vector: name=length."""
-
-    def __init__(self, **sizes: int) -> None:
-        ends = np.cumsum([*sizes.values()])
-        self.slices = {name: slice(int(end - n), int(end)) for (name, n), end in zip(sizes.items(), ends, strict=True)}
-        """Range of each part by name."""
-        self.size = int(ends[-1])
-
-    def symbols(self, name: str) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """Return a vector of symbols and its parts.
-
-        Args:
-            name: name of the vector.
-        """
-        vector = ca.SX.sym(name, self.size)
-        return vector, {part: vector[where] for part, where in self.slices.items()}
-
-    def joined(self, parts: Mapping[str, ca.SX]) -> ca.SX:
-        """Return the vector of these parts.
-
-        Args:
-            parts: all parts by name, (length,).
-        """
-        return ca.densify(ca.vertcat(*(parts[name] for name in self.slices)))
-
-    def filled(self, parts: Mapping[str, Array | float], runs: int | None = None) -> Array:
-        """Return the vector of numbers, with zeros for missing parts.
-
-        Args:
-            parts: values by name, numbers, (length,) or (length, runs).
-            runs: number of runs; None for one.
-
-        Returns:
-            Vector (size,), or (size, runs).
-        """
-        out = np.zeros(self.size if runs is None else (self.size, runs))
-        for name, value in parts.items():
-            given = np.asarray(value, dtype=float)
-            out[self.slices[name]] = given[:, None] if runs is not None and given.ndim == 1 else given
-        return out
 
 
 def _all(*conditions: ca.SX) -> ca.SX:
