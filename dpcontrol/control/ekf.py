@@ -519,10 +519,8 @@ class EkfProgram:
         self.equations, self.step, self.update, self.ahead = _compiled(model.equations, model.period, settings.augments)
         """Map the inputs of a prediction to the next z (N+E,), without a measurement."""
         size, m = self.equations.dimension, model.arms + 1
-        lengths = {"z": size, "covariance": size * (size + 1) // 2, "sigmas": size, "innovation": m}
-        lengths |= {"nis": 1, "used": 1, "sound": 1}
-        ends = np.cumsum([*lengths.values()])
-        self.out = {name: slice(int(end - n), int(end)) for (name, n), end in zip(lengths.items(), ends, strict=True)}
+        covariance = size * (size + 1) // 2
+        self.out = Layout(z=size, covariance=covariance, sigmas=size, innovation=m, nis=1, used=1, sound=1).slices
         """Slices of the outputs by name."""
         self.out["memory"] = slice(0, self.out["covariance"].stop)
         self.out["state"] = slice(0, model.dimension)
