@@ -299,19 +299,21 @@ def load_own(role: str, source: str) -> OwnObject:
 
 
 @dataclass(frozen=True)
-class OwnLaw:
-    """Settings that select a user's law by its object."""
+class _Chosen:
+    """Settings that select a user's object."""
 
     kind: str
     own: OwnObject
 
 
 @dataclass(frozen=True)
-class OwnExpressions:
-    """Settings that select a user's symbolic law by its object."""
+class OwnLaw(_Chosen):
+    """Settings that select a user's law by its object."""
 
-    kind: str
-    own: OwnObject
+
+@dataclass(frozen=True)
+class OwnExpressions(_Chosen):
+    """Settings that select a user's symbolic law by its object."""
 
 
 @dataclass(frozen=True)
@@ -324,14 +326,11 @@ class OwnEstimator(FilterSettings):
 
 
 @dataclass(frozen=True)
-class OwnPlant:
+class OwnPlant(_Chosen):
     """Settings that select a user's plant by its object.
 
     It replaces arms, cart and drive. A `SymbolicPlant` replaces only one component.
     """
-
-    kind: str
-    own: OwnObject
 
 
 @dataclass(frozen=True, eq=False)
