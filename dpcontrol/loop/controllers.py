@@ -44,7 +44,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, damping_scales, pendulu
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.loop.own import OwnController, OwnEstimates, OwnEstimator, OwnExpressions, OwnLaw
-from dpcontrol.orbits.lyapunov import equilibria
+from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
 from dpcontrol.references.reference import Reference, plan_notes
 
 if TYPE_CHECKING:
@@ -197,8 +197,7 @@ def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmCh
     Raises:
         InputError: it is of other arms.
     """
-    # Runs that keep no orbit do not import the search for orbits.
-    from dpcontrol.orbits.lyapunov import lyapunov_orbit
+    # Runs that keep no orbit do not import the search for sustained ones.
     from dpcontrol.references.sustained import SustainedOrbit
 
     part = _part(reference, entry)
@@ -273,7 +272,6 @@ def nearest_keeper(
 
 
 def _sought(saddle: str, energy: float, reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
-    from dpcontrol.orbits.lyapunov import lyapunov_orbit
     from dpcontrol.references.sustained import sustained_orbit
 
     lyapunov = lyapunov_orbit(pendulum_system(saddle, parameters), saddle, energy=energy)

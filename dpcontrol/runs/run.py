@@ -22,7 +22,13 @@ import numpy as np
 
 import dpcontrol
 from dpcontrol.control.estimator_settings import extra_names
-from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
+from dpcontrol.control.export import (
+    LEAVING,
+    ControllerSource,
+    checked_exportable,
+    controller_source,
+    controller_unit,
+)
 from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.margins import Margins
 from dpcontrol.control.tick import TickProgram
@@ -732,8 +738,6 @@ def export_unit(
     Raises:
         InputError, GoalMissed: see `export_plan`.
     """
-    from dpcontrol.control.export import controller_unit
-
     source, program, schedule = _exported(plan, assembled(plan), single, progress)
     made = controller_unit(
         source, program, schedule, name=out.stem, title=plan.itinerary.title, delay=plan.itinerary.loop.drive.delay
