@@ -32,7 +32,7 @@ from dpcontrol.loop.lockstep import Lockstep
 from dpcontrol.loop.loop import ControlLoop, LoopSettings, sampled_model
 from dpcontrol.loop.own import OwnEstimator, OwnLaw
 from dpcontrol.loop.recovery import RETURN_SECONDS, FallRecovery, Reach, RecoveryPlan, StartController, started
-from dpcontrol.loop.result import BatchRun, LoopResult, LoopSink, NoSink
+from dpcontrol.loop.result import BatchRun, LoopResult, LoopSink
 from dpcontrol.loop.simulated import BatchBench, SimulatedRig
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
@@ -293,8 +293,8 @@ class Assembly:
         ticker = self.ticker(library=library)
         falls = None if recovery is None else FallRecovery(recovery, self.controller, until=until)
         return ControlLoop(
-            ticker, limits=self.limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, recovery=falls,
-            keep=keep, progress=progress,
+            ticker, limits=self.limits, sink=sink or LoopSink(), rate_noise=rate_noise, fallback=fallback,
+            recovery=falls, keep=keep, progress=progress,
         )  # fmt: skip
 
     def draw(self, *, seed: int | None = None, mismatch: float | None = None) -> BenchDraw:

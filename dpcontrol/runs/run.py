@@ -79,7 +79,7 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
-from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink, Sinks, SupervisorSettings, Ticks
+from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
 from dpcontrol.plans.itinerary import Itinerary, itinerary_from, setting_of
 from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.model import model_from
@@ -400,7 +400,7 @@ def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
     return {**arms, DRAWN_METADATA: json.dumps(once)}
 
 
-class _Events(NoSink):
+class _Events(LoopSink):
     """Stores events; the result holds every tick."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.logs import CATCH, RESUME, RETURN
 from dpcontrol.loop import recovery
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.result import BatchRun, Ending, NoSink
+from dpcontrol.loop.result import BatchRun, Ending, LoopSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.night import night_itinerary
@@ -53,7 +53,7 @@ TWICE = {
 }
 
 
-class Told(NoSink):
+class Told(LoopSink):
     def __init__(self) -> None:
         self.events: list[tuple[float, str, str]] = []
 
