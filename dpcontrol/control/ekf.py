@@ -17,7 +17,7 @@ estimates the parameters, this factor follows from their variance and vanishes a
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.2.6, 10.3.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -32,7 +32,7 @@ from dpcontrol.control.estimator_settings import (
     FilterSettings,
     extra_names,
 )
-from dpcontrol.control.interface import Estimate, Present, SampledModel
+from dpcontrol.control.interface import Estimate, Estimator, Present, SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
@@ -595,7 +595,7 @@ class EkfProgram:
         return out
 
 
-class KalmanFilter(ABC):
+class KalmanFilter(Estimator):
     """Base of all filters, which compiles the model's equations.
 
     Model, settings, measurement noise (n+1, n+1) and compiled equations.

@@ -28,7 +28,7 @@ from uuid import uuid4
 import numpy as np
 
 from dpcontrol.control.estimator_settings import FilterSettings
-from dpcontrol.control.interface import Action, Estimate, Mode, Present, SampledModel, Session
+from dpcontrol.control.interface import Action, Estimate, Estimator, Mode, Present, SampledModel, Session
 from dpcontrol.control.symbolic import Setpoint, SymbolicLaw
 from dpcontrol.control.tracking import ReferenceController
 from dpcontrol.dynamics.components import SymbolicPlant
@@ -399,7 +399,7 @@ class OwnSession(Session):
         return Action(forward, value - forward, wanted, Mode.TRACKING)
 
 
-class OwnEstimates:
+class OwnEstimates(Estimator):
     """A user's estimator in the loop.
 
     If the object has `sigmas` (N,), NIS is computed for the model's prediction from the previous estimate. Without
