@@ -483,7 +483,7 @@ def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, 
         raise InputError(
             f"the reference has {reference.states.shape[-1]} states, the model {model.dimension}; use the same model"
         )
-    count = tick_count(reference, model.period)
+    count = max(int(np.ceil(reference.duration / model.period - 1e-6)), 1)
     times = reference.mesh[0] + model.period * np.arange(count + 1)
     # The input in the middle of a period; a constant input then errs only by the square of the period.
     commands = reference.input(times[:-1] + model.period / 2)[:, 0]
@@ -533,16 +533,6 @@ def costs_to_go(reference: Reference, model: SampledModel, settings: QuadraticWe
     terminal = terminal_cost(a[-1], b[-1], weights=np.diag(diagonal), effort=effort)
     *_, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
     return states, costs
-
-
-def tick_count(reference: Reference, period: float) -> int:
-    """Return the number of periods that cover the reference.
-
-    Args:
-        reference: the reference.
-        period: time between ticks, s.
-    """
-    return max(int(np.ceil(reference.duration / period - 1e-6)), 1)
 
 
 def extra_jacobians(
