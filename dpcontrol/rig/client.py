@@ -16,7 +16,7 @@ import select
 import socket
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from urllib.parse import urlsplit
 
@@ -182,7 +182,7 @@ def parse_address(text: str) -> tuple[str, int]:
     return host, port
 
 
-class UdpRig:
+class UdpRig(AbstractContextManager["UdpRig"]):
     """A bench at `address` (host, port) as a `Rig` and context manager.
 
     The first `read` starts the bench. On exit, the client says goodbye.
@@ -249,9 +249,6 @@ class UdpRig:
         self._positions = np.zeros(self.welcome.arms + 1)
         self._zeros = np.zeros(self.welcome.arms + 1)
         self._zeros[: min(len(zeros), self.welcome.arms)] = zeros[: self.welcome.arms]
-
-    def __enter__(self) -> "UdpRig":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()
