@@ -35,6 +35,7 @@ from dpcontrol.control.symbolic import symbolic_controller
 from dpcontrol.control.tracking import (
     AdaptiveSettings,
     FeedforwardSettings,
+    ReferenceController,
     TvlqrSettings,
     adaptive_controller,
     extra_jacobians,
@@ -42,6 +43,7 @@ from dpcontrol.control.tracking import (
 )
 from dpcontrol.dynamics.chain import ArmChainParameters, damping_scales, pendulum_system
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import fields_of
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.loop.own import OwnController, OwnEstimates, OwnEstimator, OwnExpressions, OwnLaw
 from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
@@ -322,8 +324,9 @@ class LawInputs:
 
 
 def _own(made: LawInputs) -> Controller:
-    flown = tracking_controller(made.reference, made.model, FeedforwardSettings())
-    return OwnController(made.settings.own, flown, made.model.period)
+    own = made.settings.own
+    flown = fields_of(ReferenceController, tracking_controller(made.reference, made.model, FeedforwardSettings()))
+    return OwnController(**{**flown, "kind": own.name}, own=own, period=made.model.period)
 
 
 def _ogy(made: LawInputs) -> Controller:

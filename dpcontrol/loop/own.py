@@ -334,27 +334,11 @@ class OwnPlant(_Chosen):
 
 
 @dataclass(frozen=True, eq=False)
-class OwnController:
+class OwnController(ReferenceController):
     """A user's law on a reference; period in s."""
 
     own: OwnObject
-    flown: ReferenceController
     period: float
-
-    @property
-    def kind(self) -> str:
-        """The name of the user's class."""
-        return self.own.name
-
-    @property
-    def first_state(self) -> Array:
-        """The initial state (N,)."""
-        return self.flown.first_state
-
-    @property
-    def ticks(self) -> int:
-        """The number of periods that the law covers."""
-        return self.flown.ticks
 
     def begin_after(self, lead: int) -> "OwnSession":
         """Return a session for one run.
@@ -383,9 +367,9 @@ class OwnSession(Session):
             state: predicted state (N,) at the tick.
             extra: estimated further parameters (E,), which the law does not receive.
         """
-        law, flown = self._law, self._law.flown
-        wanted = flown.reference_states[min(tick, flown.ticks)]
-        forward = float(flown.feedforward[min(tick, flown.ticks - 1)])
+        law = self._law
+        wanted = law.reference_states[min(tick, law.ticks)]
+        forward = float(law.feedforward[min(tick, law.ticks - 1)])
         if tick < self._lead:
             return Action(forward, 0.0, wanted, Mode.TRACKING)
         value = 0.0
