@@ -111,9 +111,7 @@ class ProgramSession(Session):
     def _due(self, tick: int) -> bool:
         """True if the active segment has ended."""
         program, index = self._program, self._index
-        if index + 1 == len(program.segments):
-            return False
-        if tick - self._began < program.lasts[index]:
+        if index + 1 == len(program.segments) or tick - self._began < program.lasts[index]:
             return False
         session = self._session
         if not isinstance(session, OgySession | OrbitSession):

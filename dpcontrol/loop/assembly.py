@@ -404,13 +404,10 @@ class Assembly:
         unshaped = replace(settings.mechanics, known_belt=0.0, known_play=0.0)
         settings = replace(settings, drive_lag=settings.known_lag, mechanics=unshaped)
         unbound = replace(self.reference, limits=_UNBOUND)
-
-        def program_of(law: Controller) -> TickProgram:
-            return Assembly(unbound, self.arms, settings, law=law).ticker().program
-
         notes = self.reference.notes
         found = law_margins(
-            self.controller, program_of, rate=settings.rate,
+            self.controller, lambda law: Assembly(unbound, self.arms, settings, law=law).ticker().program,
+            rate=settings.rate,
             wobble=max((orbit["period"] for orbit in notes.get("orbits", ())), default=_WOBBLE),
             repeats="stay" in notes, lags=settings.known_lag > 0,
         )  # fmt: skip

@@ -564,14 +564,11 @@ class BenchDraw(Brief):
         Args:
             since: first tick of the run in this draw, default 0.
         """
-
-        def later() -> Iterator[tuple[int, Blow]]:
-            return ((tick - since, blow) for tick, blow in self.random_blows() if tick >= since)
-
         return replace(
             self, ticks=_ENDLESS, zeros=self.zeros + self.drift * since * self.period,
             streams={name: replace(stream, begin=stream.begin + since) for name, stream in self.streams.items()},
-            blows={tick - since: blow for tick, blow in self.blows.items() if tick >= since}, random_blows=later,
+            blows={tick - since: blow for tick, blow in self.blows.items() if tick >= since},
+            random_blows=lambda: ((tick - since, blow) for tick, blow in self.random_blows() if tick >= since),
         )  # fmt: skip
 
 

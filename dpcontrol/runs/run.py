@@ -162,10 +162,7 @@ class Run(Timed):
         with TemporaryDirectory() as folder:
             plan = _plan(self.log, Path(folder))
             scene = itinerary_from(plan.itinerary.text, plan.itinerary.name, plan.itinerary.model)
-
-            def typed(change: Mapping[str, Any]) -> Plan:
-                return _with_options(plan, scene, change)
-
+            typed = partial(_with_options, plan, scene)
             with reporting(progress, "why") as report:
                 return why(plan, self.score(), typed, workers=workers, yes=yes, progress=report)
 
