@@ -28,7 +28,7 @@ Separable nonlinear least squares (2003).
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
 from itertools import permutations
@@ -337,30 +337,27 @@ def commission(
             f"{1 / _LONGEST_PERIOD:g} Hz; raise its rate"
         )
     findings: list[Finding] = []
+    halts: list[Finding] = []
     changes: dict[str, Any] = {}
-    halt, session, motion = None, None, _Motion()
+    session, motion = None, _Motion()
     # Slow computations run before the first tick or after the last, because a rig stops if its loop is silent.
     chirp = _chirp(arms, rig.period, options)
     try:
         session = _Session(rig, arms.count, limits, zeros)
         _move(session, motion, arms, chirp, switches, limits, options, notify)
     except _Halted as halted:
-        halt = halted.finding
+        halts.append(halted.finding)
     finally:
         rig.stop()
+    if session is not None and motion.rang_to:
+        findings += _judged(session, motion, arms, settings, tuple(zeros), changes)
+        right = all(f.verdict is Grade.OK for f in findings if f.step == "drive")
+        findings += motion.switches if right else [_untried("the drive has a fault", "fix the drive first")]
+    findings += halts
     if session is not None:
-        if motion.rang_to:
-            findings += _judged(session, motion, arms, settings, tuple(zeros), changes)
-            right = all(f.verdict is Grade.OK for f in findings if f.step == "drive")
-            findings += motion.switches if right else [_untried("the drive has a fault", "fix the drive first")]
-        if halt is not None:
-            findings.append(halt)
         findings.append(_deadlines(session))
-    elif halt is not None:
-        findings.append(halt)
-    if any(f.verdict is Grade.WRONG and not f.mended for f in findings):
-        changes = {}
-    return Commissioning(tuple(findings), changes)
+    found = Commissioning(tuple(findings), changes)
+    return replace(found, changes={}) if found.blocking else found
 
 
 @dataclass
