@@ -92,7 +92,7 @@ def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) ->
             runs = assembly.batch(seeds)
         estimates = [_WithEstimates.made.estimates[: len(run.times), :, k] for k, run in enumerate(runs)]
     else:
-        results = [assembly.simulate(seed=seed) for seed in seeds]
+        results = [assembly.simulate(draw=assembly.draw(seed=seed)) for seed in seeds]
         runs, estimates = [BatchRun.of(result) for result in results], [result.ticks.estimates for result in results]
     bounds = (limits.position, limits.velocity, limits.acceleration)
     due = tuple(symbol["time"] for symbol in reference.notes["symbols"])

@@ -310,8 +310,7 @@ class Assembly:
     def simulate(
         self,
         *,
-        seed: int | None = None,
-        mismatch: float | None = None,
+        draw: BenchDraw | None = None,
         sink: LoopSink | None = None,
         recovery: RecoveryPlan | None = None,
         until: int = 0,
@@ -322,8 +321,7 @@ class Assembly:
         """Track the reference on a simulated bench whose controller models these arms.
 
         Args:
-            seed: seed that overrides the settings.
-            mismatch: mismatch that overrides the settings.
+            draw: draw of the run, by default that of the settings.
             sink: receiver of ticks and events, default none.
             recovery: recovery from falls, by default `recovery` of this assembly.
             until: tick until which the itinerary repeats after falls; 0 to run it once.
@@ -337,7 +335,7 @@ class Assembly:
             GoalMissed: no controller exists for the reference, or no plant could be drawn.
         """
         recovers = (recovery or self.recovery) is not None
-        draw = self.draw(seed=seed, mismatch=mismatch)
+        draw = draw or self.draw()
         if recovers:
             draw = draw.endless()
         loop = self.loop(

@@ -194,7 +194,7 @@ def _rows(job: Job) -> list[Row]:
     mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
 
     def tick_by_tick(seed: int, mismatch: float) -> Row:
-        result = assembly.simulate(seed=seed, mismatch=mismatch)
+        result = assembly.simulate(draw=assembly.draw(seed=seed, mismatch=mismatch))
         return _row(job, reference, seed, BatchRun.of(result), path="ticks")
 
     if job.path == "ticks" or not assembly.lockstep:

@@ -108,7 +108,7 @@ def test_catching_spares_falls(monkeypatch) -> None:
             for seed in SEEDS:
                 told = Told()
                 until = round(SECONDS * scene.loop.rate)
-                assembly.simulate(seed=seed, sink=told, until=until, keep=False)
+                assembly.simulate(draw=assembly.draw(seed=seed), sink=told, until=until, keep=False)
                 ends = np.array(told.times(RETURN))
                 for time, name, text in told.events:
                     if name == CATCH:

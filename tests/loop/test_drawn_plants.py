@@ -134,7 +134,7 @@ def test_runs_in_lockstep_draw_the_plants_that_the_loop_draws(turn: tuple[StandI
 
     drawn, plain = together(settings), together(replace(settings, model_uncertainty=0.0))
     for seed, one in zip(seeds, drawn, strict=True):
-        alone = Assembly(reference, LAB, settings, uncertainty=KNOWN_TO, law=controller).simulate(seed=seed)
+        alone = Assembly(reference, LAB, replace(settings, seed=seed), uncertainty=KNOWN_TO, law=controller).simulate()
         assert alone.ticks.truth is not None
         assert np.abs(one - alone.ticks.truth[:100]).max() < FLOWN
     assert np.abs(plain[0] - drawn[0]).max() > 100 * FLOWN
