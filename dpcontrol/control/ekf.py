@@ -526,11 +526,8 @@ class EkfProgram:
         self.out["state"] = slice(0, model.dimension)
         self.out["extra"] = slice(model.dimension, size)
         self.process = settings.process(model.arms, model.period)
-
-    @property
-    def slices(self) -> dict[str, slice]:
+        self.slices = self.step.slices
         """Slices of the inputs by name."""
-        return self.step.slices
 
     def first(self, state: Array, sigmas: Array | None = None) -> Array:
         """Return the memory for an initial state.

@@ -25,6 +25,7 @@ from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Flight, LogWriter
 from dpcontrol.logs.rolling import RollingLog
+from dpcontrol.loop.protocols import UserRig
 
 
 class Reading(NamedTuple):
@@ -49,10 +50,11 @@ class Reading(NamedTuple):
     age: Any = None
 
 
-class Rig(Protocol):
+class Rig(UserRig, Protocol):
     """Interface between the loop and a simulated or real bench.
 
-    Each period: one `read`, which waits for the tick, then one `command`.
+    Each period: one `read`, which waits for the tick, then one `command`. After `stop`, the cart brakes to a standstill
+    and further commands are ignored.
     """
 
     @property
@@ -66,18 +68,6 @@ class Rig(Protocol):
         Raises:
             ArithmeticError: the bench failed, in one sentence.
         """
-        ...
-
-    def command(self, acceleration: float) -> None:
-        """Accelerate the cart.
-
-        Args:
-            acceleration: demanded acceleration, m/s² to the right.
-        """
-        ...
-
-    def stop(self) -> None:
-        """Brake the cart to a standstill and ignore further commands."""
         ...
 
     @property
