@@ -696,14 +696,12 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
             out[free] = some
             return out
 
-        def own(some: Array) -> Any:
-            return slopes(whole(some))[:, free]
-
         scale = 1.0
         # A late command disturbs the cart for a moment; a robust loss reduces its weight.
         for loss in ("linear", "soft_l1"):
             found = optimize.least_squares(
-                lambda some: residual(whole(some)), values[free], own,  # type: ignore[arg-type]
+                lambda some: residual(whole(some)), values[free],
+                lambda some: slopes(whole(some))[:, free],  # type: ignore[arg-type]
                 bounds=(low[free], most[free]), method="dogbox", loss=loss, f_scale=scale, x_scale="jac",
             )  # fmt: skip
             values = whole(found.x)
