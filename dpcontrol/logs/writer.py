@@ -610,17 +610,6 @@ class LogWriter:
             if self._buffer.filled == self._buffer.size:
                 self._write_chunk()
 
-    def tick(self, time_s: float, *, measured: Row, **parts: Row | None) -> None:
-        """Log one period.
-
-        Args:
-            time_s: time, s.
-            measured: measured positions (n+1,), rad and m.
-            **parts: row of each part, see `ticks`.
-        """
-        rows = {name: None if row is None else row[None] for name, row in parts.items()}
-        self.ticks([time_s], measured=measured[None], **rows)
-
     def result(self, **values: str) -> None:
         """Add results as metadata at the end of the log.
 
