@@ -306,7 +306,7 @@ def commission(
     limits: Limits,
     zeros: Sequence[float] = (),
     switches: float = 0.0,
-    options: CommissioningSettings | None = None,
+    options: CommissioningSettings,
     notify: Notify = lambda text: None,
 ) -> Commissioning:
     """Check and measure a rig before its first run.
@@ -328,7 +328,6 @@ def commission(
     Raises:
         InputError: the distance to the switches is impossible, or the rig is too slow to hold its cart.
     """
-    options = options or CommissioningSettings()
     if switches and (complaint := _SWITCHES.complaint(switches)):
         raise InputError(f"switches = {switches!r}: {complaint}")
     if rig.period > _LONGEST_PERIOD:
