@@ -8,7 +8,10 @@ The same lines compute one run or S runs in lockstep (`Lanes`). A number of one 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from heapq import merge
+from itertools import repeat
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any
 
@@ -311,6 +314,8 @@ class SimulatedPlant:
         self._set_state(held)
 
 
+_NEVER = (0, (math.inf, None))
+"""In place of a run, tick and blow if no blow follows."""
 _FORGOTTEN = 1000
 """Number of expired demands to keep before they are discarded."""
 
@@ -399,23 +404,11 @@ class SimulatedBench:
         self._seen: Any = None
         self._cart, self._ticks, self._tick = 2 * n, draw.ticks, -1
         self._braking: Any = None
-        self._blows: dict[int, list[tuple[int, Blow]]] = {}
-        for run, d in enumerate(draws):
-            for tick, blow in d.blows.items():
-                self._blows.setdefault(tick, []).append((run, blow))
-        self._random_blows = [d.random_blows() for d in draws]
-        self._coming = [next(blows, None) for blows in self._random_blows]
-        self._soonest = self._next_random()
-
-    def _next_random(self) -> float:
-        return min((coming[0] for coming in self._coming if coming is not None), default=math.inf)
-
-    def _strike_at_random(self, k: int) -> None:
-        for run, blows in enumerate(self._random_blows):
-            while (coming := self._coming[run]) is not None and coming[0] <= k:
-                self._plant.strike(coming[1], run)
-                self._coming[run] = next(blows, None)
-        self._soonest = self._next_random()
+        known = (zip(repeat(run), sorted(d.blows.items(), key=itemgetter(0))) for run, d in enumerate(draws))
+        random = (zip(repeat(run), d.random_blows()) for run, d in enumerate(draws))
+        # In order of the ticks, first the known ones.
+        self._blows: Iterator[Any] = merge(*known, *random, key=lambda one: one[1][0])
+        self._coming: Any = next(self._blows, _NEVER)
 
     def _measured(self, k: int) -> Array:
         return self._encoders.measure(
@@ -450,10 +443,10 @@ class SimulatedBench:
         place = k - self._past
         if len(demands) < self._sent_before + place + 1:
             demands.append(demands[-1])
-        for run, blow in self._blows.get(k, ()):
+        while self._coming[1][0] <= k:
+            run, (_, blow) = self._coming
             plant.strike(blow, run)
-        if k >= self._soonest:
-            self._strike_at_random(k)
+            self._coming = next(self._blows, _NEVER)
         fraction = self._fraction
         if not fraction and self._ages is None:
             plant.move(self._acting(demands[place + 1], period), period, time=k * period)
