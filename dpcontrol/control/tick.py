@@ -1229,16 +1229,14 @@ class TickProgram:
             known |= {"play": np.array(mechanics.play), "moves": _MOVES * np.sqrt(noise[0, 0])}
         if equations.shapes and mechanics is not None:
             known["notch"] = mechanics.notch(model.period)
-        parts = {
-            "memory": equations.memory, "reading": equations.reading, "row": equations.row, "numbers": equations.numbers
-        }  # fmt: skip
-        self._inputs = np.zeros((sum(part.size for part in parts.values()), self.lanes))
-        views, begin = {}, 0
-        for name, part in parts.items():
-            views[name] = self._inputs[begin : begin + part.size]
-            begin += part.size
-        self.memory, self.reading, self.row = views["memory"], views["reading"], views["row"]
-        self._numbers = views["numbers"]
+        whole_input = Layout(
+            memory=equations.memory.size, reading=equations.reading.size, row=equations.row.size,
+            numbers=equations.numbers.size,
+        )  # fmt: skip
+        self._inputs = np.zeros((whole_input.size, self.lanes))
+        self.memory, self.reading, self.row, self._numbers = (
+            self._inputs[where] for where in whole_input.slices.values()
+        )
         self._numbers[:] = equations.numbers.filled(known, self.lanes)
         reading = equations.reading.slices
         self._measured, self._present = self.reading[reading["measured"]], self.reading[reading["present"]]
