@@ -320,7 +320,7 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         if not math.isfinite(acceleration):
             raise ArithmeticError(f"command = {acceleration!r}: the drive takes finite accelerations only")
         # A STOP may be lost, so each tick repeats it until the bench reports standstill.
-        self._send(packets.stop() if self._stopped else packets.command(max(self._tick, 0), acceleration))
+        self._send(packets.STOP if self._stopped else packets.command(max(self._tick, 0), acceleration))
 
     def stop(self) -> None:
         """Have the bench brake the cart to a standstill.
@@ -328,13 +328,13 @@ class UdpRig(AbstractContextManager["UdpRig"]):
         No further commands are sent.
         """
         self._stopped = True
-        self._send(packets.stop())
+        self._send(packets.STOP)
 
     def _introduced(self) -> Welcome:
         """Return the bench's welcome."""
         until = time.perf_counter() + self._settings.answer
         while (now := time.perf_counter()) < until:
-            self._send(packets.hello())
+            self._send(packets.HELLO)
             waited = now + _REQUEST_INTERVAL
             while (now := time.perf_counter()) < waited:
                 heard = self._received(waited - now)
