@@ -110,13 +110,6 @@ class ControlLoop:
         """Commands in flight when the run begins, oldest first, m/s²."""
         return self.ticker.queued[:, 0].tolist()
 
-    def rehearse(self) -> None:
-        """Load all code and data before the first deadline.
-
-        It computes ticks without output.
-        """
-        self.ticker.rehearse()
-
     def run(self, rig: Rig) -> LoopResult:
         """Run to the last tick, or until the cart is stopped.
 

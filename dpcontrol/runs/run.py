@@ -908,7 +908,7 @@ class RigLink:
                     f'{itinerary.path}: start = "orbit" begins at the orbit\'s exact rates, {fastest:.3g} rad/s, which '
                     'only a simulated bench can; on a rig use an itinerary with start = "rest", such as turn-from-rest'
                 )
-            loop.rehearse()
+            loop.ticker.rehearse()
             begun = {"queued": loop.queued, "zeros": itinerary.zeros}
         with ExitStack() as stack:
             if self.address == OWN_BENCH:

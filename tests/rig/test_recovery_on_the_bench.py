@@ -84,7 +84,7 @@ def fly(address: tuple[str, int], key: bytes) -> None:
     shared = Assembly(plan.reference, arms, settings, law=controller).recovery
     assert shared is not None
     loop = Assembly(plan.reference, arms, settings, law=controller).loop(sink=Dies(), recovery=shared)
-    loop.rehearse()
+    loop.ticker.rehearse()
     with UdpRig(address, queued=loop.queued, key=key) as rig:
         loop.run(rig)
 

@@ -317,7 +317,7 @@ def test_the_loop_follows_its_reference_on_a_bench_in_another_process(turn: tupl
     for _ in range(KEEPING_TIME):
         with BenchProcess(recipe, PATIENT) as bench:
             loop = Assembly(turn[1], LAB, settings, law=short).loop()
-            loop.rehearse()
+            loop.ticker.rehearse()
             with UdpRig(bench.address, queued=loop.queued, key=bench.key) as rig:
                 result = loop.run(rig)
         assert result.late == rig.deadlines.missed
