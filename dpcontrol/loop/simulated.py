@@ -316,8 +316,6 @@ class SimulatedPlant:
 
 _NEVER = (0, (math.inf, None))
 """In place of a run, tick and blow if no blow follows."""
-_FORGOTTEN = 1000
-"""Number of expired demands to keep before they are discarded."""
 
 
 class SimulatedBench:
@@ -366,9 +364,9 @@ class SimulatedBench:
         demands: list[Any] = [0.0 if lanes is ONE else np.zeros(len(draws))] * (whole + 1)
         for command in queued:
             demands.append(self._drive.demanded(command, 0.0, demands[-1]))
-        # Ordered by the time they act: the one at place k + 1 begins to act in period k.
+        # Ordered by the time they act: the second one begins to act in the coming period, which deletes the first.
         self._demands = demands[-(whole + 1) :]
-        self._sent_before, self._past = whole + 1, 0
+        self._sent_before = whole + 1
         self._command_noise, self._noise = by_tick("command_noise"), by_tick("noise", np.asarray)
         self._missed, self._ages = draw.reader("missed", np.asarray), by_tick("ages")
         self._reports = settings.sensors.ages == "reported" and self._ages is not None
@@ -431,17 +429,15 @@ class SimulatedBench:
 
         A second one in the same period replaces the first.
         """
-        demands, place = self._demands, self._sent_before + k - self._past
-        if len(demands) > place:
-            del demands[place:]
+        demands = self._demands
+        del demands[self._sent_before :]
         noise = 0.0 if self._command_noise is None else self._command_noise[k]
         demands.append(self._drive.demanded(acceleration, noise, demands[-1]))
 
     def _pass(self, k: int) -> None:
         """Advance the bench by period k."""
         plant, demands, period = self._plant, self._demands, self.period
-        place = k - self._past
-        if len(demands) < self._sent_before + place + 1:
+        if len(demands) <= self._sent_before:
             demands.append(demands[-1])
         while self._coming[1][0] <= k:
             run, (_, blow) = self._coming
@@ -449,19 +445,16 @@ class SimulatedBench:
             self._coming = next(self._blows, _NEVER)
         fraction = self._fraction
         if not fraction and self._ages is None:
-            plant.move(self._acting(demands[place + 1], period), period, time=k * period)
+            plant.move(self._acting(demands[1], period), period, time=k * period)
         else:
             # The next reading shows the state `seen` seconds into this period.
             seen = period if self._ages is None else period - self._ages[k + 1]
             self._seen = None
             change = fraction * period
             if change:
-                self._part(k, demands[place], 0.0, change, seen)
-            self._part(k, demands[place + 1], change, period, seen)
-        if place >= _FORGOTTEN:
-            # Expired demands are discarded.
-            del demands[:place]
-            self._past = k
+                self._part(k, demands[0], 0.0, change, seen)
+            self._part(k, demands[1], change, period, seen)
+        del demands[0]
 
     def _part(self, k: int, demand: Any, begin: float, end: float, seen: float) -> None:
         """Advance a part of period k under `demand`.
