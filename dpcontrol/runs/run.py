@@ -86,12 +86,13 @@ from dpcontrol.plans.model import model_from
 from dpcontrol.plans.overrides import canonical, paths
 from dpcontrol.plans.plan import Plan, plan_key, recoverable
 from dpcontrol.references.reference import load_reference
+from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, RecordedRig, checked_faults
+from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
+from dpcontrol.rig.packets import shared_key
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from dpcontrol.rig.bench import BenchProcess, BenchRecipe
-    from dpcontrol.rig.client import Deadlines, UdpRig
     from dpcontrol.rig.commissioning import Commissioning
     from dpcontrol.runs.remedies import Why
 
@@ -799,12 +800,12 @@ class RigRun:
 
     score: Score
     result: LoopResult
-    deadlines: "Deadlines | None"
+    deadlines: Deadlines | None
     bench: tuple[str, ...]
     difference: float | None = None
 
 
-def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> "BenchRecipe":
+def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> BenchRecipe:
     """Return the simulated bench of a planned itinerary.
 
     Args:
@@ -817,8 +818,6 @@ def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> "BenchRecipe":
     """
     itinerary, assembly = plan.itinerary, assembly or assembled(plan)
     loop, controller = itinerary.loop, assembly.controller
-    from dpcontrol.rig.bench import BenchRecipe
-
     return BenchRecipe(
         itinerary.model.arms, loop, assembly.limits, controller.first_state,
         ticks=controller.ticks + round(_SPARE * loop.rate) + 1, uncertainty=itinerary.uncertainty,
@@ -833,7 +832,7 @@ _HANGING = 600.0
 """Running time of a bench with hanging arms, s."""
 
 
-def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> "BenchRecipe":
+def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> BenchRecipe:
     """Return the itinerary's simulated bench with hanging arms.
 
     It serves commissioning and needs no plan.
@@ -845,8 +844,6 @@ def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> "Benc
     Raises:
         InputError: a fault that these arms cannot have, or a drawn plant without a known uncertainty.
     """
-    from dpcontrol.rig.bench import BenchRecipe, checked_faults
-
     arms, loop = itinerary.model.arms, itinerary.loop
     return BenchRecipe(
         arms, loop, loop.limits(itinerary.limits), np.zeros(2 * arms.count + 2), ticks=round(_HANGING * loop.rate),
@@ -875,15 +872,13 @@ class RigLink:
 
     def __post_init__(self) -> None:
         """Check the address."""
-        from dpcontrol.rig.client import parse_address
-
         if self.address != OWN_BENCH:
             parse_address(self.address)
 
     @contextmanager
     def connected(
-        self, itinerary: Itinerary, recipe: "BenchRecipe", *, ticks: int, what: str, loop: ControlLoop | None = None
-    ) -> "Iterator[tuple[UdpRig, BenchProcess | None]]":
+        self, itinerary: Itinerary, recipe: BenchRecipe, *, ticks: int, what: str, loop: ControlLoop | None = None
+    ) -> Iterator[tuple[UdpRig, BenchProcess | None]]:
         """Yield the rig, and the example bench if there is one.
 
         Args:
@@ -896,9 +891,6 @@ class RigLink:
         Raises:
             InputError: no bench answers, it needs a key, or it does not fit the itinerary.
         """
-        from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
-        from dpcontrol.rig.client import UdpRig, parse_address, real_time_priority, without_collecting
-
         arms, rate, key, process = itinerary.model.arms.count, itinerary.loop.rate, self.key, None
         begun: dict[str, Any] = {}
         if loop is not None:
@@ -945,8 +937,6 @@ def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real
     Raises:
         InputError: the address is malformed, or the key is not readable.
     """
-    from dpcontrol.rig.packets import shared_key
-
     if address is None:
         return None
     link = RigLink(address, insecure=insecure, real_time=real_time)
@@ -1074,8 +1064,6 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
         InputError: the program cannot be run or does not fit the itinerary, or the log cannot be written.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
-
     check_replaced(out, run_record(plan.itinerary, rig=OWN_BENCH), force=force)
     loop = plan.itinerary.loop
     # A program neither restarts after a fall nor subtracts zeros from its readings.
@@ -1094,10 +1082,8 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
 
 
 def _log_recorded(
-    plan: Plan, out: Path, program: Path, assembly: Assembly, process: "BenchProcess", kept: "Deadlines | None"
+    plan: Plan, out: Path, program: Path, assembly: Assembly, process: BenchProcess, kept: Deadlines | None
 ) -> RigRun:
-    from dpcontrol.rig.bench import RecordedRig
-
     if process.record is None:
         raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.messages)}")
     with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:
