@@ -31,9 +31,11 @@ from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.checked import Between, Count, Hit, Index, Positive, Seed, Workers, checked
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
+from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.progress import Cost, Reporting, announce, part_of, reporting
 from dpcontrol.loop.protocols import UserEstimator, UserLaw, UserPlant, UserRig
-from dpcontrol.plans.model import Model, ModelSystem, model_of
+from dpcontrol.plans.model import Model, ModelSystem, model_of, write_model
 from dpcontrol.plans.model import load_model as load_model
 from dpcontrol.plans.overrides import RunOptions as RunOptions
 from dpcontrol.plans.overrides import canonical
@@ -430,8 +432,6 @@ def prove(
         >>> dp.prove(orbit).proved
         True
     """
-    from dpcontrol.foundation.parts import part
-
     part("flint")
     from dpcontrol.orbits.lyapunov import LyapunovOrbit
     from dpcontrol.proofs.prove import exact_energy, prove_connections, prove_orbit, prove_walk
@@ -614,8 +614,6 @@ def mjcf(
         >>> dp.mjcf("lab").startswith("<mujoco")
         True
     """
-    from dpcontrol.foundation.files import write_whole
-
     arms = model if isinstance(model, ArmChainParameters) else _model(model).arms
     text = mjcf_text(arms, name="arms", cart_mass=cart_mass, lag=lag)
     if out is not None:
@@ -875,7 +873,6 @@ def identify(
     """
     from dpcontrol.identification.identify import IdentificationSettings
     from dpcontrol.identification.identify import identify as found_in
-    from dpcontrol.plans.model import write_model
     from dpcontrol.recordings.checks import contradiction
     from dpcontrol.recordings.recording import Recording
 
@@ -1501,7 +1498,6 @@ def check_proof(file: Place, *, progress: Reporting = None) -> "CertificateCheck
         >>> dp.check_proof(certificate_file).proved
         True
     """
-    from dpcontrol.foundation.parts import part
     from dpcontrol.proofs.check import check_file
 
     part("flint")
@@ -1654,7 +1650,6 @@ def commission(
         >>> dp.commission("outer-turn", faults=["encoder-2-reversed"]).wrong[0].step
         'encoders'
     """
-    from dpcontrol.foundation.files import write_whole
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.runs.run import OWN_BENCH, commission_rig, measured_text
 

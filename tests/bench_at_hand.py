@@ -79,7 +79,7 @@ class Raw:
         return packets.unpacked(self.socket.recv(4096), Role.BENCH, key=self.key)
 
     def greet(self) -> packets.Welcome:
-        self.send(packets.hello())
+        self.send(packets.HELLO)
         welcome = self.heard().content
         assert isinstance(welcome, packets.Welcome)
         self.talk = Talk(Role.LOOP, welcome.session, key=self.key)

@@ -86,13 +86,13 @@ class _WithEstimates(JudgedTicks):
 def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) -> list[Flight]:
     """Run these seeds in lockstep if possible, otherwise one by one."""
     loop, arms = itinerary.loop, itinerary.model.arms
-    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference)
+    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference.limits)
     if assembly.lockstep:
         with mock.patch.object(lockstep, "JudgedTicks", _WithEstimates):
             runs = assembly.batch(seeds)
         estimates = [_WithEstimates.made.estimates[: len(run.times), :, k] for k, run in enumerate(runs)]
     else:
-        results = [assembly.simulate(seed=seed) for seed in seeds]
+        results = [assembly.simulate(draw=assembly.draw(seed=seed)) for seed in seeds]
         runs, estimates = [BatchRun.of(result) for result in results], [result.ticks.estimates for result in results]
     bounds = (limits.position, limits.velocity, limits.acceleration)
     due = tuple(symbol["time"] for symbol in reference.notes["symbols"])

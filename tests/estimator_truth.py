@@ -103,7 +103,7 @@ def beliefs(
     """Run the seeds in lockstep and sample them at `times` s (negative: before the end)."""
     period, count = 1 / settings.rate, controller.ticks + 1
     ticks = sorted({min(max(round((t if t >= 0 else count * period + t) / period), 0), count - 1) for t in times})
-    limits = settings.limits(reference)
+    limits = settings.limits(reference.limits)
     lanes = [*seeds, *[seeds[-1]] * (-len(seeds) % 8)]
     draws = [settings.draw(model, ticks=count, seed=seed) for seed in lanes]
     ticker = Assembly(reference, model, settings, law=controller).ticker(runs=len(lanes))

@@ -54,9 +54,10 @@ def runs(itinerary: Itinerary, reference: Reference, options: Mapping[str, Any],
     """Fly these seeds."""
     scene = itinerary.with_run(options)
     loop, arms = scene.loop, scene.model.arms
-    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference)
+    assembly, limits = Assembly(reference, arms, loop), loop.limits(reference.limits)
     lockstep = assembly.lockstep
-    flights = assembly.batch(seeds) if lockstep else [BatchRun.of(assembly.simulate(seed=seed)) for seed in seeds]
+    draws = (assembly.draw(seed=seed) for seed in seeds)
+    flights = assembly.batch(seeds) if lockstep else [BatchRun.of(assembly.simulate(draw=draw)) for draw in draws]
     bounds = (limits.position, limits.velocity, limits.acceleration)
     for seed, run in zip(seeds, flights, strict=True):
         ended = "" if run.ending is Ending.FINISHED else run.reason

@@ -180,7 +180,8 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
     if assembly.lockstep:
         runs = assembly.batch([seed for seed, _ in lanes], mismatches=[mismatch for _, mismatch in lanes])
     else:
-        runs = [BatchRun.of(assembly.simulate(seed=seed, mismatch=mismatch)) for seed, mismatch in lanes]
+        draws = (assembly.draw(seed=seed, mismatch=mismatch) for seed, mismatch in lanes)
+        runs = [BatchRun.of(assembly.simulate(draw=draw)) for draw in draws]
     small, large = runs[:seeds], runs[seeds:]
     good = [run for run in small if task.judge(run)]
     if not good:

@@ -549,7 +549,7 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
     def probe(kept: float) -> Attempt:
         lossy = replace(settings, sensors=SensorSettings(dropout=1 - kept / rate))
         assembly = Assembly(reference, arms, lossy, law=controller)
-        runs = [assembly.simulate(seed=k) for k in range(seeds)]
+        runs = [assembly.simulate(draw=assembly.draw(seed=k)) for k in range(seeds)]
         return half_of([Attempt(run.ending is Ending.FINISHED, run.reason) for run in runs], "runs lost")
 
     predicted = arriving(rate, missing=settings.supervisor.missing, seconds=SECONDS)

@@ -5,7 +5,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from dpcontrol.bench.chart import CHARTS, GROUPS
+from dpcontrol.bench.chart import CHARTS, GROUPS, PrecisionChart, check_names
 from dpcontrol.cli.verbs import FOLDER, OUTPUT, YES, Answer, TextTable, argument, option, verb
 from dpcontrol.foundation.progress import progress_bar
 
@@ -98,7 +98,6 @@ def bench_command(
     """Draw the charts and print their fronts and limits."""
     with progress_bar("bench") as progress:
         progress("loading", 0.0)
-        from dpcontrol.bench.chart import PrecisionChart, check_names
         from dpcontrol.bench.run import changes, draw_charts, earlier_panels, losses
 
         # Read before the work: the folder may be the one that is drawn to.

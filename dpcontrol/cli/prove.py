@@ -18,10 +18,9 @@ from dpcontrol.cli.verbs import (
 )
 from dpcontrol.cli.walk import _Wraps
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.progress import Cost, progress_bar
+from dpcontrol.foundation.progress import Cost, Progress, announce, part_of, progress_bar
 
 if TYPE_CHECKING:
-    from dpcontrol.foundation.progress import Progress
     from dpcontrol.proofs.prove import Proof, ProofSettings
 
 What = Literal["orbit", "walk", "connection", "horseshoe", "check"]
@@ -105,7 +104,7 @@ def prove_command(
 
 
 def _orbit(
-    model: str, saddle: str | None, family: int, energy: Decimal, settings: "ProofSettings", progress: "Progress"
+    model: str, saddle: str | None, family: int, energy: Decimal, settings: "ProofSettings", progress: Progress
 ) -> "Proof":
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
     from dpcontrol.plans.model import load_model
@@ -128,9 +127,8 @@ class _Query(NamedTuple):
 
 
 def _connections(
-    model: str, query: _Query, energy: Decimal, settings: "ProofSettings", yes: bool, progress: "Progress"
+    model: str, query: _Query, energy: Decimal, settings: "ProofSettings", yes: bool, progress: Progress
 ) -> "Proof":
-    from dpcontrol.foundation.progress import announce, part_of
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
     from dpcontrol.plans.model import load_model
     from dpcontrol.proofs.prove import exact_energy, prove_connections
@@ -170,9 +168,8 @@ def _walk(
     energy: Decimal,
     settings: "ProofSettings",
     yes: bool,
-    progress: "Progress",
+    progress: Progress,
 ) -> "Proof":
-    from dpcontrol.foundation.progress import announce, part_of
     from dpcontrol.plans.model import load_model
     from dpcontrol.proofs.prove import exact_energy, prove_walk
     from dpcontrol.walks.edges import find_edges

@@ -22,7 +22,8 @@ from dpcontrol.cli.verbs import (
     verb,
 )
 from dpcontrol.foundation.config import log_folder
-from dpcontrol.foundation.progress import progress_bar
+from dpcontrol.foundation.errors import remark
+from dpcontrol.foundation.progress import announce, progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.identification.fit import Design
@@ -62,9 +63,7 @@ def import_command(
     `replay`.
     """
     from dpcontrol import api
-    from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file
-    from dpcontrol.foundation.progress import announce
     from dpcontrol.plans.model import load_model
     from dpcontrol.recordings.checks import constant_angles, contradiction
     from dpcontrol.recordings.importing import import_recording
@@ -232,7 +231,6 @@ def replay_command(
     as in a log of `dpcontrol run`, its command or its recorded motion is the input of the model. The encoder zeros of
     the model file are subtracted.
     """
-    from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.identification.replay import ReplaySettings, filter_settings, replay_recording, write_replay
     from dpcontrol.plans.model import load_model

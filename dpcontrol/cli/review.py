@@ -228,9 +228,9 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
     view = run_view(log)
     borne = None
     if margins:
-        from dpcontrol.runs.run import logged_margins
+        from dpcontrol.runs.run import Run
 
-        borne = logged_margins(log)
+        borne = Run(log).margins()
     save_figure(draw(view, [] if borne is None else [margins_chart(borne)]), picture)
     if REFERENCE_ATTACHMENT in log.attachments and "reference" in log.states:
         verdict = score(log)

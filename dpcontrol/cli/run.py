@@ -289,13 +289,10 @@ def run_command(
         claim(out)
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress, yes=yes)
-        verdict = None
         if link is None:
             flown = run_plan(plan, out, library=library, rig=rig, force=force, live=shown, progress=progress)
             verdict = flown.score()
-    if link is None:
-        assert verdict is not None
-        return Answer(verdict.document(), score_text(verdict), shortfall(verdict))
+            return Answer(verdict.document(), score_text(verdict), shortfall(verdict))
     # Without a progress bar, because its thread would take time from the loop.
     if program is not None:
         run = run_with_program(plan, out, program, real_time=real_time, force=force)

@@ -27,7 +27,7 @@ from dpcontrol.cli.verbs import (
     verb,
 )
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.progress import Progress, progress_bar
+from dpcontrol.foundation.progress import Progress, announce, progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.plans.model import Model
@@ -151,7 +151,6 @@ def walk_command(
 
     with progress_bar("connections") as progress:
         progress("loading", 0.0)
-        from dpcontrol.foundation.progress import announce
         from dpcontrol.plans.model import load_model
         from dpcontrol.walks.edges import find_edges
         from dpcontrol.walks.symbols import parse_walk

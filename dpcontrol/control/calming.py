@@ -165,15 +165,6 @@ class CalmingSession(ClockedSession):
         stops = np.sign(velocity) * (position + velocity * law.reaction) + velocity**2 / (2 * law.brake)
         return stops > (1 - SWITCH_MARGIN) * law.limits.position
 
-    def resynchronise(self, tick: int, state: Array) -> str:
-        """Do nothing: calming has no clock.
-
-        Args:
-            tick: ignored.
-            state: ignored.
-        """
-        return ""
-
 
 def calming_controller(
     model: SampledModel, limits: Limits, settings: CalmingSettings, *, reaction: float, seconds: float

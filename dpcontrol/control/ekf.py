@@ -17,8 +17,8 @@ estimates the parameters, this factor follows from their variance and vanishes a
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.2.6, 10.3.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import inf
@@ -32,11 +32,54 @@ from dpcontrol.control.estimator_settings import (
     FilterSettings,
     extra_names,
 )
-from dpcontrol.control.interface import Estimate, Present, SampledModel
+from dpcontrol.control.interface import Estimate, Estimator, Present, SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+
+
+class Layout:
+    """Contiguous named parts of a vector: name=length."""
+
+    def __init__(self, **sizes: int) -> None:
+        ends = np.cumsum([*sizes.values()])
+        self.slices = {name: slice(int(end - n), int(end)) for (name, n), end in zip(sizes.items(), ends, strict=True)}
+        """Range of each part by name."""
+        self.size = int(ends[-1])
+
+    def symbols(self, name: str) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """Return a vector of symbols and its parts.
+
+        Args:
+            name: name of the vector.
+        """
+        vector = ca.SX.sym(name, self.size)
+        return vector, {part: vector[where] for part, where in self.slices.items()}
+
+    def joined(self, parts: Mapping[str, ca.SX]) -> ca.SX:
+        """Return the vector of these parts.
+
+        Args:
+            parts: all parts by name, (length,).
+        """
+        return ca.densify(ca.vertcat(*(parts[name] for name in self.slices)))
+
+    def filled(self, parts: Mapping[str, Array | float], runs: int | None = None) -> Array:
+        """Return the vector of numbers, with zeros for missing parts.
+
+        Args:
+            parts: values by name, numbers, (length,) or (length, runs).
+            runs: number of runs; None for one.
+
+        Returns:
+            Vector (size,), or (size, runs).
+        """
+        out = np.zeros(self.size if runs is None else (self.size, runs))
+        for name, value in parts.items():
+            given = np.asarray(value, dtype=float)
+            out[self.slices[name]] = given[:, None] if runs is not None and given.ndim == 1 else given
+        return out
 
 
 def packed(matrix: Array) -> Array:
@@ -476,20 +519,15 @@ class EkfProgram:
         self.equations, self.step, self.update, self.ahead = _compiled(model.equations, model.period, settings.augments)
         """Map the inputs of a prediction to the next z (N+E,), without a measurement."""
         size, m = self.equations.dimension, model.arms + 1
-        lengths = {"z": size, "covariance": size * (size + 1) // 2, "sigmas": size, "innovation": m}
-        lengths |= {"nis": 1, "used": 1, "sound": 1}
-        ends = np.cumsum([*lengths.values()])
-        self.out = {name: slice(int(end - n), int(end)) for (name, n), end in zip(lengths.items(), ends, strict=True)}
+        covariance = size * (size + 1) // 2
+        self.out = Layout(z=size, covariance=covariance, sigmas=size, innovation=m, nis=1, used=1, sound=1).slices
         """Slices of the outputs by name."""
         self.out["memory"] = slice(0, self.out["covariance"].stop)
         self.out["state"] = slice(0, model.dimension)
         self.out["extra"] = slice(model.dimension, size)
         self.process = settings.process(model.arms, model.period)
-
-    @property
-    def slices(self) -> dict[str, slice]:
+        self.slices = self.step.slices
         """Slices of the inputs by name."""
-        return self.step.slices
 
     def first(self, state: Array, sigmas: Array | None = None) -> Array:
         """Return the memory for an initial state.
@@ -554,7 +592,7 @@ class EkfProgram:
         return out
 
 
-class KalmanFilter(ABC):
+class KalmanFilter(Estimator):
     """Base of all filters, which compiles the model's equations.
 
     Model, settings, measurement noise (n+1, n+1) and compiled equations.

@@ -554,12 +554,11 @@ class LibraryProgram(TickProgram):
         where = self.equations.report.slices
         self._copied = [(name, where[name]) for name in report.fields or () if name in where]
 
-    def check(self, schedule: GainSchedule, *, itinerary: str = "", law: str) -> None:
+    def check(self, schedule: GainSchedule, *, law: str) -> None:
         """Reject a library that was built from other settings than this program.
 
         Args:
             schedule: gains of this run's law.
-            itinerary: name of this run's itinerary, for the message.
             law: kind of this run's law.
 
         Raises:
@@ -630,7 +629,6 @@ class LibraryProgram(TickProgram):
         report[at["news"], 0] = report[at["newly_cut"], 0] + report[at["untrusted"], 0]
 
 
-_TEMPLATE = Path(__file__).with_name("target") / "fmu.c"
 _COMPILED = ("dpc_controller.c", "dpc_tables.c", "fmu.c")
 _IN_UNIT = ("dpc_controller.h", "dpc_controller.c", "dpc_tables.h", "dpc_tables.c")
 _FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
@@ -784,7 +782,7 @@ def controller_unit(
         title: title of the itinerary.
         delay: delay of the commands, in periods.
     """
-    template = _TEMPLATE.read_text(encoding="utf-8")
+    template = (_TEMPLATES / "fmu.c").read_text(encoding="utf-8")
     sources = {file: text for file, text in source.files.items() if file in _IN_UNIT}
     guid = content_hash(template, *sources.values())
     sources["fmu.c"] = template.replace("@GUID@", guid)

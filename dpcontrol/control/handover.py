@@ -9,11 +9,11 @@ and orbits each count turns separately, and the turns of a run are summed.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from dpcontrol.control.interface import Action, Controller, Session, whole_turns
+from dpcontrol.control.interface import Action, Session, whole_turns
+from dpcontrol.control.lqr import HoldController
 from dpcontrol.control.ogy import OgyController, OgySession
 from dpcontrol.control.periodic import OrbitController, OrbitSession
 from dpcontrol.control.tracking import PhaseController, TrackingController
@@ -26,25 +26,8 @@ SLOWER = 0.05
 """Relative extension of a stay beyond its plan: the plant's period differs from the model's."""
 
 
-class Keeper(Controller, Protocol):
-    """A controller that takes over states near its orbit or equilibrium."""
-
-    def join(self, tick: int, state: Array) -> Session:
-        """Return a session from a tick on.
-
-        Args:
-            tick: first tick.
-            state: state (N,) at that tick.
-        """
-        ...
-
-    def distance(self, state: Array) -> float:
-        """Return the scaled distance of the pendulum, modulo turns.
-
-        Args:
-            state: state (N,).
-        """
-        ...
+Keeper = OgyController | OrbitController | HoldController
+"""Controllers that take over states near their orbit or equilibrium."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +82,7 @@ class Program:
         return ProgramSession(self)
 
 
-class ProgramSession:
+class ProgramSession(Session):
     """The active segment and its session.
 
     It also holds the segment's start, and the turns between flight and reference.
@@ -128,9 +111,7 @@ class ProgramSession:
     def _due(self, tick: int) -> bool:
         """True if the active segment has ended."""
         program, index = self._program, self._index
-        if index + 1 == len(program.segments):
-            return False
-        if tick - self._began < program.lasts[index]:
+        if index + 1 == len(program.segments) or tick - self._began < program.lasts[index]:
             return False
         session = self._session
         if not isinstance(session, OgySession | OrbitSession):

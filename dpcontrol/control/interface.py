@@ -161,27 +161,23 @@ class Estimate(NamedTuple):
     """Data for the estimator's next step."""
 
 
-class Estimator(Protocol):
+class Estimator(ABC):
     """Converts measured positions to states; its methods do not modify their arguments."""
 
-    @property
-    def kind(self) -> str:
-        """Return the name of its kind."""
-        ...
+    kind: str
+    """Name of its kind."""
+    extra_names: tuple[str, ...]
+    """Names of the extra quantities."""
 
-    @property
-    def extra_names(self) -> tuple[str, ...]:
-        """Return the names of the extra quantities."""
-        ...
-
+    @abstractmethod
     def first(self, state: Array) -> Estimate:
         """Return the estimate before any measurement.
 
         Args:
             state: initial state (N,).
         """
-        ...
 
+    @abstractmethod
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after a measurement.
 
@@ -190,8 +186,8 @@ class Estimator(Protocol):
             measured: positions (n+1,), rad and m.
             present: True for each valid position (n+1,), None if all are valid.
         """
-        ...
 
+    @abstractmethod
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after a period and a new measurement.
 
@@ -201,8 +197,8 @@ class Estimator(Protocol):
             measured: positions (n+1,), rad and m.
             present: True for each valid position (n+1,), None if all are valid.
         """
-        ...
 
+    @abstractmethod
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
         """Return the state (N,) after the pending commands.
 
@@ -210,16 +206,16 @@ class Estimator(Protocol):
             estimate: present estimate.
             commands: pending commands, one per period, oldest first, m/s².
         """
-        ...
 
+    @abstractmethod
     def covariance(self, estimate: Estimate) -> Array:
         """Return the covariance (N+E, N+E) of state and extra.
 
         Args:
             estimate: estimate of this estimator.
         """
-        ...
 
+    @abstractmethod
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
         """Return an estimate reset to measured positions, for recovery.
 
@@ -227,7 +223,6 @@ class Estimator(Protocol):
             estimate: last estimate.
             measured: positions (n+1,), rad and m.
         """
-        ...
 
 
 class Action(NamedTuple):
@@ -245,9 +240,10 @@ class Action(NamedTuple):
     event: str = ""
 
 
-class Session(Protocol):
+class Session(ABC):
     """A controller during one run; it may have a state."""
 
+    @abstractmethod
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return the action for the period from a tick.
 
@@ -256,10 +252,11 @@ class Session(Protocol):
             state: predicted state (N,) at the tick.
             extra: estimated extras (E,).
         """
-        ...
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the reference's clock to the nearest phase.
+
+        Sessions without a clock of the reference do nothing.
 
         Args:
             tick: present tick.
@@ -268,10 +265,10 @@ class Session(Protocol):
         Returns:
             A sentence for the log, or "".
         """
-        ...
+        return ""
 
 
-class ClockedSession(ABC):
+class ClockedSession(Session):
     """A session with its own clock, for one or many runs.
 
     S runs in lockstep have clocks (S,).

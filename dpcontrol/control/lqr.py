@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dpcontrol.control.interface import Action, GainSchedule, Mode, SampledModel, pendulum_scale, whole_turns
+from dpcontrol.control.interface import Action, GainSchedule, Mode, SampledModel, Session, pendulum_scale, whole_turns
 from dpcontrol.dynamics.chain import damping_scales
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
@@ -110,10 +110,6 @@ class HoldController(Brief):
         """Return the initial state (N,): the equilibrium."""
         return self.state
 
-    def begin(self) -> "HoldSession":
-        """Return a session for one run."""
-        return HoldSession(self, self.state)
-
     def schedule(self, lead: int) -> GainSchedule:
         """Return the gain schedule, with the same row at every tick.
 
@@ -153,7 +149,7 @@ class HoldController(Brief):
         return float(np.abs(away / pendulum_scale(n)).max())
 
 
-class HoldSession:
+class HoldSession(Session):
     """A hold during one run.
 
     `wanted` (N,) is the equilibrium with the run's turns.
@@ -176,15 +172,6 @@ class HoldSession:
         if self._extra_gains is not None:
             feedback -= float(self._extra_gains @ extra)
         return Action(0.0, feedback, self._wanted, Mode.HOLDING)
-
-    def resynchronise(self, tick: int, state: Array) -> str:
-        """Do nothing: an equilibrium has no clock.
-
-        Args:
-            tick: ignored.
-            state: ignored.
-        """
-        return ""
 
 
 @dataclass(frozen=True, eq=False)

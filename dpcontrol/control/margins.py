@@ -427,35 +427,24 @@ class _Course:
         seen[:, :, size:] = jacobian[:, :, :kept]
         forward = jacobian[:, :, -1]
         if self.phase is not None:
-            seen, forward = self._with_clock(seen, forward, ticks)
+            seen, forward = self._with_clock(self.phase, seen, forward, ticks)
         total = seen.shape[2]
         moves = np.zeros((count, total, total))
         moves[:, :size, :size] = plant[:, :, :size]
         moves[:, size : size + kept] = seen[:, :kept]
         if total > width:
             moves[:, width] = seen[:, -1]
-        shifts = None if self.phase is None else self._shifts(total)[ticks + 1]
+        shifts = None if self.phase is None else _shifts(self.phase, total)[ticks + 1]
         delay = equations.whole + float(program.numbers[equations.numbers.slices["share"]][0])
         return LinearLoop(program.period, delay, moves, plant[:, :, -1], seen[:, kept], program.model.lag, shifts)
 
-    def _shifts(self, total: int) -> Array:
-        """Return the difference (K+1, total) between plant and filter at successive ticks."""
-        assert self.phase is not None
-        rates = np.gradient(self.phase.reference_states, axis=0)
-        size = len(self.phase.first_state)
-        out = np.zeros((len(rates), total))
-        # The memory begins with the filter's state.
-        out[:, :size] = out[:, size : 2 * size] = rates
-        out[:, -1] = 1.0
-        return out
-
-    def _with_clock(self, seen: Array, forward: Array, ticks: NDArray[np.int_]) -> tuple[Array, Array]:
+    def _with_clock(
+        self, law: PhaseController, seen: Array, forward: Array, ticks: NDArray[np.int_]
+    ) -> tuple[Array, Array]:
         """Append the clock's lateness, in ticks, to a tick's matrix.
 
         It is the last column and the last row.
         """
-        law = self.phase
-        assert law is not None
         count, rows, width = seen.shape
         size = len(law.first_state)
         acts = np.minimum(ticks + self.program.lead, law.ticks)
@@ -469,6 +458,17 @@ class _Course:
         back = (gains * rates).sum(1)[:, None] * out[:, rows]
         out[:, :rows] += forward[:, :, None] * back[:, None]
         return out, forward
+
+
+def _shifts(law: PhaseController, total: int) -> Array:
+    """Return the difference (K+1, total) between plant and filter at successive ticks."""
+    rates = np.gradient(law.reference_states, axis=0)
+    size = len(law.first_state)
+    out = np.zeros((len(rates), total))
+    # The memory begins with the filter's state.
+    out[:, :size] = out[:, size : 2 * size] = rates
+    out[:, -1] = 1.0
+    return out
 
 
 @lru_cache(maxsize=8)

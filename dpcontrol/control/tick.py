@@ -83,6 +83,7 @@ from dpcontrol.control.ekf import (
     RESTART_RATE,
     RESTART_VELOCITY,
     FilterEquations,
+    Layout,
     Timing,
     checked_noise,
     pack,
@@ -228,49 +229,6 @@ lost_tracking rad, lost_estimate, resynchronise rad, restarts, missing s, margin
 can_hold: 1 if there is a fallback. trust: of an adaptive law. mode: of a tick that tracks or holds, see `Mode`.
 scale m: resolution of the cart's scale. drive_noise m/s²: stated noise on each command.
 """
-
-
-class Layout:
-    """Contiguous named parts of a vector: name=length."""
-
-    def __init__(self, **sizes: int) -> None:
-        ends = np.cumsum([*sizes.values()])
-        self.slices = {name: slice(int(end - n), int(end)) for (name, n), end in zip(sizes.items(), ends, strict=True)}
-        """Range of each part by name."""
-        self.size = int(ends[-1])
-
-    def symbols(self, name: str) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """Return a vector of symbols and its parts.
-
-        Args:
-            name: name of the vector.
-        """
-        vector = ca.SX.sym(name, self.size)
-        return vector, {part: vector[where] for part, where in self.slices.items()}
-
-    def joined(self, parts: Mapping[str, ca.SX]) -> ca.SX:
-        """Return the vector of these parts.
-
-        Args:
-            parts: all parts by name, (length,).
-        """
-        return ca.densify(ca.vertcat(*(parts[name] for name in self.slices)))
-
-    def filled(self, parts: Mapping[str, Array | float], runs: int | None = None) -> Array:
-        """Return the vector of numbers, with zeros for missing parts.
-
-        Args:
-            parts: values by name, numbers, (length,) or (length, runs).
-            runs: number of runs; None for one.
-
-        Returns:
-            Vector (size,), or (size, runs).
-        """
-        out = np.zeros(self.size if runs is None else (self.size, runs))
-        for name, value in parts.items():
-            given = np.asarray(value, dtype=float)
-            out[self.slices[name]] = given[:, None] if runs is not None and given.ndim == 1 else given
-        return out
 
 
 def _all(*conditions: ca.SX) -> ca.SX:
@@ -1305,16 +1263,14 @@ class TickProgram:
             known |= {"play": np.array(mechanics.play), "moves": _MOVES * np.sqrt(noise[0, 0])}
         if equations.shapes and mechanics is not None:
             known["notch"] = mechanics.notch(model.period)
-        parts = {
-            "memory": equations.memory, "reading": equations.reading, "row": equations.row, "numbers": equations.numbers
-        }  # fmt: skip
-        self._inputs = np.zeros((sum(part.size for part in parts.values()), self.lanes))
-        views, begin = {}, 0
-        for name, part in parts.items():
-            views[name] = self._inputs[begin : begin + part.size]
-            begin += part.size
-        self.memory, self.reading, self.row = views["memory"], views["reading"], views["row"]
-        self._numbers = views["numbers"]
+        whole_input = Layout(
+            memory=equations.memory.size, reading=equations.reading.size, row=equations.row.size,
+            numbers=equations.numbers.size,
+        )  # fmt: skip
+        self._inputs = np.zeros((whole_input.size, self.lanes))
+        self.memory, self.reading, self.row, self._numbers = (
+            self._inputs[where] for where in whole_input.slices.values()
+        )
         self._numbers[:] = equations.numbers.filled(known, self.lanes)
         reading = equations.reading.slices
         self._measured, self._present = self.reading[reading["measured"]], self.reading[reading["present"]]

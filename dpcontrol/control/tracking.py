@@ -62,6 +62,7 @@ from dpcontrol.control.interface import (
     Lanes,
     Mode,
     SampledModel,
+    Session,
     interpolated,
     pendulum_scale,
 )
@@ -281,7 +282,7 @@ class TrackingController(TimedController):
         return TrackingSession(self, tick)
 
 
-class TrackingSession:
+class TrackingSession(Session):
     """A tracking controller during a flight, from tick `start`.
 
     Its clock is that of the loop.
@@ -304,15 +305,6 @@ class TrackingSession:
         k = min(tick, law.ticks - 1)
         wanted = law.reference_states[min(tick, law.ticks)]
         return Action(float(law.feedforward[k]), float(law.gains[k].dot(wanted - state)), wanted, Mode.TRACKING)
-
-    def resynchronise(self, tick: int, state: Array) -> str:
-        """Do nothing: gains by time have no other clock.
-
-        Args:
-            tick: ignored.
-            state: ignored.
-        """
-        return ""
 
 
 @dataclass(frozen=True)
@@ -491,7 +483,7 @@ def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, 
         raise InputError(
             f"the reference has {reference.states.shape[-1]} states, the model {model.dimension}; use the same model"
         )
-    count = tick_count(reference, model.period)
+    count = max(int(np.ceil(reference.duration / model.period - 1e-6)), 1)
     times = reference.mesh[0] + model.period * np.arange(count + 1)
     # The input in the middle of a period; a constant input then errs only by the square of the period.
     commands = reference.input(times[:-1] + model.period / 2)[:, 0]
@@ -541,16 +533,6 @@ def costs_to_go(reference: Reference, model: SampledModel, settings: QuadraticWe
     terminal = terminal_cost(a[-1], b[-1], weights=np.diag(diagonal), effort=effort)
     *_, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
     return states, costs
-
-
-def tick_count(reference: Reference, period: float) -> int:
-    """Return the number of periods that cover the reference.
-
-    Args:
-        reference: the reference.
-        period: time between ticks, s.
-    """
-    return max(int(np.ceil(reference.duration / period - 1e-6)), 1)
 
 
 def extra_jacobians(

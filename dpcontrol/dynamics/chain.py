@@ -187,13 +187,17 @@ class ArmChainParameters(Settings):
         """
         if not self.coulomb:
             return 0.0
-        n, base = self.count, self.base()
-        mass = np.zeros((n, n))
-        mass[np.triu_indices(n)] = base[: n * (n + 1) // 2]
-        mass += np.triu(mass, 1).T
-        relative = np.eye(n) - np.eye(n, k=-1)
-        found = np.linalg.eigvals(np.linalg.solve(mass, relative.T @ np.diag(self.coulomb) @ relative))
+        relative = np.eye(self.count) - np.eye(self.count, k=-1)
+        found = np.linalg.eigvals(np.linalg.solve(self.mass_in_line, relative.T @ np.diag(self.coulomb) @ relative))
         return float(found.real.max())
+
+    @property
+    def mass_in_line(self) -> Array:
+        """Mass matrix (n, n) with the arms in line, kg m²."""
+        n = self.count
+        mass = np.zeros((n, n))
+        mass[np.triu_indices(n)] = self.base()[: n * (n + 1) // 2]
+        return mass + np.triu(mass, 1).T
 
     def frictionless(self) -> "ArmChainParameters":
         """Return the same arms without friction."""

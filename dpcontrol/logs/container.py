@@ -48,7 +48,7 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-COMPRESSION = 1
+_COMPRESSION = 1
 """Level of zstd. Higher levels take far longer and save little, because noise does not compress."""
 MAGIC = b"\x89MCAP0\r\n"
 _LATCHED_QOS = """\
@@ -74,8 +74,6 @@ CHUNK_HEAD = struct.Struct("<QQQI8sQ")
 """Head of a chunk: first and last time, unpacked size and checksum, compression, packed bytes."""
 ZSTD = b"\x04\x00\x00\x00zstd"
 _ENTRY_BYTES = 16
-"""Of a message index: time in ns and offset, 8 bytes each."""
-
 """Entry of a message index: time in ns and offset, 8 bytes each."""
 
 
@@ -124,14 +122,13 @@ class McapFile:
     Args:
         stream: unbuffered binary stream.
         library: name of the writing program.
-        level: compression level of zstd.
     """
 
-    def __init__(self, stream: RawIOBase, *, library: str, level: int = COMPRESSION):
+    def __init__(self, stream: RawIOBase, *, library: str):
         self._stream = stream
         self._position = 0
         self._crc = 0
-        self._compressor = zstandard.ZstdCompressor(level=level)
+        self._compressor = zstandard.ZstdCompressor(level=_COMPRESSION)
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._metadata: list[MetadataIndex] = []

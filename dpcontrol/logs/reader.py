@@ -13,14 +13,14 @@ Source: the MCAP format specification, version 0.
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 import zstandard
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+_T = TypeVar("_T")
 _RECORD = struct.Struct("<BQH")
 """Head of a record: opcode, length and, for a message, its channel."""
 _BATCH_BYTES = 4_000_000
@@ -769,22 +770,22 @@ def read_log(path: Path | str) -> RunLog:
     Raises:
         InputError: the file is missing, empty, cut off, damaged, not an MCAP file or not a log of a run.
     """
-    file = _open(Path(path))
+    return _read(Path(path), _decode, _decode_rewritten)
+
+
+def _read(path: Path, read: Callable[[VerifiedFile], _T], by_topic: Callable[[VerifiedFile, Rewritten], _T]) -> _T:
+    """Read a log, by its topics if another program has rewritten it."""
+    file = _open(path)
     found = None if file.is_native else _rewritten(file)
     try:
         if found is None:
             with file.decoding():
-                return _decode(file)
+                return read(file)
     except InputError:
         found = _rewritten(file) if file.is_native else None
         if found is None:
             raise
-    with file.decoding():
-        events = [_event_of(time, body) for time, body in found.events]
-        extras = _extras(found.tick.extras, found.extras)
-        whole = {name: _frozen(values) for name, values in found.rows.items()}
-        log = _run_log(file, found.tick, found.described, rows=whole, events=events, extras=extras)
-        return replace(log, rewritten=True)
+    return by_topic(file, found)
 
 
 def _rewritten(file: VerifiedFile) -> Rewritten | None:
@@ -890,6 +891,15 @@ def _decode(file: VerifiedFile) -> RunLog:
     whole = {name: _frozen(np.concatenate(rows.pop(name))) for name in list(rows)}
     described = file.metadata[layout.LAYOUT_RECORD]
     return _run_log(file, tick, described, rows=whole, events=events, extras=_extras(tick.extras, extras))
+
+
+def _decode_rewritten(file: VerifiedFile, found: Rewritten) -> RunLog:
+    with file.decoding():
+        events = [_event_of(time, body) for time, body in found.events]
+        extras = _extras(found.tick.extras, found.extras)
+        whole = {name: _frozen(values) for name, values in found.rows.items()}
+        log = _run_log(file, found.tick, found.described, rows=whole, events=events, extras=extras)
+        return replace(log, rewritten=True)
 
 
 def _extras(names: tuple[str, ...], rows: list[Array]) -> Extras | None:
@@ -1024,16 +1034,14 @@ def summarise(path: Path | str) -> LogSummary:
     Raises:
         InputError: the file is missing, cut off, damaged or not a log of this program.
     """
-    file = _open(Path(path))
-    found = None if file.is_native else _rewritten(file)
-    try:
-        if found is None:
-            with file.decoding():
-                return _summary(file, file.tick, file.metadata[layout.LAYOUT_RECORD], _spans(file))
-    except InputError:
-        found = _rewritten(file) if file.is_native else None
-        if found is None:
-            raise
+    return _read(
+        Path(path),
+        lambda file: _summary(file, file.tick, file.metadata[layout.LAYOUT_RECORD], _spans(file)),
+        _summary_of_rewritten,
+    )
+
+
+def _summary_of_rewritten(file: VerifiedFile, found: Rewritten) -> LogSummary:
     spans = {
         found.tick.channels[name]: (len(topic.times), min(topic.times), max(topic.times))
         for name, topic in found.topics.items()

@@ -320,10 +320,7 @@ class RollingLog:
             until = int(np.searchsorted(times, self._until - _SOON))
             rows: dict[str, Any] = {n: None if part is None else part[done:until] for n, part in parts.items()}
             state = rows["estimate"] if rows.get("truth") is None else rows["truth"]
-            assert state is not None
-            reference = rows["reference"]
-            assert reference is not None
-            self._digest.add_ticks(times[done:until], self._period, state, reference, rows.get("extras"))
+            self._digest.add_ticks(times[done:until], self._period, state, rows["reference"], rows.get("extras"))
             self._try(lambda writer, span=slice(done, until), own=rows: writer.ticks(times[span], **own))
             done = until
 

@@ -39,7 +39,7 @@ import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target, unwritable
 from dpcontrol.logs import layout
-from dpcontrol.logs.container import COMPRESSION, ChunkMessages, McapFile, moved_away, open_partial, sealed, sync_folder
+from dpcontrol.logs.container import ChunkMessages, McapFile, moved_away, open_partial, sealed, sync_folder
 from dpcontrol.logs.layout import TickLayout
 
 WORLD = "world"
@@ -459,8 +459,6 @@ class LogWriter:
         extras: names of the estimated parameters, if `ticks` receives them.
         metadata: text by name that identifies the run: version, commit, seed, hashes.
         attachments: content by file name: scene, model, reference.
-        chunk_seconds: duration of a chunk, s. `recover` assumes the default.
-        compression: level of zstd.
 
     Raises:
         InputError: the file cannot be written.
@@ -477,23 +475,19 @@ class LogWriter:
         extras: Sequence[str] = (),
         metadata: Mapping[str, str] | None = None,
         attachments: Mapping[str, bytes] | None = None,
-        chunk_seconds: float = CHUNK_SECONDS,
-        compression: int = COMPRESSION,
     ):
         self.path = Path(path)
-        self.partial = self.path.parent / (self.path.name + ".partial")
         self._lengths = tuple(float(length) for length in arm_lengths)
         self._has_cart = has_cart
         self._limits = limits
         self._metadata = sealed(layout.RUN_RECORD, dict(metadata or {}))
         self._attachments = dict(attachments or {})
         self._rate = float(rate_hz)
-        self._compression = compression
         if not self._lengths or not self._rate > 0:
             raise ValueError(f"a log needs arms and a positive rate; got {len(self._lengths)} arms at {rate_hz} Hz")
         self.extras = tuple(extras)
         tick = TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS), self.extras)
-        self._buffer = TickBuffer(tick, size=max(1, round(chunk_seconds * self._rate)))
+        self._buffer = TickBuffer(tick, size=max(1, round(CHUNK_SECONDS * self._rate)))
         self._ticks = 0
         self._notes: list[Note] = []
         self._result: dict[str, str] = {}
@@ -509,7 +503,7 @@ class LogWriter:
             self._made = not self.path.parent.exists()
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.partial, self._stream = open_partial(self.path)
-            self._file = McapFile(self._stream, library=f"dpcontrol {dpcontrol.__version__}", level=self._compression)
+            self._file = McapFile(self._stream, library=f"dpcontrol {dpcontrol.__version__}")
             self._file.add_metadata(layout.RUN_RECORD, self._metadata)
             for name, data in self._attachments.items():
                 self._file.add_attachment(name, data)
@@ -615,17 +609,6 @@ class LogWriter:
             done += self._buffer.put(times, rows, since=done)
             if self._buffer.filled == self._buffer.size:
                 self._write_chunk()
-
-    def tick(self, time_s: float, *, measured: Row, **parts: Row | None) -> None:
-        """Log one period.
-
-        Args:
-            time_s: time, s.
-            measured: measured positions (n+1,), rad and m.
-            **parts: row of each part, see `ticks`.
-        """
-        rows = {name: None if row is None else row[None] for name, row in parts.items()}
-        self.ticks([time_s], measured=measured[None], **rows)
 
     def result(self, **values: str) -> None:
         """Add results as metadata at the end of the log.

@@ -32,7 +32,7 @@ from dpcontrol.loop.lockstep import Lockstep
 from dpcontrol.loop.loop import ControlLoop, LoopSettings, sampled_model
 from dpcontrol.loop.own import OwnEstimator, OwnLaw
 from dpcontrol.loop.recovery import RETURN_SECONDS, FallRecovery, Reach, RecoveryPlan, StartController, started
-from dpcontrol.loop.result import BatchRun, LoopResult, LoopSink, NoSink
+from dpcontrol.loop.result import BatchRun, LoopResult, LoopSink
 from dpcontrol.loop.simulated import BatchBench, SimulatedRig
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
@@ -81,7 +81,7 @@ class Assembly:
 
         Those of the reference, with the travel of the settings if given.
         """
-        return self.settings.limits(self.reference)
+        return self.settings.limits(self.reference.limits)
 
     @property
     def delay(self) -> float:
@@ -294,8 +294,8 @@ class Assembly:
         ticker = self.ticker(library=library)
         falls = None if recovery is None else FallRecovery(recovery, self.controller, until=until)
         return ControlLoop(
-            ticker, limits=self.limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, recovery=falls,
-            keep=keep, progress=progress,
+            ticker, limits=self.limits, sink=sink or LoopSink(), rate_noise=rate_noise, fallback=fallback,
+            recovery=falls, keep=keep, progress=progress,
         )  # fmt: skip
 
     def draw(self, *, seed: int | None = None, mismatch: float | None = None) -> BenchDraw:
@@ -311,8 +311,7 @@ class Assembly:
     def simulate(
         self,
         *,
-        seed: int | None = None,
-        mismatch: float | None = None,
+        draw: BenchDraw | None = None,
         sink: LoopSink | None = None,
         recovery: RecoveryPlan | None = None,
         until: int = 0,
@@ -323,8 +322,7 @@ class Assembly:
         """Track the reference on a simulated bench whose controller models these arms.
 
         Args:
-            seed: seed that overrides the settings.
-            mismatch: mismatch that overrides the settings.
+            draw: draw of the run, by default that of the settings.
             sink: receiver of ticks and events, default none.
             recovery: recovery from falls, by default `recovery` of this assembly.
             until: tick until which the itinerary repeats after falls; 0 to run it once.
@@ -338,7 +336,7 @@ class Assembly:
             GoalMissed: no controller exists for the reference, or no plant could be drawn.
         """
         recovers = (recovery or self.recovery) is not None
-        draw = self.draw(seed=seed, mismatch=mismatch)
+        draw = draw or self.draw()
         if recovers:
             draw = draw.endless()
         loop = self.loop(
@@ -405,13 +403,10 @@ class Assembly:
         unshaped = replace(settings.mechanics, known_belt=0.0, known_play=0.0)
         settings = replace(settings, drive_lag=settings.known_lag, mechanics=unshaped)
         unbound = replace(self.reference, limits=_UNBOUND)
-
-        def program_of(law: Controller) -> TickProgram:
-            return Assembly(unbound, self.arms, settings, law=law).ticker().program
-
         notes = self.reference.notes
         found = law_margins(
-            self.controller, program_of, rate=settings.rate,
+            self.controller, lambda law: Assembly(unbound, self.arms, settings, law=law).ticker().program,
+            rate=settings.rate,
             wobble=max((orbit["period"] for orbit in notes.get("orbits", ())), default=_WOBBLE),
             repeats="stay" in notes, lags=settings.known_lag > 0,
         )  # fmt: skip

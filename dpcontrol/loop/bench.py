@@ -25,7 +25,6 @@ m/s, and limit switches at both ends. Seed sequences: O'Neill, as in numpy.rando
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -476,15 +475,6 @@ class Stream(Brief):
         """
         return self.make(np.random.default_rng(self.seed), self.begin + count)[self.begin :]
 
-    def reader(self, rows: Callable[[NDArray[Any]], Any], *, ticks: int = _BLOCK) -> "StreamReader":
-        """Return a reader from the first tick on.
-
-        Args:
-            rows: conversion of a block (count, …) into a sequence of one entry per tick.
-            ticks: length of the run, which limits the size of a block.
-        """
-        return StreamReader(self, rows, block=min(max(ticks, 1), _BLOCK))
-
 
 class StreamReader:
     """Returns a stream tick by tick, `reader[k]`, in order and without end.
@@ -509,24 +499,9 @@ class StreamReader:
         return self._values[tick - self._first]
 
 
-def _drawn(name: str) -> Any:
-    """Return a property of a `BenchDraw`.
-
-    The first of its ticks of a stream, or None.
-    """
-
-    def first(draw: "BenchDraw") -> NDArray[Any] | None:
-        stream = draw.streams.get(name)
-        return None if stream is None else stream.first(draw.ticks)
-
-    return cached_property(first)
-
-
 @dataclass(frozen=True, eq=False)
 class BenchDraw(Brief):
     """Random draws of one run for n arms and K ticks.
-
-    A stream that the settings do not use is None.
 
     Attributes:
         plant: parameters of the arms.
@@ -535,13 +510,19 @@ class BenchDraw(Brief):
         zeros: zero errors (n,) of the encoders, rad.
         drift: drift (n,) of these errors, rad/s.
         blows: blows by tick.
-        streams: numbers for each tick by name, also beyond K.
-        command_noise: noise (K,) on commands, m/s².
-        ages: ages (K,) of the readings, s.
-        dropped: ticks without reading (K,).
-        missed: counts (K, n) lost by moving joints.
-        noise: noise (K, n+1) on relative angles, rad, and cart, m.
-        rate_noise: noise (K, n) on estimated rates, rad/s.
+        streams: numbers for each tick by name, also beyond K. A stream that the settings do not use is missing.
+
+            command_noise: noise (K,) on commands, m/s².
+
+            ages: ages (K,) of the readings, s.
+
+            dropped: ticks without reading (K,).
+
+            missed: counts (K, n) lost by moving joints.
+
+            noise: noise (K, n+1) on relative angles, rad, and cart, m.
+
+            rate_noise: noise (K, n) on estimated rates, rad/s.
     """
 
     seed: int
@@ -559,22 +540,23 @@ class BenchDraw(Brief):
     own: Any = None
     """A user's plant that replaces these arms (`dpcontrol.loop.own`)."""
 
-    command_noise = _drawn("command_noise")
-    ages = _drawn("ages")
-    dropped = _drawn("dropped")
-    missed = _drawn("missed")
-    noise = _drawn("noise")
-    rate_noise = _drawn("rate_noise")
+    def drawn(self, name: str) -> NDArray[Any]:
+        """Return the numbers (K, …) of a stream for all ticks.
+
+        Args:
+            name: name of the stream in `streams`.
+        """
+        return self.streams[name].first(self.ticks)
 
     def reader(self, name: str, rows: Callable[[NDArray[Any]], Any] = np.ndarray.tolist) -> StreamReader | None:
         """Return a reader of a stream, or None if it is unused.
 
         Args:
             name: name of the stream in `streams`.
-            rows: conversion of blocks, see `Stream.reader`; by default to lists.
+            rows: conversion of a block (count, …) into a sequence of one entry per tick; by default to lists.
         """
         stream = self.streams.get(name)
-        return None if stream is None else stream.reader(rows, ticks=self.ticks)
+        return None if stream is None else StreamReader(stream, rows, block=min(max(self.ticks, 1), _BLOCK))
 
     def endless(self, *, since: int = 0) -> "BenchDraw":
         """Return the draw for a run of any length.
@@ -582,14 +564,11 @@ class BenchDraw(Brief):
         Args:
             since: first tick of the run in this draw, default 0.
         """
-
-        def later() -> Iterator[tuple[int, Blow]]:
-            return ((tick - since, blow) for tick, blow in self.random_blows() if tick >= since)
-
         return replace(
             self, ticks=_ENDLESS, zeros=self.zeros + self.drift * since * self.period,
             streams={name: replace(stream, begin=stream.begin + since) for name, stream in self.streams.items()},
-            blows={tick - since: blow for tick, blow in self.blows.items() if tick >= since}, random_blows=later,
+            blows={tick - since: blow for tick, blow in self.blows.items() if tick >= since},
+            random_blows=lambda: ((tick - since, blow) for tick, blow in self.random_blows() if tick >= since),
         )  # fmt: skip
 
 

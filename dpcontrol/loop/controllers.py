@@ -35,6 +35,7 @@ from dpcontrol.control.symbolic import symbolic_controller
 from dpcontrol.control.tracking import (
     AdaptiveSettings,
     FeedforwardSettings,
+    ReferenceController,
     TvlqrSettings,
     adaptive_controller,
     extra_jacobians,
@@ -42,9 +43,10 @@ from dpcontrol.control.tracking import (
 )
 from dpcontrol.dynamics.chain import ArmChainParameters, damping_scales, pendulum_system
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.document import fields_of
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.loop.own import OwnController, OwnEstimates, OwnEstimator, OwnExpressions, OwnLaw
-from dpcontrol.orbits.lyapunov import equilibria
+from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
 from dpcontrol.references.reference import Reference, plan_notes
 
 if TYPE_CHECKING:
@@ -197,8 +199,7 @@ def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmCh
     Raises:
         InputError: it is of other arms.
     """
-    # Runs that keep no orbit do not import the search for orbits.
-    from dpcontrol.orbits.lyapunov import lyapunov_orbit
+    # Runs that keep no orbit do not import the search for sustained ones.
     from dpcontrol.references.sustained import SustainedOrbit
 
     part = _part(reference, entry)
@@ -273,7 +274,6 @@ def nearest_keeper(
 
 
 def _sought(saddle: str, energy: float, reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
-    from dpcontrol.orbits.lyapunov import lyapunov_orbit
     from dpcontrol.references.sustained import sustained_orbit
 
     lyapunov = lyapunov_orbit(pendulum_system(saddle, parameters), saddle, energy=energy)
@@ -324,8 +324,9 @@ class LawInputs:
 
 
 def _own(made: LawInputs) -> Controller:
-    flown = tracking_controller(made.reference, made.model, FeedforwardSettings())
-    return OwnController(made.settings.own, flown, made.model.period)
+    own = made.settings.own
+    flown = fields_of(ReferenceController, tracking_controller(made.reference, made.model, FeedforwardSettings()))
+    return OwnController(**{**flown, "kind": own.name}, own=own, period=made.model.period)
 
 
 def _ogy(made: LawInputs) -> Controller:

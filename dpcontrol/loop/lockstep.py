@@ -24,7 +24,7 @@ class Lockstep:
     def __init__(self, ticker: Ticker, bench: BatchBench, draws: Sequence[BenchDraw]) -> None:
         self._ticker, self._bench, self._runs = ticker, bench, len(draws)
         self._period, self._arms = ticker.program.period, ticker.program.model.arms
-        noise = [draw.rate_noise for draw in draws if draw.rate_noise is not None]
+        noise = [draw.drawn("rate_noise") for draw in draws if "rate_noise" in draw.streams]
         self._rate_noise = np.stack(noise, axis=2) if noise else None
         self._alive, self._over = np.ones(self._runs, dtype=bool), False
         self._counts, self._stopped_at = [ticker.count] * self._runs, [ticker.count] * self._runs

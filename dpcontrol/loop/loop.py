@@ -54,7 +54,6 @@ from dpcontrol.loop.result import (
 )
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
-from dpcontrol.references.reference import Reference
 
 _FLUSH_SECONDS = 0.02
 """Ticks between two transfers of rows to the sink, equal to a chunk of a log."""
@@ -110,13 +109,6 @@ class ControlLoop:
     def queued(self) -> list[float]:
         """Commands in flight when the run begins, oldest first, m/s²."""
         return self.ticker.queued[:, 0].tolist()
-
-    def rehearse(self) -> None:
-        """Load all code and data before the first deadline.
-
-        It computes ticks without output.
-        """
-        self.ticker.rehearse()
 
     def run(self, rig: Rig) -> LoopResult:
         """Run to the last tick, or until the cart is stopped.
@@ -188,10 +180,10 @@ class ControlLoop:
                 self._emit_news(k)
             if recovery is not None:
                 if self._fall is not None:
-                    self._recover(k, *self._fall, rig)
+                    self._recover(k, *self._fall, recovery, rig)
                 elif not self._stopped and (why := recovery.runs_off(k, report, ticker)):
                     ticker.brake(k)
-                    self._recover(k, Outcome.TRACKING_LOST, why, rig)
+                    self._recover(k, Outcome.TRACKING_LOST, why, recovery, rig)
                 elif not self._stopped:
                     self._emit_choices(done, recovery.follow_up(k, report, ticker, period))
                 if done == ticker.began + ticker.count:
@@ -271,13 +263,11 @@ class ControlLoop:
             # The drive brakes without commands; the loop sends its prediction of the braking meanwhile.
             rig.stop()
 
-    def _recover(self, k: int, outcome: Outcome, why: str, rig: Rig) -> None:
+    def _recover(self, k: int, outcome: Outcome, why: str, recovery: FallRecovery, rig: Rig) -> None:
         """Return from a fall at tick k, or end the run.
 
         The run ends if no attempt is left.
         """
-        recovery = self._recovery
-        assert recovery is not None
         self._fall = None
         choices = recovery.fell(k, outcome, why, self.ticker, self._period)
         if choices is not None:
@@ -479,13 +469,13 @@ class LoopSettings(Settings, table="run"):
         made = [getattr(one, "own", None) for one in (self.controller, self.estimator, self.plant)]
         return tuple(one for one in made if isinstance(one, OwnObject) and not one.source)
 
-    def limits(self, reference: Reference) -> Limits:
+    def limits(self, planned: Limits) -> Limits:
         """Return the cart's limits in this run.
 
         Args:
-            reference: reference with limits, whose travel the settings can replace.
+            planned: limits of the plan, whose travel the settings can replace.
         """
-        return replace(reference.limits, position=self.travel) if self.travel else reference.limits
+        return replace(planned, position=self.travel) if self.travel else planned
 
 
 def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:

@@ -28,7 +28,7 @@ from uuid import uuid4
 import numpy as np
 
 from dpcontrol.control.estimator_settings import FilterSettings
-from dpcontrol.control.interface import Action, Estimate, Mode, Present, SampledModel
+from dpcontrol.control.interface import Action, Estimate, Estimator, Mode, Present, SampledModel, Session
 from dpcontrol.control.symbolic import Setpoint, SymbolicLaw
 from dpcontrol.control.tracking import ReferenceController
 from dpcontrol.dynamics.components import SymbolicPlant
@@ -299,19 +299,21 @@ def load_own(role: str, source: str) -> OwnObject:
 
 
 @dataclass(frozen=True)
-class OwnLaw:
-    """Settings that select a user's law by its object."""
+class _Chosen:
+    """Settings that select a user's object."""
 
     kind: str
     own: OwnObject
 
 
 @dataclass(frozen=True)
-class OwnExpressions:
-    """Settings that select a user's symbolic law by its object."""
+class OwnLaw(_Chosen):
+    """Settings that select a user's law by its object."""
 
-    kind: str
-    own: OwnObject
+
+@dataclass(frozen=True)
+class OwnExpressions(_Chosen):
+    """Settings that select a user's symbolic law by its object."""
 
 
 @dataclass(frozen=True)
@@ -324,38 +326,19 @@ class OwnEstimator(FilterSettings):
 
 
 @dataclass(frozen=True)
-class OwnPlant:
+class OwnPlant(_Chosen):
     """Settings that select a user's plant by its object.
 
     It replaces arms, cart and drive. A `SymbolicPlant` replaces only one component.
     """
 
-    kind: str
-    own: OwnObject
-
 
 @dataclass(frozen=True, eq=False)
-class OwnController:
+class OwnController(ReferenceController):
     """A user's law on a reference; period in s."""
 
     own: OwnObject
-    flown: ReferenceController
     period: float
-
-    @property
-    def kind(self) -> str:
-        """The name of the user's class."""
-        return self.own.name
-
-    @property
-    def first_state(self) -> Array:
-        """The initial state (N,)."""
-        return self.flown.first_state
-
-    @property
-    def ticks(self) -> int:
-        """The number of periods that the law covers."""
-        return self.flown.ticks
 
     def begin_after(self, lead: int) -> "OwnSession":
         """Return a session for one run.
@@ -366,7 +349,7 @@ class OwnController:
         return OwnSession(self, lead)
 
 
-class OwnSession:
+class OwnSession(Session):
     """A user's law during a run.
 
     `failure` is the error that ended it.
@@ -384,9 +367,9 @@ class OwnSession:
             state: predicted state (N,) at the tick.
             extra: estimated further parameters (E,), which the law does not receive.
         """
-        law, flown = self._law, self._law.flown
-        wanted = flown.reference_states[min(tick, flown.ticks)]
-        forward = float(flown.feedforward[min(tick, flown.ticks - 1)])
+        law = self._law
+        wanted = law.reference_states[min(tick, law.ticks)]
+        forward = float(law.feedforward[min(tick, law.ticks - 1)])
         if tick < self._lead:
             return Action(forward, 0.0, wanted, Mode.TRACKING)
         value = 0.0
@@ -399,17 +382,8 @@ class OwnSession:
             self.failure = failure
         return Action(forward, value - forward, wanted, Mode.TRACKING)
 
-    def resynchronise(self, tick: int, state: Array) -> str:
-        """Do nothing: the loop owns the clock.
 
-        Args:
-            tick: ignored.
-            state: ignored.
-        """
-        return ""
-
-
-class OwnEstimates:
+class OwnEstimates(Estimator):
     """A user's estimator in the loop.
 
     If the object has `sigmas` (N,), NIS is computed for the model's prediction from the previous estimate. Without

@@ -25,6 +25,7 @@ from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import Flight, LogWriter
 from dpcontrol.logs.rolling import RollingLog
+from dpcontrol.loop.protocols import UserRig
 
 
 class Reading(NamedTuple):
@@ -49,10 +50,11 @@ class Reading(NamedTuple):
     age: Any = None
 
 
-class Rig(Protocol):
+class Rig(UserRig, Protocol):
     """Interface between the loop and a simulated or real bench.
 
-    Each period: one `read`, which waits for the tick, then one `command`.
+    Each period: one `read`, which waits for the tick, then one `command`. After `stop`, the cart brakes to a standstill
+    and further commands are ignored.
     """
 
     @property
@@ -66,18 +68,6 @@ class Rig(Protocol):
         Raises:
             ArithmeticError: the bench failed, in one sentence.
         """
-        ...
-
-    def command(self, acceleration: float) -> None:
-        """Accelerate the cart.
-
-        Args:
-            acceleration: demanded acceleration, m/s² to the right.
-        """
-        ...
-
-    def stop(self) -> None:
-        """Brake the cart to a standstill and ignore further commands."""
         ...
 
     @property
@@ -356,8 +346,11 @@ class Ticks(Brief):
         )  # fmt: skip
 
 
-class LoopSink(Protocol):
-    """Receiver of ticks and events, such as a log writer."""
+class LoopSink:
+    """Receiver of ticks and events, such as a log writer.
+
+    This one discards everything, since the result holds every tick.
+    """
 
     def ticks(self, rows: Ticks) -> None:
         """Receive the next ticks.
@@ -365,7 +358,6 @@ class LoopSink(Protocol):
         Args:
             rows: next ticks, which are final.
         """
-        ...
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
         """Receive one event.
@@ -376,31 +368,9 @@ class LoopSink(Protocol):
             name: name of the event.
             text: a sentence.
         """
-        ...
 
 
-class NoSink:
-    """Sink that discards everything, since the result holds every tick."""
-
-    def ticks(self, rows: Ticks) -> None:
-        """Ignore ticks.
-
-        Args:
-            rows: ignored.
-        """
-
-    def event(self, time_s: float, level: str, name: str, text: str) -> None:
-        """Ignore an event.
-
-        Args:
-            time_s: ignored.
-            level: ignored.
-            name: ignored.
-            text: ignored.
-        """
-
-
-class Sinks:
+class Sinks(LoopSink):
     """Passes ticks and events to several sinks in turn."""
 
     def __init__(self, *sinks: LoopSink) -> None:
@@ -625,7 +595,7 @@ class JudgedTicks:
         )  # fmt: skip
 
 
-class LogSink:
+class LogSink(LoopSink):
     """Writes the loop's ticks and events to a log."""
 
     def __init__(self, writer: LogWriter | RollingLog) -> None:
@@ -654,7 +624,7 @@ class LogSink:
         self._writer.event(time_s, level, name, text)
 
 
-class SinkBeside:
+class SinkBeside(LoopSink):
     """Passes ticks and events to another sink in a thread.
 
     So a slow disk does not delay a loop in real time.

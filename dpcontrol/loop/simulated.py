@@ -8,7 +8,10 @@ The same lines compute one run or S runs in lockstep (`Lanes`). A number of one 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from heapq import merge
+from itertools import repeat
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any
 
@@ -311,8 +314,8 @@ class SimulatedPlant:
         self._set_state(held)
 
 
-_FORGOTTEN = 1000
-"""Number of expired demands to keep before they are discarded."""
+_NEVER = (0, (math.inf, None))
+"""In place of a run, tick and blow if no blow follows."""
 
 
 class SimulatedBench:
@@ -335,23 +338,22 @@ class SimulatedBench:
         if np.shape(start)[-1:] != (2 * n + 2,):
             raise InputError(f"the first state has shape {np.shape(start)}: {n} arms on a cart need ({2 * n + 2},)")
 
-        def joined(name: str) -> Array | None:
+        def joined(drawn: list[Array]) -> Array:
             """Return drawn values.
 
             Runs are along the last axis if there are several.
             """
-            drawn = [getattr(d, name) for d in draws]
-            return None if drawn[0] is None else np.stack(drawn, axis=-1) if lanes is MANY else drawn[0]
+            return np.stack(drawn, axis=-1) if lanes is MANY else drawn[0]
 
         def by_tick(name: str, rows: Any = np.ndarray.tolist) -> Any:
             """Return values drawn for each tick.
 
             In a single run they are read tick by tick.
             """
-            return joined(name) if lanes is MANY else draw.reader(name, rows)
+            if lanes is ONE:
+                return draw.reader(name, rows)
+            return joined([d.drawn(name) for d in draws]) if name in draw.streams else None
 
-        errors, zeros = joined("initial_error"), joined("zeros")
-        assert errors is not None
         self.period = draw.period
         """Period of the ticks, s."""
         own = settings.drive.limits(limits)
@@ -362,21 +364,25 @@ class SimulatedBench:
         demands: list[Any] = [0.0 if lanes is ONE else np.zeros(len(draws))] * (whole + 1)
         for command in queued:
             demands.append(self._drive.demanded(command, 0.0, demands[-1]))
-        # Ordered by the time they act: the one at place k + 1 begins to act in period k.
+        # Ordered by the time they act: the second one begins to act in the coming period, which deletes the first.
         self._demands = demands[-(whole + 1) :]
-        self._sent_before, self._past = whole + 1, 0
+        self._sent_before = whole + 1
         self._command_noise, self._noise = by_tick("command_noise"), by_tick("noise", np.asarray)
         self._missed, self._ages = draw.reader("missed", np.asarray), by_tick("ages")
         self._reports = settings.sensors.ages == "reported" and self._ages is not None
         self._dropped, self._many = by_tick("dropped"), lanes is MANY
         self._last: Any = np.zeros((n + 1, len(draws)) if self._many else n + 1)
         self._encoders = Encoders(
-            n, settings.sensors, zeros=zeros, drift=joined("drift"), lanes=lanes, places=draw.plant.reads
+            n,
+            settings.sensors,
+            zeros=joined([d.zeros for d in draws]),
+            drift=joined([d.drift for d in draws]),
+            lanes=lanes,
+            places=draw.plant.reads,
         )
         first = np.array(start if lanes is ONE else np.broadcast_to(start, (len(draws), 2 * n + 2)), dtype=float).T
-        first[:n] += errors
-        if (rates := joined("initial_rate")) is not None:
-            first[n : 2 * n] += rates
+        first[:n] += joined([d.initial_error for d in draws])
+        first[n : 2 * n] += joined([d.initial_rate for d in draws])
         first[2 * n] += settings.mechanics.initial_cart
         further = np.array([
             d.plant.own_states(state) for d, state in zip(draws, first.reshape(2 * n + 2, -1).T, strict=True)
@@ -396,23 +402,11 @@ class SimulatedBench:
         self._seen: Any = None
         self._cart, self._ticks, self._tick = 2 * n, draw.ticks, -1
         self._braking: Any = None
-        self._blows: dict[int, list[tuple[int, Blow]]] = {}
-        for run, d in enumerate(draws):
-            for tick, blow in d.blows.items():
-                self._blows.setdefault(tick, []).append((run, blow))
-        self._random_blows = [d.random_blows() for d in draws]
-        self._coming = [next(blows, None) for blows in self._random_blows]
-        self._soonest = self._next_random()
-
-    def _next_random(self) -> float:
-        return min((coming[0] for coming in self._coming if coming is not None), default=math.inf)
-
-    def _strike_at_random(self, k: int) -> None:
-        for run, blows in enumerate(self._random_blows):
-            while (coming := self._coming[run]) is not None and coming[0] <= k:
-                self._plant.strike(coming[1], run)
-                self._coming[run] = next(blows, None)
-        self._soonest = self._next_random()
+        known = (zip(repeat(run), sorted(d.blows.items(), key=itemgetter(0))) for run, d in enumerate(draws))
+        random = (zip(repeat(run), d.random_blows()) for run, d in enumerate(draws))
+        # In order of the ticks, first the known ones.
+        self._blows: Iterator[Any] = merge(*known, *random, key=lambda one: one[1][0])
+        self._coming: Any = next(self._blows, _NEVER)
 
     def _measured(self, k: int) -> Array:
         return self._encoders.measure(
@@ -435,37 +429,32 @@ class SimulatedBench:
 
         A second one in the same period replaces the first.
         """
-        demands, place = self._demands, self._sent_before + k - self._past
-        if len(demands) > place:
-            del demands[place:]
+        demands = self._demands
+        del demands[self._sent_before :]
         noise = 0.0 if self._command_noise is None else self._command_noise[k]
         demands.append(self._drive.demanded(acceleration, noise, demands[-1]))
 
     def _pass(self, k: int) -> None:
         """Advance the bench by period k."""
         plant, demands, period = self._plant, self._demands, self.period
-        place = k - self._past
-        if len(demands) < self._sent_before + place + 1:
+        if len(demands) <= self._sent_before:
             demands.append(demands[-1])
-        for run, blow in self._blows.get(k, ()):
+        while self._coming[1][0] <= k:
+            run, (_, blow) = self._coming
             plant.strike(blow, run)
-        if k >= self._soonest:
-            self._strike_at_random(k)
+            self._coming = next(self._blows, _NEVER)
         fraction = self._fraction
         if not fraction and self._ages is None:
-            plant.move(self._acting(demands[place + 1], period), period, time=k * period)
+            plant.move(self._acting(demands[1], period), period, time=k * period)
         else:
             # The next reading shows the state `seen` seconds into this period.
             seen = period if self._ages is None else period - self._ages[k + 1]
             self._seen = None
             change = fraction * period
             if change:
-                self._part(k, demands[place], 0.0, change, seen)
-            self._part(k, demands[place + 1], change, period, seen)
-        if place >= _FORGOTTEN:
-            # Expired demands are discarded.
-            del demands[:place]
-            self._past = k
+                self._part(k, demands[0], 0.0, change, seen)
+            self._part(k, demands[1], change, period, seen)
+        del demands[0]
 
     def _part(self, k: int, demand: Any, begin: float, end: float, seen: float) -> None:
         """Advance a part of period k under `demand`.

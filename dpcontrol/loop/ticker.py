@@ -180,7 +180,7 @@ class Ticker:
             z = sensed[: program.equations.filter.dimension]
             ahead, drive = program.look_ahead(z)
         else:
-            sensed, ahead, drive = self._estimated(k + self.began, reading)
+            sensed, ahead, drive = self._estimated(self.estimator, k + self.began, reading)
             z = sensed[: program.equations.filter.dimension]
         back: Any = 0.0
         if self._session is None:
@@ -203,13 +203,12 @@ class Ticker:
             self.event = f"{self._own.kind} has no sigmas: NIS and the check of the estimate are off" * (k == 0)
         return program.report
 
-    def _estimated(self, k: int, reading: Reading) -> tuple[Array, Array, Array]:
+    def _estimated(self, estimator: Estimator, k: int, reading: Reading) -> tuple[Array, Array, Array]:
         """Return sensed values, predicted state and `drive`, by another estimator.
 
         The values are those of `TickProgram.sense`.
         """
-        program, estimator, before = self.program, self.estimator, self._estimate
-        assert estimator is not None
+        program, before = self.program, self._estimate
         means, drive = program.acting_on_their_way()
         way = [float(mean[0]) for mean in means]
         sound = 1.0

@@ -30,7 +30,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.judge.run_view import RunView, series_of
 from dpcontrol.logs import Event, RunLog
-from dpcontrol.loop.result import Ticks
+from dpcontrol.loop.result import LoopSink, Ticks
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -52,7 +52,7 @@ _MEMORY = "1GB"
 """Memory limit of the viewer; beyond it the oldest data are dropped."""
 
 
-class LiveView:
+class LiveView(LoopSink):
     """A sink that shows a run live and drops rows under load.
 
     It is a context manager.

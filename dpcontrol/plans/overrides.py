@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, get_type_hints
 
 from dpcontrol.foundation.arguments import shortened
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.settings import Bounds, nearest
+from dpcontrol.foundation.settings import Bounds, bounds_of, help_of, nearest
 
 NAMED = (
     "mismatch", "initial_error", "drive.lag", "drive.delay", "sensors.counts", "travel", "controller", "estimator",
@@ -70,8 +70,6 @@ def paths() -> Mapping[str, Leaf]:
 
 def _leaves(prefix: str, kind: type) -> Iterator[tuple[str, Leaf]]:
     """Yield the settings of a dataclass by path."""
-    from dpcontrol.foundation.settings import bounds_of, help_of
-
     hints, helps, bounds = get_type_hints(kind), help_of(kind), bounds_of(kind)
     for one in fields(kind):
         if one.name in bounds and one.name != "blows":

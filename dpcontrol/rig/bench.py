@@ -28,7 +28,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -227,7 +227,7 @@ class RecordedRig:
         self._stopped = True
 
 
-class UdpBench:
+class UdpBench(AbstractContextManager["UdpBench"]):
     """Bench server on its own socket, as a context manager.
 
     Args:
@@ -286,9 +286,6 @@ class UdpBench:
 
     def __repr__(self) -> str:
         return f"<bench at {self.url}>"
-
-    def __enter__(self) -> "UdpBench":
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self._socket.close()
@@ -725,7 +722,7 @@ def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe:
         pipe.send(bench.record)
 
 
-class BenchProcess:
+class BenchProcess(AbstractContextManager["BenchProcess"]):
     """Server process for one run on loopback, as a context manager.
 
     It serves the recipe's bench.
@@ -756,9 +753,6 @@ class BenchProcess:
         self.messages: list[str] = []
         self.record: BenchRecord | None = None
         """Messages and record of the run, available after the block."""
-
-    def __enter__(self) -> "BenchProcess":
-        return self
 
     def __exit__(self, *_: object) -> None:
         if self.began:

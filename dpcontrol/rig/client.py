@@ -16,7 +16,7 @@ import select
 import socket
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from urllib.parse import urlsplit
 
@@ -182,7 +182,7 @@ def parse_address(text: str) -> tuple[str, int]:
     return host, port
 
 
-class UdpRig:
+class UdpRig(AbstractContextManager["UdpRig"]):
     """A bench at `address` (host, port) as a `Rig` and context manager.
 
     The first `read` starts the bench. On exit, the client says goodbye.
@@ -249,9 +249,6 @@ class UdpRig:
         self._positions = np.zeros(self.welcome.arms + 1)
         self._zeros = np.zeros(self.welcome.arms + 1)
         self._zeros[: min(len(zeros), self.welcome.arms)] = zeros[: self.welcome.arms]
-
-    def __enter__(self) -> "UdpRig":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()
@@ -323,7 +320,7 @@ class UdpRig:
         if not math.isfinite(acceleration):
             raise ArithmeticError(f"command = {acceleration!r}: the drive takes finite accelerations only")
         # A STOP may be lost, so each tick repeats it until the bench reports standstill.
-        self._send(packets.stop() if self._stopped else packets.command(max(self._tick, 0), acceleration))
+        self._send(packets.STOP if self._stopped else packets.command(max(self._tick, 0), acceleration))
 
     def stop(self) -> None:
         """Have the bench brake the cart to a standstill.
@@ -331,13 +328,13 @@ class UdpRig:
         No further commands are sent.
         """
         self._stopped = True
-        self._send(packets.stop())
+        self._send(packets.STOP)
 
     def _introduced(self) -> Welcome:
         """Return the bench's welcome."""
         until = time.perf_counter() + self._settings.answer
         while (now := time.perf_counter()) < until:
-            self._send(packets.hello())
+            self._send(packets.HELLO)
             waited = now + _REQUEST_INTERVAL
             while (now := time.perf_counter()) < waited:
                 heard = self._received(waited - now)

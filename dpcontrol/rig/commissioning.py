@@ -28,8 +28,9 @@ Separable nonlinear least squares (2003).
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
 from itertools import permutations
 from typing import Any, ClassVar, NamedTuple
 
@@ -305,7 +306,7 @@ def commission(
     limits: Limits,
     zeros: Sequence[float] = (),
     switches: float = 0.0,
-    options: CommissioningSettings | None = None,
+    options: CommissioningSettings,
     notify: Notify = lambda text: None,
 ) -> Commissioning:
     """Check and measure a rig before its first run.
@@ -327,7 +328,6 @@ def commission(
     Raises:
         InputError: the distance to the switches is impossible, or the rig is too slow to hold its cart.
     """
-    options = options or CommissioningSettings()
     if switches and (complaint := _SWITCHES.complaint(switches)):
         raise InputError(f"switches = {switches!r}: {complaint}")
     if rig.period > _LONGEST_PERIOD:
@@ -336,30 +336,27 @@ def commission(
             f"{1 / _LONGEST_PERIOD:g} Hz; raise its rate"
         )
     findings: list[Finding] = []
+    halts: list[Finding] = []
     changes: dict[str, Any] = {}
-    halt, session, motion = None, None, _Motion()
+    session, motion = None, _Motion()
     # Slow computations run before the first tick or after the last, because a rig stops if its loop is silent.
     chirp = _chirp(arms, rig.period, options)
     try:
         session = _Session(rig, arms.count, limits, zeros)
         _move(session, motion, arms, chirp, switches, limits, options, notify)
     except _Halted as halted:
-        halt = halted.finding
+        halts.append(halted.finding)
     finally:
         rig.stop()
+    if session is not None and motion.rang_to:
+        findings += _judged(session, motion, arms, settings, tuple(zeros), changes)
+        right = all(f.verdict is Grade.OK for f in findings if f.step == "drive")
+        findings += motion.switches if right else [_untried("the drive has a fault", "fix the drive first")]
+    findings += halts
     if session is not None:
-        if motion.rang_to:
-            findings += _judged(session, motion, arms, settings, tuple(zeros), changes)
-            right = all(f.verdict is Grade.OK for f in findings if f.step == "drive")
-            findings += motion.switches if right else [_untried("the drive has a fault", "fix the drive first")]
-        if halt is not None:
-            findings.append(halt)
         findings.append(_deadlines(session))
-    elif halt is not None:
-        findings.append(halt)
-    if any(f.verdict is Grade.WRONG and not f.mended for f in findings):
-        changes = {}
-    return Commissioning(tuple(findings), changes)
+    found = Commissioning(tuple(findings), changes)
+    return replace(found, changes={}) if found.blocking else found
 
 
 @dataclass
@@ -698,14 +695,12 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
             out[free] = some
             return out
 
-        def own(some: Array) -> Any:
-            return slopes(whole(some))[:, free]
-
         scale = 1.0
         # A late command disturbs the cart for a moment; a robust loss reduces its weight.
         for loss in ("linear", "soft_l1"):
             found = optimize.least_squares(
-                lambda some: residual(whole(some)), values[free], own,  # type: ignore[arg-type]
+                lambda some: residual(whole(some)), values[free],
+                lambda some: slopes(whole(some))[:, free],  # type: ignore[arg-type]
                 bounds=(low[free], most[free]), method="dogbox", loss=loss, f_scale=scale, x_scale="jac",
             )  # fmt: skip
             values = whole(found.x)
@@ -772,13 +767,10 @@ def modes(arms: ArmChainParameters) -> Modes:
         arms: parameters of the n arms.
     """
     n, base = arms.count, arms.base()
-    upper = np.zeros((n, n))
-    upper[np.triu_indices(n)] = base[: n * (n + 1) // 2]
-    mass = upper + np.triu(upper, 1).T
     weights, coupling = base[n * (n + 1) // 2 :][:n], base[n * (n + 1) // 2 + n :][:n]
     joints = np.linalg.inv(_sums(n))
     drag = joints.T @ np.diag(arms.viscous) @ joints
-    squares, vectors = linalg.eigh(np.diag(weights), mass)
+    squares, vectors = linalg.eigh(np.diag(weights), arms.mass_in_line)
     frequencies = np.sqrt(squares)
     dampings = np.diag(vectors.T @ drag @ vectors) / (2 * frequencies)
     return Modes(frequencies, dampings, vectors * (vectors.T @ coupling), vectors)
@@ -960,10 +952,7 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
     """Judge direction and gain of the drive and of the cart's scale."""
     gain, factors = drive.gain, wiring.factors
     figures = {"gain": gain, "gain_error": drive.errors[2]}
-
-    def wrong(sentence: str, remedy: str) -> Finding:
-        return Finding("drive", Grade.WRONG, sentence, remedy, figures)
-
+    wrong = partial(Finding, "drive", Grade.WRONG, figures=figures)
     if drive.misfit > _LEFT_OVER:
         return Finding(
             "drive", Grade.UNSURE,
@@ -1100,10 +1089,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
         "misfit": wiring.misfit, "swing": swing.swing.tolist(),
     }  # fmt: skip
     joint = "joint" if wiring.form in (Form.SUMMED, Form.RELATIVE) else "absolute"
-
-    def wrong(sentence: str, remedy: str) -> Finding:
-        return Finding("encoders", Grade.WRONG, sentence, remedy, figures)
-
+    wrong = partial(Finding, "encoders", Grade.WRONG, figures=figures)
     stuck = [k for k in range(n) if abs(factors[k]) < _STUCK]
     found = [
         wrong(
@@ -1359,10 +1345,7 @@ def _tried_switch(
     answer, at = _creep(session, side, most, options.creep)
     _return(session, options)
     figures = {"side": name, "answer": answer, "position": at}
-
-    def wrong(sentence: str, remedy: str) -> Finding:
-        return Finding("switches", Grade.WRONG, sentence, remedy, figures)
-
+    wrong = partial(Finding, "switches", Grade.WRONG, figures=figures)
     if answer == -side:
         return wrong(
             f"at the {name}, at {at:+.4f} m, the switch of the other side responds",

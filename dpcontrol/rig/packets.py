@@ -181,9 +181,10 @@ class ReceivedPacket(NamedTuple):
     new: bool = True
 
 
-def hello() -> Packet:
-    """Return the request for a run."""
-    return Packet(Kind.HELLO)
+HELLO = Packet(Kind.HELLO)
+"""Request for a run."""
+STOP = Packet(Kind.STOP)
+"""Packet that stops the cart."""
 
 
 def welcome(content: Welcome) -> Packet:
@@ -228,11 +229,6 @@ def command(tick: int, acceleration: float) -> Packet:
         acceleration: demanded acceleration, m/s².
     """
     return Packet(Kind.COMMAND, 0, _COMMAND.pack(tick, acceleration))
-
-
-def stop() -> Packet:
-    """Return the packet that stops the cart."""
-    return Packet(Kind.STOP)
 
 
 def bye(text: str) -> Packet:

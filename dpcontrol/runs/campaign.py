@@ -65,7 +65,7 @@ from dpcontrol.foundation.checked import is_list
 from dpcontrol.foundation.document import Documented, document_of
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file, write_whole
-from dpcontrol.foundation.parts import part
+from dpcontrol.foundation.parts import Later, part
 from dpcontrol.foundation.processes import in_processes, on_cluster, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -83,6 +83,9 @@ from dpcontrol.references.reference import PlanNotes, Reference, load_reference,
 if TYPE_CHECKING:
     import pyarrow as pa
     from pandas import DataFrame
+else:
+    pa = Later("pyarrow")
+pq, pc = Later("pyarrow.parquet"), Later("pyarrow.compute")
 
 Row = dict[str, Any]
 
@@ -194,7 +197,7 @@ def _rows(job: Job) -> list[Row]:
     mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
 
     def tick_by_tick(seed: int, mismatch: float) -> Row:
-        result = assembly.simulate(seed=seed, mismatch=mismatch)
+        result = assembly.simulate(draw=assembly.draw(seed=seed, mismatch=mismatch))
         return _row(job, reference, seed, BatchRun.of(result), path="ticks")
 
     if job.path == "ticks" or not assembly.lockstep:
@@ -213,7 +216,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
     ended = "" if run.ending is Ending.FINISHED else run.reason
     n = reference.states.shape[-1] // 2 - 1
     loop = job.case.loop
-    limits = loop.limits(reference)
+    limits = loop.limits(reference.limits)
     flown = Flown(
         time=run.times,
         states=run.truth,
@@ -260,8 +263,6 @@ RECORD = "campaign.json"
 
 
 def _schema(extra: Sequence[str], metadata: Mapping[str, Any] | None = None) -> "pa.Schema":
-    import pyarrow as pa
-
     fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **dict.fromkeys(extra, "double")}.items()]
     return pa.schema(fields, metadata={METADATA: json.dumps(metadata or {}).encode()})
 
@@ -273,8 +274,6 @@ def _table(rows: Iterable[Row], extra: Sequence[str]) -> "pa.Table":
         rows: rows of runs.
         extra: names of further columns of numbers.
     """
-    import pyarrow as pa
-
     return pa.Table.from_pylist(list(rows), schema=_schema(extra))
 
 
@@ -284,8 +283,6 @@ def _write(path: Path, table: "pa.Table") -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    import pyarrow.parquet as pq
-
     sealed = table.replace_schema_metadata({**(table.schema.metadata or {}), **SEAL})
     with whole_file(path, suffix=".parquet") as temporary:
         pq.write_table(sealed, temporary, compression="zstd")
@@ -297,10 +294,9 @@ def _read(path: Path) -> "pa.Table | None":
 
     The result is None if the file is absent, damaged or of another kind.
     """
-    pa = part("pyarrow")
     try:
         check_seal(path.read_bytes())
-        table = part("pyarrow.parquet").read_table(path)
+        table = pq.read_table(path)
     except (pa.ArrowException, OSError, ValueError):
         return None
     return table if set(COLUMNS) <= set(table.column_names) else None
@@ -639,7 +635,7 @@ def run_campaign(
         InputError: the file cannot be written, no cluster answers, or the settings do not fit the plan.
         GoalMissed: the plan did not converge, or workers died repeatedly.
     """
-    pa = part("pyarrow")
+    part("pyarrow")
     began = time.perf_counter()
     itinerary = plan.itinerary
     plans = transitions_of(plan) if transitions else (plan.followed(),)
@@ -812,9 +808,6 @@ def campaign_record(
 
 
 def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: float, file: Path | None) -> Campaign:
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
     done = table["completed"].to_numpy()
 
     def of(case: Case) -> NDArray[np.bool_]:

@@ -22,7 +22,7 @@ from dpcontrol.judge.night import Night
 from dpcontrol.judge.preflight import Preflight
 from dpcontrol.logs import read_log
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.own import OwnObject, load_own
+from dpcontrol.loop.own import own_object
 from dpcontrol.loop.protocols import UserRig
 from dpcontrol.plans.plan import Plan, recoverable, with_kept_starts
 from dpcontrol.runs.campaign import (
@@ -161,9 +161,7 @@ class ClosedLoop(Timed):
             GoalMissed: there is no reference to follow, no controller can be made for it, or the rig failed at once.
         """
         link = linked(rig)
-        own = load_own("rig", rig) if isinstance(rig, str) and link is None else None
-        if rig is not None and link is None and own is None:
-            own = OwnObject("rig", rig)
+        own = None if rig is None or link is not None else own_object("rig", rig)
         plan, assembly = self._flown
         scene = replace(plan.itinerary, loop=replace(plan.itinerary.loop, seed=seed))
         plan, shown, out = replace(plan, itinerary=scene), live_view if live else None, place("log", log)

@@ -40,11 +40,9 @@ from dpcontrol.logs import LogWriter, partials_of, recover
 from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.bench import StreamReader
-from dpcontrol.loop.loop import ControlLoop, LoopSettings
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.recovery import LAST_SECONDS, RecoveryPlan, meeting_tick
-from dpcontrol.loop.result import LogSink, LoopSink, SinkBeside
-from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.loop.result import LogSink, SinkBeside
 from dpcontrol.plans.itinerary import Itinerary, stored_itinerary
 from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan, expected_seconds, make_plan, recoverable, with_kept_starts
@@ -349,23 +347,16 @@ def run_night(
             f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, from rest if necessary; '
             f'use on_fall = "resume" or "restart"'
         )
-    limits = assembly.limits
 
     def make(path: Path, more: Mapping[str, str]) -> LogWriter:
         return log_writer(plan, path, **made_by, **more)
 
     rolling = RollingLog(
         folder, folder.resolve().name, make, seconds=60 * night.file_minutes, rate_hz=settings.rate,
-        limit=limits.position, extras=extra_names(arms.count, settings.estimator.augments),
+        limit=assembly.limits.position, extras=extra_names(arms.count, settings.estimator.augments),
         keep_every=night.keep_every, session=place.session, number=place.number, begin=place.begin,
         end=night.hours * 3600,
     )  # fmt: skip
-
-    def loop(sink: LoopSink, noise: StreamReader | None = None) -> ControlLoop:
-        return assembly.loop(
-            sink=sink, rate_noise=noise, recovery=recovery, keep=False, until=until - since, progress=progress
-        )
-
     beside = nullcontext(recovery) if recovery.starts else _starts_beside(plan, recovery, waits=link is None)
     with rolling, beside as recovery:
         try:
@@ -373,19 +364,22 @@ def run_night(
                 pace = _pace(plan, assembly, recovery)
                 waits = 0.0 if recovery.starts else _waits(settings, recovery.gains.references, until - since) / pace
                 remark(night_cost(scene, night, folder, pace=pace, waits=waits, yes=True))
-                draw = assembly.draw().endless(since=since)
-                bench = _since(settings, place.begin).bench
-                start = assembly.controller.first_state
+                simulated = assembly.under(_since(settings, place.begin))
                 with watched(plan, LogSink(rolling), live=live) as sink:
-                    simulated = loop(sink, draw.reader("rate_noise", lambda rows: rows[:, :, None]))
-                    rig = SimulatedRig(draw, bench, limits=limits, start=start, queued=simulated.queued)
-                    rolling.result(**outcome(simulated.run(rig)))
+                    result = simulated.simulate(
+                        draw=assembly.draw().endless(since=since), sink=sink, recovery=recovery, until=until - since,
+                        keep=False, progress=progress,
+                    )  # fmt: skip
+                # A night is judged by its digests, which do not hold the drive's hardest acceleration.
+                rolling.result(**outcome(replace(result, hardest=None)))
             else:
                 remark(night_cost(scene, night, folder, real_time=True, yes=True))
                 ticks = until - since + round(_BRAKING * settings.rate)
                 recipe = replace(bench_recipe(plan, assembly), recovering=ticks)
                 with _switching_soon(), SinkBeside(LogSink(rolling)) as log, watched(plan, log, live=live) as sink:
-                    on_rig = loop(sink)
+                    on_rig = assembly.loop(
+                        sink=sink, recovery=recovery, until=until - since, keep=False, progress=progress
+                    )
                     with link.connected(scene, recipe, ticks=ticks, what="the night", loop=on_rig) as (rig, _):
                         result = on_rig.run(rig)
                 if not rig.deadlines.ticks:

@@ -37,7 +37,7 @@ from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
-from dpcontrol.foundation.statistics import wilson
+from dpcontrol.foundation.statistics import paired, wilson
 from dpcontrol.judge.campaign import plain_reason
 from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.loop.bench import MechanicsSettings
@@ -423,12 +423,12 @@ def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | Non
 
 def _change(trial: _Trial) -> Improvement:
     done = [row.completed for row in outcomes(trial.job, trial.most)]
-    before = trial.completed
-    failing, completing = before.count(False), before.count(True)
-    rescued = sum(now and not then for now, then in zip(done, before, strict=True))
-    lost = sum(then and not now for now, then in zip(done, before, strict=True))
-    change = trial.change
-    return Improvement(change.advice, dict(change.options), rescued, failing, lost, completing, trial.rate)
+    before, change = trial.completed, trial.change
+    pairs = paired(before, done)
+    return Improvement(
+        change.advice, dict(change.options), pairs.only_second, before.count(False), pairs.only_first,
+        before.count(True), trial.rate,
+    )  # fmt: skip
 
 
 _TICK, _TICK_ALONE = 1.8e-6, 2e-4
@@ -724,7 +724,7 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
                shown=1e3, besides=(("pushes", pushes),)),
         Hazard("zeros", "zero_error", "mrad", sensors.zero_error, 0.05, 0.8, shown=1e3),
         Hazard("counts", "counts", "a turn", sensors.counts or math.inf, 1000, 16, falling=True, step=1.0),
-        Hazard("travel", "travel", "mm", loop.limits(plan.reference).position, math.inf,
+        Hazard("travel", "travel", "mm", loop.limits(plan.reference.limits).position, math.inf,
                plan.reference.max_cart_position, falling=True, shown=1e3),
         Hazard("belt", "belt", "Hz", rig.belt or math.inf, 40.0, 4.0, falling=True, besides=known),
         Hazard("play", "play", "mrad", max(rig.of_each("play", scene.model.arms.count)), 0.01, 0.8, shown=1e3,

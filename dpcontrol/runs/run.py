@@ -22,7 +22,13 @@ import numpy as np
 
 import dpcontrol
 from dpcontrol.control.estimator_settings import extra_names
-from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
+from dpcontrol.control.export import (
+    LEAVING,
+    ControllerSource,
+    checked_exportable,
+    controller_source,
+    controller_unit,
+)
 from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.margins import Margins
 from dpcontrol.control.tick import TickProgram
@@ -73,20 +79,20 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
-from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink, Sinks, SupervisorSettings, Ticks
+from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
 from dpcontrol.plans.itinerary import Itinerary, itinerary_from, setting_of
 from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.model import model_from
 from dpcontrol.plans.overrides import canonical, paths
 from dpcontrol.plans.plan import Plan, plan_key, recoverable
-from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
+from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, RecordedRig, checked_faults
+from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
+from dpcontrol.rig.packets import shared_key
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from dpcontrol.rig.bench import BenchProcess, BenchRecipe
-    from dpcontrol.rig.client import Deadlines, UdpRig
     from dpcontrol.rig.commissioning import Commissioning
     from dpcontrol.runs.remedies import Why
 
@@ -157,10 +163,7 @@ class Run(Timed):
         with TemporaryDirectory() as folder:
             plan = _plan(self.log, Path(folder))
             scene = itinerary_from(plan.itinerary.text, plan.itinerary.name, plan.itinerary.model)
-
-            def typed(change: Mapping[str, Any]) -> Plan:
-                return _with_options(plan, scene, change)
-
+            typed = partial(_with_options, plan, scene)
             with reporting(progress, "why") as report:
                 return why(plan, self.score(), typed, workers=workers, yes=yes, progress=report)
 
@@ -171,7 +174,8 @@ class Run(Timed):
             InputError: the log lacks the plan, or its law has no margins.
             GoalMissed: no controller can be made for its reference.
         """
-        return logged_margins(self.log)
+        with TemporaryDirectory() as folder:
+            return assembled(_plan(self.log, Path(folder), repeats=False)).margins()
 
     @cached_property
     def _judged(self) -> Score | None:
@@ -394,7 +398,7 @@ def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
     return {**arms, DRAWN_METADATA: json.dumps(once)}
 
 
-class _Events(NoSink):
+class _Events(LoopSink):
     """Stores events; the result holds every tick."""
 
     def __init__(self) -> None:
@@ -408,7 +412,7 @@ class _Events(NoSink):
 def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
     """Return the contents of a run's log; more: metadata."""
     scene = plan.itinerary
-    lengths, limits = scene.model.arms.length, scene.loop.limits(plan.reference)
+    lengths, limits = scene.model.arms.length, scene.loop.limits(plan.reference.limits)
     states = {"estimate": ticks.estimates, "reference": ticks.references}
     return RunLog(
         path=Path(f"{scene.name}, seed {scene.loop.seed}"),
@@ -453,7 +457,7 @@ def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
         InputError: the log cannot be written.
     """
     itinerary = plan.itinerary
-    limits = itinerary.loop.limits(plan.reference)
+    limits = itinerary.loop.limits(plan.reference.limits)
     return LogWriter(
         out,
         arm_lengths=itinerary.model.arms.length,
@@ -540,22 +544,6 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
     then, now = log.metadata.get("version", "?"), dpcontrol.__version__
     versions = None if then == now else f"the log was written by version {then}, this is {now}"
     return Repeat(verdict, compare_messages(source, out), versions)
-
-
-def logged_margins(log: RunLog) -> Margins:
-    """Return the margins of a logged run along its reference.
-
-    The margins are those of gain, delay and lag.
-
-    Args:
-        log: log with the plan of the run.
-
-    Raises:
-        InputError: the log lacks the plan, or its law has no margins.
-        GoalMissed: no controller can be made for its reference.
-    """
-    with TemporaryDirectory() as folder:
-        return assembled(_plan(log, Path(folder), repeats=False)).margins()
 
 
 def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
@@ -748,8 +736,6 @@ def export_unit(
     Raises:
         InputError, GoalMissed: see `export_plan`.
     """
-    from dpcontrol.control.export import controller_unit
-
     source, program, schedule = _exported(plan, assembled(plan), single, progress)
     made = controller_unit(
         source, program, schedule, name=out.stem, title=plan.itinerary.title, delay=plan.itinerary.loop.drive.delay
@@ -814,12 +800,12 @@ class RigRun:
 
     score: Score
     result: LoopResult
-    deadlines: "Deadlines | None"
+    deadlines: Deadlines | None
     bench: tuple[str, ...]
     difference: float | None = None
 
 
-def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> "BenchRecipe":
+def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> BenchRecipe:
     """Return the simulated bench of a planned itinerary.
 
     Args:
@@ -832,8 +818,6 @@ def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> "BenchRecipe":
     """
     itinerary, assembly = plan.itinerary, assembly or assembled(plan)
     loop, controller = itinerary.loop, assembly.controller
-    from dpcontrol.rig.bench import BenchRecipe
-
     return BenchRecipe(
         itinerary.model.arms, loop, assembly.limits, controller.first_state,
         ticks=controller.ticks + round(_SPARE * loop.rate) + 1, uncertainty=itinerary.uncertainty,
@@ -848,7 +832,7 @@ _HANGING = 600.0
 """Running time of a bench with hanging arms, s."""
 
 
-def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> "BenchRecipe":
+def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> BenchRecipe:
     """Return the itinerary's simulated bench with hanging arms.
 
     It serves commissioning and needs no plan.
@@ -860,18 +844,11 @@ def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> "Benc
     Raises:
         InputError: a fault that these arms cannot have, or a drawn plant without a known uncertainty.
     """
-    from dpcontrol.rig.bench import BenchRecipe, checked_faults
-
     arms, loop = itinerary.model.arms, itinerary.loop
     return BenchRecipe(
-        arms, loop, _limits(itinerary), np.zeros(2 * arms.count + 2), ticks=round(_HANGING * loop.rate),
+        arms, loop, loop.limits(itinerary.limits), np.zeros(2 * arms.count + 2), ticks=round(_HANGING * loop.rate),
         uncertainty=itinerary.uncertainty, zeros=itinerary.zeros, faults=checked_faults(faults, arms.count),
     )  # fmt: skip
-
-
-def _limits(itinerary: Itinerary) -> Limits:
-    travel = itinerary.loop.travel
-    return replace(itinerary.limits, position=travel) if travel else itinerary.limits
 
 
 @dataclass(frozen=True)
@@ -895,15 +872,13 @@ class RigLink:
 
     def __post_init__(self) -> None:
         """Check the address."""
-        from dpcontrol.rig.client import parse_address
-
         if self.address != OWN_BENCH:
             parse_address(self.address)
 
     @contextmanager
     def connected(
-        self, itinerary: Itinerary, recipe: "BenchRecipe", *, ticks: int, what: str, loop: ControlLoop | None = None
-    ) -> "Iterator[tuple[UdpRig, BenchProcess | None]]":
+        self, itinerary: Itinerary, recipe: BenchRecipe, *, ticks: int, what: str, loop: ControlLoop | None = None
+    ) -> Iterator[tuple[UdpRig, BenchProcess | None]]:
         """Yield the rig, and the example bench if there is one.
 
         Args:
@@ -916,9 +891,6 @@ class RigLink:
         Raises:
             InputError: no bench answers, it needs a key, or it does not fit the itinerary.
         """
-        from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
-        from dpcontrol.rig.client import UdpRig, parse_address, real_time_priority, without_collecting
-
         arms, rate, key, process = itinerary.model.arms.count, itinerary.loop.rate, self.key, None
         begun: dict[str, Any] = {}
         if loop is not None:
@@ -928,7 +900,7 @@ class RigLink:
                     f'{itinerary.path}: start = "orbit" begins at the orbit\'s exact rates, {fastest:.3g} rad/s, which '
                     'only a simulated bench can; on a rig use an itinerary with start = "rest", such as turn-from-rest'
                 )
-            loop.rehearse()
+            loop.ticker.rehearse()
             begun = {"queued": loop.queued, "zeros": itinerary.zeros}
         with ExitStack() as stack:
             if self.address == OWN_BENCH:
@@ -965,8 +937,6 @@ def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real
     Raises:
         InputError: the address is malformed, or the key is not readable.
     """
-    from dpcontrol.rig.packets import shared_key
-
     if address is None:
         return None
     link = RigLink(address, insecure=insecure, real_time=real_time)
@@ -1000,7 +970,7 @@ def commission_rig(
     options, rate = CommissioningSettings(), itinerary.loop.rate
     recipe = hanging_recipe(practice or itinerary, faults=faults)
     find = partial(
-        commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=_limits(itinerary),
+        commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=itinerary.loop.limits(itinerary.limits),
         zeros=itinerary.zeros, switches=switches, options=options, notify=notify,
     )  # fmt: skip
     if link is None:
@@ -1094,8 +1064,6 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
         InputError: the program cannot be run or does not fit the itinerary, or the log cannot be written.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
-
     check_replaced(out, run_record(plan.itinerary, rig=OWN_BENCH), force=force)
     loop = plan.itinerary.loop
     # A program neither restarts after a fall nor subtracts zeros from its readings.
@@ -1114,10 +1082,8 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
 
 
 def _log_recorded(
-    plan: Plan, out: Path, program: Path, assembly: Assembly, process: "BenchProcess", kept: "Deadlines | None"
+    plan: Plan, out: Path, program: Path, assembly: Assembly, process: BenchProcess, kept: Deadlines | None
 ) -> RigRun:
-    from dpcontrol.rig.bench import RecordedRig
-
     if process.record is None:
         raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.messages)}")
     with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:

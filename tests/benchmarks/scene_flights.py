@@ -108,7 +108,7 @@ def flown_scene(scene: Scene, folder: Path, *, seeds: Sequence[int], planned: Pl
     itinerary = load_itinerary(str(scene.write(folder / "files")))
     reference = load_reference(folder / f"{plan_key(scene)}.npz")
     loop = itinerary.loop
-    limits = loop.limits(reference)
+    limits = loop.limits(reference.limits)
     plan = plan_of(reference, loop.rate, (limits.position, limits.velocity, limits.acceleration))
     flights = []
     try:

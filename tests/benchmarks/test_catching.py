@@ -16,7 +16,7 @@ from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.logs import CATCH, RESUME, RETURN
 from dpcontrol.loop import recovery
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.result import BatchRun, Ending, NoSink
+from dpcontrol.loop.result import BatchRun, Ending, LoopSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.night import night_itinerary
@@ -53,7 +53,7 @@ TWICE = {
 }
 
 
-class Told(NoSink):
+class Told(LoopSink):
     def __init__(self) -> None:
         self.events: list[tuple[float, str, str]] = []
 
@@ -76,7 +76,7 @@ def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
     for seed in BLOWN:
         told, settings = Told(), replace(scene.loop, seed=seed)
         result = Assembly(plan.reference, scene.model.arms, settings, law=law).simulate(recovery=how, sink=told)
-        run, limits = BatchRun.of(result), settings.limits(plan.reference)
+        run, limits = BatchRun.of(result), settings.limits(plan.reference.limits)
         flown = Flown(
             time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied,
             rate_hz=settings.rate, limits=(limits.position, limits.velocity, limits.acceleration),
@@ -108,7 +108,7 @@ def test_catching_spares_falls(monkeypatch) -> None:
             for seed in SEEDS:
                 told = Told()
                 until = round(SECONDS * scene.loop.rate)
-                assembly.simulate(seed=seed, sink=told, until=until, keep=False)
+                assembly.simulate(draw=assembly.draw(seed=seed), sink=told, until=until, keep=False)
                 ends = np.array(told.times(RETURN))
                 for time, name, text in told.events:
                     if name == CATCH:

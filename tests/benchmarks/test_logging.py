@@ -22,7 +22,7 @@ from log_samples import sample, write_sample
 from dpcontrol.judge.score import MODEL_METADATA
 from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.result import LogSink, NoSink
+from dpcontrol.loop.result import LogSink, LoopSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.references.reference import Reference
@@ -58,11 +58,11 @@ def writer(path: Path, scene) -> LogWriter:
 def test_the_log_takes_less_than_two_fifths_of_a_run(planned, tmp_path, one_core, hold, record_property):
     scene, plan = planned
     reference: Reference = plan.reference
-    Assembly(reference, scene.model.arms, scene.loop).simulate(sink=NoSink())
+    Assembly(reference, scene.model.arms, scene.loop).simulate(sink=LoopSink())
     bare, logged = [], []
     for _ in range(TURNS):
         begin = time.process_time()
-        Assembly(reference, scene.model.arms, scene.loop).simulate(sink=NoSink())
+        Assembly(reference, scene.model.arms, scene.loop).simulate(sink=LoopSink())
         bare.append(time.process_time() - begin)
         begin = time.process_time()
         with writer(tmp_path / "run.mcap", scene) as log:
@@ -86,7 +86,7 @@ def ten_minutes(planned, tmp_path_factory):
     rng = np.random.default_rng(1)
     attached = {"reference.npz": plan.file.read_bytes()}
     described = {MODEL_METADATA: json.dumps(asdict(scene.model.arms))}
-    result = Assembly(plan.reference, scene.model.arms, scene.loop).simulate(sink=NoSink()).ticks
+    result = Assembly(plan.reference, scene.model.arms, scene.loop).simulate(sink=LoopSink()).ticks
     rows = np.arange(TEN_MINUTES) % len(result.times)
     with LogWriter(
         path, arm_lengths=scene.model.arms.length, rate_hz=1000.0, attachments=attached, metadata=described

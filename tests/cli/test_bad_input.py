@@ -316,16 +316,16 @@ def foreign_log() -> bytes:
 def log_carrying(attachments: dict[str, bytes]) -> bytes:
     """Return a whole log of ten ticks at rest, carrying `attachments`."""
     path = Path("made.mcap")
-    rest = np.zeros(6)
+    rest = np.zeros((1, 6))
     with LogWriter(path, arm_lengths=(0.2, 0.2), rate_hz=1000.0, attachments=attachments, metadata={}) as log:
         for k in range(10):
-            log.tick(
-                k / 1000.0,
-                measured=np.zeros(3),
+            log.ticks(
+                [k / 1000.0],
+                measured=np.zeros((1, 3)),
                 estimate=rest,
                 reference=rest,
                 truth=rest,
-                control=np.zeros(len(control_fields(2, has_cart=True))),
+                control=np.zeros((1, len(control_fields(2, has_cart=True)))),
             )
     data = path.read_bytes()
     path.unlink()

@@ -154,7 +154,7 @@ def test_repeating_takes_no_other_options_and_needs_a_log_of_a_run(logged: Path,
     from dpcontrol.logs import LogWriter
 
     with LogWriter(tmp_path / "bench.mcap", arm_lengths=(0.2, 0.2), rate_hz=500.0, has_cart=False) as log:
-        log.tick(0.0, measured=np.zeros(2))
+        log.ticks([0.0], measured=np.zeros((1, 2)))
     lacking = dpcontrol("run", "--from", tmp_path / "bench.mcap")
     assert lacking.code == 2
     assert "lacks scene.toml" in lacking.message

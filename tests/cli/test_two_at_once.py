@@ -61,7 +61,7 @@ def test_files_are_written_to_the_target_of_a_link(tmp_path: Path) -> None:
     write_whole(tmp_path / "table", b"second")
     assert (there / "table").read_bytes() == b"second"
     with LogWriter(tmp_path / "run.mcap", arm_lengths=(0.3,), rate_hz=100.0, has_cart=False) as log:
-        log.tick(0.0, measured=np.array([0.5]))
+        log.ticks([0.0], measured=np.array([[0.5]]))
     assert read_log(there / "run.mcap").measured.tolist() == [[0.5]]
     assert all((tmp_path / name).is_symlink() for name in ("table", "run.mcap"))
     assert sorted(file.name for file in there.iterdir()) == ["run.mcap", "table"]

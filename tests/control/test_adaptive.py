@@ -27,7 +27,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Ending, NoSink
+from dpcontrol.loop.result import Ending, LoopSink
 from dpcontrol.references.reference import Reference
 
 SOLVED = 1e-7  # Relative, of Riccati solvers on well-scaled matrices.
@@ -247,7 +247,7 @@ def test_a_share_beyond_trust_is_bounded_and_named(law: AdaptiveController) -> N
 
 
 @dataclass
-class Events(NoSink):
+class Events(LoopSink):
     texts: list[str] = field(default_factory=list)
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:

@@ -69,7 +69,7 @@ def test_estimated_disturbances_are_compensated_at_the_cost_of_a_long_recursion(
         extras=(np.tile(effects, (8000, 1, 1)), extras.kept),
     )
     assert found.extra_gains == pytest.approx(expected[0], rel=1e-6)
-    session, extra = found.begin(), np.array([0.5, -2.0])
+    session, extra = found.join(0, up), np.array([0.5, -2.0])
     assert session.command(0, up, extra).feedback == pytest.approx(-float(expected[0] @ extra), rel=1e-6)
     assert hold_controller(up, model, settings, seconds=1.0).extra_gains is None
 
@@ -79,7 +79,7 @@ def test_estimated_disturbances_are_compensated_at_the_cost_of_a_long_recursion(
 def test_each_equilibrium_is_held_by_encoders_with_other_parameters(name: str, seed: int) -> None:
     controller = hold(name)
     start = controller.state + np.random.default_rng(seed).uniform(-0.03, 0.03, 6) * [1, 1, 0, 0, 0, 0]
-    flight = fly(controller.begin(), plant_of(seed, 0.05), start, 6.0, believed=controller.state)
+    flight = fly(controller.join(0, controller.state), plant_of(seed, 0.05), start, 6.0, believed=controller.state)
     assert len(flight.states) == 6000
     assert np.abs(flight.states[-1000:, :2] - controller.state[:2]).max() < HELD
     assert np.abs(flight.states[:, 4]).max() < 0.2
@@ -139,7 +139,7 @@ def test_the_loops_rows_equal_the_actions_of_a_session() -> None:
     schedule = controller.schedule(1)
     assert schedule.queued.tolist() == [0.0]
     assert (schedule.references == controller.state).all()
-    session = controller.begin()
+    session = controller.join(0, controller.state)
     for state in controller.state + np.random.default_rng(0).normal(0, 0.1, (5, 6)):
         row = schedule.rows[7]
         feedback = float(row[where["gains"]] @ (row[where["state"]] - state))

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from log_samples import open_writer, sample
+from log_samples import log_tick, open_writer, sample
 
 if __name__ == "__main__":
     path, ticks, period = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
@@ -16,15 +16,7 @@ if __name__ == "__main__":
     with open_writer(path, run) as log:
         begin = time.perf_counter()
         for k in range(ticks):
-            log.tick(
-                run.time[k],
-                measured=run.measured[k],
-                estimate=run.estimate[k],
-                reference=run.reference[k],
-                truth=run.truth[k],
-                control=run.control[k],
-                extras=run.extras[k],
-            )
+            log_tick(log, run, k)
             os.write(sys.stdout.fileno(), k.to_bytes(4, "little"))
             while time.perf_counter() < begin + (k + 1) * period:
                 time.sleep(0.2 * period)

@@ -66,15 +66,14 @@ def open_writer(path: Path, run: Sample) -> LogWriter:
 def tick_all(log: LogWriter, run: Sample, *, upto: int | None = None) -> None:
     """Log each tick of `run` separately."""
     for k in range(len(run.time) if upto is None else upto):
-        log.tick(
-            run.time[k],
-            measured=run.measured[k],
-            estimate=run.estimate[k],
-            reference=run.reference[k],
-            truth=None if run.truth is None else run.truth[k],
-            control=run.control[k],
-            extras=run.extras[k],
-        )
+        log_tick(log, run, k)
+
+
+def log_tick(log: LogWriter, run: Sample, k: int) -> None:
+    """Log tick k of `run`; a row of None is a missing part."""
+    parts = {name: getattr(run, name) for name in ("measured", "estimate", "reference", "truth", "control", "extras")}
+    rows = {name: None if part is None or part[k] is None else part[k][None] for name, part in parts.items()}
+    log.ticks(run.time[k : k + 1], **rows)
 
 
 def write_sample(path: Path, run: Sample) -> Path:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kills import FIRST, kill_one
-from log_samples import open_writer, sample, tick_all
+from log_samples import log_tick, open_writer, sample, tick_all
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, read_log, recover
@@ -40,7 +40,7 @@ def test_at_any_rate_unwritten_data_are_at_most_twenty_milliseconds_or_a_tick(tm
     ticks = round(0.5 * rate)
     log = LogWriter(tmp_path / "run.mcap", arm_lengths=(0.2,), rate_hz=rate, has_cart=False).__enter__()
     for k in range(ticks):
-        log.tick(k / rate, measured=np.zeros(1))
+        log.ticks([k / rate], measured=np.zeros((1, 1)))
     copy = tmp_path / "copy.mcap.partial"
     copy.write_bytes(log.partial.read_bytes())
     log.__exit__(None, None, None)
@@ -150,10 +150,7 @@ def _run_until(path: Path, ticked: list[int], *, at: int, then: Callable[[], Non
         for k in range(len(run.time)):
             if k == at:
                 then()
-            log.tick(
-                run.time[k], measured=run.measured[k], estimate=run.estimate[k], reference=run.reference[k],
-                truth=run.truth[k], control=run.control[k], extras=run.extras[k],
-            )  # fmt: skip
+            log_tick(log, run, k)
             ticked.append(k)
 
 

@@ -29,7 +29,7 @@ def write_parts(path: Path, *, arms: int, has_cart: bool, parts: tuple[str, ...]
     with LogWriter(path, arm_lengths=run.arm_lengths, rate_hz=RATE, has_cart=has_cart) as log:
         half = TICKS // 2
         for k in range(half):
-            log.tick(run.time[k], **{part: values[k] for part, values in rows.items()})
+            log.ticks(run.time[k : k + 1], **{part: values[k : k + 1] for part, values in rows.items()})
         log.ticks(run.time[half:], **{part: values[half:] for part, values in rows.items()})
     return rows
 
@@ -74,9 +74,9 @@ def test_missing_parts_of_a_recording_are_named_and_not_guessed(tmp_path: Path) 
 
 def test_a_part_that_appears_only_sometimes_is_rejected(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "run.mcap", arm_lengths=(0.2,), rate_hz=RATE, has_cart=False) as log:
-        log.tick(0.0, measured=np.zeros(1))
+        log.ticks([0.0], measured=np.zeros((1, 1)))
         with pytest.raises(ValueError, match="rates must be given in every tick"):
-            log.tick(0.001, measured=np.zeros(1), rates=np.zeros(1))
+            log.ticks([0.001], measured=np.zeros((1, 1)), rates=np.zeros((1, 1)))
         with pytest.raises(ValueError, match="control must be given in every tick"):
             log.ticks([0.001], measured=np.zeros((1, 1)), control=np.zeros((1, 9)))
 

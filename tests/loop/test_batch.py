@@ -101,7 +101,8 @@ def both(reference: Reference, settings: LoopSettings) -> tuple[list[BatchRun], 
     """Return the runs of SEEDS in lockstep, and tick by tick."""
     controller = Assembly(reference, LAB, settings).controller
     together = Assembly(reference, LAB, settings, law=controller).batch(SEEDS)
-    alone = [BatchRun.of(Assembly(reference, LAB, settings, law=controller).simulate(seed=seed)) for seed in SEEDS]
+    assembly = Assembly(reference, LAB, settings, law=controller)
+    alone = [BatchRun.of(assembly.simulate(draw=assembly.draw(seed=seed))) for seed in SEEDS]
     return together, alone
 
 

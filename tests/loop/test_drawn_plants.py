@@ -65,8 +65,11 @@ def test_without_it_nothing_changes_and_with_it_nothing_but_the_plant() -> None:
     plain, drawn = _draw(0.0), _draw(1.0)
     assert plain.plant.arms == LAB
     assert drawn.plant.arms != LAB
-    for name in ("initial_error", "zeros", "command_noise", "ages", "dropped", "missed", "noise", "rate_noise"):
+    for name in ("initial_error", "zeros"):
         assert np.array_equal(getattr(plain, name), getattr(drawn, name)), name
+    assert plain.streams.keys() == drawn.streams.keys()
+    for name in plain.streams:
+        assert np.array_equal(plain.drawn(name), drawn.drawn(name)), name
     assert [(k, b.knock, *b.impulses) for k, b in plain.blows.items()] == [
         (k, b.knock, *b.impulses) for k, b in drawn.blows.items()
     ]
@@ -131,7 +134,7 @@ def test_runs_in_lockstep_draw_the_plants_that_the_loop_draws(turn: tuple[StandI
 
     drawn, plain = together(settings), together(replace(settings, model_uncertainty=0.0))
     for seed, one in zip(seeds, drawn, strict=True):
-        alone = Assembly(reference, LAB, settings, uncertainty=KNOWN_TO, law=controller).simulate(seed=seed)
+        alone = Assembly(reference, LAB, replace(settings, seed=seed), uncertainty=KNOWN_TO, law=controller).simulate()
         assert alone.ticks.truth is not None
         assert np.abs(one - alone.ticks.truth[:100]).max() < FLOWN
     assert np.abs(plain[0] - drawn[0]).max() > 100 * FLOWN

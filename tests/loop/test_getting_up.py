@@ -11,7 +11,7 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.recovery import Reach, meeting_tick
-from dpcontrol.loop.result import Ending, NoSink
+from dpcontrol.loop.result import Ending, LoopSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 
@@ -31,7 +31,7 @@ FALLS = (Push(1.7, 0, 0.02), Push(3.0, 1, 0.02))
 """Blows that the law does not bear on seed 3."""
 
 
-class Told(NoSink):
+class Told(LoopSink):
     def __init__(self) -> None:
         self.events: list[tuple[float, str, str]] = []
 

@@ -81,7 +81,7 @@ def test_real_runs_follow_to_the_end_and_show_the_orbit(tracked: tuple[StandIn, 
     period = DOWN_UP_LOW.period if reference.duration < 8 else UP_DOWN_HIGH.period
     tvlqr = tracking_controller(reference, sampled_model(LAB, REAL.rate), REAL.controller)
     for seed in range(3):
-        result = Assembly(reference, LAB, REAL, law=tvlqr).simulate(seed=seed)
+        result = Assembly(reference, LAB, replace(REAL, seed=seed), law=tvlqr).simulate()
         assert result.ending is Ending.FINISHED, result.reason
         assert distance_to_orbit(result, orbit, period) < FINAL
         assert np.abs(result.ticks.truth[:, 4]).max() < reference.limits.position
@@ -166,7 +166,8 @@ def test_truth_between_ticks_is_the_mismatched_plant_under_the_applied_command(
 def test_a_seed_repeats_its_run_and_another_draws_another(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
-    once, again, other = (Assembly(turn[1], LAB, REAL, law=controller).simulate(seed=s) for s in (4, 4, 5))
+    assembly = Assembly(turn[1], LAB, REAL, law=controller)
+    once, again, other = (assembly.simulate(draw=assembly.draw(seed=s)) for s in (4, 4, 5))
     assert (once.ticks.truth == again.ticks.truth).all()
     assert (once.ticks.control == again.ticks.control).all()
     assert once.plant != other.plant
@@ -174,7 +175,7 @@ def test_a_seed_repeats_its_run_and_another_draws_another(
     assert 0 < np.abs(start).max() <= REAL.initial_error
     assert (once.ticks.truth[0, 2:] == once.ticks.references[0, 2:]).all()
     # One setting's draw does not depend on the other.
-    exact = Assembly(turn[1], LAB, REAL, law=controller).simulate(seed=4, mismatch=0.0)
+    exact = assembly.simulate(draw=assembly.draw(seed=4, mismatch=0.0))
     assert (exact.ticks.truth[0] == once.ticks.truth[0]).all()
 
 
@@ -224,7 +225,7 @@ def test_the_cart_is_braked_before_its_stop_and_the_run_ends_by_name(
     short = replace(turn[1], limits=Limits(position=0.012))
     kept = Kept()
     for seed in range(5):
-        result = Assembly(short, LAB, REAL, law=controller).simulate(seed=seed, sink=kept)
+        result = Assembly(short, LAB, replace(REAL, seed=seed), law=controller).simulate(sink=kept)
         assert result.ending is Ending.CART_STOP
         assert "cart at its stop at t = " in result.reason
         assert kept.events[-1][1:3] == ("error", "cart at its stop")

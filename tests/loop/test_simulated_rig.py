@@ -180,13 +180,13 @@ def test_stop_brakes_at_once_and_for_good() -> None:
 def test_dropped_readings_are_marked_and_hold_the_last_value() -> None:
     settings = BenchSettings(sensors=SensorSettings(dropout=0.3))
     draw = drawn(settings)
-    assert draw.dropped is not None
-    assert 0.15 < draw.dropped.mean() < 0.45
+    dropped = draw.drawn("dropped")
+    assert 0.15 < dropped.mean() < 0.45
     rig = SimulatedRig(draw, settings, limits=LIMITS, start=START)
     last = np.zeros(3)
     for k in range(100):
         reading = rig.read()
-        assert (reading.present is not None) == draw.dropped[k]
+        assert (reading.present is not None) == dropped[k]
         if reading.present is None:
             last = reading.positions
         else:
@@ -203,7 +203,7 @@ def test_a_jittery_reading_is_of_a_state_as_old_as_was_drawn(delay: float) -> No
     plain = rig_of(
         BenchSettings(sensors=UNROUNDED, drive=DriveSettings(delay=delay)), start=np.array([0, 0, 0, 0, 0, 1.0])
     )
-    assert draw.ages is not None
+    ages = draw.drawn("ages")
     plain.read()
     assert rig.read().positions[2] == 0.0
     for k in range(1, 50):
@@ -211,7 +211,7 @@ def test_a_jittery_reading_is_of_a_state_as_old_as_was_drawn(delay: float) -> No
             one.command(0.0 if k < 40 else 3.0)
         reading, ideal = rig.read(), plain.read()
         if k < 40:
-            assert reading.positions[2] == pytest.approx(k * PERIOD - draw.ages[k], abs=1e-12)
+            assert reading.positions[2] == pytest.approx(k * PERIOD - ages[k], abs=1e-12)
         else:
             assert reading.positions[2] <= ideal.positions[2]
         assert rig.truth == pytest.approx(plain.truth, abs=EXACT)
@@ -262,14 +262,14 @@ def test_one_settings_change_leaves_every_other_draw_as_it_was() -> None:
     )  # fmt: skip
     assert np.array_equal(whole.initial_error, fewer.initial_error)
     for name in ("command_noise", "missed", "rate_noise"):
-        assert np.array_equal(getattr(whole, name), getattr(fewer, name)), name
+        assert np.array_equal(whole.drawn(name), fewer.drawn(name)), name
     assert {k: b.knock for k, b in whole.blows.items() if b.knock} == {k: b.knock for k, b in fewer.blows.items()}
     for name in ("dropped", "ages", "noise"):
-        assert getattr(fewer, name) is None
+        assert name not in fewer.streams
     assert not fewer.zeros.any()
     longer = drawn(everything, ticks=300, mismatch=0.05, initial_error=0.05)
     for name in ("command_noise", "ages", "dropped", "missed", "noise", "rate_noise"):
-        assert np.array_equal(getattr(longer, name)[:200], getattr(whole, name)), name
+        assert np.array_equal(longer.drawn(name)[:200], whole.drawn(name)), name
     # Arms and first state are those that a seed has always given.
     arms, first = (np.random.default_rng(s) for s in np.random.SeedSequence(3).spawn(2))
     assert whole.plant.arms == LAB.mismatched(0.05, arms)
@@ -326,8 +326,8 @@ def test_a_run_of_any_length_is_drawn_in_blocks_as_it_would_be_at_once() -> None
         reader, later = night.endless().reader(name), night.endless(since=40_000).reader(name)
         assert reader is not None
         assert later is not None
-        assert [reader[k] for k in range(50_000)] == getattr(once, name).tolist(), name
-        assert [later[k] for k in range(10_000)] == getattr(once, name)[40_000:].tolist(), name
+        assert [reader[k] for k in range(50_000)] == once.drawn(name).tolist(), name
+        assert [later[k] for k in range(10_000)] == once.drawn(name)[40_000:].tolist(), name
         assert sys.getsizeof(reader._values) < 200_000
         with pytest.raises(IndexError, match="tick 3 of a stream"):
             reader[3]
@@ -335,10 +335,8 @@ def test_a_run_of_any_length_is_drawn_in_blocks_as_it_would_be_at_once() -> None
 
 def test_command_noise_and_missed_counts_have_the_requested_size() -> None:
     draw = drawn(BenchSettings(SensorSettings(missed_counts=250.0), DriveSettings(command_noise=0.3)), ticks=20_000)
-    assert draw.command_noise is not None
-    assert draw.missed is not None
-    assert draw.command_noise.std() == pytest.approx(0.3, rel=0.03)
-    assert draw.missed.mean() == pytest.approx(0.25, rel=0.05)
+    assert draw.drawn("command_noise").std() == pytest.approx(0.3, rel=0.03)
+    assert draw.drawn("missed").mean() == pytest.approx(0.25, rel=0.05)
 
 
 def test_states_that_are_not_finite_or_beyond_the_draw_are_named() -> None:

@@ -11,7 +11,7 @@ from dpcontrol.control.tracking import AdaptiveSettings
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
-from dpcontrol.loop.result import Ending, LoopResult, NoSink, Reading
+from dpcontrol.loop.result import Ending, LoopResult, LoopSink, Reading
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference
 
@@ -25,7 +25,7 @@ FOUND = 0.35
 
 
 @dataclass
-class Told(NoSink):
+class Told(LoopSink):
     """Keeps the events that are more than information."""
 
     alarms: list[str] = field(default_factory=list)

@@ -55,7 +55,7 @@ def by_the_page(title: str, count: int, values: dict[str, Any]) -> bytes:
 TEXT = "Ach, die Mühle".encode()
 READING = ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, -1, Condition.FAULT, TEXT.decode(), 6, 0.0005)
 CASES: dict[Kind, tuple[packets.Packet, dict[str, Any]]] = {
-    Kind.HELLO: (packets.hello(), {}),
+    Kind.HELLO: (packets.HELLO, {}),
     Kind.WELCOME: (packets.welcome(Welcome(ARMS, 0.001, 7, 5)), {"period": 0.001, "ticks": 7, "session": 5}),
     Kind.START: (packets.start((0.5, -2.0, 1.0)), {"commands": (0.5, -2.0, 1.0)}),
     Kind.READING: (
@@ -67,7 +67,7 @@ CASES: dict[Kind, tuple[packets.Packet, dict[str, Any]]] = {
         },
     ),
     Kind.COMMAND: (packets.command(7, -1.5), {"tick": 7, "acceleration": -1.5}),
-    Kind.STOP: (packets.stop(), {}),
+    Kind.STOP: (packets.STOP, {}),
     Kind.BYE: (packets.bye(TEXT.decode()), {"text": TEXT}),
 }  # fmt: skip
 
@@ -84,7 +84,7 @@ def test_a_packet_made_from_the_pages_table_is_the_programs_own(kind: Kind) -> N
 
 def test_the_pages_constants_are_the_programs_own() -> None:
     assert sum(int(size) for _, size, _, _ in rows("Head")) == len(
-        packets.packed(packets.hello(), Role.LOOP, session=1, sequence=1)
+        packets.packed(packets.HELLO, Role.LOOP, session=1, sequence=1)
     )
     assert HEAD["magic"] == packets.MAGIC
     assert f"| version | {packets.VERSION} |" in SECTIONS["Head"]
@@ -92,7 +92,7 @@ def test_the_pages_constants_are_the_programs_own() -> None:
     assert f"at most {packets._LONGEST_TEXT} bytes" in PACKETS
     assert f"{packets.NO_TICK}: none yet" in PACKETS
     assert [c.value for c in Condition] == [0, 1, 2]
-    sealed, plain = (packets.packed(packets.stop(), Role.LOOP, session=1, sequence=1, key=key) for key in (KEY, b""))
+    sealed, plain = (packets.packed(packets.STOP, Role.LOOP, session=1, sequence=1, key=key) for key in (KEY, b""))
     assert f"{len(sealed) - len(plain)} further bytes" in " ".join(PACKETS.split())
     link, server = LinkSettings(), BenchServerSettings()
     for text in (

@@ -71,7 +71,7 @@ def hostile(rng: random.Random, known: list[bytes]) -> bytes:
             forged = packets.command(rng.randrange(2000), FORGED)
             return packets.packed(forged, Role.LOOP, session=rng.getrandbits(64), sequence=rng.getrandbits(32))
         case _:
-            message = rng.choice([packets.hello(), packets.start([FORGED]), packets.stop(), packets.bye("go away")])
+            message = rng.choice([packets.HELLO, packets.start([FORGED]), packets.STOP, packets.bye("go away")])
             return packets.packed(message, Role.LOOP, session=rng.getrandbits(64), sequence=rng.getrandbits(32))
 
 
@@ -135,7 +135,7 @@ def test_a_run_that_was_recorded_cannot_be_played_again() -> None:
         thread.start()
         client = Raw(bench.address, key=KEY)
         with closing(client.socket):
-            recorded = [client.send(packets.hello())]
+            recorded = [client.send(packets.HELLO)]
             client.talk = Talk(Role.LOOP, client.heard().content.session, key=KEY)
             recorded.append(client.send(packets.start()))
             for k in range(5):
@@ -337,7 +337,7 @@ def test_an_empty_address_does_not_mean_a_simulated_run() -> None:
 def test_no_bytes_whatever_break_the_parser() -> None:
     rng = random.Random(3)
     content = packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so")
-    messages = [packets.hello(), packets.start([1.0]), packets.welcome(packets.Welcome(2, 0.1, 3, 4)), packets.stop()]
+    messages = [packets.HELLO, packets.start([1.0]), packets.welcome(packets.Welcome(2, 0.1, 3, 4)), packets.STOP]
     messages += [packets.reading(content), packets.command(3, 1.0), packets.bye("so")]
     whole = [packets.packed(m, Role.LOOP, session=1, sequence=1) for m in messages]
     for k in range(20_000):

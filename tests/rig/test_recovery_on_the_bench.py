@@ -12,7 +12,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import read_log
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import Push
-from dpcontrol.loop.result import Ending, NoSink
+from dpcontrol.loop.result import Ending, LoopSink
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
@@ -69,7 +69,7 @@ def test_a_night_whose_bench_does_not_answer_leaves_nothing(tmp_path, monkeypatc
     assert not (tmp_path / "rig").exists()
 
 
-class Dies(NoSink):
+class Dies(LoopSink):
     """Ends its process without a word at the first fall."""
 
     def event(self, time_s, level, name, text) -> None:
@@ -84,7 +84,7 @@ def fly(address: tuple[str, int], key: bytes) -> None:
     shared = Assembly(plan.reference, arms, settings, law=controller).recovery
     assert shared is not None
     loop = Assembly(plan.reference, arms, settings, law=controller).loop(sink=Dies(), recovery=shared)
-    loop.rehearse()
+    loop.ticker.rehearse()
     with UdpRig(address, queued=loop.queued, key=key) as rig:
         loop.run(rig)
 

@@ -45,7 +45,7 @@ def test_packets_are_laid_out_as_described() -> None:
     at = {"session": 258, "sequence": 3}
     told = packets.packed(packets.command(7, -1.5), Role.LOOP, **at)
     assert told == head(4, 0) + struct.pack("<Id", 7, -1.5)
-    assert packets.packed(packets.hello(), Role.LOOP, **at) == head(1, 0)
+    assert packets.packed(packets.HELLO, Role.LOOP, **at) == head(1, 0)
     assert packets.packed(packets.start([0.5, -2.0]), Role.LOOP, **at) == head(7, 2) + struct.pack("<2d", 0.5, -2.0)
     welcome = packets.welcome(packets.Welcome(2, 0.001, 9, 5))
     assert packets.packed(welcome, Role.BENCH, **at) == head(2, 2) + struct.pack("<dIQ", 0.001, 9, 5)
@@ -84,7 +84,7 @@ def test_invalid_packets_are_rejected_by_name() -> None:
 
 
 def test_a_seal_of_another_key_or_the_other_end_is_refused() -> None:
-    sealed = packets.packed(packets.stop(), Role.LOOP, session=1, sequence=1, key=KEY)
+    sealed = packets.packed(packets.STOP, Role.LOOP, session=1, sequence=1, key=KEY)
     for data, role, key in (
         (sealed, Role.LOOP, b""),
         (sealed, Role.LOOP, KEY[::-1]),
@@ -317,7 +317,7 @@ def test_the_loop_follows_its_reference_on_a_bench_in_another_process(turn: tupl
     for _ in range(KEEPING_TIME):
         with BenchProcess(recipe, PATIENT) as bench:
             loop = Assembly(turn[1], LAB, settings, law=short).loop()
-            loop.rehearse()
+            loop.ticker.rehearse()
             with UdpRig(bench.address, queued=loop.queued, key=bench.key) as rig:
                 result = loop.run(rig)
         assert result.late == rig.deadlines.missed
