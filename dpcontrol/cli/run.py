@@ -649,9 +649,9 @@ def campaign_command(
 
 def _text(found: "Campaign", scores: Sequence["StandardScore"]) -> Iterator[str | TextTable]:
     if scores:
-        kinds = list(scores[0].kinds)
-        rows = [[s.controller, f"{s.total:.3f}", *(f"{s.kinds[k].rate:.2f}" for k in kinds)] for s in scores]
-        yield TextTable(f"Robustness of {found.itinerary}", ["controller", "score", *kinds], rows)
+        rates = {kind: f"{{0.kinds[{kind}].rate:.2f}}" for kind in scores[0].kinds}
+        columns = {"controller": "{.controller}", "score": "{.total:.3f}", **rates}
+        yield table(f"Robustness of {found.itinerary}", scores, columns)
     else:
         yield table(f"Campaign of {found.itinerary}", found.results, {
             "case": "{0.case.label}",
