@@ -29,7 +29,6 @@ from dpcontrol.pages.panels import quiet
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.series import extra_charts
 from dpcontrol.pages.story import story, story_height
-from dpcontrol.runs.run import Run
 
 _FRAMES = 8
 _TALL = 1.5
@@ -135,8 +134,3 @@ def _some(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
 def draw_log(log: RunLog) -> Figure:
     """Return the page of a log as a figure."""
     return draw(run_view(log))
-
-
-def draw_run(run: Run) -> Figure:
-    """Return the page of a run as a figure."""
-    return draw_log(run.log)
