@@ -143,7 +143,8 @@ def review_command(
     With --save, --picture or --film, no viewer opens. Without a renderer, matplotlib draws the picture, and a message
     reports this. A film shows the arms on their cart, the reference, the path of the tip and the itinerary.
     """
-    from dpcontrol.pages.picture import opened, view_in_window, write_picture, write_recording
+    from dpcontrol.pages.picture import opened, view_in_window, write_picture
+    from dpcontrol.pages.renderers import record
 
     first = files[0]
     if stretch is not None and film is None:
@@ -156,7 +157,7 @@ def review_command(
             document |= {"logs": files, "aligned": shown.status}
         if save is not None:
             progress("recording", 0.2)
-            write_recording(shown, save)
+            record(shown, save)
             document["recording"] = save
         elif picture is None and film is None:
             progress("recording", 0.2)

@@ -33,19 +33,13 @@ def draw_identification(found: Identification, curves: tuple[LossProfile, ...], 
     )
     correlation = Panel(partial(_correlation, found=found), 0.9)
     page.row(Panel(partial(_errors, found=found), 1.4), correlation, height=0.9 + max(2.4, 0.19 * len(found.names)))
-    for first in range(0, len(curves), _PER_ROW):
-        some = [partial(_profile, curve=curve) for curve in curves[first : first + _PER_ROW]]
-        page.row(*some, *[_nothing] * (_PER_ROW - len(some)), height=1.9)
+    page.grid([partial(_profile, curve=curve) for curve in curves], across=_PER_ROW, height=1.9)
     if curves:
         page.text(
             "Profiles: rise of the misfit over the parameter's error in standard errors. Grey line: linearised; blue "
             "dots: fitted again."
         )
     return page.figure()
-
-
-def _nothing(axes: Axes) -> None:
-    axes.axis("off")
 
 
 def draw_candidates(axes: Axes, found: Identification) -> None:

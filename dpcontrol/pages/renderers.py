@@ -70,8 +70,11 @@ def record(result: object, path: Path) -> None:
     """Write the Rerun recording of a result.
 
     Args:
-        result: result to write.
+        result: run, reference, comparison or atlas.
         path: file, `*.rrd`.
+
+    Raises:
+        InputError: it cannot be written, or the log was removed.
     """
     kind = type(result)
     renderer(RECORDINGS[f"{kind.__module__}.{kind.__qualname__}"])(result, path)

@@ -3,9 +3,10 @@
 It shows trace and period against energy, and the orbits.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import groupby, pairwise
+from operator import attrgetter
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -41,13 +42,18 @@ def _points(family: RotatingFamily) -> Sequence[RotatingOrbit]:
     return (*(c.orbit for c in family.changes), *family.folds)
 
 
-def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+def _against_energy(axes: Axes, families: Sequence[RotatingFamily], value: Callable[[RotatingOrbit], float]) -> None:
+    """Draw a value of the orbits against energy, coloured by stability."""
     for family in families:
         # Adjacent runs share a member to join lines of two kinds.
         for kind, members in _runs(family.members):
-            axes.plot([m.energy for m in members], [m.trace for m in members], color=KINDS[kind], linewidth=1.6)
+            axes.plot([m.energy for m in members], [*map(value, members)], color=KINDS[kind], linewidth=1.6)
         for orbit in _points(family):
-            axes.plot(orbit.energy, orbit.trace, "o", color=style.INK, markersize=4)
+            axes.plot(orbit.energy, value(orbit), "o", color=style.INK, markersize=4)
+
+
+def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    _against_energy(axes, families, attrgetter("trace"))
     axes.set_yscale("symlog", linthresh=4)
     axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
     for critical in (2, -2):
@@ -58,11 +64,7 @@ def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
 
 
 def _periods(axes: Axes, families: Sequence[RotatingFamily]) -> None:
-    for family in families:
-        for kind, members in _runs(family.members):
-            axes.plot([m.energy for m in members], [m.period for m in members], color=KINDS[kind], linewidth=1.6)
-        for orbit in _points(family):
-            axes.plot(orbit.energy, orbit.period, "o", color=style.INK, markersize=4)
+    _against_energy(axes, families, attrgetter("period"))
     quiet(axes, "Period (s)", x="energy (J)")
 
 

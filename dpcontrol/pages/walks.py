@@ -17,7 +17,7 @@ from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart
 from dpcontrol.pages.filmstrip import draw_film, film_height, frame_position
 from dpcontrol.pages.layout import Page, Panel, Stack
-from dpcontrol.pages.panels import badge, mark_times, quiet
+from dpcontrol.pages.panels import badge, bare, mark_times, quiet
 from dpcontrol.pages.story import story as draw_story
 from dpcontrol.pages.story import story_height
 from dpcontrol.pages.walk_space import TIME, connected_pieces, space
@@ -89,7 +89,7 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     for first, times, height in [] if arm_lengths is None else _film_rows(walk, view):
         film = Panel(partial(_film, view=view, first=first, times=times), len(times))
         # A last row with fewer symbols is shorter in proportion.
-        rest = [Panel(_nothing, across - len(times))] if len(times) < across else []
+        rest = [Panel(bare, across - len(times))] if len(times) < across else []
         page.row(film, *rest, height=height)
     charts = [partial(_chart, chart=chart, view=view, orbit=orbit) for chart in (walk.coordinates(), walk.nearness())]
     plain = [] if walk.arm_lengths is not None else [Panel(partial(plane, story=walk), share=2.6)]
@@ -97,10 +97,6 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     page.row(Stack(charts), shown, height=4.4 + 2.6 * len(plain))
     heading = ("", "symbol", f"at{orbit.system.unit('s', ' ({})')}", "connection")
     return page.table(_list(walk, view), heading=heading).figure()
-
-
-def _nothing(axes: Axes) -> None:
-    axes.axis("off")
 
 
 def _film(axes: Axes, view: RunView, first: int, times: NDArray[np.float64]) -> None:
