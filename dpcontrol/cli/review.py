@@ -13,6 +13,7 @@ from dpcontrol.cli.verbs import (
     TextTable,
     argument,
     claim,
+    draw_result,
     file_option,
     force_option,
     option,
@@ -244,21 +245,17 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
 
 def _night(folder: Path, picture: Path) -> Answer:
     from dpcontrol.judge.night import read_night
-    from dpcontrol.pages.layout import save_figure
-    from dpcontrol.pages.night import draw_night
 
     night = read_night(folder)
-    save_figure(draw_night(night), picture)
+    draw_result(night, picture)
     return Answer(night.document(), night.lines())
 
 
 def _campaign(file: Path, picture: Path) -> Answer:
     from dpcontrol.judge.campaign import campaign_summary
-    from dpcontrol.pages.campaign import draw_campaign
-    from dpcontrol.pages.layout import save_figure
 
     summary = campaign_summary(file)
-    save_figure(draw_campaign(summary), picture)
+    draw_result(summary, picture)
     return Answer(summary.document(), _text(summary))
 
 

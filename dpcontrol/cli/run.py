@@ -28,6 +28,7 @@ from dpcontrol.cli.verbs import (
     argument,
     claim,
     claim_free,
+    draw_result,
     file_option,
     force_option,
     option,
@@ -703,7 +704,6 @@ def preflight_command(
     bench is that of [run], which `dpcontrol commission --write` fills with measurements. The limit of a disturbance is
     the value at which the itinerary completes half as often. A repeated command resumes after an interruption.
     """
-    from dpcontrol.pages.layout import save_figure
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
     from dpcontrol.runs.preflight import PreflightSettings, preflight
@@ -716,7 +716,7 @@ def preflight_command(
     with progress_bar("preflight") as progress:
         plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
         found = preflight(plan, fixed, settings=settings, progress=part_of(progress, 0.05, 1.0), yes=yes)
-    save_figure(found.plot(), page)
+    draw_result(found, page)
     return Answer({**found.document(), "picture": page}, [*_preflight_text(found), f"page  {page}"])
 
 

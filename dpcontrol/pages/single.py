@@ -105,7 +105,7 @@ def family(axes: Axes, found: LyapunovFamily | RotatingFamily) -> None:
 
 def family_page(found: LyapunovFamily) -> Figure:
     """Return the page on one family."""
-    return orbits.draw_families([found], f"Lyapunov orbits of {found.system.name} about {found.saddle}")
+    return orbits.draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}")
 
 
 def tube(axes: Axes, found: Tube) -> None:
