@@ -18,12 +18,14 @@ USED, LEFT, _BEFORE, LINE = style.REFERENCE, style.SERIES[1], style.NOTE, style.
 _PER_ROW = 4
 
 
-def draw_identification(found: Identification, curves: tuple[LossProfile, ...], *, title: str) -> Figure:
+def draw_identification(
+    found: Identification, curves: tuple[LossProfile, ...] = (), *, title: str = "Identified arms"
+) -> Figure:
     """Return the page on an identification as a figure.
 
     Args:
         found: identification to draw.
-        curves: profiles of the loss.
+        curves: profiles of the loss, which take a minute; none by default.
         title: title of the page.
     """
     page = Page(title)

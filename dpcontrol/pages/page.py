@@ -54,7 +54,7 @@ def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
         [partial(_chart, chart=chart, view=view, last=chart is some[-1]) for chart in some]
         for some in (charts[:half], charts[half:])
     )
-    planes = [partial(_plane, view=view, arm=arm) for arm in range(min(view.arms, 2))]
+    planes = [partial(draw_plane, runs=[(plane(view, arm), style.PLANT)]) for arm in range(min(view.arms, 2))]
     about = "   ".join(text for text in (view.path.name, view.metadata.get("program", "")) if text)
     page = Page(view.title, view.verdict, view.good, about=about)
     for line in (closest_approach(view), nis_reading(view)):
@@ -71,7 +71,7 @@ def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
     lists = _lists(view)
     height = _TALL * max(half, 4)
     share = (height - sum(panel.share for panel in lists)) / max(len(planes), 1)
-    columns.append(Stack([*(Panel(plane, share) for plane in planes), *lists]))
+    columns.append(Stack([*(Panel(each, share) for each in planes), *lists]))
     return page.row(*columns, height=height).figure()
 
 
@@ -97,10 +97,6 @@ def _chart(axes: Axes, chart: Chart, view: RunView, *, last: bool) -> None:
     if not last:
         axes.set_xlabel("")
         axes.tick_params(labelbottom=False)
-
-
-def _plane(axes: Axes, view: RunView, arm: int) -> None:
-    draw_plane(axes, [(plane(view, arm), style.PLANT)])
 
 
 def _lists(view: RunView) -> list[Panel]:

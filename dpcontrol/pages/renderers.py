@@ -20,7 +20,7 @@ RENDERERS = {
     "dpcontrol.orbits.family.LyapunovFamily": "single:family_page",
     "dpcontrol.walks.shadowing.ShadowingOrbit": "single:walk_page",
     "dpcontrol.plans.plan.Plan": "single:plan_page",
-    "dpcontrol.identification.identify.Identification": "single:identification_page",
+    "dpcontrol.identification.identify.Identification": "identification:draw_identification",
 }
 """Functions `draw(result) -> Figure`."""
 PANELS: dict[str, str] = {

@@ -37,18 +37,13 @@ def draw_rotating_families(families: Sequence[RotatingFamily]) -> Figure:
     return page.row(over, partial(_rotations, families=families), height=5.2).figure()
 
 
-def _points(family: RotatingFamily) -> Sequence[RotatingOrbit]:
-    """Return the orbits at which stability changes or the family folds."""
-    return (*(c.orbit for c in family.changes), *family.folds)
-
-
 def _against_energy(axes: Axes, families: Sequence[RotatingFamily], value: Callable[[RotatingOrbit], float]) -> None:
     """Draw a value of the orbits against energy, coloured by stability."""
     for family in families:
         # Adjacent runs share a member to join lines of two kinds.
         for kind, members in _runs(family.members):
             axes.plot([m.energy for m in members], [*map(value, members)], color=KINDS[kind], linewidth=1.6)
-        for orbit in _points(family):
+        for orbit in (*(change.orbit for change in family.changes), *family.folds):
             axes.plot(orbit.energy, value(orbit), "o", color=style.INK, markersize=4)
 
 

@@ -14,7 +14,6 @@ from dpcontrol.bifurcations.bifurcations import BifurcationSearch, branch_diagra
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.identification.identify import Identification
 from dpcontrol.judge.comparison import RunComparison
 from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
 from dpcontrol.judge.preflight import Preflight
@@ -29,7 +28,6 @@ from dpcontrol.pages import orbits, style
 from dpcontrol.pages.atlas_cuts import draw_cuts
 from dpcontrol.pages.atlas_parts import BRANCHES
 from dpcontrol.pages.charts import draw_chart
-from dpcontrol.pages.identification import draw_identification
 from dpcontrol.pages.page import draw
 from dpcontrol.pages.panels import angle_axis, quiet
 from dpcontrol.pages.paper.branches import draw_momentum_branches
@@ -352,11 +350,6 @@ def whole_preflight(axes: Axes, found: Preflight) -> None:
     axes.barh(names, counts / found.share.runs, color=colours, height=0.6)
     axes.invert_yaxis()
     quiet(axes, f"{found.status}", x="share of runs that end so")
-
-
-def identification_page(found: Identification) -> Figure:
-    """Return the page of an identification, without profiles, which take a minute."""
-    return draw_identification(found, (), title="Identified arms")
 
 
 def recording(axes: Axes, found: Recording) -> None:
