@@ -22,25 +22,8 @@ from dpcontrol.pages.story import story as draw_story
 from dpcontrol.pages.story import story_height
 from dpcontrol.pages.walk_space import TIME, connected_pieces, space
 from dpcontrol.pages.walk_story import WalkStory
-from dpcontrol.tubes.connections import Connection
+from dpcontrol.pages.walk_symbols import symbol_words
 from dpcontrol.walks.shadowing import ShadowingOrbit
-
-
-def symbol_words(connection: Connection) -> str:
-    """Return a description of the motion during a symbol."""
-    source, target = connection.source.saddle, connection.target.saddle
-    if source != target:
-        return f"crosses from {source} to {target}"
-    if not np.isfinite(connection.source.system.periods).any():
-        return f"leaves {source} and comes back"
-    count = len(connection.winding)
-    arms = ("inner arm", "outer arm") if count == 2 else [f"arm {k + 1}" for k in range(count)]
-    turns = []
-    for arm, count in zip(arms, connection.winding, strict=True):
-        if count:
-            often = {1: "once", 2: "twice"}.get(abs(count), f"{abs(count)} times")
-            turns.append(f"{arm} turns {often} {'counter-clockwise' if count > 0 else 'clockwise'}")
-    return ", ".join(turns) or f"swings away from {source} and back"
 
 
 def plane(axes: Axes, story: WalkStory) -> None:
