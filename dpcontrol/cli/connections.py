@@ -134,10 +134,9 @@ def _orbit_text(model: "Model", orbit: "LyapunovOrbit") -> Iterator[str]:
 
 
 def _family(model: "Model", saddle: str, energies: Range, family: int, picture: Path | None) -> Answer:
-    from dpcontrol.orbits.family import lyapunov_family
+    from dpcontrol import api
 
-    with progress_bar(f"family of {saddle}") as progress:
-        found = lyapunov_family(model.system, saddle, energies=energies, family=family, progress=progress)
+    found = api.family(model, saddle, energies=energies, family=family, progress=True)
     document = {**found.document(), "energies": energies, "picture": picture}
     missed = "" if found.converged else f"the family about {saddle}: {found.status}"
     return Answer(document, [*_family_text(model, found, saddle), *draw_result(found, picture)], missed)
@@ -215,13 +214,11 @@ def _rotating_text(families: "Iterable[RotatingFamily]", arm: str) -> Iterator[s
 
 
 def _sustained(model: "Model", saddle: str, energy: float, family: int, sections: int, picture: Path | None) -> Answer:
-    from dpcontrol.references.sustained import sustained_orbit
+    from dpcontrol import api
 
     # A system without arms is rejected before the search for its orbit, which can take minutes.
     arms = model.arms
-    lyapunov = _lyapunov(model, saddle, energy, family)
-    with progress_bar(f"sustained orbit about {saddle}") as progress:
-        orbit = sustained_orbit(lyapunov, arms, progress=progress)
+    orbit = api.sustained_orbit(_lyapunov(model, saddle, energy, family), progress=True)
     if not orbit.converged:
         missed = f"the sustained orbit about {saddle} at {energy:g} J: {orbit.status}"
         return Answer({**orbit.document(sections), "picture": None}, (), missed)

@@ -58,8 +58,7 @@ def score_command(
         from dpcontrol.runs.run import Run
 
         for run, document, text in zip(runs, documents, lines, strict=True):
-            with progress_bar("why") as progress:
-                found = Run(run).why(yes=yes, progress=progress)
+            found = Run(run).why(yes=yes, progress=True)
             document["why"] = found.document()
             text[:] = [line for line in text if not line.startswith(_WHY)]
             text.append(f"{_WHY}{found.sentence}")
@@ -323,10 +322,9 @@ def recover_command(
 
     Intact records are copied bit for bit, sorted and verified. The old file is kept.
     """
-    from dpcontrol.logs import recover
+    from dpcontrol import api
 
-    with progress_bar("recover") as progress:
-        done = recover(log, out, force=force, progress=progress)
+    done = api.recover_log(log, out, force=force, progress=True)
     return Answer(asdict(done), _recover_text(done))
 
 
