@@ -1790,14 +1790,15 @@ def review(files: Place | Sequence[Place], *, align: Count = 1, save: Place | No
         >>> dp.review(log, save=log.with_suffix(".rrd")).name
         'turn.rrd'
     """
-    from dpcontrol.pages.picture import opened, view_in_window, write_recording
+    from dpcontrol.pages.picture import opened, view_in_window
+    from dpcontrol.pages.renderers import record
 
     given = [files] if isinstance(files, str | Path) else files
     paths = [Path(one) for one in given]
     shown = opened(paths, symbol=align)
     if save is None:
         return view_in_window(shown, paths[0].stem)
-    write_recording(shown, Path(save))
+    record(shown, Path(save))
     return Path(save)
 
 

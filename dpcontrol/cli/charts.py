@@ -38,13 +38,12 @@ def figures_command(
     """Draw the figures and print their captions."""
     with progress_bar("figures") as progress:
         progress("loading", 0.0)
-        from dpcontrol.foundation.document import picked
-        from dpcontrol.pages.figures import CAPTIONS, draw_figures
-        from dpcontrol.pages.gallery import cached_gallery
+        from dpcontrol import api
+        from dpcontrol.pages.figures import CAPTIONS
 
-        drawn = draw_figures(names, cached_gallery(), out, progress=progress)
+        drawn = api.draw_figures(names, folder=out, progress=progress)
     document = {
-        "figures": [{**picked(d, "file", "name", "caption", "differs", "seconds")} for d in drawn],
+        "figures": drawn,
         "captions": out / CAPTIONS,
         "status": f"{len(drawn)} figures drawn",
     }

@@ -68,15 +68,6 @@ def _saddles(context: click.Context) -> list[str]:
     return ["-".join(names) for names in product(("down", "up"), repeat=arms)]
 
 
-def choosing(choices: Iterable[str]) -> Completer:
-    """Return a completer from choices that need no import.
-
-    Args:
-        choices: allowed values.
-    """
-    return completing(lambda _: choices)
-
-
 COMPLETERS: dict[tuple[str, str], Completer] = {
     **{
         ("", name): completing(_found("foundation.shipped", "known", "models"), files=True)
@@ -92,7 +83,7 @@ COMPLETERS: dict[tuple[str, str], Completer] = {
     ("", "over"): completing(_found("plans.overrides", "settings_to_vary")),
     ("figures", "names"): completing(_found("cli.charts", "FIGURES")),
     ("bench", "names"): completing(_found("cli.charts", "ALL_CHARTS")),
-    ("replay", "estimator"): choosing(("ekf", "ukf")),
+    ("replay", "estimator"): completing(lambda _: ("ekf", "ukf")),
     ("orbit", "saddle"): completing(_saddles),
     **{
         (verb, name): completing(_saddles)

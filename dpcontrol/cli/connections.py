@@ -17,6 +17,7 @@ from dpcontrol.cli.verbs import (
     Precision,
     TextTable,
     argument,
+    draw_result,
     drawn_to,
     extended_text,
     file_option,
@@ -133,18 +134,12 @@ def _orbit_text(model: "Model", orbit: "LyapunovOrbit") -> Iterator[str]:
 
 
 def _family(model: "Model", saddle: str, energies: Range, family: int, picture: Path | None) -> Answer:
-    from dpcontrol.orbits.family import lyapunov_family
+    from dpcontrol import api
 
-    with progress_bar(f"family of {saddle}") as progress:
-        found = lyapunov_family(model.system, saddle, energies=energies, family=family, progress=progress)
-    if picture is not None:
-        from dpcontrol.pages.layout import save_figure
-        from dpcontrol.pages.orbits import draw_families
-
-        save_figure(draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}"), picture)
+    found = api.family(model, saddle, energies=energies, family=family, progress=True)
     document = {**found.document(), "energies": energies, "picture": picture}
     missed = "" if found.converged else f"the family about {saddle}: {found.status}"
-    return Answer(document, [*_family_text(model, found, saddle), *drawn_to(picture)], missed)
+    return Answer(document, [*_family_text(model, found, saddle), *draw_result(found, picture)], missed)
 
 
 def _family_text(model: "Model", found: "LyapunovFamily", saddle: str) -> Iterator[str | TextTable]:
@@ -219,24 +214,18 @@ def _rotating_text(families: "Iterable[RotatingFamily]", arm: str) -> Iterator[s
 
 
 def _sustained(model: "Model", saddle: str, energy: float, family: int, sections: int, picture: Path | None) -> Answer:
-    from dpcontrol.references.sustained import sustained_orbit
+    from dpcontrol import api
 
     # A system without arms is rejected before the search for its orbit, which can take minutes.
     arms = model.arms
-    lyapunov = _lyapunov(model, saddle, energy, family)
-    with progress_bar(f"sustained orbit about {saddle}") as progress:
-        orbit = sustained_orbit(lyapunov, arms, progress=progress)
+    orbit = api.sustained_orbit(_lyapunov(model, saddle, energy, family), progress=True)
     if not orbit.converged:
-        picture = None
-    if picture is not None:
-        from dpcontrol.judge.of_log import sustained_view
-        from dpcontrol.pages.layout import save_figure
-        from dpcontrol.pages.page import draw
+        missed = f"the sustained orbit about {saddle} at {energy:g} J: {orbit.status}"
+        return Answer({**orbit.document(sections), "picture": None}, (), missed)
+    from dpcontrol.judge.of_log import sustained_view
 
-        save_figure(draw(sustained_view(orbit, arms.length)), picture)
-    document = {**orbit.document(sections), "picture": picture}
-    missed = "" if orbit.converged else f"the sustained orbit about {saddle} at {energy:g} J: {orbit.status}"
-    return Answer(document, () if missed else [*_sustained_text(orbit, sections), *drawn_to(picture)], missed)
+    lines = [*_sustained_text(orbit, sections), *draw_result(sustained_view(orbit, arms.length), picture)]
+    return Answer({**orbit.document(sections), "picture": picture}, lines)
 
 
 def _sustained_text(orbit: "SustainedOrbit", sections: int) -> Iterator[str]:

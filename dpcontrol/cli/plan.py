@@ -12,6 +12,7 @@ from dpcontrol.cli.verbs import (
     Answer,
     TextTable,
     argument,
+    draw_result,
     drawn_to,
     file_option,
     option,
@@ -163,10 +164,8 @@ def reference_command(
         document = summary.document()
         if picture is not None:
             from dpcontrol.judge.of_log import reference_view
-            from dpcontrol.pages.layout import save_figure
-            from dpcontrol.pages.page import draw
 
-            save_figure(draw(reference_view(summary, file)), picture)
+            draw_result(reference_view(summary, file), picture)
         if transitions is not None:
             from dpcontrol.pages.layout import save_figure
             from dpcontrol.pages.transitions import draw_transitions

@@ -179,17 +179,16 @@ def _identify_text(found: "Identification", target: Path, picture: Path | None) 
 
 def _design(model: str, picture: Path | None) -> Answer:
     """Compare experiments by their information."""
-    from dpcontrol.identification.fit import design_experiments
+    from dpcontrol import api
     from dpcontrol.plans.model import load_model
 
     start = load_model(model)
-    with progress_bar("design") as progress:
-        design = design_experiments(start.arms, progress=progress)
-        if picture is not None:
-            from dpcontrol.pages.experiments import draw_design
-            from dpcontrol.pages.layout import save_figure
+    design = api.design_experiments(start, progress=True)
+    if picture is not None:
+        from dpcontrol.pages.experiments import draw_design
+        from dpcontrol.pages.layout import save_figure
 
-            save_figure(draw_design(design, title=start.title), picture)
+        save_figure(draw_design(design, title=start.title), picture)
     document = {**design.document(), "picture": picture}
     return Answer(document, _design_text(design, picture))
 

@@ -13,6 +13,7 @@ from dpcontrol.cli.verbs import (
     TextTable,
     argument,
     claim,
+    draw_result,
     file_option,
     force_option,
     option,
@@ -57,8 +58,7 @@ def score_command(
         from dpcontrol.runs.run import Run
 
         for run, document, text in zip(runs, documents, lines, strict=True):
-            with progress_bar("why") as progress:
-                found = Run(run).why(yes=yes, progress=progress)
+            found = Run(run).why(yes=yes, progress=True)
             document["why"] = found.document()
             text[:] = [line for line in text if not line.startswith(_WHY)]
             text.append(f"{_WHY}{found.sentence}")
@@ -143,7 +143,8 @@ def review_command(
     With --save, --picture or --film, no viewer opens. Without a renderer, matplotlib draws the picture, and a message
     reports this. A film shows the arms on their cart, the reference, the path of the tip and the itinerary.
     """
-    from dpcontrol.pages.picture import opened, view_in_window, write_picture, write_recording
+    from dpcontrol.pages.picture import opened, view_in_window, write_picture
+    from dpcontrol.pages.renderers import record
 
     first = files[0]
     if stretch is not None and film is None:
@@ -156,7 +157,7 @@ def review_command(
             document |= {"logs": files, "aligned": shown.status}
         if save is not None:
             progress("recording", 0.2)
-            write_recording(shown, save)
+            record(shown, save)
             document["recording"] = save
         elif picture is None and film is None:
             progress("recording", 0.2)
@@ -243,21 +244,17 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
 
 def _night(folder: Path, picture: Path) -> Answer:
     from dpcontrol.judge.night import read_night
-    from dpcontrol.pages.layout import save_figure
-    from dpcontrol.pages.night import draw_night
 
     night = read_night(folder)
-    save_figure(draw_night(night), picture)
+    draw_result(night, picture)
     return Answer(night.document(), night.lines())
 
 
 def _campaign(file: Path, picture: Path) -> Answer:
     from dpcontrol.judge.campaign import campaign_summary
-    from dpcontrol.pages.campaign import draw_campaign
-    from dpcontrol.pages.layout import save_figure
 
     summary = campaign_summary(file)
-    save_figure(draw_campaign(summary), picture)
+    draw_result(summary, picture)
     return Answer(summary.document(), _text(summary))
 
 
@@ -325,10 +322,9 @@ def recover_command(
 
     Intact records are copied bit for bit, sorted and verified. The old file is kept.
     """
-    from dpcontrol.logs import recover
+    from dpcontrol import api
 
-    with progress_bar("recover") as progress:
-        done = recover(log, out, force=force, progress=progress)
+    done = api.recover_log(log, out, force=force, progress=True)
     return Answer(asdict(done), _recover_text(done))
 
 

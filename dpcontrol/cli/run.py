@@ -28,6 +28,7 @@ from dpcontrol.cli.verbs import (
     argument,
     claim,
     claim_free,
+    draw_result,
     file_option,
     force_option,
     option,
@@ -646,9 +647,9 @@ def campaign_command(
 
 def _text(found: "Campaign", scores: Sequence["StandardScore"]) -> Iterator[str | TextTable]:
     if scores:
-        kinds = list(scores[0].kinds)
-        rows = [[s.controller, f"{s.total:.3f}", *(f"{s.kinds[k].rate:.2f}" for k in kinds)] for s in scores]
-        yield TextTable(f"Robustness of {found.itinerary}", ["controller", "score", *kinds], rows)
+        rates = {kind: f"{{0.kinds[{kind}].rate:.2f}}" for kind in scores[0].kinds}
+        columns = {"controller": "{.controller}", "score": "{.total:.3f}", **rates}
+        yield table(f"Robustness of {found.itinerary}", scores, columns)
     else:
         yield table(f"Campaign of {found.itinerary}", found.results, {
             "case": "{0.case.label}",
@@ -700,7 +701,6 @@ def preflight_command(
     bench is that of [run], which `dpcontrol commission --write` fills with measurements. The limit of a disturbance is
     the value at which the itinerary completes half as often. A repeated command resumes after an interruption.
     """
-    from dpcontrol.pages.layout import save_figure
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
     from dpcontrol.runs.preflight import PreflightSettings, preflight
@@ -713,7 +713,7 @@ def preflight_command(
     with progress_bar("preflight") as progress:
         plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
         found = preflight(plan, fixed, settings=settings, progress=part_of(progress, 0.05, 1.0), yes=yes)
-    save_figure(found.plot(), page)
+    draw_result(found, page)
     return Answer({**found.document(), "picture": page}, [*_preflight_text(found), f"page  {page}"])
 
 

@@ -158,8 +158,8 @@ def cache_command(
 
 
 def _text(loaded: "Model", points: "dict[str, Equilibrium]") -> Iterator[str | TextTable]:
-    parameters = [(name, f"{value:.12g}", unit) for name, (value, unit) in loaded.parameters.named().items()]
-    yield TextTable(f"{loaded.name}: {loaded.title}", ("parameter", "value", "unit"), parameters)
+    columns = {"parameter": "{0[0]}", "value": "{0[1][0]:.12g}", "unit": "{0[1][1]}"}
+    yield table(f"{loaded.name}: {loaded.title}", loaded.parameters.named().items(), columns)
     yield table("equilibria", points.items(), {
         "name": "{0[0]}", f"energy{loaded.unit('J', ' ({})')}": "{0[1].energy:+.10f}", "kind": "{0[1].kind}",
         f"eigenvalues{loaded.unit('1/s', ' ({})')}": lambda row: ", ".join(_eigenvalue(v) for v in row[1].eigenvalues),

@@ -452,6 +452,21 @@ def drawn_to(picture: Path | None) -> list[str]:
     return [] if picture is None else [f"drawn to {picture}"]
 
 
+def draw_result(result: Any, picture: Path | None) -> list[str]:
+    """Draw a result, and return the line that names its picture.
+
+    Args:
+        result: object with a renderer (see `dpcontrol.pages.renderers`).
+        picture: file to write; None draws nothing.
+    """
+    if picture is not None:
+        from dpcontrol.foundation.rendering import render
+        from dpcontrol.pages.layout import save_figure
+
+        save_figure(render(result), picture)
+    return drawn_to(picture)
+
+
 def multiplier_text(value: complex, digits: int = 11) -> str:
     """Return a Floquet multiplier as text, real if possible.
 

@@ -18,12 +18,12 @@ from dpcontrol.cli.verbs import (
     Answer,
     Hits,
     Precision,
-    TextTable,
     argument,
     drawn_to,
     extended_text,
     file_option,
     option,
+    table,
     verb,
 )
 from dpcontrol.foundation.errors import InputError
@@ -232,9 +232,15 @@ def _graph(edges: "Edges") -> Answer:
     from dpcontrol.walks.walks import count_walks
 
     counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
-    rows = [(f"{a} → {b}", str(len(edges.between(a, b)))) for a, b in edges.searched]
     text = [
-        TextTable(edges.system.worded(f"connections at {edges.energy:g} J"), ("from → to", "count"), rows),
+        table(
+            edges.system.worded(f"connections at {edges.energy:g} J"),
+            edges.searched,
+            {
+                "from → to": "{0[0]} → {0[1]}",
+                "count": lambda pair: str(len(edges.between(*pair))),
+            },
+        ),
         *(f"  {c.name}" for c in edges.connections),
         "walks by number of symbols: " + ", ".join(f"{k}: {n:,}" for k, n in counts.items()),
         *(f"not there: {reason}" for _, reason in edges.absent),

@@ -42,6 +42,8 @@ def render(result: object, axes: Axes | None = None) -> Figure:
         raise InputError(f"axes = {axes.name} axes: pictures need plane rectangular axes, as plt.subplots makes them")
     for kind in type(result).__mro__:
         name = f"{kind.__module__}.{kind.__qualname__}"
+        if name in table.PARTS:
+            return render(getattr(result, table.PARTS[name]), axes)
         if axes is not None and name in table.PANELS:
             table.renderer(table.PANELS[name])(axes, result)
             return axes.figure  # type: ignore[return-value]
@@ -51,7 +53,7 @@ def render(result: object, axes: Axes | None = None) -> Figure:
             return table.renderer(table.RENDERERS[name])(result)
         if name in table.PANELS:
             return render(result, table.new_axes(7.0, 5.0))
-    known = ", ".join(sorted(name.rpartition(".")[2] for name in table.RENDERERS))
+    known = ", ".join(sorted(name.rpartition(".")[2] for name in (*table.RENDERERS, *table.PARTS)))
     raise InputError(f"a {type(result).__name__} has no picture; results with one are {known}")
 
 

@@ -16,7 +16,7 @@ from dpcontrol.pages.atlas_cuts import draw_cuts
 from dpcontrol.pages.atlas_flights import FLIGHT, draw_space
 from dpcontrol.pages.atlas_parts import connections_of
 from dpcontrol.pages.layout import Page, Panel, Stack, key
-from dpcontrol.walks.atlas import Atlas, AtlasKind
+from dpcontrol.walks.atlas import Atlas
 
 
 def draw_atlas(atlas: Atlas) -> Figure:
@@ -29,7 +29,10 @@ def draw_atlas(atlas: Atlas) -> Figure:
     title = f"{atlas.title} at {atlas.energy:g}{atlas.unit('J')}: {orbits}, {len(atlas.connections)} connections"
     page = Page(title)
     spaces: list[Panel | Stack] = [Panel(partial(_draw_whole, atlas=atlas), space=True)]
-    panels = [partial(_draw_kind, atlas=atlas, kind=kind) for kind in kinds]
+    panels = [
+        partial(draw_cuts, atlas=atlas, kind=k, title=f"{k.source} → {k.target}: {k.count} at hits {list(k.hits)}")
+        for k in kinds
+    ]
     if len(panels) > 1:
         spaces.append(Stack(panels[:2]))
         page.row(*spaces, height=6.4)
@@ -49,9 +52,3 @@ def _draw_whole(axes: Axes, atlas: Atlas) -> None:
         look = {"fontsize": style.SMALL, "color": style.saddle_colour(orbit.saddle), "weight": "bold"}
         axes.text2D(0.0, 0.04 * k, f"orbit about {orbit.name}", transform=axes.transAxes, **look)  # type: ignore[attr-defined]
     axes.set_box_aspect(None, zoom=1.1)  # type: ignore[call-arg]
-
-
-def _draw_kind(axes: Axes, atlas: Atlas, kind: AtlasKind) -> None:
-    draw_cuts(axes, atlas, kind)
-    quiet_title = f"{kind.source} → {kind.target}: {kind.count} at hits {list(kind.hits)}"
-    axes.set_title(quiet_title, loc="left")

@@ -22,6 +22,7 @@ def draw_cuts(
     numbers: dict[str, str] | None = None,
     legend: bool = True,
     sense: int | None = None,
+    title: str = "",
 ) -> None:
     """Draw both tubes' cuts of a kind and mark its connections.
 
@@ -33,6 +34,7 @@ def draw_cuts(
         numbers: labels by connection name.
         legend: True adds a key.
         sense: drawn crossings, None for both.
+        title: title of the panel.
     """
     section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
     coordinate, period = section_axes(section, atlas)
@@ -48,7 +50,8 @@ def draw_cuts(
         axes.plot(*place, "o", color=look[c.name], markeredgecolor="white", markersize=7, zorder=4)
         if numbers and c.name in numbers:
             name_point(axes, numbers[c.name], (float(place[0]), float(place[1])), look[c.name])
-    quiet(axes, x=f"{coordinate} on the section" + (" (rad)" if period else ""), y="p / p₀" if period else "momentum")
+    label = f"{coordinate} on the section" + (" (rad)" if period else "")
+    quiet(axes, title, x=label, y="p / p₀" if period else "momentum")
     if period:
         angle_axis(axes, "x")
     if legend:

@@ -85,20 +85,21 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
     axes.set_aspect("equal", adjustable="box" if flat else "datalim", anchor="W")
 
 
-def draw_angles(axes: Axes, atlas: Atlas, connection: AtlasConnection) -> None:
+def draw_angles(axes: Axes, atlas: Atlas, connection: AtlasConnection, *, title: str) -> None:
     """Draw both angles over time, with the section crossing at zero.
 
     Args:
         axes: panel to draw on.
         atlas: atlas with the connection.
         connection: connection to draw.
+        title: title of the panel.
     """
     for arm in range(len(atlas.periods) // 2):
         axes.plot(connection.times, connection.states[:, arm], color=style.arm_colour(arm), linewidth=1.3)
     for time in (-connection.time_out, connection.time_in):
         if np.isfinite(time):
             axes.axvline(time, color=style.REFERENCE, linewidth=0.9, linestyle=style.DOTTED)
-    quiet(axes)
+    quiet(axes, title)
     axes.margins(x=0)
     angle_axis(axes, "y", step=1.0)
 

@@ -15,7 +15,7 @@ from dpcontrol.judge.campaign import CampaignSummary, Group
 from dpcontrol.pages import style
 from dpcontrol.pages.campaign_spreads import draw_spread, group_colours
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import name_curves, quiet
+from dpcontrol.pages.panels import name_curves, name_rows, quiet
 
 _TITLES = {"max_cart_position": "Cart's largest distance (mm)", "rms_tracking_error": "Tracking (mrad rms)"}
 _MOST, _APART = 28, 6
@@ -65,9 +65,8 @@ def draw_groups(axes: Axes, summary: CampaignSummary) -> None:
             f"{share.successes} of {share.runs}", (1.0, k), xytext=(5, 0), textcoords="offset points", va="center",
             fontsize=style.SMALL, color=style.NOTE, annotation_clip=False,
         )  # fmt: skip
-    labels = [shorten(label, 44, placeholder=" …") for _, label in shown]
-    axes.set_yticks(range(len(shown)), labels, fontsize=style.SMALL)
-    axes.set(xlim=(0, 1), ylim=(max(len(shown) - 0.4, 0.6), -0.6))
+    name_rows(axes, [shorten(label, 44, placeholder=" …") for _, label in shown])
+    axes.set_xlim(0, 1)
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
 
 
@@ -118,8 +117,6 @@ def _draw_reasons(axes: Axes, summary: CampaignSummary) -> None:
     shown = list(summary.reasons[:6])
     rest = sum(count for _, count in summary.reasons[6:])
     shown += [("other reasons", rest)] if rest else []
-    texts = [shorten(text, 62, placeholder=" …") for text, _ in shown]
     axes.barh(range(len(shown)), [count for _, count in shown], color=style.LIMIT, alpha=0.7, height=0.62)
-    axes.set_yticks(range(len(shown)), texts)
+    name_rows(axes, [shorten(text, 62, placeholder=" …") for text, _ in shown])
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_ylim(max(len(shown) - 0.4, 0.6), -0.6)

@@ -49,8 +49,7 @@ def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title
         parts = [line for line in shown if line.role == "run"]
         if parts:
             values = parts[0].values if len(parts) == 1 else np.max([np.abs(line.values) for line in parts], axis=0)
-            place = f"{k + 1}_{_plain(run.name)}"
-            lines.append(Line(place, run.name, "", parts[0].time, values, style.RUNS[k], dashed=k > 0))
+            lines.append(Line(run_path(k, run), run.name, "", parts[0].time, values, style.RUNS[k], dashed=k > 0))
     known = next((own for own in every if own), None)
     if known is None:
         return None
@@ -70,15 +69,11 @@ def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title
     )
 
 
-def _plain(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9]+", "_", name)
-
-
 def run_path(k: int, run: ComparedRun) -> str:
-    """Return the path of a run's strips in a recording.
+    """Return the path of a run in a recording.
 
     Args:
         k: index of the run, from 0.
         run: run of the comparison.
     """
-    return f"{k + 1}_{_plain(run.name)}"
+    return f"{k + 1}_{re.sub(r'[^A-Za-z0-9]+', '_', run.name)}"

@@ -49,18 +49,16 @@ def draw_comparison(comparison: RunComparison) -> Figure:
         Stack([partial(_draw, chart=chart, comparison=comparison) for chart in some])
         for some in (charts[:half], charts[half:])
     ]
-    planes = [partial(_draw_plane, comparison=comparison, arm=arm) for arm in range(min(runs[0].view.arms, 2))]
+    planes = [
+        partial(draw_plane, runs=[(plane(run.view, arm), style.RUNS[k]) for k, run in enumerate(runs)], tubes=False)
+        for arm in range(min(runs[0].view.arms, 2))
+    ]
     return page.row(*columns, Stack(planes), height=_PANEL * max(half, 3)).figure()
 
 
 def _draw(axes: Axes, chart: Chart, comparison: RunComparison) -> None:
     draw_chart(axes, chart, comparison.runs[0].view, span=comparison.span)
     axes.axvline(comparison.moment, color=style.INK, linewidth=1.0, linestyle=style.DOTTED)
-
-
-def _draw_plane(axes: Axes, comparison: RunComparison, arm: int) -> None:
-    planes = [(plane(run.view, arm), style.RUNS[k]) for k, run in enumerate(comparison.runs)]
-    draw_plane(axes, planes, tubes=False)
 
 
 def _frames(comparison: RunComparison) -> Array:

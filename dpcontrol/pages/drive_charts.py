@@ -11,12 +11,12 @@ from dpcontrol.pages.chart import Chart, LevelLine, Line
 from dpcontrol.pages.ranges import padded, spans
 
 DRIVEN = {
-    "feedforward": ("plan", style.REFERENCE, 3.0),
-    "command": ("command", style.COMMAND, 1.0),
-    "applied": ("applied", style.COMMAND, 1.3),
-    ACTUAL: ("plant", style.PLANT, 1.0),
+    "feedforward": ("plan", style.REFERENCE, 3.0, "reference"),
+    "command": ("command", style.COMMAND, 1.0, "detail"),
+    "applied": ("applied", style.COMMAND, 1.3, "run"),
+    ACTUAL: ("plant", style.PLANT, 1.0, "run"),
 }
-"""Accelerations in drawing order: name, colour, width."""
+"""Accelerations in drawing order: name, colour, width, role."""
 
 
 def use_of(view: RunView, which: int) -> dict[str, Any]:
@@ -53,8 +53,8 @@ def limit_lines(view: RunView, which: int, *, side: bool = False) -> tuple[Level
 
 def acceleration_chart(view: RunView, control: dict[str, Array]) -> Chart:
     lines = tuple(
-        Line(key, name, name, view.time, control[key], colour, width, role=_role(key))
-        for key, (name, colour, width) in DRIVEN.items()
+        Line(key, name, name, view.time, control[key], colour, width, role=role)
+        for key, (name, colour, width, role) in DRIVEN.items()
         if key in control
     )
     return Chart(
@@ -68,10 +68,6 @@ def acceleration_chart(view: RunView, control: dict[str, Array]) -> Chart:
         hint=f": {', '.join(line.name for line in lines)}",
         **use_of(view, 2),
     )
-
-
-def _role(key: str) -> str:
-    return {"command": "detail", "feedforward": "reference"}.get(key, "run")
 
 
 def velocity_chart(view: RunView) -> Chart | None:

@@ -18,12 +18,14 @@ USED, LEFT, _BEFORE, LINE = style.REFERENCE, style.SERIES[1], style.NOTE, style.
 _PER_ROW = 4
 
 
-def draw_identification(found: Identification, curves: tuple[LossProfile, ...], *, title: str) -> Figure:
+def draw_identification(
+    found: Identification, curves: tuple[LossProfile, ...] = (), *, title: str = "Identified arms"
+) -> Figure:
     """Return the page on an identification as a figure.
 
     Args:
         found: identification to draw.
-        curves: profiles of the loss.
+        curves: profiles of the loss, which take a minute; none by default.
         title: title of the page.
     """
     page = Page(title)
@@ -33,19 +35,13 @@ def draw_identification(found: Identification, curves: tuple[LossProfile, ...], 
     )
     correlation = Panel(partial(_correlation, found=found), 0.9)
     page.row(Panel(partial(_errors, found=found), 1.4), correlation, height=0.9 + max(2.4, 0.19 * len(found.names)))
-    for first in range(0, len(curves), _PER_ROW):
-        some = [partial(_profile, curve=curve) for curve in curves[first : first + _PER_ROW]]
-        page.row(*some, *[_nothing] * (_PER_ROW - len(some)), height=1.9)
+    page.grid([partial(_profile, curve=curve) for curve in curves], across=_PER_ROW, height=1.9)
     if curves:
         page.text(
             "Profiles: rise of the misfit over the parameter's error in standard errors. Grey line: linearised; blue "
             "dots: fitted again."
         )
     return page.figure()
-
-
-def _nothing(axes: Axes) -> None:
-    axes.axis("off")
 
 
 def draw_candidates(axes: Axes, found: Identification) -> None:

@@ -33,7 +33,7 @@ from matplotlib.textpath import TextPath
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.pages import style
-from dpcontrol.pages.panels import BESIDE, DIRECT
+from dpcontrol.pages.panels import BESIDE, DIRECT, bare
 
 Draw = Callable[[Any], None]
 _DPI = 150
@@ -96,6 +96,19 @@ class Page:
         """
         if items:
             self._rows.append((height, lambda part: _row(part, items)))
+        return self
+
+    def grid(self, panels: Sequence[Draw], *, across: int, height: float) -> "Page":
+        """Add rows of equal panels; the last row may have free places.
+
+        Args:
+            panels: functions that draw.
+            across: number of panels in a row.
+            height: height of a row, inches.
+        """
+        for first in range(0, len(panels), across):
+            row = panels[first : first + across]
+            self.row(*row, *[bare] * (across - len(row)), height=height)
         return self
 
     def strip(self, draw: Draw, *, height: float) -> "Page":

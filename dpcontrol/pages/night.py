@@ -13,7 +13,7 @@ from dpcontrol.foundation.units import prefixed
 from dpcontrol.judge.night import BETWEEN, CALMING, ITINERARY, STARTING, STOPPED, UNKNOWN, Night
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, Panel
-from dpcontrol.pages.panels import empty, name_curves, quiet
+from dpcontrol.pages.panels import empty, name_curves, name_rows, quiet
 
 _COLOURS = {
     ITINERARY: style.MODES["holding"], CALMING: style.MODES["saturated"], STARTING: style.MODES["pulsing"],
@@ -94,8 +94,7 @@ def _draw_times(axes: Axes, night: Night) -> None:
     scale, unit = (1 / 3600, "hours") if max(spent.values(), default=0.0) > 3600 else (1 / 60, "minutes")
     quiet(axes, f"Time by activity ({unit}), in the strip's colours")
     axes.barh(range(len(spent)), [scale * t for t in spent.values()], color=[_COLOURS[k] for k in spent], height=0.6)
-    axes.set_yticks(range(len(spent)), list(spent))
-    axes.set_ylim(max(len(spent) - 0.4, 0.6), -0.6)
+    name_rows(axes, list(spent))
 
 
 def _draw_returns(axes: Axes, night: Night) -> None:
@@ -119,8 +118,7 @@ def draw_causes(axes: Axes, night: Night) -> None:
     causes = night.causes
     axes.barh(range(len(causes)), list(causes.values()), color=[_FALLS.get(c, style.INK) for c in causes], height=0.6,
               alpha=0.8)  # fmt: skip
-    axes.set_yticks(range(len(causes)), list(causes))
-    axes.set_ylim(max(len(causes) - 0.4, 0.6), -0.6)
+    name_rows(axes, list(causes))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 

@@ -34,8 +34,7 @@ def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
     scale = Normalize(float(energies.min()), float(energies.max()))
     page = Page(title)
     shapes = [partial(_shapes, family=family, scale=scale) for family in families]
-    for first in range(0, len(shapes), 3):
-        page.row(*shapes[first : first + 3], height=3.3)
+    page.grid(shapes, across=min(len(shapes), 3), height=3.3)
     curves = [partial(_against_energy, families=families, multipliers=some) for some in (False, True)]
     page.row(*curves, height=2.9)
     for family in families:

@@ -29,7 +29,6 @@ from dpcontrol.pages.panels import quiet
 from dpcontrol.pages.planes import plane
 from dpcontrol.pages.series import extra_charts
 from dpcontrol.pages.story import story, story_height
-from dpcontrol.runs.run import Run
 
 _FRAMES = 8
 _TALL = 1.5
@@ -55,7 +54,7 @@ def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
         [partial(_chart, chart=chart, view=view, last=chart is some[-1]) for chart in some]
         for some in (charts[:half], charts[half:])
     )
-    planes = [partial(_plane, view=view, arm=arm) for arm in range(min(view.arms, 2))]
+    planes = [partial(draw_plane, runs=[(plane(view, arm), style.PLANT)]) for arm in range(min(view.arms, 2))]
     about = "   ".join(text for text in (view.path.name, view.metadata.get("program", "")) if text)
     page = Page(view.title, view.verdict, view.good, about=about)
     for line in (closest_approach(view), nis_reading(view)):
@@ -72,7 +71,7 @@ def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
     lists = _lists(view)
     height = _TALL * max(half, 4)
     share = (height - sum(panel.share for panel in lists)) / max(len(planes), 1)
-    columns.append(Stack([*(Panel(plane, share) for plane in planes), *lists]))
+    columns.append(Stack([*(Panel(each, share) for each in planes), *lists]))
     return page.row(*columns, height=height).figure()
 
 
@@ -98,10 +97,6 @@ def _chart(axes: Axes, chart: Chart, view: RunView, *, last: bool) -> None:
     if not last:
         axes.set_xlabel("")
         axes.tick_params(labelbottom=False)
-
-
-def _plane(axes: Axes, view: RunView, arm: int) -> None:
-    draw_plane(axes, [(plane(view, arm), style.PLANT)])
 
 
 def _lists(view: RunView) -> list[Panel]:
@@ -135,8 +130,3 @@ def _some(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
 def draw_log(log: RunLog) -> Figure:
     """Return the page of a log as a figure."""
     return draw(run_view(log))
-
-
-def draw_run(run: Run) -> Figure:
-    """Return the page of a run as a figure."""
-    return draw_log(run.log)

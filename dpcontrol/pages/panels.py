@@ -3,6 +3,8 @@
 They are frames, axes in units of π, badges, marks and direct labels.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -172,6 +174,17 @@ def name_curves(axes: Axes, names: list[tuple[float, str, str]]) -> None:
             text, (1.0, height), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
             va="center", fontsize=style.SMALL, color=colour, annotation_clip=False,
         ).set_gid(DIRECT)  # fmt: skip
+
+
+def name_rows(axes: Axes, names: Sequence[str]) -> None:
+    """Name the rows of a bar chart, the first at the top.
+
+    Args:
+        axes: panel with a bar at each whole number from 0.
+        names: name of each row.
+    """
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(max(len(names) - 0.4, 0.6), -0.6)
 
 
 DIRECT, BESIDE = "direct label", "label beside a point"

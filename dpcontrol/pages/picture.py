@@ -157,7 +157,7 @@ def view_in_window(shown: Any, name: str) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="dpcontrol-"))
     recording = folder / f"{name[:40]}.rrd"
     try:
-        write_recording(shown, recording)
+        record(shown, recording)
         open_viewer(recording, temporary=folder)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
@@ -310,19 +310,6 @@ def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
     return run_view(read_log(first))
 
 
-def write_recording(shown: Shown, path: Path) -> None:
-    """Write the Rerun recording (`*.rrd`) of a review.
-
-    Args:
-        shown: run, reference, comparison or atlas.
-        path: file, `*.rrd`.
-
-    Raises:
-        InputError: it cannot be written, or the log was removed.
-    """
-    record(shown, path)
-
-
 def write_picture(shown: Shown, path: Path | str) -> Picture:
     """Write a PNG of a review.
 
@@ -338,7 +325,7 @@ def write_picture(shown: Shown, path: Path | str) -> Picture:
     from dpcontrol.pages.layout import save_figure
 
     path = Path(path)
-    reason = picture_of(partial(write_recording, shown), path, moment=getattr(shown, "moment", 0.0))
+    reason = picture_of(partial(record, shown), path, moment=getattr(shown, "moment", 0.0))
     if reason is None:
         return Picture(path, "viewer", f"{path} shows the Rerun viewer, rendered without a screen.")
     save_figure(render(shown), path)

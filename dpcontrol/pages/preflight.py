@@ -12,7 +12,7 @@ from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.preflight import HazardBorder, Preflight, shown_number
 from dpcontrol.pages import style
 from dpcontrol.pages.layout import Page, cropped
-from dpcontrol.pages.panels import quiet
+from dpcontrol.pages.panels import name_rows, quiet
 
 _WIDTH = 8.27
 """A4 in portrait, inches."""
@@ -40,10 +40,7 @@ def draw_preflight(found: Preflight) -> Figure:
     if found.borders:
         title = "Borders: half as many runs complete as on the bench as described"
         page.text(title, colour=style.INK, size=style.HEAD)
-        keyed = [partial(_border, border=border) for border in found.borders]
-        for row in range(0, len(keyed), _COLUMNS):
-            some = keyed[row : row + _COLUMNS]
-            page.row(*some, *[_nothing] * (_COLUMNS - len(some)), height=1.55)
+        page.grid([partial(_border, border=border) for border in found.borders], across=_COLUMNS, height=1.55)
         page.text(
             "Dots: share of completed runs, relative to the bench as described; to the right it gets worse. Dashed "
             "green: the bench as described. Red: border with its 95 % interval."
@@ -55,10 +52,6 @@ def draw_preflight(found: Preflight) -> Figure:
     for note in found.notes:
         page.text(f"Mind: {note}")
     return page.figure()
-
-
-def _nothing(axes: Axes) -> None:
-    axes.axis("off")
 
 
 def _rate(axes: Axes, found: Preflight) -> None:
@@ -112,6 +105,5 @@ def _changes(axes: Axes, found: Preflight) -> None:
         axes.barh(k, gain, color=style.GOOD if sure else style.FAINT, height=0.6)
         axes.plot([gain - reach, gain + reach], [k, k], color=style.INK, linewidth=0.9)
     axes.axvline(0, color=style.MARK, linewidth=0.8)
-    axes.set_yticks(range(len(found.changes)), [shorten(c.text, 52, placeholder=" …") for c in found.changes])
+    name_rows(axes, [shorten(change.text, 52, placeholder=" …") for change in found.changes])
     axes.tick_params(axis="y", labelsize=style.SMALL, length=0)
-    axes.set_ylim(len(found.changes) - 0.4, -0.6)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 RENDERERS = {
-    "dpcontrol.runs.run.Run": "page:draw_run",
     "dpcontrol.logs.reader.RunLog": "page:draw_log",
     "dpcontrol.judge.run_view.RunView": "page:draw",
     "dpcontrol.judge.preflight.Preflight": "preflight:draw_preflight",
@@ -21,9 +20,7 @@ RENDERERS = {
     "dpcontrol.orbits.family.LyapunovFamily": "single:family_page",
     "dpcontrol.walks.shadowing.ShadowingOrbit": "single:walk_page",
     "dpcontrol.plans.plan.Plan": "single:plan_page",
-    "dpcontrol.runs.closed_loop.ClosedLoop": "single:closed_loop_page",
-    "dpcontrol.runs.campaign.Campaign": "single:campaign_page",
-    "dpcontrol.identification.identify.Identification": "single:identification_page",
+    "dpcontrol.identification.identify.Identification": "identification:draw_identification",
 }
 """Functions `draw(result) -> Figure`."""
 PANELS: dict[str, str] = {
@@ -44,18 +41,21 @@ PANELS: dict[str, str] = {
     "dpcontrol.walks.edges.Edges": "single:edges",
     "dpcontrol.walks.atlas.Atlas": "single:atlas",
     "dpcontrol.plans.plan.Plan": "single:plan",
-    "dpcontrol.runs.closed_loop.ClosedLoop": "single:closed_loop",
-    "dpcontrol.runs.run.Run": "single:run",
     "dpcontrol.logs.reader.RunLog": "single:log",
-    "dpcontrol.runs.campaign.Campaign": "single:whole_campaign",
-    "dpcontrol.judge.campaign.CampaignSummary": "single:campaign_summary",
-    "dpcontrol.judge.night.Night": "single:whole_night",
+    "dpcontrol.judge.campaign.CampaignSummary": "campaign:draw_groups",
+    "dpcontrol.judge.night.Night": "night:draw_causes",
     "dpcontrol.judge.comparison.RunComparison": "single:comparison",
     "dpcontrol.judge.preflight.Preflight": "single:whole_preflight",
-    "dpcontrol.identification.identify.Identification": "single:identification",
+    "dpcontrol.identification.identify.Identification": "identification:draw_candidates",
     "dpcontrol.recordings.recording.Recording": "single:recording",
 }
 """Functions `draw(axes, result)`, for results that fit in one panel."""
+PARTS = {
+    "dpcontrol.runs.run.Run": "log",
+    "dpcontrol.runs.closed_loop.ClosedLoop": "plan",
+    "dpcontrol.runs.campaign.Campaign": "summary",
+}
+"""Attributes that are drawn in place of their results."""
 
 
 RECORDINGS = {
@@ -70,8 +70,11 @@ def record(result: object, path: Path) -> None:
     """Write the Rerun recording of a result.
 
     Args:
-        result: result to write.
+        result: run, reference, comparison or atlas.
         path: file, `*.rrd`.
+
+    Raises:
+        InputError: it cannot be written, or the log was removed.
     """
     kind = type(result)
     renderer(RECORDINGS[f"{kind.__module__}.{kind.__qualname__}"])(result, path)

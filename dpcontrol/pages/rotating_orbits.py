@@ -3,9 +3,10 @@
 It shows trace and period against energy, and the orbits.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import groupby, pairwise
+from operator import attrgetter
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,18 +37,18 @@ def draw_rotating_families(families: Sequence[RotatingFamily]) -> Figure:
     return page.row(over, partial(_rotations, families=families), height=5.2).figure()
 
 
-def _points(family: RotatingFamily) -> Sequence[RotatingOrbit]:
-    """Return the orbits at which stability changes or the family folds."""
-    return (*(c.orbit for c in family.changes), *family.folds)
-
-
-def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+def _against_energy(axes: Axes, families: Sequence[RotatingFamily], value: Callable[[RotatingOrbit], float]) -> None:
+    """Draw a value of the orbits against energy, coloured by stability."""
     for family in families:
         # Adjacent runs share a member to join lines of two kinds.
         for kind, members in _runs(family.members):
-            axes.plot([m.energy for m in members], [m.trace for m in members], color=KINDS[kind], linewidth=1.6)
-        for orbit in _points(family):
-            axes.plot(orbit.energy, orbit.trace, "o", color=style.INK, markersize=4)
+            axes.plot([m.energy for m in members], [*map(value, members)], color=KINDS[kind], linewidth=1.6)
+        for orbit in (*(change.orbit for change in family.changes), *family.folds):
+            axes.plot(orbit.energy, value(orbit), "o", color=style.INK, markersize=4)
+
+
+def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    _against_energy(axes, families, attrgetter("trace"))
     axes.set_yscale("symlog", linthresh=4)
     axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
     for critical in (2, -2):
@@ -58,11 +59,7 @@ def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
 
 
 def _periods(axes: Axes, families: Sequence[RotatingFamily]) -> None:
-    for family in families:
-        for kind, members in _runs(family.members):
-            axes.plot([m.energy for m in members], [m.period for m in members], color=KINDS[kind], linewidth=1.6)
-        for orbit in _points(family):
-            axes.plot(orbit.energy, orbit.period, "o", color=style.INK, markersize=4)
+    _against_energy(axes, families, attrgetter("period"))
     quiet(axes, "Period (s)", x="energy (J)")
 
 

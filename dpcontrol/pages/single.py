@@ -14,10 +14,7 @@ from dpcontrol.bifurcations.bifurcations import BifurcationSearch, branch_diagra
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.identification.identify import Identification
-from dpcontrol.judge.campaign import CampaignSummary, summary_of
 from dpcontrol.judge.comparison import RunComparison
-from dpcontrol.judge.night import Night
 from dpcontrol.judge.of_log import reference_view, run_view, sustained_view
 from dpcontrol.judge.preflight import Preflight
 from dpcontrol.judge.run_view import RunView, series_of
@@ -27,11 +24,10 @@ from dpcontrol.orbits.family import LyapunovFamily
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
 from dpcontrol.orbits.tube import Tube
-from dpcontrol.pages import campaign, night, orbits, style
+from dpcontrol.pages import orbits, style
 from dpcontrol.pages.atlas_cuts import draw_cuts
 from dpcontrol.pages.atlas_parts import BRANCHES
 from dpcontrol.pages.charts import draw_chart
-from dpcontrol.pages.identification import draw_candidates, draw_identification
 from dpcontrol.pages.page import draw
 from dpcontrol.pages.panels import angle_axis, quiet
 from dpcontrol.pages.paper.branches import draw_momentum_branches
@@ -44,10 +40,7 @@ from dpcontrol.plans.plan import Plan
 from dpcontrol.recordings.recording import Recording
 from dpcontrol.references.reference import summarised
 from dpcontrol.references.sustained import SustainedOrbit
-from dpcontrol.runs.campaign import Campaign
-from dpcontrol.runs.closed_loop import ClosedLoop
 from dpcontrol.runs.polish import Polished
-from dpcontrol.runs.run import Run
 from dpcontrol.tubes.connections import Connection, ConnectionSearch
 from dpcontrol.tubes.symmetric import SymmetricSearch
 from dpcontrol.walks.atlas import Atlas
@@ -110,7 +103,7 @@ def family(axes: Axes, found: LyapunovFamily | RotatingFamily) -> None:
 
 def family_page(found: LyapunovFamily) -> Figure:
     """Return the page on one family."""
-    return orbits.draw_families([found], f"Lyapunov orbits of {found.system.name} about {found.saddle}")
+    return orbits.draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}")
 
 
 def tube(axes: Axes, found: Tube) -> None:
@@ -334,31 +327,6 @@ def comparison(axes: Axes, found: RunComparison) -> None:
     quiet(axes, found.title, x="time (s)", y="angles (rad)")
 
 
-def closed_loop(axes: Axes, found: ClosedLoop) -> None:
-    """Draw the angles of the plan that a closed loop follows.
-
-    Args:
-        axes: panel to draw on.
-        found: closed loop with the plan.
-    """
-    plan(axes, found.plan)
-
-
-def closed_loop_page(found: ClosedLoop) -> Figure:
-    """Return the page of the plan that a closed loop follows."""
-    return plan_page(found.plan)
-
-
-def run(axes: Axes, found: Run) -> None:
-    """Draw the angles of a run.
-
-    Args:
-        axes: panel to draw on.
-        found: run to draw.
-    """
-    log(axes, found.log)
-
-
 def log(axes: Axes, found: RunLog) -> None:
     """Draw the angles of a log.
 
@@ -367,41 +335,6 @@ def log(axes: Axes, found: RunLog) -> None:
         found: log to draw.
     """
     _angles(axes, run_view(found) if "reference.npz" in found.attachments else series_of(found))
-
-
-def campaign_summary(axes: Axes, found: CampaignSummary) -> None:
-    """Draw the share of completed runs of each group.
-
-    Args:
-        axes: panel to draw on.
-        found: summary to draw.
-    """
-    campaign.draw_groups(axes, found)
-
-
-def whole_campaign(axes: Axes, found: Campaign) -> None:
-    """Draw the share of completed runs of each group.
-
-    Args:
-        axes: panel to draw on.
-        found: campaign to draw.
-    """
-    campaign.draw_groups(axes, summary_of(found.table.to_pydict(), found.place))
-
-
-def campaign_page(found: Campaign) -> Figure:
-    """Return the page of a campaign."""
-    return campaign.draw_campaign(summary_of(found.table.to_pydict(), found.place))
-
-
-def whole_night(axes: Axes, found: Night) -> None:
-    """Draw the causes of falls in a night.
-
-    Args:
-        axes: panel to draw on.
-        found: night to draw.
-    """
-    night.draw_causes(axes, found)
 
 
 def whole_preflight(axes: Axes, found: Preflight) -> None:
@@ -417,21 +350,6 @@ def whole_preflight(axes: Axes, found: Preflight) -> None:
     axes.barh(names, counts / found.share.runs, color=colours, height=0.6)
     axes.invert_yaxis()
     quiet(axes, f"{found.status}", x="share of runs that end so")
-
-
-def identification(axes: Axes, found: Identification) -> None:
-    """Draw the errors of each candidate.
-
-    Args:
-        axes: panel to draw on.
-        found: identification to draw.
-    """
-    draw_candidates(axes, found)
-
-
-def identification_page(found: Identification) -> Figure:
-    """Return the page of an identification, without profiles, which take a minute."""
-    return draw_identification(found, (), title="Identified arms")
 
 
 def recording(axes: Axes, found: Recording) -> None:

@@ -17,30 +17,13 @@ from dpcontrol.pages.chart import Chart
 from dpcontrol.pages.charts import draw_chart
 from dpcontrol.pages.filmstrip import draw_film, film_height, frame_position
 from dpcontrol.pages.layout import Page, Panel, Stack
-from dpcontrol.pages.panels import badge, mark_times, quiet
+from dpcontrol.pages.panels import badge, bare, mark_times, quiet
 from dpcontrol.pages.story import story as draw_story
 from dpcontrol.pages.story import story_height
 from dpcontrol.pages.walk_space import TIME, connected_pieces, space
 from dpcontrol.pages.walk_story import WalkStory
-from dpcontrol.tubes.connections import Connection
+from dpcontrol.pages.walk_symbols import symbol_words
 from dpcontrol.walks.shadowing import ShadowingOrbit
-
-
-def symbol_words(connection: Connection) -> str:
-    """Return a description of the motion during a symbol."""
-    source, target = connection.source.saddle, connection.target.saddle
-    if source != target:
-        return f"crosses from {source} to {target}"
-    if not np.isfinite(connection.source.system.periods).any():
-        return f"leaves {source} and comes back"
-    count = len(connection.winding)
-    arms = ("inner arm", "outer arm") if count == 2 else [f"arm {k + 1}" for k in range(count)]
-    turns = []
-    for arm, count in zip(arms, connection.winding, strict=True):
-        if count:
-            often = {1: "once", 2: "twice"}.get(abs(count), f"{abs(count)} times")
-            turns.append(f"{arm} turns {often} {'counter-clockwise' if count > 0 else 'clockwise'}")
-    return ", ".join(turns) or f"swings away from {source} and back"
 
 
 def plane(axes: Axes, story: WalkStory) -> None:
@@ -89,7 +72,7 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     for first, times, height in [] if arm_lengths is None else _film_rows(walk, view):
         film = Panel(partial(_film, view=view, first=first, times=times), len(times))
         # A last row with fewer symbols is shorter in proportion.
-        rest = [Panel(_nothing, across - len(times))] if len(times) < across else []
+        rest = [Panel(bare, across - len(times))] if len(times) < across else []
         page.row(film, *rest, height=height)
     charts = [partial(_chart, chart=chart, view=view, orbit=orbit) for chart in (walk.coordinates(), walk.nearness())]
     plain = [] if walk.arm_lengths is not None else [Panel(partial(plane, story=walk), share=2.6)]
@@ -97,10 +80,6 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     page.row(Stack(charts), shown, height=4.4 + 2.6 * len(plain))
     heading = ("", "symbol", f"at{orbit.system.unit('s', ' ({})')}", "connection")
     return page.table(_list(walk, view), heading=heading).figure()
-
-
-def _nothing(axes: Axes) -> None:
-    axes.axis("off")
 
 
 def _film(axes: Axes, view: RunView, first: int, times: NDArray[np.float64]) -> None:

@@ -71,6 +71,7 @@ from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.shown import Brief, Shown, pandas_classes
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
+from dpcontrol.judge.campaign import CampaignSummary, summary_of
 from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
@@ -444,6 +445,11 @@ class Campaign(Shown):
     def place(self) -> Path:
         """The file of the table, or the itinerary's name without one."""
         return self.file or Path(self.itinerary)
+
+    @cached_property
+    def summary(self) -> CampaignSummary:
+        """Success rates by group, and causes of failure."""
+        return summary_of(self.table.to_pydict(), self.place)
 
     @property
     def rows(self) -> tuple[Row, ...]:

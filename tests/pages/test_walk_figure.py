@@ -15,8 +15,8 @@ from dpcontrol.pages import style
 from dpcontrol.pages.layout import save_figure
 from dpcontrol.pages.walk_space import LIFTED_TURNS, is_lifted
 from dpcontrol.pages.walk_story import NEAR, WalkStory
-from dpcontrol.pages.walk_symbols import symbol_text
-from dpcontrol.pages.walks import FILM_SYMBOLS, draw_walk, film_shape, symbol_words
+from dpcontrol.pages.walk_symbols import symbol_text, symbol_words
+from dpcontrol.pages.walks import FILM_SYMBOLS, draw_walk, film_shape
 from dpcontrol.plans.model import load_model
 from dpcontrol.walks.edges import Edges, find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver

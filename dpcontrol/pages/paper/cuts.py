@@ -2,13 +2,10 @@
 
 from functools import partial
 
-from matplotlib.axes import Axes
-
 from dpcontrol.pages.atlas_cuts import draw_cuts
 from dpcontrol.pages.atlas_parts import connections_of, kind_of
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Draw, Page
-from dpcontrol.walks.atlas import Atlas, AtlasKind
 
 CUT_ENERGIES = (-0.147, -0.07, -0.034, 0.06, 0.102, 0.157)
 
@@ -25,7 +22,7 @@ def cuts_page(gallery: Gallery) -> PaperFigure:
         assert kind is not None
         symmetric = sum(c.symmetric for c in connections_of(atlas, kind))
         title = f"{'abcdef'[k]}  {energy:g} J: {kind.count} connections, {symmetric} symmetric"
-        panels.append(partial(_energy_cuts, atlas=atlas, kind=kind, title=title, legend=k == 0))
+        panels.append(partial(draw_cuts, atlas=atlas, kind=kind, title=title, legend=k == 0))
         words.append(f"{kind.count} at {energy:g} J")
     page.row(*panels[:3], height=3.5).row(*panels[3:], height=3.3)
     return PaperFigure(
@@ -36,8 +33,3 @@ def cuts_page(gallery: Gallery) -> PaperFigure:
         f"{', '.join(words)}.",
         f"Momenta are canonical in place of the paper's rates; both senses are in one panel. {IDENTIFIED}",
     )
-
-
-def _energy_cuts(axes: Axes, atlas: Atlas, kind: AtlasKind, *, title: str, legend: bool) -> None:
-    draw_cuts(axes, atlas, kind, legend=legend)
-    axes.set_title(title, loc="left")

@@ -3,22 +3,16 @@
 from functools import partial
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from dpcontrol.pages.atlas_flights import draw_angles, row_of
 from dpcontrol.pages.atlas_parts import kind_of
 from dpcontrol.pages.gallery import Gallery, PaperFigure
 from dpcontrol.pages.layout import Page
 from dpcontrol.pages.paper.tubes import ENERGY, SADDLE
-from dpcontrol.walks.atlas import Atlas, AtlasConnection
+from dpcontrol.walks.atlas import AtlasConnection
 
 _SHOWN = 3
 _TURNS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three times", "three")}
-
-
-def _angles(axes: Axes, atlas: Atlas, connection: AtlasConnection, name: str) -> None:
-    draw_angles(axes, atlas, connection)
-    axes.set_title(f"{name}: θ₁ blue, θ₂ orange, against time (s)", loc="left")
 
 
 def draw_repeated(gallery: Gallery, *, turns: int) -> PaperFigure:
@@ -46,7 +40,9 @@ def draw_repeated(gallery: Gallery, *, turns: int) -> PaperFigure:
     page = Page(f"{title} homoclinic connections of Down-Up at {ENERGY:g} J (hits {list(hits)})")
     names = {c.name: "abc"[k] for k, c in enumerate(kept)}
     page.row(*row_of(atlas, kind, kept, numbers=names, marked=tuple(kept)), height=4.4)
-    page.row(*(partial(_angles, atlas=atlas, connection=c, name=names[c.name]) for c in kept), height=2.6)
+    angles = "{}: θ₁ blue, θ₂ orange, against time (s)"
+    panels = [partial(draw_angles, atlas=atlas, connection=c, title=angles.format(names[c.name])) for c in kept]
+    page.row(*panels, height=2.6)
     windings = {tuple(int(v) for v in np.abs(c.winding)) for c in connections}
     counts = ", ".join(
         f"{sum(tuple(map(abs, c.winding)) == t for c in connections)} of winding ±{list(t)}" for t in sorted(windings)

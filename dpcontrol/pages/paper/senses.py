@@ -10,7 +10,7 @@ from dpcontrol.pages.atlas_flights import draw_space
 from dpcontrol.pages.atlas_parts import connections_of, kind_of
 from dpcontrol.pages.gallery import IDENTIFIED, Gallery, PaperFigure
 from dpcontrol.pages.layout import Page, Panel, key
-from dpcontrol.walks.atlas import Atlas, AtlasKind
+from dpcontrol.walks.atlas import Atlas
 
 SENSES_ENERGY = 0.2
 _TURNING = {"down-up": ("outer", "θ₂ = 2πk", "θ₁"), "up-down": ("inner", "θ₁ = 2πk", "θ₂")}
@@ -40,7 +40,7 @@ def senses_page(gallery: Gallery, *, saddle: str) -> PaperFigure:
             Panel(partial(_sense, atlas=atlas, cuts=cuts, sense=sense, saddle=saddle, title=title), space=True)
         )
         title = f"{'cd'[column]}  cuts on {section}, crossed {way}"
-        panels.append(partial(_sense_cuts, atlas=atlas, kind=kind, shown=shown, sense=sense, title=title))
+        panels.append(partial(draw_cuts, atlas=atlas, kind=kind, shown=shown, legend=False, sense=sense, title=title))
         counts.append(f"{len(shown)} {way}")
     page.row(*spaces, height=4.8).row(*panels, height=3.4)
     return PaperFigure(
@@ -59,8 +59,3 @@ def _sense(axes: Axes, atlas: Atlas, cuts: list, *, sense: int, saddle: str, tit
     axes.set_title(title, loc="left")
     looks = [("tube out", style.UNSTABLE), ("tube in", style.STABLE)]
     key(axes, [*looks, ("Lyapunov orbit", style.saddle_colour(saddle)), ("cut", style.CUT)])
-
-
-def _sense_cuts(axes: Axes, atlas: Atlas, kind: AtlasKind, *, shown: tuple, sense: int, title: str) -> None:
-    draw_cuts(axes, atlas, kind, shown=shown, legend=False, sense=sense)
-    axes.set_title(title, loc="left")

@@ -81,10 +81,12 @@ def _rows(page: Page, gallery: Gallery, rows: Sequence[tuple[Atlas, str, str, Ex
         look = colours(connections)
         chosen = {look[c.name]: c for c in sorted(connections, key=lambda c: c.name, reverse=True)}.values()
         kept = sorted(chosen, key=lambda c: (not c.symmetric, c.name))[: 1 if source != target else 4]
+        numbers = {c.name: str(k) for k, c in enumerate(kept, start=1)}
+        cuts = f"{letters[1]}  cuts on {section}, hits {list(kind.hits)}"
         plane = partial(_plane, gallery=gallery, atlas=atlas, extent=extent, section=section)
         page.row(
             Panel(partial(_tubes, plane=plane, atlas=atlas, kind=kind, letter=letters[0]), 1.3),
-            partial(_cuts, atlas=atlas, kind=kind, kept=kept, title=f"{letters[1]}  cuts on {section}"),
+            partial(draw_cuts, atlas=atlas, kind=kind, numbers=numbers, legend=False, title=cuts),
             Panel(partial(_flights, plane=plane, kind=kind, kept=kept, look=look, letter=letters[2]), 1.3),
             height=4.0,
         )
@@ -105,11 +107,6 @@ def _tubes(axes: Axes, plane: Draw, atlas: Atlas, kind: AtlasKind, letter: str) 
             axes.plot(states[:, 0], states[:, 1], color=colour, linewidth=0.45, alpha=0.75)
     both = f"{source} and {target}" if source != target else source
     axes.set_title(f"{letter}  tubes of {both}, energy {atlas.energy:g}", loc="left")
-
-
-def _cuts(axes: Axes, atlas: Atlas, kind: AtlasKind, kept: Sequence[AtlasConnection], *, title: str) -> None:
-    draw_cuts(axes, atlas, kind, numbers={c.name: str(k + 1) for k, c in enumerate(kept)}, legend=False)
-    axes.set_title(f"{title}, hits {list(kind.hits)}", loc="left")
 
 
 def _flights(
