@@ -40,8 +40,9 @@ _TALL, _LINE = 3.7, 0.3
 """Heights of a row of diagrams and of a search's bar, inches."""
 IN_KEY = 2
 """Methods in a key; with more, each has its name beside a mark."""
-_FEW, _MANY = 6.0, 100.0
-"""Ranges of a logarithmic axis: below the first 1, 2, 5 give too few labels, from the second on powers are enough."""
+_FEW, _LONG, _MANY = 6.0, 50.0, 100.0
+"""Ranges of a logarithmic axis: below the first 1, 2, 5 give too few labels, from the second on they give too many, and
+from the third on powers are enough."""
 
 
 def save_chart(page: ChartPage, picture: Path, parts: Sequence[Any] | None = None, *, dark: bool = False) -> None:
@@ -320,13 +321,14 @@ def _readable_ticks(axis: Any, unit: str, many: float = _MANY) -> None:
 
     The unit has an SI prefix.
 
-    Powers of ten remain, with 1, 2, 5 on short ranges, otherwise a few round numbers.
+    Powers of ten remain, with 1, 2, 5 or 1, 3 on short ranges, otherwise a few round numbers.
     """
     low, high = axis.get_view_interval()
     axis.set_minor_formatter(NullFormatter())
     if high / low < many:
         few = high / low < _FEW
-        axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if few else LogLocator(subs=(1.0, 2.0, 5.0)))
+        between = (1.0, 2.0, 5.0) if high / low < _LONG else (1.0, 3.0)
+        axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if few else LogLocator(subs=between))
         if few:
             axis.set_minor_locator(NullLocator())
     if unit or high / low < many:
