@@ -467,7 +467,8 @@ class SimulatedBench:
             # Runs that are read before or after this part have zero duration in one of the two moves.
             middle = np.clip(seen, begin, end)
             plant.move(acting, middle - begin, time=start + begin, span=span)
-            now = (begin <= seen) & (seen < end)
+            # The end of the period belongs to its last part.
+            now = (begin <= seen) & ((seen < end) | (end >= self.period))
             self._seen = np.where(now, plant.state, plant.state if self._seen is None else self._seen)
             plant.move(acting, end - middle, time=start + middle, span=span)
         elif begin < seen < end:

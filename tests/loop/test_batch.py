@@ -119,7 +119,7 @@ def assert_same(one: BatchRun, other: BatchRun, within: float = 0.0) -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        pytest.param(settings, id=name, marks=pytest.mark.benchmark if k % 3 else pytest.mark.slow if k else [])
+        pytest.param(settings, id=name, marks=pytest.mark.slow if k else [])
         for k, (name, settings) in enumerate(KEPT_UP.items())
     ],
 )
