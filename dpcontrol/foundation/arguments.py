@@ -94,23 +94,6 @@ def place(name: str, value: Any) -> Path | None:
     return None if value is None else Path(path(name, value))
 
 
-def instance(name: str, value: Any, kinds: type | tuple[type, ...], what: str) -> Any:
-    """Return the value if it has one of these types.
-
-    Args:
-        name: argument, for the message.
-        value: object given by the user.
-        kinds: allowed types.
-        what: their description in the error.
-
-    Raises:
-        InputError: the value has another type.
-    """
-    if not isinstance(value, kinds):
-        raise InputError(f"{name} = {shortened(value)}: must be {what}")
-    return value
-
-
 def allowed_range(kind: str, least: float, most: float) -> str:
     """Return the text of a range of numbers, for messages.
 
