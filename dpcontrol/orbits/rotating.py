@@ -424,11 +424,6 @@ class RotatingFamily(Family[RotatingOrbit], Documented):
     folds: tuple[RotatingOrbit, ...]
     ends: tuple[str, str]
 
-    @property
-    def traces(self) -> Array:
-        """Traces (K,) of the Poincaré map."""
-        return self.column("trace")
-
 
 def rotating_family(
     orbit: RotatingOrbit,
