@@ -537,7 +537,7 @@ def find_connections(
         )
     curves = (OrbitCurve(source), OrbitCurve(target))
     for curve in curves:
-        if not curve.orbit.laps and _crosses(curve, section):
+        if not curve.orbit.laps and own_crossings(curve, section):
             raise InputError(
                 f"the orbit about {curve.orbit.saddle} itself crosses {section.name}: its tubes have no first crossing "
                 "there; choose another section"
@@ -642,12 +642,6 @@ def _sort(found: list[Connection]) -> list[Connection]:
     # Rounded positions make the order reproducible despite numerical noise.
     found.sort(key=lambda c: (-c.sense, *np.round(section_points(c.source.system, c.section, c.state), 6)))
     return found
-
-
-def _crosses(curve: OrbitCurve, section: Section) -> bool:
-    """Return True if the samples of a periodic orbit cross a section."""
-    states = np.vstack([curve.samples, curve.samples[:1]])
-    return any(section.admits(states[k]) for k in np.flatnonzero(np.diff(section.sheets(states))))
 
 
 def _known(system: System, connection: Connection, found: list[Connection], tolerance: float) -> bool:
@@ -767,7 +761,7 @@ def find_lap_connections(
         raise InputError(
             f"{source.saddle} and {target.saddle}: exactly one must be an orbit whose tubes cross on every lap"
         )
-    each = own_crossings(lapping[0], section)
+    each = own_crossings(OrbitCurve(lapping[0]), section)
     if not each:
         raise InputError(f"{lapping[0].saddle} does not cross {section.name}: search it with find_connections")
     manifold = local_manifold(lapping[0], settings.distance)
@@ -818,18 +812,17 @@ def grown_crossing(orbit: HyperbolicOrbit, section: Section, settings: Connectio
     away = (manifold.seeds(phases, 1)[0] - manifold.frame(phases).states) / orbit.system.scale
     # Seeds may be nearer than `distance`, so that no trajectory is sampled twice.
     laps = float(np.log(_LARGE / np.linalg.norm(away, axis=1).min())) / manifold.exponent
-    return max(1, int(laps * own_crossings(orbit, section)))
+    return max(1, int(laps * own_crossings(OrbitCurve(orbit), section)))
 
 
-def own_crossings(orbit: LyapunovOrbit, section: Section) -> int:
+def own_crossings(curve: OrbitCurve, section: Section) -> int:
     """Return the number of an orbit's section crossings per period.
 
     Args:
-        orbit: periodic orbit.
+        curve: curve of the periodic orbit.
         section: section of the orbit's system.
     """
-    curve = OrbitCurve(orbit)
-    states = np.vstack([curve.samples, curve.samples[:1] + orbit.turn])
+    states = np.vstack([curve.samples, curve.samples[:1] + curve.orbit.turn])
     return sum(section.admits(states[k]) for k in np.flatnonzero(np.diff(section.sheets(states))))
 
 
