@@ -111,10 +111,10 @@ def rotating_connections(
     home = target if lapping[0] is source else source
     searched = _section(lapping[0], home, section)
     first = crossing = grown_crossing(lapping[0], searched)
-    found = find_lap_connections(source, target, section=searched, crossings=(crossing,))
+    found = find_lap_connections(source, target, section=searched, crossing=crossing)
     while not found.connections and crossing < first + _LONGER:
         crossing += 1
-        found = find_lap_connections(source, target, section=searched, crossings=(crossing,))
+        found = find_lap_connections(source, target, section=searched, crossing=crossing)
     if found.connections:
         return found
     never = f"none at crossings {first} to {crossing} of {searched.name} by the tube of {lapping[0].saddle}"
