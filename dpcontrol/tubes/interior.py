@@ -35,7 +35,7 @@ from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.cut import Cut, section_points
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.tubes.intersections import TubeSide
+from dpcontrol.orbits.tube import Tube
 
 Labels = NDArray[np.int8]
 
@@ -63,18 +63,16 @@ def outlines_of(cut: Cut, manifold: UnstableManifold) -> tuple[Outline, ...]:
         cut: cut of the unstable tube.
         manifold: manifold of the tube.
     """
-    system, section = manifold.orbit.system, cut.section
     found = []
     for stable in (False, True):
         for piece in cut.pieces:
             if not piece.closed:
                 continue
-            states = TubeSide(manifold, section, stable, cut.hit, piece.branch, 0.0).turned(piece.states)
-            points = section_points(system, section, states)
-            rate = float(system.numeric.rate(states[0]) @ np.asarray(section.normal))
+            placed = Tube(manifold.orbit, stable).placed(piece, cut.section)
+            points = placed.points
             if np.linalg.norm(points[0] - points[-1]) > np.abs(np.diff(points, axis=0)).max() * 4:
                 continue  # a curve that winds around the torus has no interior
-            found.append(Outline(points, piece.branch, int(np.sign(rate)), stable))
+            found.append(Outline(points, piece.branch, placed.direction, stable))
     return tuple(found)
 
 

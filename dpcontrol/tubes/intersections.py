@@ -26,6 +26,7 @@ from dpcontrol.foundation.progress import MOST_SECONDS
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.cut import Cut, CutSettings, Piece, longest_flight, section_points
 from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.orbits.tube import Tube
 
 _BLOCK = 32
 """Segments of the first curve per bounding box; only segments of the second that meet the box are compared."""
@@ -339,18 +340,6 @@ class _Pair:
 Meeting = TypeVar("Meeting", _Place, Intersection)
 
 
-def _turned_piece(system: System, side: TubeSide, piece: Piece) -> Piece:
-    """Return a piece of the stable tube's cut from the unstable tube's."""
-    states = side.turned(piece.states)
-    normal = system.numeric.rate(states[:1])[0] @ np.asarray(side.section.normal)
-    return replace(
-        piece,
-        states=states,
-        points=section_points(system, side.section, states),
-        direction=int(np.sign(normal)),
-    )
-
-
 def intersect_cuts(
     system: System,
     section: Section,
@@ -424,7 +413,7 @@ def _pairs(
     section, margin, found = sides[0].section, settings.cut.chord * system.section_scale, []
     first, second = ([piece for piece in cut.pieces if piece.branch == side.branch]
                      for cut, side in zip(cuts, sides, strict=True))  # fmt: skip
-    second = [_turned_piece(system, sides[1], piece) for piece in second]
+    second = [Tube(sides[1].manifold.orbit, stable=True).placed(piece, section) for piece in second]
     ways = np.array([piece.direction for piece in second])
     momenta = np.array([(p.points[:, 1].min(), p.points[:, 1].max()) for p in second]).reshape(-1, 2)
     for u in first:
