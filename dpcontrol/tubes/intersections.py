@@ -24,7 +24,7 @@ from dpcontrol.foundation.budget import SECONDS
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import MOST_SECONDS
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.orbits.cut import Cut, CutSettings, Piece, longest_flight, section_points
+from dpcontrol.orbits.cut import Cut, CutSettings, Piece, arrivals, longest_flight, section_points
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.tube import Tube
 
@@ -220,15 +220,12 @@ class TubeSide:
             phases: phases (K,) of the orbit, 1 for a period.
 
         Returns:
-            States (K, N) and times (K,) in s, NaN for trajectories that do not arrive, and the seeds and their
-            derivatives by phase, (K, N) each.
+            States, times and seeds as those of `arrivals`, the states on this tube.
         """
-        system = self.manifold.orbit.system
-        seeds, slopes = self.manifold.seeds(phases, self.branch)
-        flown = system.propagator.crossings(seeds, self.section, longest=self.longest, hit=self.hit)
-        never = np.full(system.dimension, np.nan)
-        states = np.array([never if c is None else c.state for c in flown]).reshape(-1, system.dimension)
-        return self.turned(states), np.array([np.nan if c is None else c.time for c in flown]), (seeds, slopes)
+        states, times, seeds = arrivals(
+            self.manifold, self.section, phases, hit=self.hit, branch=self.branch, longest=self.longest
+        )
+        return self.turned(states), times, seeds
 
     def slopes(self, seeds: tuple[Array, Array], states: Array, times: Array) -> Array:
         """Return the derivatives (K, N) of arrival states by phase.
