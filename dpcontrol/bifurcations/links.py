@@ -253,8 +253,7 @@ class LinkProblem:
         reverser = system.reversers[which]
         turned_over = (np.eye(4) - reverser) / 2
         off = turned_over @ (x - manifold.orbit.centre)
-        half = system.turn_lengths / 2
-        off = off - np.rint(np.divide(off, half, out=np.zeros_like(off), where=half > 0)) * half
+        off = off - system.nearest_turns(2 * off) * system.turn_lengths / 2
         rows = np.linalg.svd(turned_over / scale[:, None])[0][:, :2].T
         miss = rows @ (off / scale)
         rate = turned_over @ system.numeric.rate(x)

@@ -211,13 +211,12 @@ def uncertainty(angle: float, least: float) -> float:
 def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
     """Return True if a reverser maps the orbit to itself."""
     system, centre = orbit.system, orbit.start.manifold.orbit.centre
-    half = np.where(np.isfinite(system.periods), system.periods / 2, np.inf)
     for reverser in system.reversers:
         turned_over, time, off = (np.eye(system.dimension) - reverser) / 2, middle, np.full(system.dimension, np.inf)
         for _ in range(4):
             state = orbit.sample(np.array([time]))[0]
             off = turned_over @ (state - centre)
-            off = (off - np.where(np.isfinite(half), np.rint(off / half), 0.0) * system.turn_lengths / 2) / system.scale
+            off = (off - system.nearest_turns(2 * off) * system.turn_lengths / 2) / system.scale
             rate = turned_over @ system.numeric.rate(state) / system.scale
             time -= float(off @ rate / (rate @ rate))
             if abs(time - middle) > _MIDDLE * orbit.start.manifold.orbit.period:

@@ -290,10 +290,9 @@ class _FamilySearch:
 
     def _off(self, states: Array) -> Array:
         """Return the angles (…, n) relative to the nearest vertical arm positions."""
-        n = self.system.dimension // 2
-        half = self.system.periods[:n] / 2
-        off = states[..., :n] - self.problem.centre[:n]
-        return off - np.rint(off / half) * half
+        off = states - self.problem.centre
+        off = off - self.system.nearest_turns(2 * off) * self.system.turn_lengths / 2
+        return off[..., : self.system.dimension // 2]
 
     def zeros(self, rows: list[_Row]) -> Iterator[tuple[LyapunovOrbit, int, float]]:
         """Yield (nearest orbit, branch, phase) for each triangle that contains a zero."""
