@@ -208,10 +208,7 @@ class TubeSide:
         Args:
             states: states (…, N).
         """
-        if not self.stable:
-            return states
-        reverser, centre = self.manifold.orbit.reverser, self.manifold.orbit.centre
-        return (states - centre) @ reverser.T + centre
+        return self.manifold.orbit.turned(states) if self.stable else states
 
     def arrive(self, phases: Array) -> tuple[Array, Array, tuple[Array, Array]]:
         """Propagate the seeds at given phases to the section.
