@@ -153,25 +153,13 @@ class SymmetricShooting(Brief):
         """Weights (n,) that convert the arc's residual to scaled units."""
         return np.abs(self.target) @ (1 / self.system.scale)
 
-    def at_energy(self, guess: Array, energy: float, *, iterations: int, tolerance: float) -> tuple[Array, float]:
-        """Return the unknowns and scaled residual at an energy.
-
-        The residual is infinite if Newton's method left the family. This is assumed if the duration is not positive or
-        exceeds three times that of the guess.
-
-        Args:
-            guess: unknowns (n + 1,).
-            energy: energy of the member, J.
-            iterations: most steps of Newton's method.
-            tolerance: largest scaled residual.
-        """
-        found = self.member(guess, energy, iterations=iterations, tolerance=tolerance)
-        return found.unknowns, found.residual
-
     def member(
         self, guess: Array, energy: float, *, iterations: int, tolerance: float, enough: float = 0.0
     ) -> "FamilyMember":
         """Return the member at an energy with the family's direction.
+
+        The residual is infinite if Newton's method left the family. This is assumed if the duration is not positive or
+        exceeds three times that of the guess.
 
         Args:
             guess: unknowns (n + 1,).
@@ -191,8 +179,8 @@ class SymmetricShooting(Brief):
 
     def along(
         self, guess: Array, tangent: Array, weights: Array, *, iterations: int, tolerance: float
-    ) -> tuple[Array, float]:
-        """Return the unknowns and scaled residual of the member on a plane.
+    ) -> "FamilyMember":
+        """Return the member on a plane.
 
         Args:
             guess: point (n + 1,) on the plane.
@@ -205,8 +193,7 @@ class SymmetricShooting(Brief):
         def row(unknowns: Array) -> tuple[float, Array]:
             return float(tangent @ ((unknowns - guess) / weights)), tangent / weights
 
-        found = self._newton(guess, row, iterations=iterations, tolerance=tolerance)
-        return found.unknowns, found.residual
+        return self._newton(guess, row, iterations=iterations, tolerance=tolerance)
 
     def _newton(
         self, guess: Array, row: Row, *, iterations: int, tolerance: float, enough: float = 0.0
