@@ -57,8 +57,9 @@ from dpcontrol.bifurcations.links import (
 )
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arguments import numbers, whole
+from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import numbers
 from dpcontrol.foundation.document import Documented, fields_of
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress

@@ -33,9 +33,8 @@ from dpcontrol.dynamics.equations import (
     state_equations,
 )
 from dpcontrol.dynamics.propagator import Propagator, Section, taylor_system
-from dpcontrol.foundation.arguments import number
 from dpcontrol.foundation.arrays import Array, checked_array
-from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
 from dpcontrol.foundation.settings import Settings, check_names, setting, suggest

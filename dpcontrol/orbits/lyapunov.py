@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System, saddle_index
-from dpcontrol.foundation.arguments import number, whole
+from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief, Timed, checked_times

@@ -18,9 +18,9 @@ from scipy.spatial import KDTree
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
-from dpcontrol.foundation.arguments import number
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import SECONDS
+from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import MOST_SECONDS
 from dpcontrol.foundation.shown import Brief
