@@ -36,6 +36,7 @@ from dpcontrol.orbits.cut import Cut, section_points
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.tube import Tube
+from dpcontrol.tubes.intersections import to_segment
 
 Labels = NDArray[np.int8]
 
@@ -382,12 +383,7 @@ def _wheel(points: Array, vertices: Array) -> tuple[Array, Array]:
     """Return angles (rad) and radii (0 to 1) about the innermost point."""
     span = np.ptp(vertices, axis=0)
     x, edge = points / span, np.vstack([vertices, vertices[:1]]) / span
-    depth = np.full(len(x), np.inf)
-    for a, b in pairwise(edge):
-        along = b - a
-        length = float(along @ along)
-        share = np.clip((x - a) @ along / length, 0, 1) if length else np.zeros(len(x))
-        depth = np.minimum(depth, np.linalg.norm(x - a - share[:, None] * along, axis=1))
+    depth = np.min([to_segment(x, a, b) for a, b in pairwise(edge)], axis=0)
     centre = x[np.argmax(depth)]
     gap = x - centre
     return np.arctan2(gap[:, 1], gap[:, 0]) % (2 * np.pi), 1 - depth / depth.max()

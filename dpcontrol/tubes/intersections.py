@@ -92,8 +92,8 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
     tree = KDTree(second)
     nearest = np.clip(np.asarray(tree.query(first)[1]), 1, len(second) - 2)
     distance = np.minimum(
-        _to_segment(first, second[nearest - 1], second[nearest]),
-        _to_segment(first, second[nearest], second[nearest + 1]),
+        to_segment(first, second[nearest - 1], second[nearest]),
+        to_segment(first, second[nearest], second[nearest + 1]),
     )
     allowed = margin * (bends[0] + bends[1][nearest])
     # Neighbours near another stretch of the second curve are irrelevant here.
@@ -110,10 +110,16 @@ def _sagitta(curve: Array) -> Array:
     return np.r_[inner[:1], inner, inner[-1:]]
 
 
-def _to_segment(points: Array, start: Array, end: Array) -> Array:
-    """Return the distance (K,) of each point (K, 2) to its segment."""
+def to_segment(points: Array, start: Array, end: Array) -> Array:
+    """Return the distance (K,) of each point to its segment.
+
+    Args:
+        points: points (K, 2).
+        start: starts (K, 2) of the segments, or (2,) of one.
+        end: ends (K, 2) of the segments, or (2,) of one.
+    """
     along = end - start
-    length = np.maximum(np.sum(along**2, axis=1), np.finfo(float).tiny)
+    length = np.maximum(np.sum(along**2, axis=-1), np.finfo(float).tiny)
     share = np.clip(np.sum((points - start) * along, axis=1) / length, 0.0, 1.0)
     return np.linalg.norm(points - start - share[:, None] * along, axis=1)
 
