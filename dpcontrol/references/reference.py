@@ -95,11 +95,6 @@ class Reference(Trajectory):
         """Return the larger of error between nodes and constraint violation (scaled)."""
         return max(self.max_error_between_nodes, self.constraint_violation)
 
-    @property
-    def stats(self) -> dict[str, float]:
-        """Return the cost of the search."""
-        return {"intervals": len(self.mesh) - 1, **picked(self, "iterations", "solve_seconds")}
-
     @cached_property
     def largest(self) -> dict[str, float]:
         """The largest size of each limited quantity of the cart.
