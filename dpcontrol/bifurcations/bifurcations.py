@@ -756,8 +756,6 @@ def find_bifurcations(
     settings = settings or SweepSettings()
     if (source, target) not in system.sections:
         raise InputError(f"{system.name} has no section between {source} and {target}")
-    if crossings < 1:
-        raise InputError(f"hits = {crossings}: must be at least one crossing of the section")
     low, high = numbers("energies", energies, 2)
     whole("samples", settings.energies, least=2, most=1_000_000)
     if not low < high:
