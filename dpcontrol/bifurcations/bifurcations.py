@@ -57,8 +57,9 @@ from dpcontrol.bifurcations.links import (
 )
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arguments import numbers, whole
+from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import numbers
 from dpcontrol.foundation.document import Documented, fields_of
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -755,8 +756,6 @@ def find_bifurcations(
     settings = settings or SweepSettings()
     if (source, target) not in system.sections:
         raise InputError(f"{system.name} has no section between {source} and {target}")
-    if crossings < 1:
-        raise InputError(f"hits = {crossings}: must be at least one crossing of the section")
     low, high = numbers("energies", energies, 2)
     whole("samples", settings.energies, least=2, most=1_000_000)
     if not low < high:

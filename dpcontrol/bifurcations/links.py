@@ -154,11 +154,12 @@ class LinkProblem:
         near = min(known, key=lambda e: abs(e - energy), default=floor)
         # Unknowns grow as the square root of the height above the saddle, so the guess must be near.
         if near != floor and 0.8 < (energy - floor) / (near - floor) < 1.25:
-            found, residual = problem.at_energy(known[near], energy, iterations=10, tolerance=1e-13)
-            if residual < 1e-12:
-                known[energy] = found
+            found = problem.member(known[near], energy, iterations=10, tolerance=1e-13)
+            if found.residual < 1e-12:
+                known[energy] = found.unknowns
                 return described_orbit(
-                    problem, found, saddle=saddle, family=0, energy=energy, newton_residual=residual, converged=True,
+                    problem, found.unknowns, saddle=saddle, family=0, energy=energy, newton_residual=found.residual,
+                    converged=True,
                     status=f"converged from the orbit at {near:.9g} J",
                 )  # fmt: skip
         orbit = lyapunov_orbit(self.system, saddle, energy=energy)
@@ -253,8 +254,7 @@ class LinkProblem:
         reverser = system.reversers[which]
         turned_over = (np.eye(4) - reverser) / 2
         off = turned_over @ (x - manifold.orbit.centre)
-        half = system.turn_lengths / 2
-        off = off - np.rint(np.divide(off, half, out=np.zeros_like(off), where=half > 0)) * half
+        off = off - system.nearest_turns(2 * off) * system.turn_lengths / 2
         rows = np.linalg.svd(turned_over / scale[:, None])[0][:, :2].T
         miss = rows @ (off / scale)
         rate = turned_over @ system.numeric.rate(x)

@@ -18,7 +18,7 @@ Sources: Biscani & Izzo, Revisiting high-order Taylor methods for astrodynamics 
 
 import pickle
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
 from pathlib import Path
@@ -60,15 +60,13 @@ def _settle(heyoka: Any) -> None:
 
 
 @cache
-def _operations() -> tuple[dict[int, Any], dict[int, Any], dict[int, Any]]:
-    """Return heyoka's counterparts of casadi's operations.
-
-    The operations have one or two arguments, or are switches.
+def _operations() -> tuple[dict[int, Any], dict[int, Any]]:
+    """Return heyoka's counterparts of casadi's operations, and of switches.
 
     Switches have kinks and jumps. They belong to decisions, not to motions, whose Taylor series they would end.
     """
     zero = hy.expression(0.0)
-    unary = {
+    smooth = {
         ca.OP_ASSIGN: lambda a: a,
         ca.OP_NEG: lambda a: -a,
         ca.OP_EXP: hy.exp,
@@ -87,8 +85,6 @@ def _operations() -> tuple[dict[int, Any], dict[int, Any], dict[int, Any]]:
         ca.OP_COSH: hy.cosh,
         ca.OP_TANH: hy.tanh,
         ca.OP_FABS: lambda a: hy.select(hy.gte(a, zero), a, -a),
-    }
-    binary = {
         ca.OP_ADD: lambda a, b: a + b,
         ca.OP_SUB: lambda a, b: a - b,
         ca.OP_MUL: lambda a, b: a * b,
@@ -109,7 +105,42 @@ def _operations() -> tuple[dict[int, Any], dict[int, Any], dict[int, Any]]:
         ca.OP_FMAX: lambda a, b: hy.select(hy.gt(a, b), a, b),
         ca.OP_IF_ELSE_ZERO: lambda a, b: hy.select(a, b, zero),
     }
-    return unary, binary, switches
+    return smooth, switches
+
+
+def interpreted(
+    function: ca.Function,
+    arguments: Sequence[Sequence[Any]],
+    *,
+    constant: Callable[[float], Any],
+    applied: Callable[..., Any],
+    zero: Any,
+) -> list[list[Any]]:
+    """Return the entries of each output in another arithmetic, in column-major order.
+
+    Args:
+        function: casadi function of scalar expressions.
+        arguments: values, [i][k] for entry k of input i.
+        constant: function that converts a number.
+        applied: function of one of casadi's operations and its one or two arguments.
+        zero: value of structural zeros, which are missing from the instructions.
+    """
+    work: dict[int, Any] = {}
+    places = [function.sparsity_out(i).get_triplet() for i in range(function.n_out())]
+    out = [[zero] * function.numel_out(i) for i in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        into, source = function.instruction_output(k), function.instruction_input(k)
+        if operation == ca.OP_CONST:
+            work[into[0]] = constant(function.instruction_constant(k))
+        elif operation == ca.OP_INPUT:
+            work[into[0]] = arguments[source[0]][source[1]]
+        elif operation == ca.OP_OUTPUT:
+            rows, columns = places[into[0]]
+            out[into[0]][rows[into[1]] + function.size1_out(into[0]) * columns[into[1]]] = work[source[0]]
+        else:
+            work[into[0]] = applied(operation, *(work[i] for i in source))
+    return out
 
 
 def to_heyoka(
@@ -125,33 +156,24 @@ def to_heyoka(
     Raises:
         NotImplementedError: names an operation of the graph without a counterpart.
     """
-    unary, binary, switching = _operations()
-    work: dict[int, hy.expression] = {}
-    rows, columns = function.sparsity_out(0).get_triplet()
-    height = function.size1_out(0)
-    # Structural zeros are missing from the instructions.
-    out = [hy.expression(0.0) for _ in range(height * function.size2_out(0))]
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        into, source = function.instruction_output(k), function.instruction_input(k)
-        if operation == ca.OP_CONST:
-            work[into[0]] = hy.expression(float(function.instruction_constant(k)))
-        elif operation == ca.OP_INPUT:
-            work[into[0]] = arguments[source[0]][source[1]]
-        elif operation == ca.OP_OUTPUT:
-            out[rows[into[1]] + height * columns[into[1]]] = work[source[0]]
-        elif operation in unary:
-            work[into[0]] = unary[operation](work[source[0]])
-        elif operation in binary:
-            work[into[0]] = binary[operation](work[source[0]], work[source[1]])
-        elif switches and operation in switching:
-            work[into[0]] = switching[operation](*(work[i] for i in source))
-        else:
+    smooth, others = _operations()
+    known = smooth | others if switches else smooth
+
+    def applied(operation: int, *values: Any) -> Any:
+        if operation not in known:
             raise NotImplementedError(
                 f"casadi operation {operation} in {function.name()} has no heyoka counterpart; add it to "
                 "dpcontrol.dynamics.compiled"
             )
-    return out
+        return known[operation](*values)
+
+    return interpreted(
+        function,
+        arguments,
+        constant=lambda number: hy.expression(float(number)),
+        applied=applied,
+        zero=hy.expression(0.0),
+    )[0]
 
 
 def check_operations(function: ca.Function) -> None:

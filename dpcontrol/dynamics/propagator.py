@@ -29,8 +29,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.dynamics.compiled import hy, to_heyoka
 from dpcontrol.dynamics.equations import Equations
-from dpcontrol.foundation.arguments import number, numbers
 from dpcontrol.foundation.arrays import Array
+from dpcontrol.foundation.checked import number, numbers
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief
 

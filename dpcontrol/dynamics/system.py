@@ -33,9 +33,8 @@ from dpcontrol.dynamics.equations import (
     state_equations,
 )
 from dpcontrol.dynamics.propagator import Propagator, Section, taylor_system
-from dpcontrol.foundation.arguments import number
 from dpcontrol.foundation.arrays import Array, checked_array
-from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
 from dpcontrol.foundation.settings import Settings, check_names, setting, suggest
@@ -675,18 +674,18 @@ def _default_sections(
             apart = apart - np.rint(apart / periods[:2]) * np.where(np.isfinite(periods[:2]), periods[:2], 0.0)
             row = _unit_row(apart)
             offset = float(row @ (here[:2] + apart / 2))
-            section = Section.plane(f"between {low} and {high}", row, offset=offset, period=_turn(row, apart, periods))
+            section = Section.plane(f"between {low} and {high}", row, offset=offset, period=_turn(row, periods))
         if section.kept_by(reverser, saddles[second]):
             sections[first, second] = section
     return sections
 
 
-def _turn(row: Array, apart: Array, periods: Array) -> float | None:
+def _turn(row: Array, periods: Array) -> float | None:
     """Return the distance between sheets, or None.
 
     The sheets are images of each other by whole turns.
 
-    The plane with unit normal `row` (2,) is half-way between two saddles `apart` (2,).
+    The plane with unit normal `row` (2,) is half-way between two saddles.
     """
     steps = np.abs(row[row != 0] * periods[:2][row != 0])
     if not np.isfinite(steps).all() or not np.allclose(steps, steps[0]):

@@ -2,33 +2,11 @@
 
 import math
 import os
-from collections.abc import Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from dpcontrol.foundation.errors import InputError
-
-
-def number(name: str, value: Any, *, least: float = -math.inf, most: float = math.inf) -> float:
-    """Return a finite number within bounds as a float.
-
-    Args:
-        name: argument, for the message.
-        value: number given by the user.
-        least: lower bound, inclusive, in the unit of the value.
-        most: upper bound, inclusive, in the unit of the value.
-
-    Raises:
-        InputError: the value is not a number, not finite, or out of bounds.
-    """
-    try:
-        given = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
-    except OverflowError:
-        given = math.inf
-    if not math.isfinite(given) or not least <= given <= most:
-        raise InputError(f"{name} = {shortened(value)}: must be {allowed_range('a finite number', least, most)}")
-    return given
 
 
 def whole(name: str, value: Any, *, least: int, most: int) -> int:
@@ -48,22 +26,6 @@ def whole(name: str, value: Any, *, least: int, most: int) -> int:
     if not real or not least <= given <= most or int(given) != given:
         raise InputError(f"{name} = {shortened(value)}: must be {allowed_range('a whole number', least, most)}")
     return int(given)
-
-
-def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
-    """Return `count` finite numbers.
-
-    Args:
-        name: argument, for the message.
-        values: sequence (count,) given by the user.
-        count: required number of entries.
-
-    Raises:
-        InputError: the count is wrong, or an entry is not a finite number.
-    """
-    if isinstance(values, str) or not isinstance(values, Sequence) or len(values) != count:
-        raise InputError(f"{name} = {shortened(values)}: must be {count} finite numbers")
-    return tuple(number(name, value) for value in values)
 
 
 def path(name: str, value: Any) -> str:
@@ -92,23 +54,6 @@ def place(name: str, value: Any) -> Path | None:
         InputError: the value is neither a path nor None.
     """
     return None if value is None else Path(path(name, value))
-
-
-def instance(name: str, value: Any, kinds: type | tuple[type, ...], what: str) -> Any:
-    """Return the value if it has one of these types.
-
-    Args:
-        name: argument, for the message.
-        value: object given by the user.
-        kinds: allowed types.
-        what: their description in the error.
-
-    Raises:
-        InputError: the value has another type.
-    """
-    if not isinstance(value, kinds):
-        raise InputError(f"{name} = {shortened(value)}: must be {what}")
-    return value
 
 
 def allowed_range(kind: str, least: float, most: float) -> str:

@@ -127,6 +127,36 @@ def check(name: str, value: Any, hint: Any) -> None:
     raise InputError(f"{name} = {shortened(value)}: must be {' or '.join(dict.fromkeys(words))}")
 
 
+def number(name: str, value: Any) -> float:
+    """Return a finite number as a float.
+
+    Args:
+        name: argument, for the message.
+        value: number given by the user.
+
+    Raises:
+        InputError: the value is not a number, or not finite.
+    """
+    check(name, value, float)
+    return float(value)
+
+
+def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
+    """Return `count` finite numbers.
+
+    Args:
+        name: argument, for the message.
+        values: sequence (count,) given by the user.
+        count: required number of entries.
+
+    Raises:
+        InputError: the count is wrong, or an entry is not a finite number.
+    """
+    if isinstance(values, str) or not isinstance(values, Sequence) or len(values) != count:
+        raise InputError(f"{name} = {shortened(values)}: must be {count} finite numbers")
+    return tuple(number(name, value) for value in values)
+
+
 def _alternatives(hint: Any) -> tuple[Any, ...]:
     if get_origin(hint) in (Union, types.UnionType):
         return tuple(one for part in get_args(hint) for one in _alternatives(part))
@@ -152,7 +182,9 @@ def _fits(value: Any, hint: Any) -> bool:
         return isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and bool(np.isfinite(value).all())
     if hint in (float, int):
         kinds: Any = (Real if hint is float else Integral, bool | np.bool_)
-        return isinstance(value, kinds[0]) and not isinstance(value, kinds[1]) and bool(abs(value) <= _LARGEST)
+        # The bound overflows in NumPy's short floats.
+        size = abs(float(value) if isinstance(value, np.floating) else value) if isinstance(value, kinds[0]) else np.nan
+        return not isinstance(value, kinds[1]) and bool(size <= _LARGEST)
     if hint is bool:
         return isinstance(value, bool | np.bool_)
     if hint is None or hint is Any or hint is object or isinstance(hint, TypeVar):

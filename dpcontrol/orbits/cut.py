@@ -142,6 +142,30 @@ class CutSamples(Brief):
         return same & (np.linalg.norm(np.diff(self.points, axis=0), axis=1) <= limit)
 
 
+def arrivals(
+    manifold: UnstableManifold, section: Section, phases: Array, *, hit: int, branch: int, longest: float
+) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Propagate the seeds of a manifold at given phases to a section.
+
+    Args:
+        manifold: manifold of the seeds.
+        section: section of the orbit's system.
+        phases: phases (K,) of the orbit, 1 for a period.
+        hit: number of the crossing, from 1.
+        branch: +1 or -1.
+        longest: time limit, s.
+
+    Returns:
+        States (K, N) and times (K,) in s, NaN and infinite for trajectories that do not arrive, and the seeds and their
+        derivatives by phase, (K, N) each.
+    """
+    system, seeds = manifold.orbit.system, manifold.seeds(phases, branch)
+    flown = system.propagator.crossings(seeds[0], section, longest=longest, hit=hit)
+    never = np.full(system.dimension, np.nan)
+    states = np.array([never if c is None else c.state for c in flown]).reshape(-1, system.dimension)
+    return states, np.array([np.inf if c is None else c.time for c in flown]), seeds
+
+
 @dataclass(frozen=True)
 class Sampler(Brief):
     """Propagation of one branch's seeds to the section."""
@@ -169,17 +193,15 @@ class Sampler(Brief):
         Args:
             phases: phases (K,) of the orbit, 1 for a period.
         """
-        system = self.manifold.orbit.system
-        seeds, _ = self.manifold.seeds(phases, self.branch)
-        longest = self.longest * self.manifold.orbit.period
-        crossings = system.propagator.crossings(seeds, self.section, longest=longest, hit=self.hit)
-        never = np.full(system.dimension, np.nan)
-        states = np.array([never if c is None else c.state for c in crossings])
+        system, longest = self.manifold.orbit.system, self.longest * self.manifold.orbit.period
+        states, times, _ = arrivals(
+            self.manifold, self.section, phases, hit=self.hit, branch=self.branch, longest=longest
+        )
         return CutSamples(
             phases=np.asarray(phases, dtype=float),
             states=states,
             points=section_points(system, self.section, states),
-            times=np.array([np.inf if c is None else c.time for c in crossings]),
+            times=times,
             rates=system.numeric.rate(states) @ np.asarray(self.section.normal),
         )
 

@@ -117,15 +117,15 @@ class FamilyCurve(Brief):
             length: distance along the tangent, in units of the weights.
         """
         guess = start.unknowns + length * start.tangent * self.weights
-        found, residual = self.problem.along(
+        found = self.problem.along(
             guess, start.tangent, self.weights, iterations=self.iterations, tolerance=self.tolerance
         )
-        moved = float(np.linalg.norm((found - guess) / self.weights))
+        moved = float(np.linalg.norm((found.unknowns - guess) / self.weights))
         # A correction of over half the step, or a tangent turned by 25 degrees, indicates another curve.
-        if residual > self.accept or moved > 0.5 * abs(length):
+        if found.residual > self.accept or moved > 0.5 * abs(length):
             return None
         try:
-            point = self.point(found, start.tangent, residual)
+            point = self.point(found.unknowns, start.tangent, found.residual)
         except (ArithmeticError, np.linalg.LinAlgError):
             return None
         return point if point.tangent @ start.tangent > 0.9 else None
@@ -281,12 +281,12 @@ def follow(
         return low <= energy <= high
 
     def at(guess: FamilyPoint, energy: float) -> FamilyPoint | None:
-        found, residual = curve.problem.at_energy(
+        found = curve.problem.member(
             guess.unknowns, energy, iterations=settings.newton_iterations, tolerance=settings.tolerance
         )
-        if residual > curve.accept:
+        if found.residual > curve.accept:
             return None
-        return replace(curve.point(found, guess.tangent, residual), energy=energy)
+        return replace(curve.point(found.unknowns, guess.tangent, found.residual), energy=energy)
 
     steps = curve.followed(start, step=settings.step, smallest=settings.smallest_step, too_long=too_long)
     for before, following, length in steps:

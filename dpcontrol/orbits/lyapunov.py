@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System, saddle_index
-from dpcontrol.foundation.arguments import number, whole
+from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.checked import checked
+from dpcontrol.foundation.checked import checked, number
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.shown import Brief, Timed, checked_times
@@ -153,25 +153,13 @@ class SymmetricShooting(Brief):
         """Weights (n,) that convert the arc's residual to scaled units."""
         return np.abs(self.target) @ (1 / self.system.scale)
 
-    def at_energy(self, guess: Array, energy: float, *, iterations: int, tolerance: float) -> tuple[Array, float]:
-        """Return the unknowns and scaled residual at an energy.
-
-        The residual is infinite if Newton's method left the family. This is assumed if the duration is not positive or
-        exceeds three times that of the guess.
-
-        Args:
-            guess: unknowns (n + 1,).
-            energy: energy of the member, J.
-            iterations: most steps of Newton's method.
-            tolerance: largest scaled residual.
-        """
-        found = self.member(guess, energy, iterations=iterations, tolerance=tolerance)
-        return found.unknowns, found.residual
-
     def member(
         self, guess: Array, energy: float, *, iterations: int, tolerance: float, enough: float = 0.0
     ) -> "FamilyMember":
         """Return the member at an energy with the family's direction.
+
+        The residual is infinite if Newton's method left the family. This is assumed if the duration is not positive or
+        exceeds three times that of the guess.
 
         Args:
             guess: unknowns (n + 1,).
@@ -191,8 +179,8 @@ class SymmetricShooting(Brief):
 
     def along(
         self, guess: Array, tangent: Array, weights: Array, *, iterations: int, tolerance: float
-    ) -> tuple[Array, float]:
-        """Return the unknowns and scaled residual of the member on a plane.
+    ) -> "FamilyMember":
+        """Return the member on a plane.
 
         Args:
             guess: point (n + 1,) on the plane.
@@ -205,8 +193,7 @@ class SymmetricShooting(Brief):
         def row(unknowns: Array) -> tuple[float, Array]:
             return float(tangent @ ((unknowns - guess) / weights)), tangent / weights
 
-        found = self._newton(guess, row, iterations=iterations, tolerance=tolerance)
-        return found.unknowns, found.residual
+        return self._newton(guess, row, iterations=iterations, tolerance=tolerance)
 
     def _newton(
         self, guess: Array, row: Row, *, iterations: int, tolerance: float, enough: float = 0.0
@@ -464,6 +451,14 @@ class LyapunovOrbit(OrbitRecord, Timed):
     def reverser(self) -> Array:
         """The reverser (N, N), which maps the unstable to the stable manifold."""
         return self.system.reversers[0]
+
+    def turned(self, states: Array) -> Array:
+        """Map states from the unstable to the stable manifold, or back.
+
+        Args:
+            states: states (…, N).
+        """
+        return (states - self.centre) @ self.reverser.T + self.centre
 
     @property
     def whole_turns(self) -> Array:

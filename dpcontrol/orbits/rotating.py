@@ -187,14 +187,12 @@ def rotating_orbits(
     for position in (0.0, np.pi):
         problem = half_turn(system, arm, sense, position)
         for guess in _guesses(problem, arm, sense, energy, settings):
-            unknowns, residual = problem.at_energy(
-                guess, energy, iterations=settings.newton_iterations, tolerance=settings.tolerance
-            )
+            member = problem.member(guess, energy, iterations=settings.newton_iterations, tolerance=settings.tolerance)
             # Newton's method may converge to an orbit of another winding, so results must be near their guess.
-            apart = np.abs(unknowns - guess) / np.append(system.scale[2:], guess[-1])
-            if residual > settings.tolerance or apart.max() > 0.2:
+            apart = np.abs(member.unknowns - guess) / np.append(system.scale[2:], guess[-1])
+            if member.residual > settings.tolerance or apart.max() > 0.2:
                 continue
-            orbit = described(problem, unknowns, arm, energy, residual)
+            orbit = described(problem, member.unknowns, arm, energy, member.residual)
             if not any(np.abs(orbit.state - other.state).max() < 1e-7 for other in found):
                 found.append(orbit)
     return tuple(sorted(found, key=lambda o: -o.period))
@@ -423,11 +421,6 @@ class RotatingFamily(Family[RotatingOrbit], Documented):
     changes: tuple[StabilityChange, ...]
     folds: tuple[RotatingOrbit, ...]
     ends: tuple[str, str]
-
-    @property
-    def traces(self) -> Array:
-        """Traces (K,) of the Poincaré map."""
-        return self.column("trace")
 
 
 def rotating_family(

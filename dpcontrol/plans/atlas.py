@@ -56,9 +56,10 @@ from dpcontrol.bifurcations.bifurcations import (
 )
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.arguments import number, whole
+from dpcontrol.foundation.arguments import whole
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.document import fields_of, picked, plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, content_hash, write_archive

@@ -20,6 +20,7 @@ from typing import Any
 
 import casadi as ca
 
+from dpcontrol.dynamics.compiled import interpreted
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import Later
 
@@ -188,7 +189,7 @@ def _branch(x: Any, name: str) -> Any:
     return getattr(x, name)(analytic=True) if isinstance(x, flint.acb) else getattr(x, name)()
 
 
-_UNARY: dict[int, Callable[[Any], Any]] = {
+_OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_ASSIGN: lambda a: a,
     ca.OP_NEG: neg,
     ca.OP_EXP: lambda a: a.exp(),
@@ -201,8 +202,6 @@ _UNARY: dict[int, Callable[[Any], Any]] = {
     ca.OP_SINH: lambda a: (a.exp() - (-a).exp()) / 2,
     ca.OP_COSH: lambda a: (a.exp() + (-a).exp()) / 2,
     ca.OP_TANH: lambda a: 1 - 2 / ((a + a).exp() + 1),
-}
-_BINARY: dict[int, Callable[[Any, Any], Any]] = {
     ca.OP_ADD: add,
     ca.OP_SUB: sub,
     ca.OP_MUL: mul,
@@ -248,10 +247,8 @@ def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: S
     """
     function = ca.Function("f", [state, parameters], ca.cse(list(outputs)))
     known: list[Any] = [None] * state.shape[0] + [ball(v) for v in values]
-    where: dict[int, int] = {}
     angles: dict[int, int] = {}
     steps: list[tuple[Callable[..., Any], int, tuple[int, ...]]] = []
-    places: list[list[int | None]] = [[None] * function.numel_out(i) for i in range(function.n_out())]
 
     def applied(operation: Callable[..., Any], *arguments: int) -> int:
         constant = all(known[i] is not None for i in arguments)
@@ -260,28 +257,25 @@ def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: S
             steps.append((operation, len(known) - 1, arguments))
         return len(known) - 1
 
-    for k in range(function.n_instructions()):
-        code, into, source = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
-        if code == ca.OP_CONST:
-            where[into[0]] = applied(partial(ball, function.instruction_constant(k)))
-        elif code == ca.OP_INPUT:
-            where[into[0]] = source[1] + source[0] * state.shape[0]
-        elif code == ca.OP_OUTPUT:
-            rows, cols = function.sparsity_out(into[0]).get_triplet()
-            places[into[0]][rows[into[1]] + function.size1_out(into[0]) * cols[into[1]]] = where[source[0]]
-        elif code in (ca.OP_SIN, ca.OP_COS):
+    def operated(code: int, *arguments: int) -> int:
+        if code in (ca.OP_SIN, ca.OP_COS):
             # Sine and cosine of an angle are computed together.
-            angle = where[source[0]]
-            if angle not in angles:
-                angles[angle] = applied(lambda a: a.sin_cos(), angle)
-            where[into[0]] = applied(itemgetter(int(code == ca.OP_COS)), angles[angle])
-        elif code in _UNARY:
-            where[into[0]] = applied(_UNARY[code], where[source[0]])
-        elif code in _BINARY:
-            where[into[0]] = applied(_BINARY[code], where[source[0]], where[source[1]])
-        else:
+            if arguments[0] not in angles:
+                angles[arguments[0]] = applied(lambda a: a.sin_cos(), arguments[0])
+            return applied(itemgetter(int(code == ca.OP_COS)), angles[arguments[0]])
+        if code not in _OPERATIONS:
             raise InputError(
                 f"the equations use casadi's operation {code}, which the prover does not support; write the energy "
                 "with + - * /, powers, sqrt, exp, log, sin, cos, tan and hyperbolic functions"
             )
+        return applied(_OPERATIONS[code], *arguments)
+
+    count = state.shape[0]
+    places = interpreted(
+        function,
+        [range(count), range(count, len(known))],
+        constant=lambda number: applied(partial(ball, number)),
+        applied=operated,
+        zero=None,
+    )
     return Instructions(tuple(known), tuple(steps), tuple(tuple(p) for p in places))

@@ -38,6 +38,7 @@ from dpcontrol.foundation.document import picked, plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, write_archive
 from dpcontrol.foundation.parts import installed
+from dpcontrol.foundation.settings import frozen
 from dpcontrol.references.method import Method, method_named
 from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, state_scale
 from dpcontrol.references.trajectory import Trajectory, error_between_nodes, largest_values, where_largest
@@ -94,11 +95,6 @@ class Reference(Trajectory):
     def residual(self) -> float:
         """Return the larger of error between nodes and constraint violation (scaled)."""
         return max(self.max_error_between_nodes, self.constraint_violation)
-
-    @property
-    def stats(self) -> dict[str, float]:
-        """Return the cost of the search."""
-        return {"intervals": len(self.mesh) - 1, **picked(self, "iterations", "solve_seconds")}
 
     @cached_property
     def largest(self) -> dict[str, float]:
@@ -461,11 +457,7 @@ def summarised(reference: Reference) -> ReferenceSummary:
     if not isinstance(made_from, Mapping) or "parameters" not in made_from:
         return ReferenceSummary(reference, None)
     try:
-        values: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in dict(made_from["parameters"]).items()
-        }
-        arms = ArmChainParameters(**values)
+        arms = ArmChainParameters(**frozen(dict(made_from["parameters"])))
     except (InputError, TypeError, ValueError) as error:
         raise InputError(f"the reference's notes lack the arms' parameters ({error}); plan again") from error
     if 2 * arms.count + 2 != reference.states.shape[-1]:

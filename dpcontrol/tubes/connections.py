@@ -17,7 +17,6 @@ resonance transitions in celestial mechanics (2000), section 4.
 
 import difflib
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -212,13 +211,12 @@ def uncertainty(angle: float, least: float) -> float:
 def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
     """Return True if a reverser maps the orbit to itself."""
     system, centre = orbit.system, orbit.start.manifold.orbit.centre
-    half = np.where(np.isfinite(system.periods), system.periods / 2, np.inf)
     for reverser in system.reversers:
         turned_over, time, off = (np.eye(system.dimension) - reverser) / 2, middle, np.full(system.dimension, np.inf)
         for _ in range(4):
             state = orbit.sample(np.array([time]))[0]
             off = turned_over @ (state - centre)
-            off = (off - np.where(np.isfinite(half), np.rint(off / half), 0.0) * system.turn_lengths / 2) / system.scale
+            off = (off - system.nearest_turns(2 * off) * system.turn_lengths / 2) / system.scale
             rate = turned_over @ system.numeric.rate(state) / system.scale
             time -= float(off @ rate / (rate @ rate))
             if abs(time - middle) > _MIDDLE * orbit.start.manifold.orbit.period:
@@ -537,7 +535,7 @@ def find_connections(
         )
     curves = (OrbitCurve(source), OrbitCurve(target))
     for curve in curves:
-        if not curve.orbit.laps and _crosses(curve, section):
+        if not curve.orbit.laps and own_crossings(curve, section):
             raise InputError(
                 f"the orbit about {curve.orbit.saddle} itself crosses {section.name}: its tubes have no first crossing "
                 "there; choose another section"
@@ -644,12 +642,6 @@ def _sort(found: list[Connection]) -> list[Connection]:
     return found
 
 
-def _crosses(curve: OrbitCurve, section: Section) -> bool:
-    """Return True if the samples of a periodic orbit cross a section."""
-    states = np.vstack([curve.samples, curve.samples[:1]])
-    return any(section.admits(states[k]) for k in np.flatnonzero(np.diff(section.sheets(states))))
-
-
 def _known(system: System, connection: Connection, found: list[Connection], tolerance: float) -> bool:
     """Return True for a repeated connection; pieces of scattered cuts overlap."""
 
@@ -741,11 +733,7 @@ _EDGE = 1e-6  # rounding tolerance of whole-number phases
 
 
 def find_lap_connections(
-    source: LyapunovOrbit,
-    target: LyapunovOrbit,
-    *,
-    section: Section,
-    crossings: Sequence[int] = (),
+    source: LyapunovOrbit, target: LyapunovOrbit, *, section: Section, crossing: int
 ) -> ConnectionSearch:
     """Find connections of an orbit that crosses the section itself.
 
@@ -755,11 +743,10 @@ def find_lap_connections(
         source: orbit that connections leave.
         target: orbit that they approach, at the same energy.
         section: the section.
-        crossings: crossing numbers of the lapping tube, counted from its seeds. The default is the last one before a
-            scaled distance of about 0.4.
+        crossing: crossing number of the lapping tube, counted from its seeds; see `grown_crossing`.
 
     Raises:
-        InputError: both orbits or neither cross the section, a crossing number is below one, or the energies differ.
+        InputError: both orbits or neither cross the section, the crossing number is below one, or the energies differ.
     """
     settings = ConnectionSettings()
     lapping = [orbit for orbit in (source, target) if isinstance(orbit, HyperbolicOrbit)]
@@ -767,43 +754,36 @@ def find_lap_connections(
         raise InputError(
             f"{source.saddle} and {target.saddle}: exactly one must be an orbit whose tubes cross on every lap"
         )
-    each = own_crossings(lapping[0], section)
+    each = own_crossings(OrbitCurve(lapping[0]), section)
     if not each:
         raise InputError(f"{lapping[0].saddle} does not cross {section.name}: search it with find_connections")
-    manifold = local_manifold(lapping[0], settings.distance)
-    crossings = tuple(crossings) or (grown_crossing(lapping[0], section, settings),)
-    if min(crossings) < 1:
-        raise InputError(f"crossings = {list(crossings)}: must be 1 or more")
-    longest = lapping[0].system.flight_periods + max(crossings) / each
+    if crossing < 1:
+        raise InputError(f"crossing = {crossing}: must be 1 or more")
+    longest = lapping[0].system.flight_periods + crossing / each
     settings = replace(settings, cut=replace(settings.cut, longest=longest))
-    other = tube_cut(
-        local_manifold(target if lapping[0] is source else source, settings.distance), section, settings=settings.cut
+    hits = (crossing, 1) if lapping[0] is source else (1, crossing)
+    cuts = tuple(
+        tube_cut(local_manifold(orbit, settings.distance), section, hit=hit, settings=settings.cut)
+        for orbit, hit in zip((source, target), hits, strict=True)
     )
+    search = find_connections(source, target, hits=hits, section=section, settings=settings, cuts=(cuts[0], cuts[1]))
     found: list[Connection] = []
-    search, failed, resolved = None, 0, True
-    for crossing in crossings:
-        cut = tube_cut(manifold, section, hit=crossing, settings=settings.cut)
-        hits, cuts = ((crossing, 1), (cut, other)) if lapping[0] is source else ((1, crossing), (other, cut))
-        search = find_connections(source, target, hits=hits, section=section, settings=settings, cuts=cuts)
-        failed, resolved = failed + search.failed, resolved and cut.resolved
-        for connection in search.connections:
-            canonical = _canonical(connection)
-            same = (float(source.system.scaled_distance(canonical.state, c.state)) < settings.same for c in found)
-            if not any(same):
-                found.append(canonical)
-    assert search is not None
+    for connection in search.connections:
+        canonical = _canonical(connection)
+        same = (float(source.system.scaled_distance(canonical.state, c.state)) < settings.same for c in found)
+        if not any(same):
+            found.append(canonical)
     _sort(found)
-    listed = ", ".join(str(c) for c in crossings)
-    status = f"{len(found)} connections at crossing {listed} of {section.name} by the tube of {lapping[0].saddle}"
+    status = f"{len(found)} connections at crossing {crossing} of {section.name} by the tube of {lapping[0].saddle}"
     status += "; other crossings may have more"
-    if failed:
-        status += f"; {failed} crossings of the cuts did not converge: try another energy"
-    if not resolved:
+    if search.failed:
+        status += f"; {search.failed} crossings of the cuts did not converge: try another energy"
+    if not cuts[0 if lapping[0] is source else 1].resolved:
         status += "; not every cut is resolved: allow less time"
-    return replace(search, connections=tuple(found), failed=failed, complete=False, status=status)
+    return replace(search, connections=tuple(found), complete=False, status=status)
 
 
-def grown_crossing(orbit: HyperbolicOrbit, section: Section, settings: ConnectionSettings | None = None) -> int:
+def grown_crossing(orbit: HyperbolicOrbit, section: Section) -> int:
     """Return the last crossing before a tube becomes large.
 
     The limit of its scaled distance is about 0.4.
@@ -811,25 +791,22 @@ def grown_crossing(orbit: HyperbolicOrbit, section: Section, settings: Connectio
     Args:
         orbit: orbit of the tube.
         section: section of the orbit's system.
-        settings: settings with the distance of the seeds.
     """
-    settings = settings or ConnectionSettings()
-    manifold, phases = local_manifold(orbit, settings.distance), np.arange(_PROBED) / _PROBED
+    manifold, phases = local_manifold(orbit, ConnectionSettings().distance), np.arange(_PROBED) / _PROBED
     away = (manifold.seeds(phases, 1)[0] - manifold.frame(phases).states) / orbit.system.scale
     # Seeds may be nearer than `distance`, so that no trajectory is sampled twice.
     laps = float(np.log(_LARGE / np.linalg.norm(away, axis=1).min())) / manifold.exponent
-    return max(1, int(laps * own_crossings(orbit, section)))
+    return max(1, int(laps * own_crossings(OrbitCurve(orbit), section)))
 
 
-def own_crossings(orbit: LyapunovOrbit, section: Section) -> int:
+def own_crossings(curve: OrbitCurve, section: Section) -> int:
     """Return the number of an orbit's section crossings per period.
 
     Args:
-        orbit: periodic orbit.
+        curve: curve of the periodic orbit.
         section: section of the orbit's system.
     """
-    curve = OrbitCurve(orbit)
-    states = np.vstack([curve.samples, curve.samples[:1] + orbit.turn])
+    states = np.vstack([curve.samples, curve.samples[:1] + curve.orbit.turn])
     return sum(section.admits(states[k]) for k in np.flatnonzero(np.diff(section.sheets(states))))
 
 

@@ -35,7 +35,8 @@ from dpcontrol.foundation.shown import Brief
 from dpcontrol.orbits.cut import Cut, section_points
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.tubes.intersections import TubeSide
+from dpcontrol.orbits.tube import Tube
+from dpcontrol.tubes.intersections import to_segment
 
 Labels = NDArray[np.int8]
 
@@ -63,18 +64,16 @@ def outlines_of(cut: Cut, manifold: UnstableManifold) -> tuple[Outline, ...]:
         cut: cut of the unstable tube.
         manifold: manifold of the tube.
     """
-    system, section = manifold.orbit.system, cut.section
     found = []
     for stable in (False, True):
         for piece in cut.pieces:
             if not piece.closed:
                 continue
-            states = TubeSide(manifold, section, stable, cut.hit, piece.branch, 0.0).turned(piece.states)
-            points = section_points(system, section, states)
-            rate = float(system.numeric.rate(states[0]) @ np.asarray(section.normal))
+            placed = Tube(manifold.orbit, stable).placed(piece, cut.section)
+            points = placed.points
             if np.linalg.norm(points[0] - points[-1]) > np.abs(np.diff(points, axis=0)).max() * 4:
                 continue  # a curve that winds around the torus has no interior
-            found.append(Outline(points, piece.branch, int(np.sign(rate)), stable))
+            found.append(Outline(points, piece.branch, placed.direction, stable))
     return tuple(found)
 
 
@@ -384,12 +383,7 @@ def _wheel(points: Array, vertices: Array) -> tuple[Array, Array]:
     """Return angles (rad) and radii (0 to 1) about the innermost point."""
     span = np.ptp(vertices, axis=0)
     x, edge = points / span, np.vstack([vertices, vertices[:1]]) / span
-    depth = np.full(len(x), np.inf)
-    for a, b in pairwise(edge):
-        along = b - a
-        length = float(along @ along)
-        share = np.clip((x - a) @ along / length, 0, 1) if length else np.zeros(len(x))
-        depth = np.minimum(depth, np.linalg.norm(x - a - share[:, None] * along, axis=1))
+    depth = np.min([to_segment(x, a, b) for a, b in pairwise(edge)], axis=0)
     centre = x[np.argmax(depth)]
     gap = x - centre
     return np.arctan2(gap[:, 1], gap[:, 0]) % (2 * np.pi), 1 - depth / depth.max()

@@ -18,14 +18,15 @@ from scipy.spatial import KDTree
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
-from dpcontrol.foundation.arguments import number
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.budget import SECONDS
+from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import MOST_SECONDS
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.orbits.cut import Cut, CutSettings, Piece, longest_flight, section_points
+from dpcontrol.orbits.cut import Cut, CutSettings, Piece, arrivals, longest_flight, section_points
 from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.orbits.tube import Tube
 
 _BLOCK = 32
 """Segments of the first curve per bounding box; only segments of the second that meet the box are compared."""
@@ -91,8 +92,8 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
     tree = KDTree(second)
     nearest = np.clip(np.asarray(tree.query(first)[1]), 1, len(second) - 2)
     distance = np.minimum(
-        _to_segment(first, second[nearest - 1], second[nearest]),
-        _to_segment(first, second[nearest], second[nearest + 1]),
+        to_segment(first, second[nearest - 1], second[nearest]),
+        to_segment(first, second[nearest], second[nearest + 1]),
     )
     allowed = margin * (bends[0] + bends[1][nearest])
     # Neighbours near another stretch of the second curve are irrelevant here.
@@ -109,10 +110,16 @@ def _sagitta(curve: Array) -> Array:
     return np.r_[inner[:1], inner, inner[-1:]]
 
 
-def _to_segment(points: Array, start: Array, end: Array) -> Array:
-    """Return the distance (K,) of each point (K, 2) to its segment."""
+def to_segment(points: Array, start: Array, end: Array) -> Array:
+    """Return the distance (K,) of each point to its segment.
+
+    Args:
+        points: points (K, 2).
+        start: starts (K, 2) of the segments, or (2,) of one.
+        end: ends (K, 2) of the segments, or (2,) of one.
+    """
     along = end - start
-    length = np.maximum(np.sum(along**2, axis=1), np.finfo(float).tiny)
+    length = np.maximum(np.sum(along**2, axis=-1), np.finfo(float).tiny)
     share = np.clip(np.sum((points - start) * along, axis=1) / length, 0.0, 1.0)
     return np.linalg.norm(points - start - share[:, None] * along, axis=1)
 
@@ -207,10 +214,7 @@ class TubeSide:
         Args:
             states: states (…, N).
         """
-        if not self.stable:
-            return states
-        reverser, centre = self.manifold.orbit.reverser, self.manifold.orbit.centre
-        return (states - centre) @ reverser.T + centre
+        return self.manifold.orbit.turned(states) if self.stable else states
 
     def arrive(self, phases: Array) -> tuple[Array, Array, tuple[Array, Array]]:
         """Propagate the seeds at given phases to the section.
@@ -219,15 +223,12 @@ class TubeSide:
             phases: phases (K,) of the orbit, 1 for a period.
 
         Returns:
-            States (K, N) and times (K,) in s, NaN for trajectories that do not arrive, and the seeds and their
-            derivatives by phase, (K, N) each.
+            States, times and seeds as those of `arrivals`, the states on this tube.
         """
-        system = self.manifold.orbit.system
-        seeds, slopes = self.manifold.seeds(phases, self.branch)
-        flown = system.propagator.crossings(seeds, self.section, longest=self.longest, hit=self.hit)
-        never = np.full(system.dimension, np.nan)
-        states = np.array([never if c is None else c.state for c in flown]).reshape(-1, system.dimension)
-        return self.turned(states), np.array([np.nan if c is None else c.time for c in flown]), (seeds, slopes)
+        states, times, seeds = arrivals(
+            self.manifold, self.section, phases, hit=self.hit, branch=self.branch, longest=self.longest
+        )
+        return self.turned(states), times, seeds
 
     def slopes(self, seeds: tuple[Array, Array], states: Array, times: Array) -> Array:
         """Return the derivatives (K, N) of arrival states by phase.
@@ -339,18 +340,6 @@ class _Pair:
 Meeting = TypeVar("Meeting", _Place, Intersection)
 
 
-def _turned_piece(system: System, side: TubeSide, piece: Piece) -> Piece:
-    """Return a piece of the stable tube's cut from the unstable tube's."""
-    states = side.turned(piece.states)
-    normal = system.numeric.rate(states[:1])[0] @ np.asarray(side.section.normal)
-    return replace(
-        piece,
-        states=states,
-        points=section_points(system, side.section, states),
-        direction=int(np.sign(normal)),
-    )
-
-
 def intersect_cuts(
     system: System,
     section: Section,
@@ -424,7 +413,7 @@ def _pairs(
     section, margin, found = sides[0].section, settings.cut.chord * system.section_scale, []
     first, second = ([piece for piece in cut.pieces if piece.branch == side.branch]
                      for cut, side in zip(cuts, sides, strict=True))  # fmt: skip
-    second = [_turned_piece(system, sides[1], piece) for piece in second]
+    second = [Tube(sides[1].manifold.orbit, stable=True).placed(piece, section) for piece in second]
     ways = np.array([piece.direction for piece in second])
     momenta = np.array([(p.points[:, 1].min(), p.points[:, 1].max()) for p in second]).reshape(-1, 2)
     for u in first:

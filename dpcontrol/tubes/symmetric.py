@@ -34,6 +34,7 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.shown import Shown
+from dpcontrol.orbits.cut import arrivals
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, SymmetricShooting, described_orbit, lyapunov_orbit
 from dpcontrol.orbits.lyapunov import symmetric_shooting as shooting_problem
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
@@ -282,23 +283,16 @@ class _FamilySearch:
         phases, gaps = np.arange(settings.phases) / settings.phases, []
         others = [i for i in range(self.system.dimension // 2) if i != self.arm]
         for branch in branches:
-            met = self.system.propagator.crossings(
-                manifold.seeds(phases, branch)[0],
-                self.section,
-                longest=self.system.flight_periods * orbit.period,
-                hit=self.hit,
-            )
-            nowhere = np.full(self.system.dimension, np.nan)
-            states = np.array([nowhere if one is None else one.state for one in met])
+            longest = self.system.flight_periods * orbit.period
+            states, *_ = arrivals(manifold, self.section, phases, hit=self.hit, branch=branch, longest=longest)
             gaps.append(self._off(states)[:, others])
         return _Row(orbit, branches, np.array(gaps))
 
     def _off(self, states: Array) -> Array:
         """Return the angles (…, n) relative to the nearest vertical arm positions."""
-        n = self.system.dimension // 2
-        half = self.system.periods[:n] / 2
-        off = states[..., :n] - self.problem.centre[:n]
-        return off - np.rint(off / half) * half
+        off = states - self.problem.centre
+        off = off - self.system.nearest_turns(2 * off) * self.system.turn_lengths / 2
+        return off[..., : self.system.dimension // 2]
 
     def zeros(self, rows: list[_Row]) -> Iterator[tuple[LyapunovOrbit, int, float]]:
         """Yield (nearest orbit, branch, phase) for each triangle that contains a zero."""

@@ -27,7 +27,7 @@ from dpcontrol.foundation.settings import check_names
 from dpcontrol.foundation.shown import Brief, Shown
 from dpcontrol.orbits.cut import Cut, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.orbits.manifold import HyperbolicOrbit, UnstableManifold, local_manifold, rotating_vertex
+from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, UnstableManifold, local_manifold, rotating_vertex
 from dpcontrol.orbits.rotating import can_rotate, rotating_orbits
 from dpcontrol.tubes.connections import (
     Connection,
@@ -111,10 +111,10 @@ def rotating_connections(
     home = target if lapping[0] is source else source
     searched = _section(lapping[0], home, section)
     first = crossing = grown_crossing(lapping[0], searched)
-    found = find_lap_connections(source, target, section=searched, crossings=(crossing,))
+    found = find_lap_connections(source, target, section=searched, crossing=crossing)
     while not found.connections and crossing < first + _LONGER:
         crossing += 1
-        found = find_lap_connections(source, target, section=searched, crossings=(crossing,))
+        found = find_lap_connections(source, target, section=searched, crossing=crossing)
     if found.connections:
         return found
     never = f"none at crossings {first} to {crossing} of {searched.name} by the tube of {lapping[0].saddle}"
@@ -130,7 +130,7 @@ def _section(lapping: HyperbolicOrbit, home: LyapunovOrbit, name: str | None) ->
         arm = "outer" if match is None else match["arm"]
         candidates = [system.named_sections[key] for key in (f"{arm}-down", "aligned")]
     for section in candidates:
-        if own_crossings(lapping, section) and not own_crossings(home, section):
+        if own_crossings(OrbitCurve(lapping), section) and not own_crossings(OrbitCurve(home), section):
             return section
     raise InputError(
         f"{lapping.saddle} and {home.saddle}: no suitable section among {', '.join(s.name for s in candidates)}: the "

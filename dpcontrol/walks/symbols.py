@@ -138,8 +138,8 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     text = text.strip()
     if "(" in text and np.cumsum([(c == "(") - (c == ")") for c in text]).max() > MOST_NESTED:
         raise InputError(f"{text[:60]!r}…: brackets may be nested at most {MOST_NESTED} deep")
-    if components(text) is not None:
-        return _grown(text, saddles)
+    if (made_of := components(text)) is not None:
+        return _grown(text, made_of, saddles)
     named = _NAME.match(text)
     match = named or _HOMOCLINIC.match(text) or _HETEROCLINIC.match(text)
     if match is None:
@@ -164,9 +164,8 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     return Symbol(text, source, target, sense, text if named else None, hits, parts.get("section"))
 
 
-def _grown(text: str, saddles: Sequence[str]) -> Symbol:
-    made_of = components(text)
-    assert made_of is not None
+def _grown(text: str, made_of: tuple[tuple[str, ...], tuple[int, ...]], saddles: Sequence[str]) -> Symbol:
+    """Return the symbol of a composite edge from its names and wraps."""
     try:
         parts = parse_walk(made_of[0], saddles)
     except InputError as error:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import dpcontrol as dp
-from dpcontrol.foundation.arguments import number, path, whole
+from dpcontrol.foundation.arguments import path, whole
+from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.errors import InputError
 
 HUGE = 10**400

@@ -11,7 +11,7 @@ from dpcontrol.orbits.manifold import rotating_vertex
 from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.extended import RefinementSettings, refine
-from dpcontrol.tubes.connections import find_connections, find_lap_connections, orbits_between
+from dpcontrol.tubes.connections import find_connections, find_lap_connections, grown_crossing, orbits_between
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
 from dpcontrol.walks.symbols import choose, parse_symbol
 
@@ -109,7 +109,8 @@ def test_connections_of_the_rotating_orbit_are_mirror_images(lab):
     rough = RefinementSettings(amplitude=1e-10, tolerance=1e-20, segments=3)
     states = []
     for pair in ((vertex, saddle), (saddle, vertex)):
-        connection = find_lap_connections(*pair, section=section).connections[0]
+        crossing = grown_crossing(vertex, section)
+        connection = find_lap_connections(*pair, section=section, crossing=crossing).connections[0]
         refined = refine(shadow([connection], settings=ShadowingSettings(segments=5)).shot.solution, settings=rough)
         assert refined.converged
         assert refined.correction < AGREES

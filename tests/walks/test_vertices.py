@@ -8,7 +8,7 @@ from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold, rotating_vertex
 from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.plans.model import load_model
-from dpcontrol.tubes.connections import find_lap_connections
+from dpcontrol.tubes.connections import find_lap_connections, grown_crossing
 from dpcontrol.walks.shadowing import shadow
 from dpcontrol.walks.walks import as_connection
 
@@ -43,12 +43,12 @@ def lyapunov(system):
 
 @pytest.fixture(scope="module")
 def out(rotating, lyapunov, section):
-    return find_lap_connections(rotating, lyapunov, section=section)
+    return find_lap_connections(rotating, lyapunov, section=section, crossing=grown_crossing(rotating, section))
 
 
 @pytest.fixture(scope="module")
 def into(rotating, lyapunov, section):
-    return find_lap_connections(lyapunov, rotating, section=section)
+    return find_lap_connections(lyapunov, rotating, section=section, crossing=grown_crossing(rotating, section))
 
 
 def test_a_negative_multiplier_gives_a_one_sided_manifold(system, rotating):
@@ -186,6 +186,6 @@ def test_orbits_without_tubes_are_refused(system, lyapunov, rotating, section):
     with pytest.raises(InputError, match=r"is elliptic .* only hyperbolic orbits have tubes"):
         rotating_vertex(elliptic)
     with pytest.raises(InputError, match="exactly one must be an orbit whose tubes cross"):
-        find_lap_connections(lyapunov, lyapunov, section=section)
+        find_lap_connections(lyapunov, lyapunov, section=section, crossing=1)
     with pytest.raises(InputError, match="must be 1 or more"):
-        find_lap_connections(lyapunov, rotating, section=section, crossings=[0])
+        find_lap_connections(lyapunov, rotating, section=section, crossing=0)
