@@ -452,14 +452,6 @@ class LyapunovOrbit(OrbitRecord, Timed):
         """The reverser (N, N), which maps the unstable to the stable manifold."""
         return self.system.reversers[0]
 
-    def turned(self, states: Array) -> Array:
-        """Map states from the unstable to the stable manifold, or back.
-
-        Args:
-            states: states (…, N).
-        """
-        return (states - self.centre) @ self.reverser.T + self.centre
-
     @property
     def whole_turns(self) -> Array:
         """Whole turns (N,) per period, zero for Lyapunov orbits."""

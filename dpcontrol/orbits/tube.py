@@ -53,6 +53,11 @@ class Tube(Shown, Documented):
         """Signs of the tube's branches: +1, -1 or both."""
         return (self.branch,) if self.branch else (1, -1)
 
+    def _placed(self, states: Array) -> Array:
+        """Map states (…, N) of the unstable tube to this tube."""
+        centre = self.orbit.centre
+        return (states - centre) @ self.orbit.reverser.T + centre if self.stable else states
+
     @checked
     def strands(self, count: Count = 40) -> Array:
         """Return trajectories on the tube, from the orbit to the default section.
@@ -76,8 +81,7 @@ class Tube(Shown, Documented):
                 times = Sampler(manifold, section, 1, branch, CutSettings()).fly(phases).times
             for seed, time in zip(manifold.seeds(phases, branch)[0], times, strict=True):
                 found.append(_followed(system.propagator, seed, time if np.isfinite(time) else leaving))
-        states = np.array(found)
-        return orbit.turned(states) if self.stable else states
+        return self._placed(np.array(found))
 
     @checked
     def cut(self, section: str | Section | None = None, *, hit: Hit = 1) -> Cut:
@@ -115,7 +119,7 @@ class Tube(Shown, Documented):
         """
         if not self.stable:
             return piece
-        states = self.orbit.turned(piece.states)
+        states = self._placed(piece.states)
         normal = np.asarray(section.normal)
         direction = -piece.direction * int(np.sign(normal @ self.orbit.reverser @ normal))
         points = section_points(self.orbit.system, section, states)

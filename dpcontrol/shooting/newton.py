@@ -110,7 +110,7 @@ class ManifoldEnd(Brief):
         amplitudes = self.amplitude * np.exp(self.manifold.exponent * periods)
         states = frame.states + amplitudes[:, None] * frame.vectors
         if self.stable:
-            states = orbit.turned(states)
+            states = (states - orbit.centre) @ orbit.reverser.T + orbit.centre
         return states + np.asarray(self.turns) * orbit.system.turn_lengths
 
 

@@ -214,7 +214,10 @@ class TubeSide:
         Args:
             states: states (…, N).
         """
-        return self.manifold.orbit.turned(states) if self.stable else states
+        if not self.stable:
+            return states
+        reverser, centre = self.manifold.orbit.reverser, self.manifold.orbit.centre
+        return (states - centre) @ reverser.T + centre
 
     def arrive(self, phases: Array) -> tuple[Array, Array, tuple[Array, Array]]:
         """Propagate the seeds at given phases to the section.
