@@ -74,6 +74,7 @@ def draw_limits(flights: Sequence[Flown], folder: Path, file: Path) -> str:
     def draw(axes) -> None:
         axes.axvspan(SHAKEN, 1e3, color=style.GRID, zorder=0)
         axes.axhspan(GROWN, 10, color=style.GRID, zorder=0)
+        named: list[tuple[float, float]] = []
         for flight, (shaking, growth) in zip(flights, asked, strict=True):
             share = flight.completed / len(flight.runs)
             colour = style.GOOD if share >= 0.97 else style.LIMIT
@@ -81,7 +82,13 @@ def draw_limits(flights: Sequence[Flown], folder: Path, file: Path) -> str:
             x, y = max(shaking, LEAST), max(growth, LEAST)
             axes.plot(x, y, "o", color=colour, mfc=face, ms=6)
             if share < 0.9:
-                axes.annotate(str(flight.scene.seed), (x, y), (4, 3), textcoords="offset points", fontsize=style.SMALL)
+                # A number goes to the left below its mark if another one is near.
+                near = any(abs(np.log(x / a)) < 0.35 and abs(np.log(y / b)) < 0.2 for a, b in named)
+                named.append((x, y))
+                axes.annotate(
+                    str(flight.scene.seed), (x, y), (-4, -9) if near else (4, 3), ha="right" if near else "left",
+                    textcoords="offset points", fontsize=style.SMALL,
+                )  # fmt: skip
         axes.set(xscale="log", yscale="log", xlim=(LEAST / 1.5, 200), ylim=(LEAST / 1.5, 3))
         axes.set_xlabel("acceleration that friction, play and counts cost the feedback, over the drive's limit")
         axes.set_ylabel("growth of an error until a command acts (powers of e)")
