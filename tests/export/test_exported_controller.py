@@ -368,8 +368,8 @@ def test_constant_columns_are_in_the_code(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))
     ended = dpcontrol("export", "hold-up-up", "--float", "--clock", "168", "--out", tmp_path / "hold", "--json")
     assert ended.code == 0, ended.message
-    # By gcc's instructions, 24,000 cycles.
-    assert ended.document["seconds_a_tick"] == pytest.approx(1.4e-4, rel=0.3)
+    # By its instructions, 31,000 cycles.
+    assert ended.document["seconds_a_tick"] == pytest.approx(1.9e-4, rel=0.3)
     # An equilibrium with its gain is one row of the reference, for any duration.
     assert ended.document["tables"] <= 7 * 4
     assert ended.document["precision"] == "single"
