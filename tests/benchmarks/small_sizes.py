@@ -178,6 +178,13 @@ SIZES = [
         prints=("4 of 4",),
     ),
     Small(
+        "benchmarks/test_friction_grid",
+        "test_runs_with_dry_friction_complete",
+        {"ITINERARIES": ("turn-from-rest",), "RUNS": 8, "SMOOTHINGS": (0.05,)},
+        {"torque": 1e-3},
+        prints=("1.0 mN m 0.050 rad/s told       8 of 8", "untold     8 of 8"),
+    ),
+    Small(
         "benchmarks/test_encoders_and_clocks",
         "test_readings_that_vary_in_age_by_up_to_a_period_complete",
         {"ITINERARIES": ("turn-from-rest",), "JITTERED_RUNS": 4, "JITTER_SHARES": {0.5: 0.97}},
