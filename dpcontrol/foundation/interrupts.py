@@ -2,8 +2,9 @@
 
 Other code may catch an interrupt, turn it into another error, or return as if it had merely failed. The program would
 then continue. A timer therefore checks until the command line has caught the interrupt. If no code on the stack is
-cleaning up after it, the interrupt was lost and is raised again. A verb that was interrupted counts as interrupted,
-however it ends. So does a call of compiled code in `catching_interrupts`.
+cleaning up after it, the interrupt was lost and is raised again. Python itself loses an interrupt that arrives in a
+destructor or in a callback of `weakref`; the traceback that it would print is suppressed. A verb that was interrupted
+counts as interrupted, however it ends. So does a call of compiled code in `catching_interrupts`.
 
 Python handlers do not run while compiled code holds the interpreter. casadi does this for tens of seconds when it
 derives a large program. A separate process therefore watches the program. Python's C handler notifies it of a signal,
@@ -33,9 +34,7 @@ _watcher: list[int] = []
 def kill_if_unresponsive() -> None:
     """Start a process that kills this one after ignored interrupts.
 
-    It does so if this process does not handle an interrupt in time. Call this before any thread exists. The program
-    then ends by SIGKILL. Files remain whole, because they are written under temporary names, and workers end with their
-    parent.
+    It does so if this process does not handle an interrupt in time.
 
     Call this before any thread exists. The program then ends by SIGKILL. Files remain whole, because they are written
     under temporary names, and workers end with their parent.
@@ -91,10 +90,7 @@ def confirm_interrupt() -> None:
 def interrupts() -> Iterator[None]:
     """Raise KeyboardInterrupt for Ctrl-C and SIGTERM in the block.
 
-    This holds however the block ends. Only the main thread can set handlers. In other threads, Python's handlers
-    remain.
-
-    Only the main thread can set handlers. In other threads, Python's handlers remain.
+    This holds however the block ends. Only the main thread can set handlers; in others, those of Python remain.
     """
     insists = hasattr(signal, "setitimer")
 
@@ -117,7 +113,13 @@ def interrupts() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+
+    def unraisable(lost: Any) -> None:
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            show_others(lost)
+
     _raised.clear()
+    show_others, sys.unraisablehook = sys.unraisablehook, unraisable
     signal.signal(signal.SIGINT, interrupted)
     on_terminate = signal.signal(signal.SIGTERM, interrupted)
     before = signal.signal(signal.SIGALRM, check_again) if insists else None
@@ -126,6 +128,7 @@ def interrupts() -> Iterator[None]:
         with _replacing_errors(0):
             yield
     finally:
+        sys.unraisablehook = show_others
         signal.signal(signal.SIGTERM, on_terminate)
         if insists:
             # Further signals must not set the timer, which would end the program without a handler.

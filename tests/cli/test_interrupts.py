@@ -157,6 +157,33 @@ def test_an_interrupt_that_other_code_swallows_is_raised_again(monkeypatch: pyte
     assert interrupted_in(swallowing, monkeypatch) == 130
 
 
+IN_A_DESTRUCTOR = """
+import signal, time
+from dpcontrol.foundation.interrupts import interrupts
+class Slow:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+class Broken:
+    def __del__(self):
+        raise ValueError("shown")
+try:
+    with interrupts():
+        Broken()
+        Slow()
+        time.sleep(60)
+except KeyboardInterrupt:
+    print("caught")
+"""
+
+
+def test_an_interrupt_in_a_destructor_is_raised_again_without_a_traceback() -> None:
+    """Python loses it. Its traceback was printed, for one in thousands of interrupts."""
+    done = subprocess.run([sys.executable, "-c", IN_A_DESTRUCTOR], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "caught\n")
+    assert "KeyboardInterrupt" not in done.stderr
+    assert "ValueError: shown" in done.stderr
+
+
 @pytest.mark.parametrize("error", [GoalMissed("no reference"), InputError("no"), RuntimeError("__set_name__"), None])
 def test_a_verb_that_makes_another_error_of_an_interrupt_counts_as_interrupted(
     error: Exception | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
