@@ -36,8 +36,8 @@ def completed(plan: Plan, options: Mapping[str, Any], seeds: Sequence[int]) -> t
 class StuckScale(NamedTuple):
     """A scale that stuck in a run.
 
-    delay: from the cart's first millimetre to the detection, s; infinite for none, zero for an earlier one. moving:
-    time that the cart took for this millimetre, s; infinite if the run ended before.
+    delay: time from the cart's first millimetre to the detection, s. Infinite for none, zero for an earlier one.
+    moving: time that the cart took for this millimetre, s. Infinite if the run ended before.
     """
 
     delay: float

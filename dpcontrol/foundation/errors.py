@@ -63,8 +63,6 @@ class PartMissing(Exception):
     """A missing package: one sentence on its use and installation.
 
     The exit code is 2. It is not an InputError, because the user's input is correct.
-
-    It is not an InputError, because the user's input is correct.
     """
 
 

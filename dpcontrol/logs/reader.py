@@ -773,19 +773,19 @@ def read_log(path: Path | str) -> RunLog:
     return _read(Path(path), _decode, _decode_rewritten)
 
 
-def _read(path: Path, read: Callable[[VerifiedFile], _T], by_topic: Callable[[VerifiedFile, Rewritten], _T]) -> _T:
-    """Read a log, by its topics if another program has rewritten it."""
+def _read(path: Path, native: Callable[[VerifiedFile], _T], rewritten: Callable[[VerifiedFile, Rewritten], _T]) -> _T:
+    """Read a log by one of two functions: for native logs, and for those that another program has rewritten."""
     file = _open(path)
     found = None if file.is_native else _rewritten(file)
     try:
         if found is None:
             with file.decoding():
-                return read(file)
+                return native(file)
     except InputError:
         found = _rewritten(file) if file.is_native else None
         if found is None:
             raise
-    return by_topic(file, found)
+    return rewritten(file, found)
 
 
 def _rewritten(file: VerifiedFile) -> Rewritten | None:

@@ -126,7 +126,7 @@ def _expanded(part: WalkPart, saddles: Sequence[str], place: Place) -> WalkPart:
     except InputError as error:
         raise InputError(f"{place} walk: {error}") from error
     stops = len(walk) - 1
-    of = f"a walk of {len(walk)} symbols has {stops} interior stops"
+    of = f"a walk of {len(walk)} symbols has {stops} interior stop{'s' if stops != 1 else ''}"
     if repeat > 1:
         if symbols[0].source != symbols[-1].target:
             raise InputError(
