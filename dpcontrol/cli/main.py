@@ -75,6 +75,10 @@ GROUPS = {
 VERBS = {verb: entry for verbs in GROUPS.values() for verb, entry in verbs.items()}
 
 
+_INSTALLED = (sys.prefix, sys.base_prefix, dpcontrol.__file__.removesuffix("__init__.py"))
+"""Folders of libraries and of this program."""
+
+
 class _Verbs(click.Group):
     """A group whose commands live in modules that are imported on demand."""
 
@@ -82,10 +86,11 @@ class _Verbs(click.Group):
         with warnings.catch_warnings():
             show_others, shown = warnings.showwarning, set[str]()
 
-            def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+            def show(message: Warning | str, category: type[Warning], file: str, *place: Any) -> None:
                 if not issubclass(category, Remark):
-                    if ctx.obj.debug:
-                        show_others(message, category, *place)
+                    # Warnings from a user's own law or plant are for the user.
+                    if ctx.obj.debug or not file.startswith(_INSTALLED):
+                        show_others(message, category, file, *place)
                 elif str(message) not in shown:
                     shown.add(str(message))
                     print_message(f"dpcontrol: {message}")

@@ -268,6 +268,13 @@ def test_a_reference_with_absurd_rates_is_shown_after_a_limited_number_of_steps(
     assert "inf measured again" in dpcontrol("reference", "fast.npz").stdout
 
 
+def test_warnings_of_a_users_law_are_printed() -> None:
+    law = "import warnings\nclass Law:\n    def control(self, time, state, reference):\n"
+    Path("law.py").write_text(law + "        warnings.warn('gain is high')\n        return 0.0\n")
+    ended = dpcontrol_program("run", "rest.toml", "--controller", "law.py:Law", folder=Path())
+    assert "UserWarning: gain is high" in ended.stderr
+
+
 @pytest.mark.parametrize("kind", ["datetime64[s]", "complex128", "V8"])
 def test_an_archive_of_other_values_than_numbers_is_refused(kind: str) -> None:
     """Dates in the place of an atlas's times ended in a traceback."""
