@@ -774,7 +774,7 @@ def read_log(path: Path | str) -> RunLog:
 
 
 def _read(path: Path, native: Callable[[VerifiedFile], _T], rewritten: Callable[[VerifiedFile, Rewritten], _T]) -> _T:
-    """Read a log by one of two functions: for native logs, and for those that another program has rewritten."""
+    """Read a log by the function for native or for rewritten ones."""
     file = _open(path)
     found = None if file.is_native else _rewritten(file)
     try:

@@ -114,6 +114,10 @@ def _check_energy(energy: float, saddles: Sequence[str], model: Model, place: Pl
             )
 
 
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
 def _expanded(part: WalkPart, saddles: Sequence[str], place: Place) -> WalkPart:
     """Return a walk with its powers and repetitions written out.
 
@@ -126,7 +130,7 @@ def _expanded(part: WalkPart, saddles: Sequence[str], place: Place) -> WalkPart:
     except InputError as error:
         raise InputError(f"{place} walk: {error}") from error
     stops = len(walk) - 1
-    of = f"a walk of {len(walk)} symbols has {stops} interior stop{'s' if stops != 1 else ''}"
+    of = f"a walk of {_count(len(walk), 'symbol')} has {_count(stops, 'interior stop')}"
     if repeat > 1:
         if symbols[0].source != symbols[-1].target:
             raise InputError(

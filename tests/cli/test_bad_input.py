@@ -232,7 +232,7 @@ def test_a_misspelt_key_is_named_if_its_absence_is_rejected(tmp_path: Path, monk
         ("walk", "['up-up +']", "'up-up' has no tubes"),
         ("walk", "['up-down +']", "up-down has Lyapunov orbits only above"),
         ("walk", "['down-up +', 'up-down -']", "symbol 2 ('up-down -') starts at up-down"),
-        ("wraps", "[2]", "1 symbols has 0 interior stops"),
+        ("wraps", "[2]", "1 symbol has 0 interior stops"),
         ("wraps", "[-1]", "wraps = -1: must be zero or positive"),
         ("wraps", "[1.5]", "wraps holds 1.5: must be a list of whole numbers"),
         ("wraps", "[true]", "wraps holds True: must be a list of whole numbers"),

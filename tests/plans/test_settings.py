@@ -250,7 +250,7 @@ MISTAKES: list[tuple[str, str, str]] = [
     (
         "number of wraps",
         'energy = -0.07\nwalk = ["down-up +"]\nwraps = [1]\n',
-        "wraps = [1]: a walk of 1 symbols has 0",
+        "wraps = [1]: a walk of 1 symbol has 0",
     ),
     ("energy below the saddle", 'energy = -9\nwalk = ["down-up +"]\n', "energy = -9.0 J: down-up has Lyapunov orbits"),
     ("error of a blow", f"{TURN}[[run.blows]]\ntime = -1\n", "[blows 1] time = -1.0: must be zero or positive"),
