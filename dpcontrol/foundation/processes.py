@@ -76,6 +76,8 @@ def in_processes(
                     result = future.result()
                     done.add(k)
                     yield pieces[k], result
+            # At the end of a program, Python may use the pipes of processes that are still ending.
+            pool.shutdown()
             return
         except BrokenProcessPool:
             left = [k for k in left if k not in done]
