@@ -568,8 +568,12 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
             f"{log.path} cannot be repeated: a controller library computed its ticks, and the log does not contain "
             f"it; run it again with --controller-library"
         )
-    model = model_from(log.attachments[_MODEL].decode(), log.metadata["model"])
-    itinerary = itinerary_from(log.attachments[_SCENE].decode(), log.metadata["itinerary"], model)
+    try:
+        model_text, scene_text = (log.attachments[name].decode() for name in (_MODEL, _SCENE))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{log.path} cannot {cannot}: its model or itinerary is damaged ({error})") from error
+    model = model_from(model_text, log.metadata["model"])
+    itinerary = itinerary_from(scene_text, log.metadata["itinerary"], model)
     file = folder / REFERENCE_ATTACHMENT
     file.write_bytes(log.attachments[REFERENCE_ATTACHMENT])
     return Plan(_with_settings(itinerary, log, cannot=cannot), load_reference(file), file, cached=True)

@@ -412,12 +412,23 @@ def test_a_rewritten_log_with_a_damaged_message_is_recorded_from_its_values() ->
 _FRAME = b"\x06\0\0\0world\0"
 
 
+def test_a_rewritten_log_with_a_damaged_itinerary_is_refused() -> None:
+    """Its text ended in a traceback."""
+    assert dpcontrol("run", "rest.toml", "--out", "rest.mcap").code == 0
+    with Path("rest.mcap").open("rb") as file, Path("other.mcap").open("wb") as copy:
+        _copied(make_reader(file), Writer(copy), damaged="scene.toml")
+    ended = dpcontrol("report", "other.mcap", "--margins")
+    assert ended.code == 2
+    assert "its model or itinerary is damaged" in ended.message
+
+
 def _copied(
     reader: McapReader, writer: Writer, schemas: Mapping[str, bytes] = MappingProxyType({}), *, damaged: str = ""
 ) -> None:
     """Copy a log as another program does: with its own numbers of schemas and channels, and the given schemas.
 
-    In a message of the topic `damaged`, the length of the frame's name exceeds the message.
+    In a message of the topic `damaged`, the length of the frame's name exceeds the message. An attachment of that name
+    begins with a byte that is no text.
     """
     writer.start()
     channels: dict[int, int] = {}
@@ -439,7 +450,6 @@ def _copied(
     for record in reader.iter_metadata():
         writer.add_metadata(record.name, record.metadata)
     for attached in reader.iter_attachments():
-        writer.add_attachment(
-            attached.create_time, attached.log_time, attached.name, attached.media_type, attached.data
-        )
+        data = b"\xff" + attached.data if attached.name == damaged else attached.data
+        writer.add_attachment(attached.create_time, attached.log_time, attached.name, attached.media_type, data)
     writer.finish()
