@@ -201,7 +201,7 @@ class FilterEquations:
         """Number of arms."""
         return (self.equations.dimension - 2) // 2
 
-    @property
+    @cached_property
     def extra_names(self) -> tuple[str, ...]:
         """Names of the extra quantities."""
         return extra_names(self.arms, self.augment)
@@ -211,7 +211,7 @@ class FilterEquations:
         """Return the slice of z with the errors of the inertial parameters."""
         return [self.equations.dimension + i for i, name in enumerate(self.extra_names) if name[0] in "MS"]
 
-    @property
+    @cached_property
     def dimension(self) -> int:
         """Length N+E of the augmented state."""
         return self.equations.dimension + len(self.extra_names)

@@ -17,6 +17,7 @@ import os
 import shutil
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
@@ -153,7 +154,7 @@ def night_cost(
         night: duration and logs.
         folder: folder of the logs.
         pace: simulated ticks per second.
-        waits: time for transfers from rest, s.
+        waits: time that was taken so far, and time for transfers from rest, s.
         real_time: True on a rig.
         yes: accept a cost beyond the limits.
 
@@ -334,7 +335,7 @@ def run_night(
         InputError: the folder is not writable, holds another night or none to resume, or no bench fits.
         GoalMissed: the plan did not converge, no controller can be made for it, or no plant drawn.
     """
-    scene = plan.followed().itinerary
+    began, scene = time.monotonic(), plan.followed().itinerary
     settings, arms = scene.loop, scene.model.arms
     folder = night_folder(out)
     made_by = drawn_metadata(scene) if link is None else {"rig": link.address}
@@ -363,6 +364,7 @@ def run_night(
             if link is None:
                 pace = _pace(plan, assembly, recovery)
                 waits = 0.0 if recovery.starts else _waits(settings, recovery.gains.references, until - since) / pace
+                waits += time.monotonic() - began
                 remark(night_cost(scene, night, folder, pace=pace, waits=waits, yes=True))
                 simulated = assembly.under(_since(settings, place.begin))
                 with watched(plan, LogSink(rolling), live=live) as sink:
@@ -398,7 +400,7 @@ def _pace(plan: Plan, assembly: Assembly, recovery: RecoveryPlan) -> float:
         return until / assembly.simulate(sink=LogSink(writer), recovery=recovery, keep=False, until=until).elapsed
 
 
-_TRIAL = 1.5
+_TRIAL = 6.0
 """s, simulated."""
 
 
