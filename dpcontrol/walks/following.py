@@ -18,7 +18,7 @@ from dpcontrol.bifurcations.links import PathPoint, carry, first_crossing
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.document import Documented
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.tubes.connections import Connection, find_connections, mirrored, orbits_between
 from dpcontrol.walks.symbols import Symbol, choose
@@ -85,7 +85,8 @@ class SymbolBranches:
         if energy not in self._found:
             try:
                 orbits = orbits_between(self.system, self.symbol.source, self.symbol.target, energy)
-                self._found[energy] = find_connections(*orbits).connections
+                found = all(orbit.converged for orbit in orbits)
+                self._found[energy] = find_connections(*orbits).connections if found else ()
             except InputError:
                 self._found[energy] = ()
         return self._found[energy]
@@ -147,8 +148,18 @@ class SymbolBranches:
             progress: called with a label and the completed share.
         """
         grid, found = np.linspace(low, high, _GRID + 1).tolist(), []
+        absent = []
+        for k, energy in enumerate(grid):
+            progress(f"{self.symbol.text} at {energy:.4g} J", 0.5 * k / len(grid))
+            if self.chosen(energy) is None:
+                absent.append(self.system.worded(f"{energy:.6g} J"))
+        if absent:
+            remark(
+                f'"{self.symbol.text}" selects no connection at {", ".join(absent)}: changes beside these energies are '
+                "not reported"
+            )
         for k, (begin, end) in enumerate(pairwise(grid)):
-            progress(f"{self.symbol.text} at {begin:.4g} J", k / _GRID)
+            progress(f"{self.symbol.text} from {begin:.4g} J", 0.5 + 0.5 * k / _GRID)
             here, there = self.chosen(begin), self.chosen(end)
             if here is None or there is None:
                 continue

@@ -81,6 +81,14 @@ def test_invalid_comparisons_are_refused(options, words):
     assert words in shown.message
 
 
+def test_energies_beyond_all_orbits_are_named_and_end_at_once():
+    # The orbit's search ends unconverged there; its tubes were propagated for minutes.
+    shown = dpcontrol("walk", "lab", "--energy", "-0.07", "-s", "down-up +", "--compare", "2147483648")
+    assert shown.code == 0
+    assert '"down-up +" selects no connection at 3.57914e+08 J, ' in shown.stderr
+    assert "0 changes" in shown.stdout
+
+
 @pytest.mark.slow
 def test_energies_are_compared_along_one_branch(monkeypatch):
     """The walk at each energy names the followed connection, even if its symbol selects another one."""
