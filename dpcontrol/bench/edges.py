@@ -34,6 +34,7 @@ from dpcontrol.control.interface import Controller, SampledModel
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import OrbitController, orbit_controller
+from dpcontrol.control.simulated_margins import SHAKEN
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.arrays import Array
@@ -613,10 +614,8 @@ ASTRAY = 0.3
 """Largest distance from the reference over the last tenth of a successful run, rad."""
 TRIED = 10.0
 """Greatest gain of a simulated drive; larger ones are not tried."""
-CHATTER = 3.0
-"""Limit of the feedback, m/s² rms. It stays below 1 in a stable loop; above, only limits contain a swing."""
-SHORT = 1.0
-"""Share by which a border may exceed its margin: a flight can end before a slow instability has grown."""
+SHORT = 0.5
+"""Share by which a border may exceed its margin: a motion can end before a slow instability has grown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -644,15 +643,19 @@ class FollowedReference:
         drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=assumed + delay * rate)
         other = self.assembly.under(replace(self.assembly.settings, drive=drive))
         runs = replace(other, law=self.assembly.controller, believed_delay=assumed).batch(range(self.seeds))
-        failed = [why for run in runs if (why := _failure_reason(run))]
+        most = SHAKEN * self.assembly.limits.acceleration / gain
+        failed = [why for run in runs if (why := _failure_reason(run, most))]
         return Attempt(2 * len(failed) < self.seeds, failed[0] if failed else "")
 
 
-def _failure_reason(run: BatchRun) -> str:
-    """Return the reason why a run left its reference, or ""."""
+def _failure_reason(run: BatchRun, most: float) -> str:
+    """Return the reason why a run left its reference, or "".
+
+    most: largest rms feedback, m/s².
+    """
     if run.ending is not Ending.FINISHED:
         return run.reason
-    if run.rms_feedback > CHATTER:
+    if run.rms_feedback > most:
         return f"finished, but the command swings: feedback of {run.rms_feedback:.2g} m/s² rms"
     away = farthest_at_last(run)
     return "" if away < ASTRAY else f"finished, but {away:.2g} rad away over its last tenth"
@@ -727,15 +730,17 @@ def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
             ("delay", "Further delay", "delay, s"), ("lag", "Further lag", "lag, s"),
         )
     ]  # fmt: skip
+    parts = measured_maps(progress, *maps)
+    worst = max((found.off for part in parts for found in part.borders if found.off), default=0.0)
     return EdgeChart(
         name="edges-margins",
-        title="Margins of the loop, and borders of campaigns",
+        title=f"Campaigns fail within {worst:.0%} of the loop's margins",
         reading=(
             f"Borders: at half of {seeds} runs lost, or swinging within the limits; the drive differs from the model.",
-            "Diamonds: the margins, from multipliers over a period of a repeating motion, or from growth over a "
-            "wobble along flights.",
-            "A flight may end before a slow instability has grown, so its border may lie beyond its margin.",
+            "Diamonds: the margins, from a simulation of the whole reference with one small first error, and for "
+            "repeating motions from multipliers.",
+            "A motion may end before a slow instability has grown, so its border may lie beyond its margin.",
         ),
         chosen=f"Margins as shown by `plan --margins`; a border up to {1 + SHORT:g} times as far counts as agreeing.",
-        parts=measured_maps(progress, *maps),
+        parts=parts,
     )

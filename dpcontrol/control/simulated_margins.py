@@ -25,12 +25,16 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.references.problem import Limits
 
 FIRST_ERROR = 2e-3
-"""Initial error of each angle, rad; large compared with a count, small compared with tolerable errors."""
+"""Bound of the initial error of each angle, rad; large compared with a count, small compared with tolerable errors."""
+_STARTS = 8
+"""Runs of each drive, with random initial errors."""
 ASTRAY, _PHASE = 0.2, 0.1
 """Maximum distance from the reference over the last tenth, rad, and maximum time offset, s; as in the score."""
 SHAKEN = 0.5
-"""Maximum rms feedback over the last tenth, as a share of the maximum acceleration; above it, only limits bound a
-swing."""
+"""Maximum rms difference between acceleration and feedforward over a tenth, as a share of the maximum acceleration.
+
+Above it, only limits bound a swing.
+"""
 _TRIED = 16
 """Number of values per series."""
 _LOST, _EVERY = 1.5, 10
@@ -46,65 +50,72 @@ class NominalLoop:
     Attributes:
         plant: plant with the drive's lag.
         program_of: returns a tick for a number of runs, initialised for the law.
+        readings_of: returns the readings (n+1, S) of states (2n+2, S), rounded by the sensors.
         delay: delay, in periods.
         limits: the cart's limits.
     """
 
     plant: SampledModel
     program_of: Callable[[int], TickProgram]
+    readings_of: Callable[[Array], Array]
     law: GainSchedule
     delay: float
     limits: Limits
 
     def lost_at(self, gain: Array, delay: Array, lag: Array) -> Array:
-        """Return the times at which runs are lost, s; infinite for none.
+        """Return the times at which half of a drive's runs are lost, s; infinite if fewer are.
 
         Args:
             gain: gains (S,).
             delay: further delays (S,), s.
             lag: further lags (S,), s.
         """
+        gain, delay, lag = (np.repeat(values, _STARTS) for values in (gain, delay, lag))
         count, period, n = len(gain), self.plant.period, self.plant.arms
         rows, references = self.law.rows, self.law.references
         program, step = self.program_of(count), self.plant.machine
-        lanes, positions = program.lanes, self.plant.position_indices
+        lanes = program.lanes
         changed = (gain, self.delay + delay / period, np.maximum(self.plant.lag + lag, 1e-9))
         g, d, tau = (program.spread(values) for values in changed)
         whole = np.floor(d + 1e-9).astype(int)
         part, kept = np.maximum(d - whole, 0.0), np.exp(-period / tau)
         mean = tau / period * (1 - kept)
         first = np.repeat(references[0][:, None], lanes, axis=1)
-        x = first.copy()
-        x[:n] += FIRST_ERROR
+        x, errors = first.copy(), np.random.default_rng(0).uniform(-FIRST_ERROR, FIRST_ERROR, (n, _STARTS))
+        x[:n] += errors[:, np.arange(lanes) % _STARTS]
         inputs = np.concatenate([x, np.zeros((1, lanes)), np.repeat(self.plant.parameters[:, None], lanes, axis=1)])
         slots, each, lagging = int(whole.max()) + 2, np.arange(lanes), np.zeros(lanes)
         sent, lost, swing = np.zeros((slots, lanes)), np.full(lanes, np.inf), np.zeros(lanes)
         for k, command in enumerate(self.law.queued):
             sent[k - len(self.law.queued)] = command
-        tail, around = len(rows) * 9 // 10, round(_PHASE / period)
+        tail, tenth, around = len(rows) * 9 // 10, max(len(rows) // 10, 1), round(_PHASE / period)
+        most = self.limits.acceleration
         for k, row in enumerate(rows):
-            program.take(x[positions], None, 0, None)
+            program.take(self.readings_of(x), None, 0, None)
             program.row[:] = row[:, None]
             program.tick()
             report, at = program.report, program.at
-            sent[k % slots] = report[at["command"]]
+            command = sent[k % slots] = report[at["command"]]
             acting = g * ((1 - part) * sent[(k - whole) % slots, each] + part * sent[(k - whole - 1) % slots, each])
-            acting = np.clip(acting, -self.limits.acceleration, self.limits.acceleration)
+            acting, wanted = (np.clip(a, -most, most) for a in (acting, g * command))
             inputs[len(x)] = acting + mean * (lagging - acting)
             lagging = kept * lagging + (1 - kept) * acting
             x = inputs[: len(x)] = step(inputs, np.empty(x.shape))
             path = references[k + 1 : k + 2, :n] if k < tail else references[k - around : k + around : _EVERY, :n]
             away = np.abs(x[:n] - path[:, :, None]).max(axis=1).min(axis=0, initial=np.inf)
             near = (away < (_LOST if k < tail else ASTRAY)) & (np.abs(x[2 * n]) < self.limits.position)
-            lost[~(near & (report[at["stop"]] == 0)) & np.isinf(lost)] = (k + 1) * period
-            swing += (g * report[at["feedback"]]) ** 2 / (len(rows) - tail) if k >= tail else 0.0
+            swing += (wanted - (command - report[at["feedback"]])) ** 2 / tenth
+            kept_up = near & (report[at["stop"]] == 0)
+            if (k + 1) % tenth == 0:
+                kept_up &= (swing < (SHAKEN * most) ** 2) | (k < tenth)
+                swing[:] = 0.0
+            lost[~kept_up & np.isinf(lost)] = (k + 1) * period
             gone = np.isfinite(lost)
             if gone.all():
                 break
             # Lost runs stay at rest to prevent overflow.
             x = inputs[: len(x)] = np.where(gone, first, x)
-        lost[(swing > (SHAKEN * self.limits.acceleration) ** 2) & np.isinf(lost)] = len(rows) * period
-        return lost[:count]
+        return np.sort(lost[:count].reshape(-1, _STARTS), axis=1)[:, (_STARTS - 1) // 2]
 
 
 def simulated_margins(loop: NominalLoop) -> dict[str, tuple[float, float]]:

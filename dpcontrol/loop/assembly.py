@@ -26,14 +26,14 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.loop.bench import BenchDraw, StreamReader
+from dpcontrol.loop.bench import BenchDraw, SensorSettings, StreamReader
 from dpcontrol.loop.controllers import make_controller, make_estimator, nearest_keeper
 from dpcontrol.loop.lockstep import Lockstep
 from dpcontrol.loop.loop import ControlLoop, LoopSettings, sampled_model
 from dpcontrol.loop.own import OwnEstimator, OwnLaw
 from dpcontrol.loop.recovery import RETURN_SECONDS, FallRecovery, Reach, RecoveryPlan, StartController, started
 from dpcontrol.loop.result import BatchRun, LoopResult, LoopSink
-from dpcontrol.loop.simulated import BatchBench, SimulatedRig
+from dpcontrol.loop.simulated import BatchBench, Encoders, SimulatedRig
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference, StartNote, joined, plan_notes, start_reference
@@ -417,5 +417,10 @@ class Assembly:
             return found
         nominal = replace(self, settings=replace(settings, travel=self.settings.travel), law=held)
         plant = sampled_model(self.arms, settings.rate, settings.known_lag)
-        loop = NominalLoop(plant, lambda n: nominal.ticker(runs=n).program, schedule, self.delay, self.limits)
+        own = settings.sensors
+        sensors = SensorSettings(counts=own.counts, cart_resolution=own.cart_resolution)
+        readings = Encoders(self.arms.count, sensors, lanes=MANY).measure
+        loop = NominalLoop(
+            plant, lambda n: nominal.ticker(runs=n).program, readings, schedule, self.delay, self.limits
+        )  # fmt: skip
         return replace(found, simulated=simulated_margins(loop))
