@@ -36,6 +36,7 @@ _SENSORS = {
 }
 _DRIVE = {
     **{name: _LIMITS[name] for name in ("velocity", "acceleration", "jerk")},
+    "delay": Usual(0.0, 100.0, "periods"),
     "lag": Usual(0.0, 0.2, "s"),
     "cart_mass": Usual(0.02, 200.0, "kg"),
     "cart_viscous": Usual(0.0, 1e4, "N s/m"),
