@@ -737,8 +737,8 @@ def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
         title=f"Campaigns fail within {worst:.0%} of the loop's margins",
         reading=(
             f"Borders: at half of {seeds} runs lost, or swinging within the limits; the drive differs from the model.",
-            "Diamonds: the margins, from a simulation of the whole reference with one small first error, and for "
-            "repeating motions from multipliers.",
+            "Diamonds: the margins, from simulations of the whole reference with eight small first errors, and for "
+            "kept orbits from multipliers.",
             "A motion may end before a slow instability has grown, so its border may lie beyond its margin.",
         ),
         chosen=f"Margins as shown by `plan --margins`; a border up to {1 + SHORT:g} times as far counts as agreeing.",

@@ -63,7 +63,9 @@ class NominalLoop:
     limits: Limits
 
     def lost_at(self, gain: Array, delay: Array, lag: Array) -> Array:
-        """Return the times at which half of a drive's runs are lost, s; infinite if fewer are.
+        """Return the times at which half of the runs are lost, s.
+
+        They are infinite if fewer are lost.
 
         Args:
             gain: gains (S,).
