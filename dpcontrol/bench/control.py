@@ -451,7 +451,7 @@ def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: floa
 
 
 def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, quick: bool) -> Diagram:
-    model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=PERIOD)
+    model = sampled_model(arms, 1 / PERIOD)
     judged: dict[tuple[str, str], Judged] = {}
     tried: list[Alternative[Any]] = []
     measured = swings[0].measured(counts)

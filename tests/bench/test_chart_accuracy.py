@@ -188,7 +188,7 @@ def test_a_build_without_extended_reals_is_reported(system, monkeypatch):
         work_of(system, START, SECONDS)
 
 
-@pytest.mark.benchmark
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in CHARTS if name not in GROUPS["edges"]])
 def test_no_default_of_a_quick_chart_errs_by_more_than_it_did(name, monkeypatch):
     def once(functions, *_, worth=lambda key, result: True, **__):
