@@ -389,14 +389,14 @@ def estimation_chart(quick: bool, progress: Progress) -> PrecisionChart:
         reading=(
             "Each point: an estimator on the same swings. Across: a tick's time. Up: the rms scaled error of angles "
             "and rates. Each encoder has a panel.",
-            "Points are grouped by their extras, the estimated parameters. Differences need no model, and have no "
-            "covariance to show their failures.",
+            f"Labels list the extras that are estimated too; all extras: {', '.join(AUGMENTS[-1])}. Differences need "
+            "no model, and have no covariance to show their failures.",
             "The data hold the shares of NIS and NEES inside their 95 % bands: below 0.9 it is overconfident, "
             "near 1.0 too cautious. Filters with the same extras have the same settings.",
         ),
         chosen=(
             "The compiled EKF: the same numbers as filterpy's in a fraction of the time, and the UKF is no better "
-            "here. Differences match it only with counts finer than the rig's, and cannot estimate zeros."
+            "here. Differences are less accurate at each resolution, and cannot estimate zeros."
         ),
     )  # fmt: skip
 
@@ -463,7 +463,7 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
             estimator = make_estimator(kinds[kind](augment=augment), model, noise=noise_of(arms, counts))
             last = estimator.update(estimator.first(np.array(_SWING)), measured[0])
             one = Alternative(
-                name, "+".join(augment) or "state only", partial(estimator.step, last, 0.1, measured[1]),
+                name, _label(augment), partial(estimator.step, last, 0.1, measured[1]),
                 default=default,
             )  # fmt: skip
             tried.append(one)
@@ -477,6 +477,10 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
     return found.titled(
         f"{counts} counts per turn", "time of a tick, s", "rms error of the arms' state (scaled)", why=_WHY
     )
+
+
+def _label(augment: tuple[str, ...]) -> str:
+    return "all extras" if augment == AUGMENTS[-1] else "+".join(augment) or "state only"
 
 
 def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: int) -> Judged:
