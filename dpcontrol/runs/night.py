@@ -396,6 +396,8 @@ def run_night(
 def _pace(plan: Plan, assembly: Assembly, recovery: RecoveryPlan) -> float:
     """Measure the ticks per second that this machine simulates and logs."""
     until = round(_TRIAL * assembly.settings.rate)
+    # A trial that waits for a transfer would measure its planning.
+    recovery = replace(recovery, ready=lambda: bool(recovery.starts))
     with TemporaryDirectory() as folder, log_writer(plan, Path(folder) / "trial.mcap") as writer:
         return until / assembly.simulate(sink=LogSink(writer), recovery=recovery, keep=False, until=until).elapsed
 
@@ -424,7 +426,7 @@ def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
     return math.sqrt(ticks * (ticks + max(0.0, _START_TICKS - first))) - ticks if first < ticks else 0.0
 
 
-_START_TICKS = 170_000
+_START_TICKS = 250_000
 """Ticks that are simulated while one transfer from rest is planned."""
 _BRAKING = 2.0
 """Time that a bench must run beyond the end of a night, for braking the cart, s."""
