@@ -561,7 +561,7 @@ class ChartPage(Documented):
         ValueError: the reading does not have three lines.
     """
 
-    KEYS: ClassVar[str] = "name title reading chosen complaints findings **leads"
+    KEYS: ClassVar[str] = "name title headline reading chosen complaints findings **leads"
 
     name: str
     title: str
@@ -573,6 +573,11 @@ class ChartPage(Documented):
     def __post_init__(self) -> None:
         if len(self.reading) != READING_LINES:
             raise ValueError(f"{self.name}: {len(self.reading)} lines on how to read it; write {READING_LINES}")
+
+    @property
+    def headline(self) -> str:
+        """The title, with the page's result if it has one."""
+        return self.title
 
     @property
     def diagrams(self) -> tuple[Any, ...]:
@@ -621,6 +626,13 @@ class PrecisionChart(ChartPage):
         if not any(panel.defaults for panel in self.parts):
             raise ValueError(f"{self.name}: no point is the product's default")
 
+    @property
+    def headline(self) -> str:
+        """The title and the largest distance of a default from its front."""
+        off = [panel.off_front(p) for panel in self.parts if panel.judged for p in panel.defaults]
+        result = f"within {worst:.0%} of the best" if (worst := max(off, default=0.0)) >= 0.005 else "on its front"
+        return f"{self.title}: each default is {result}"
+
 
 @dataclass(frozen=True)
 class EdgeChart(ChartPage):
@@ -628,6 +640,14 @@ class EdgeChart(ChartPage):
 
     KEYS: ClassVar[str] = f"{ChartPage.KEYS} maps=parts"
     parts: tuple[EdgeMap, ...]
+
+    @property
+    def headline(self) -> str:
+        """The title and the distance from predictions, or the first map's result."""
+        off = [border.off for part in self.parts for border in part.borders if border.off is not None]
+        first = self.parts[0]
+        result = f"within {max(off):.0%} of predictions" if off else f"{first.title}: {first.finding()}"
+        return f"{self.title}: {result}"
 
 
 def measured_maps(

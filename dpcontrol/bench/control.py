@@ -103,7 +103,7 @@ def control_chart(quick: bool, progress: Progress) -> PrecisionChart:
     hold = _hold((0.1, 1.0, 10.0) if quick else (0.1, 1.0, 10.0, 100.0), seeds)
     return PrecisionChart(
         name="control",
-        title=f"Control: {SMALL:.0%} of mismatch for the error, {LARGE:.0%} for failures",
+        title=f"Control, arms {SMALL:.0%} and {LARGE:.0%} off",
         parts=(*tracking, *orbit, hold),
         reading=(
             "Upper diagrams of a task: rms error of the angles against a tick's time; beside them the share of runs "
@@ -132,7 +132,7 @@ def against_tvlqr(errors: Diagram) -> str:
     done, theirs = (f"{point.others['success']:.0%}" for point in (ours, other))
     return (
         f"{law}: {error:.2g} times the error of TVLQR by time, {feedback:.2g} times its feedback and "
-        f"{ours.seconds / other.seconds:.2g} times its time of a tick; at {LARGE:.0%} mismatch {done} of its runs "
+        f"{ours.seconds / other.seconds:.2g} times its time of a tick. At {LARGE:.0%} mismatch {done} of its runs "
         f"complete, and {theirs} of TVLQR's"
     )
 
@@ -384,7 +384,7 @@ def estimation_chart(quick: bool, progress: Progress) -> PrecisionChart:
         panels.append(_panel(arms, swings, counts, quick=quick))
     return PrecisionChart(
         name="estimation",
-        title=f"Estimation: plant off by {MISMATCH:.0%}, encoders' zeros by {ZERO_ERROR * 1e3:g} mrad",
+        title=f"Estimation, plant {MISMATCH:.0%} and zeros {ZERO_ERROR * 1e3:g} mrad off",
         parts=tuple(panels),
         reading=(
             "Each point: an estimator on the same swings. Across: a tick's time. Up: the rms scaled error of angles "

@@ -65,7 +65,7 @@ def connections_chart(quick: bool, progress: Progress) -> PrecisionChart:
     progress("connections: three bodies", 0.9)
     return PrecisionChart(
         name="connections",
-        title="Orbits and connections: time against error",
+        title="Orbits and connections",
         parts=(orbits, searches, three_body_panel(quick=quick)),
         reading=(
             "A mark is one setting of a search: left is faster, low is nearer to the same in 113-bit arithmetic.",
@@ -263,7 +263,7 @@ def transcription_chart(quick: bool, progress: Progress) -> PrecisionChart:
     problem = crossing_problem()
     return PrecisionChart(
         name="transcription",
-        title="Transcription: time against error between nodes, and against cost",
+        title="Transcription",
         parts=(
             *method_panels(problem, part_of(progress, 0.05, 0.6), quick=quick),
             refined_panel(problem, part_of(progress, 0.6, 0.85), quick=quick),

@@ -75,7 +75,7 @@ def figure(page: ChartPage, parts: Sequence[Any], *, dark: bool = False) -> Figu
     panels = [part for part in parts if isinstance(part, Diagram)]
     methods = list(dict.fromkeys(p.method for panel in panels for p in panel.points))
     looks = {m: (MARKS[k % len(MARKS)], SERIES[k % len(SERIES)]) for k, m in enumerate(methods)}
-    drawn, columns = Page(page.title, page.chosen), 2 if panels else LEADING
+    drawn, columns = Page(page.headline, page.chosen), 2 if panels else LEADING
     for row in (parts[k : k + columns] for k in range(0, len(parts), columns)):
         drawn.row(*(partial(_draw, part=part, looks=looks, first=part is row[0]) for part in row), height=_TALL)
     picture = drawn.text("\n".join(page.reading)).figure(dark=dark)

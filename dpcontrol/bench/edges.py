@@ -186,7 +186,7 @@ def control_chart(quick: bool, progress: Progress) -> EdgeChart:
     wrong = replace(WRONG, theory="largest eigenvalue of plant, prediction and gain together is 1")
     return EdgeChart(
         name="edges-control",
-        title="Where control ends: arms held at Down-Up",
+        title="Limits of holding Down-Up",
         reading=(
             "Left: a known delay is predicted through, so it costs time only, whatever the rate. An error of up "
             f"to {HELD_ERROR:g} rad must stay within reach until the first command acts.",
@@ -213,7 +213,7 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
     """
     return EdgeChart(
         name="edges-moving",
-        title="Where control ends on a moving reference: one turn of the outer arm, TVLQR",
+        title="Limits along a turn of the outer arm, TVLQR",
         reading=(
             f"Left: largest known delay of commands of at most {WEAK:g} m/s² after an error of up to "
             f"{MOVING_ERROR:g} rad at the start.",
@@ -389,7 +389,7 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
     )
     return EdgeChart(
         name="edges-ogy",
-        title="OGY needs three pulses a period; with sixteen, small ones suffice",
+        title="Limits of OGY",
         reading=(
             f"The orbit about Down-Up at {SADDLE_ENERGY:g} J has the multiplier λ = {orbit.multipliers[0].real:.0f}. "
             "From one of k sections to the next an error grows by about λ^(1/k).",
@@ -496,7 +496,7 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
     equilibrium = model.system.equilibrium(SADDLE)
     return EdgeChart(
         name="edges-estimation",
-        title="Where estimates end: samples lost, an encoder stuck",
+        title="Limits of estimation",
         reading=(
             "Left: the filter flies through gaps on its model; the supervisor ends the run after 0.1 s without any.",
             "Right: a stuck encoder is recognised by the motion expected of the arm.",
@@ -730,11 +730,9 @@ def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
             ("delay", "Further delay", "delay, s"), ("lag", "Further lag", "lag, s"),
         )
     ]  # fmt: skip
-    parts = measured_maps(progress, *maps)
-    worst = max((found.off for part in parts for found in part.borders if found.off), default=0.0)
     return EdgeChart(
         name="edges-margins",
-        title=f"Campaigns fail within {worst:.0%} of the loop's margins",
+        title="Margins and the limits of campaigns",
         reading=(
             f"Borders: at half of {seeds} runs lost, or swinging within the limits; the drive differs from the model.",
             "Diamonds: the margins, from simulations of the whole reference with eight small first errors, and for "
@@ -742,5 +740,5 @@ def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
             "A motion may end before a slow instability has grown, so its border may lie beyond its margin.",
         ),
         chosen=f"Margins as shown by `plan --margins`; a border up to {1 + SHORT:g} times as far counts as agreeing.",
-        parts=parts,
+        parts=measured_maps(progress, *maps),
     )

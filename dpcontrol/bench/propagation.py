@@ -196,7 +196,7 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     title, label = f"chaotic swing, {swing.duration:.0f} s", "time of a trajectory, s"
     return PrecisionChart(
         name="propagation",
-        title="Propagation: time against error",
+        title="Propagation",
         parts=(
             along.titled(f"trajectory of a tube, {tube.duration:.2f} s", label, "error, scaled"),
             chaotic.titled(title, label, "error, scaled"),

@@ -419,8 +419,9 @@ class Assembly:
         plant = sampled_model(self.arms, settings.rate, settings.known_lag)
         own = settings.sensors
         sensors = SensorSettings(counts=own.counts, cart_resolution=own.cart_resolution)
-        readings = Encoders(self.arms.count, sensors, lanes=MANY).measure
+        encoders = Encoders(self.arms.count, sensors, lanes=MANY)
         loop = NominalLoop(
-            plant, lambda n: nominal.ticker(runs=n).program, readings, schedule, self.delay, self.limits
+            plant, lambda n: nominal.ticker(runs=n).program, lambda states: encoders.measure([*states]), schedule,
+            self.delay, self.limits,
         )  # fmt: skip
         return replace(found, simulated=simulated_margins(loop))

@@ -225,7 +225,7 @@ def lifted_guess(goal: Goal, lift: Array) -> Guess:
     return lambda times: sample(times + goal.begin) + turned
 
 
-_ROOM, _ELSEWHERE = 0.05, 0.45
+_ROOM, _ELSEWHERE = 0.05, 0.6
 """Distances of a reference from its last orbit, rad: half the tolerance of runs, and the one that misses the orbit.
 
 Beyond the first, feedback has no margin left.
@@ -233,7 +233,8 @@ Beyond the first, feedback has no margin left.
 _CLOSER = (1e2, 1e4, 1e6)
 """Factors on the pendulum's weight when such a reference is sought again.
 
-With friction, no orbit can be kept exactly, and the cheapest end is not the nearest.
+With friction, no orbit can be kept exactly, and the cheapest end is not the nearest. The cart then ends at rest in the
+middle, but the pendulum anywhere: an end on the frictionless orbit takes it off the orbit before.
 """
 
 
@@ -254,12 +255,19 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, j
         conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
         return SolvedPiece(goal.text, goal, lift, shadowed(conservative, settings))
     found = find_reference(problem, settings, progress=progress)
-    least = _off_last_orbit(goal, found, lift) if judged and found.converged else 0.0
+    if not judged:
+        return SolvedPiece(goal.text, goal, lift, found)
+    anywhere = np.array([np.nan] * 2 * len(lift) + [0.0, 0.0])
+    open_ended = replace(problem, ends=EndConditions(end=anywhere))
+    if not found.converged:
+        easier = find_reference(open_ended, settings, progress=progress)
+        found = easier if easier.converged else found
+    least = _off_last_orbit(goal, found, lift) if found.converged else 0.0
     for factor in _CLOSER:
         if not _ROOM < least < _ELSEWHERE:
             break
         weight = factor * settings.pendulum_weight
-        closer = find_reference(problem, replace(settings, pendulum_weight=weight), progress=progress)
+        closer = find_reference(open_ended, replace(settings, pendulum_weight=weight), progress=progress)
         gap = _off_last_orbit(goal, closer, lift)
         if closer.converged and gap < least:
             found, least = closer, gap
