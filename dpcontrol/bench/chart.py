@@ -630,7 +630,7 @@ class PrecisionChart(ChartPage):
     def headline(self) -> str:
         """The title and the largest distance of a default from its front."""
         off = [panel.off_front(p) for panel in self.parts if panel.judged for p in panel.defaults]
-        result = f"within {worst:.0%} of the best" if (worst := max(off, default=0.0)) >= 0.005 else "on its front"
+        result = f"within {worst:.0%} of the best" if (worst := max(off, default=0.0)) >= 0.005 else "the best at its cost"
         return f"{self.title}: each default is {result}"
 
 
@@ -643,11 +643,9 @@ class EdgeChart(ChartPage):
 
     @property
     def headline(self) -> str:
-        """The title and the distance from predictions, or the first map's result."""
+        """The title, and the largest distance of a border from its prediction."""
         off = [border.off for part in self.parts for border in part.borders if border.off is not None]
-        first = self.parts[0]
-        result = f"within {max(off):.0%} of predictions" if off else f"{first.title}: {first.finding()}"
-        return f"{self.title}: {result}"
+        return f"{self.title}: within {max(off):.0%} of predictions" if off else self.title
 
 
 def measured_maps(

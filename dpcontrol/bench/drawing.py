@@ -273,7 +273,8 @@ def _label_settings(axis: Any, panel: Diagram, looks: dict[str, tuple[str, str]]
         # A line to a label must not cross other labels, and conversely.
         dots = np.array([[_box(spot + share * offset, 3 * unit) for share in _ALONG] for offset in offsets])
         crossed = sum(_common(dots.reshape(-1, 4), label).reshape(len(offsets), -1).sum(axis=1) for label in labels)
-        covered = sum(_common(boxes, other) for other in taken)
+        # Text over text is worse than text over marks.
+        covered = sum(_common(boxes, other) for other in (*taken, *4 * labels))
         cost = 10 * (covered + outside) + away + crossed * (away >= _LED)
         best = int(np.argmin(cost))
         text.set_position(offsets[best] / unit)

@@ -211,9 +211,16 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
         quick: one rate, one delay.
         progress: called with a label and the completed share.
     """
+    parts = measured_maps(
+        progress,
+        (LATE, lambda rate: delay_border(moving(rate), error=MOVING_ERROR, ratio=1.08),
+         (100.0,) if quick else (25.0, 50.0, 100.0, 200.0)),
+        (WRONG, lambda delay: mismatch_border(moving(MISMATCH_RATE), delay, ratio=1.1),
+         (0.1,) if quick else (0.04, 0.07, 0.1, 0.14)),
+    )  # fmt: skip
     return EdgeChart(
         name="edges-moving",
-        title="Limits along a turn of the outer arm, TVLQR",
+        title=f"A turn of the outer arm by TVLQR is {parts[0].finding()} of delay",
         reading=(
             f"Left: largest known delay of commands of at most {WEAK:g} m/s² after an error of up to "
             f"{MOVING_ERROR:g} rad at the start.",
@@ -221,14 +228,8 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
             "Circles end near the reference, crosses end with the sentence in the data.",
         ),
         chosen="Prediction through all commands in flight, from the first on; delays of the bench are 1 to 20 ms.",
-        parts=measured_maps(
-            progress,
-            (LATE, lambda rate: delay_border(moving(rate), error=MOVING_ERROR, ratio=1.08),
-             (100.0,) if quick else (25.0, 50.0, 100.0, 200.0)),
-            (WRONG, lambda delay: mismatch_border(moving(MISMATCH_RATE), delay, ratio=1.1),
-             (0.1,) if quick else (0.04, 0.07, 0.1, 0.14)),
-        ),
-    )  # fmt: skip
+        parts=parts,
+    )
 
 
 def delay_border(loop_case: LoopCase, *, error: float, ratio: float, predicted: float | None = None) -> Border:
@@ -389,7 +390,7 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
     )
     return EdgeChart(
         name="edges-ogy",
-        title="Limits of OGY",
+        title="OGY needs three pulses a period; with sixteen, small ones suffice",
         reading=(
             f"The orbit about Down-Up at {SADDLE_ENERGY:g} J has the multiplier λ = {orbit.multipliers[0].real:.0f}. "
             "From one of k sections to the next an error grows by about λ^(1/k).",
