@@ -630,7 +630,9 @@ class PrecisionChart(ChartPage):
     def headline(self) -> str:
         """The title and the largest distance of a default from its front."""
         off = [panel.off_front(p) for panel in self.parts if panel.judged for p in panel.defaults]
-        result = f"within {worst:.0%} of the best" if (worst := max(off, default=0.0)) >= 0.005 else "the best at its cost"
+        result = (
+            f"within {worst:.0%} of the best" if (worst := max(off, default=0.0)) >= 0.005 else "the best at its cost"
+        )
         return f"{self.title}: each default is {result}"
 
 

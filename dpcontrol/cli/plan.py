@@ -158,19 +158,26 @@ def reference_command(
     """
     from dpcontrol.references.reference import load_reference, summarised
 
+    if picture is not None and transitions is not None and picture.resolve() == transitions.resolve():
+        raise InputError(f"--picture and --transitions both name {picture}: give two names")
     reference = load_reference(file)
     try:
         summary = summarised(reference)
         document = summary.document()
+        square = None
+        if transitions is not None:
+            from dpcontrol.pages.transitions import draw_transitions
+
+            # It can be refused, and must be before another picture is written.
+            square = draw_transitions(summary)
         if picture is not None:
             from dpcontrol.judge.of_log import reference_view
 
             draw_result(reference_view(summary, file), picture)
-        if transitions is not None:
+        if square is not None and transitions is not None:
             from dpcontrol.pages.layout import save_figure
-            from dpcontrol.pages.transitions import draw_transitions
 
-            save_figure(draw_transitions(summary), transitions)
+            save_figure(square, transitions)
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:

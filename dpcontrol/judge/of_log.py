@@ -338,10 +338,10 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
     model, plant = _arms(log, MODEL_METADATA), _arms(log, PLANT_METADATA)
     if model is not None and plant is not None and model.count == plant.count:
         found |= _relative_errors(model, plant)
-    if view.control is not None and {ACTUAL, "applied"} <= view.control.keys():
+    if view.control is not None and {ACTUAL, "applied"} <= view.control.keys() and len(log.time):
         # A mean over the ticks between two messages; in single ticks the command's noise dominates.
         beyond = view.control[ACTUAL] - view.control["applied"]
-        width = max(1, round(view.rate_hz / SLOW_RATE))
+        width = min(max(1, round(view.rate_hz / SLOW_RATE)), len(beyond))
         smooth = np.convolve(np.nan_to_num(beyond), np.full(width, 1 / width), mode="same")
         found["drive"] = np.interp(log.extras.time, log.time, smooth)
     return {name: value for name, value in found.items() if name in log.extras.names}

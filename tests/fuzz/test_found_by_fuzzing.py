@@ -19,6 +19,7 @@ from mcap.writer import Writer
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shipped import find
 from dpcontrol.identification.replay import filter_settings
+from dpcontrol.judge.of_log import run_view, true_extras
 from dpcontrol.judge.score import score
 from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.pages.layout import Page, new_figure, save_figure
@@ -328,6 +329,40 @@ def test_a_log_with_extremely_slow_samples_is_refused() -> None:
         ended = dpcontrol(verb, "slow.mcap")
         assert ended.code == 2
         assert "the tick rate in its layout is 1e-09 Hz" in ended.message
+
+
+def test_a_refused_picture_of_transitions_leaves_no_other_picture() -> None:
+    assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
+    ended = dpcontrol("reference", "reference.npz", "--picture", "new.png", "--transitions", "square.png")
+    assert ended.code == 2
+    assert "has no transfers" in ended.message
+    assert not list(Path().glob("*.png"))
+    ended = dpcontrol("reference", "reference.npz", "--picture", "new.png", "--transitions", "./new.png")
+    assert ended.code == 2
+    assert "--picture and --transitions both name new.png" in ended.message
+
+
+def test_a_name_that_is_no_text_is_refused_or_written() -> None:
+    ended = dpcontrol("report", "--", "\udcff")
+    assert ended.code == 2
+    assert "there is no log" in ended.message
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="/proc is Linux's")
+def test_an_unreadable_library_is_refused() -> None:
+    ended = dpcontrol("run", "rest.toml", "--controller-library", "/proc/self/mem")
+    assert ended.code == 2
+    assert "cannot read /proc/self/mem: Input/output error" in ended.message
+
+
+def test_a_log_of_fewer_ticks_than_a_mean_of_the_drives_error_is_shown() -> None:
+    assert dpcontrol("run", "rest.toml", "--out", "run.mcap").code == 0
+    log = read_log(Path("run.mcap"))
+    view = run_view(log)
+    assert view.control is not None
+    assert log.extras is not None
+    few = replace(view, control={name: column[:3] for name, column in view.control.items()})
+    assert set(true_extras(replace(log, time=log.time[:3]), few)) <= set(log.extras.names)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is Linux's")
