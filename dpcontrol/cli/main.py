@@ -241,8 +241,9 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
         sentence, code = _full(error), 1
     elif isinstance(error, MemoryError):
         sentence, code = "there is not enough memory; use fewer or smaller inputs at once", 1
-    elif isinstance(error, OSError) and error.filename is not None:
-        sentence, code = f"cannot use {error.filename}: {error.strerror}; choose another file or folder", 2
+    elif isinstance(error, OSError) and error.strerror:
+        name = "a file" if error.filename is None else error.filename
+        sentence, code = f"cannot use {name}: {error.strerror}; choose another file or folder", 2
     else:
         sentence, code = _unforeseen(error, arguments), 70
     if call.as_json and not call.shown:

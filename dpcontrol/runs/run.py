@@ -327,11 +327,7 @@ def _made_by(itinerary: Itinerary, rig: str | None, library: Path | None = None)
     made_by = drawn_metadata(itinerary) if rig is None else {"rig": rig}
     if library is not None:
         check_exportable(itinerary)
-        try:
-            content = checked_source(library).read_bytes() if library.is_file() else str(library)
-        except OSError as error:
-            raise InputError(f"cannot read {library}: {error.strerror}; export the controller again") from error
-        made_by[_LIBRARY] = content_hash(content) if isinstance(content, bytes) else content
+        made_by[_LIBRARY] = content_hash(checked_source(library).read_bytes()) if library.is_file() else str(library)
     return made_by
 
 
