@@ -565,9 +565,5 @@ WITHOUT = {
         "cli/test_preflight_verb",
         "test_the_document_has_the_probability_endings_limits_and_helpful_changes",
     ): "the guide's own preflight runs with the slow tests, and a preflight has no smaller size",
-    (
-        "bench/test_chart_accuracy",
-        "test_no_default_of_a_quick_chart_errs_by_more_than_it_did",
-    ): "the small size of test_chart_ratios compares the errors of a chart in the same way",
 }
 """Reasons of benchmarks without a small size, by module and function."""
