@@ -426,7 +426,7 @@ def _waits(settings: LoopSettings, references: Array, ticks: int) -> float:
     return math.sqrt(ticks * (ticks + max(0.0, _START_TICKS - first))) - ticks if first < ticks else 0.0
 
 
-_START_TICKS = 250_000
+_START_TICKS = 600_000
 """Ticks that are simulated while one transfer from rest is planned."""
 _BRAKING = 2.0
 """Time that a bench must run beyond the end of a night, for braking the cart, s."""
