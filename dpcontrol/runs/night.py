@@ -143,7 +143,7 @@ def night_cost(
     folder: Path,
     *,
     pace: float = _SPEED,
-    waits: float = 0.0,
+    overhead: float = 0.0,
     real_time: bool = False,
     yes: bool = False,
 ) -> str:
@@ -154,7 +154,7 @@ def night_cost(
         night: duration and logs.
         folder: folder of the logs.
         pace: simulated ticks per second.
-        waits: time that was taken so far, and time for transfers from rest, s.
+        overhead: time of the start and of waiting for transfers from rest, s.
         real_time: True on a rig.
         yes: accept a cost beyond the limits.
 
@@ -162,7 +162,7 @@ def night_cost(
         InputError: the cost is beyond the limits, or the disk is too full.
     """
     rate = itinerary.loop.rate
-    disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / pace) + waits
+    disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / pace) + overhead
     stops = len(itinerary.walk) + len(itinerary.parts)
     memory = _MEMORY + expected_seconds(itinerary) * rate * (_MEMORY_A_TICK + _MEMORY_A_STOP * stops)
     cost = Cost(f"{night.hours:g} h of {itinerary.name}", seconds, memory, f"--hours {night.hours:g}")
@@ -364,8 +364,8 @@ def run_night(
             if link is None:
                 pace = _pace(plan, assembly, recovery)
                 waits = 0.0 if recovery.starts else _waits(settings, recovery.gains.references, until - since) / pace
-                waits += time.monotonic() - began
-                remark(night_cost(scene, night, folder, pace=pace, waits=waits, yes=True))
+                overhead = time.monotonic() - began + waits
+                remark(night_cost(scene, night, folder, pace=pace, overhead=overhead, yes=True))
                 simulated = assembly.under(_since(settings, place.begin))
                 with watched(plan, LogSink(rolling), live=live) as sink:
                     result = simulated.simulate(

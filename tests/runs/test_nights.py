@@ -80,7 +80,7 @@ def test_the_cost_of_a_night_is_stated_and_too_much_is_refused(tmp_path: Path) -
 
 def test_the_time_of_a_night_follows_from_its_pace_and_from_waiting(tmp_path: Path) -> None:
     def minutes(pace: float, waits: float = 0.0) -> str:
-        cost = night_cost(TURN, NightSettings(hours=1.0), tmp_path, pace=pace, waits=waits)
+        cost = night_cost(TURN, NightSettings(hours=1.0), tmp_path, pace=pace, overhead=waits)
         return str(re.findall(r"about ([\d.]+) minutes", cost)[0])
 
     # 3,600,000 ticks.
