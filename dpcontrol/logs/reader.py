@@ -924,6 +924,10 @@ def _event_of(time: int, body: bytes) -> Event:
     return Event(time / 1e9, _LEVEL_NAMES.get(level, "info"), name, text)
 
 
+_LATEST = float(np.iinfo(np.int64).max) / 1e9
+"""s: viewers and arrays of times hold signed nanoseconds."""
+
+
 def _run_log(
     file: VerifiedFile,
     tick: TickLayout,
@@ -940,6 +944,9 @@ def _run_log(
     lengths = tuple(float(text) for text in described["arm_lengths"].split())
     if not all(0 < length < np.inf for length in lengths):
         damaged(file.path, f"its arms are {described['arm_lengths']} m long")
+    for event in events:
+        if event.time >= _LATEST:
+            damaged(file.path, f"an event is at {event.time:.3g} s")
     return RunLog(
         path=file.path,
         time=rows["time"],

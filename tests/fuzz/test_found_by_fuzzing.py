@@ -457,13 +457,29 @@ def test_a_rewritten_log_with_a_damaged_itinerary_is_refused() -> None:
     assert "its model or itinerary is damaged" in ended.message
 
 
+def test_a_rewritten_log_with_an_event_in_600_years_is_refused() -> None:
+    """Rerun's conversion to nanoseconds ended in a traceback."""
+    assert dpcontrol("run", "rest.toml", "--out", "rest.mcap").code == 0
+    with Path("rest.mcap").open("rb") as file, Path("other.mcap").open("wb") as copy:
+        _copied(make_reader(file), Writer(copy), late="/rosout")
+    ended = dpcontrol("review", "other.mcap", "--save", "other.rrd")
+    assert ended.code == 2
+    assert "damaged (an event is at 1.84e+10 s)" in ended.message
+    assert not Path("other.rrd").exists()
+
+
 def _copied(
-    reader: McapReader, writer: Writer, schemas: Mapping[str, bytes] = MappingProxyType({}), *, damaged: str = ""
+    reader: McapReader,
+    writer: Writer,
+    schemas: Mapping[str, bytes] = MappingProxyType({}),
+    *,
+    damaged: str = "",
+    late: str = "",
 ) -> None:
     """Copy a log as another program does: with its own numbers of schemas and channels, and the given schemas.
 
     In a message of the topic `damaged`, the length of the frame's name exceeds the message. An attachment of that name
-    begins with a byte that is no text.
+    begins with a byte that is no text. Messages of the topic `late` are logged at the end of time.
     """
     writer.start()
     channels: dict[int, int] = {}
@@ -481,7 +497,8 @@ def _copied(
         if channel.topic == damaged and message.log_time:
             before, _, after = data.rpartition(_FRAME)
             data, damaged = before + b"\xff\xff" + _FRAME[2:] + after, ""
-        writer.add_message(channels[channel.id], message.log_time, data, message.publish_time, message.sequence)
+        time = 2**64 - 1 if channel.topic == late else message.log_time
+        writer.add_message(channels[channel.id], time, data, message.publish_time, message.sequence)
     for record in reader.iter_metadata():
         writer.add_metadata(record.name, record.metadata)
     for attached in reader.iter_attachments():
