@@ -34,7 +34,7 @@ LADDERS = {
     "play, known (mrad)": tuple({"play": v} for v in (0.02, 0.05, 0.1, 0.2, 0.3, 0.4)),
     "play, unknown (mrad)": tuple({"play": v, **UNAWARE} for v in (0.002, 0.005, 0.007, 0.01, 0.015, 0.02)),
     "cable torque (mN m)": tuple({"cable_torque": v} for v in (0.005, 0.01, 0.015, 0.02, 0.03)),
-    "cable stiffness (mN m/rad)": tuple({"cable_stiffness": v} for v in (0.005, 0.01, 0.02, 0.05, 0.1)),
+    "cable stiffness (mN m/rad)": tuple({"cable_stiffness": v} for v in (0.0005, 0.001, 0.002, 0.005, 0.02, 0.05, 0.1)),
     "stiction (mN m)": tuple({"stiction": v} for v in (0.001, 0.002, 0.003, 0.004, 0.006, 0.01)),
     "first rates (rad/s)": tuple({"initial_rate": v} for v in (0.5, 1.0, 2.0, 3.0, 5.0)),
     "cart at first (mm)": tuple({"initial_cart": v} for v in (0.05, 0.1, 0.2, 0.3, 0.4)),
