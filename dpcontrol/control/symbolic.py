@@ -79,7 +79,10 @@ class SymbolicLaw:
         sizes = (states, states, 1, memory, parameters)
         state, wanted, forward, kept, known = symbols = [ca.SX.sym(*one) for one in zip(names, sizes, strict=True)]
         try:
-            command, following = self.function(state, Setpoint(wanted, forward), kept, known)
+            pair = self.function(state, Setpoint(wanted, forward), kept, known)
+            if not isinstance(pair, tuple | list) or len(pair) != 2:
+                raise TypeError("it must return two values: the command, and the next memory")
+            command, following = pair
             after = ca.vertcat(*following) if isinstance(following, list | tuple) else ca.SX(following)
             out = ca.densify(ca.vertcat(ca.SX(command), after))
             made = ca.Function("law", symbols, [out], [*names], ["out"])

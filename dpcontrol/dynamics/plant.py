@@ -304,20 +304,25 @@ def check_component(component: SymbolicPlant, arms: int) -> None:
     Raises:
         InputError: the error in its expressions.
     """
-    name, sizes = type(component).__name__, component.sizes(arms)
+    name = type(component).__name__
     try:
+        sizes = component.sizes(arms)
         equations = plant_equations(arms, PlantLevel.CART, components=(type(component),))
         check_operations(equations.function())
-        lengths = len(component.start(np.zeros(2 * arms + 2))), len(component.numbers())
+        start, numbers = np.array(component.start(np.zeros(2 * arms + 2)), dtype=float), component.numbers()
     except Exception as error:
         text = " ".join(str(error).split())
         raise InputError(f"plant = {name}: {type(error).__name__}: {text}") from error
     rates = equations.rate.shape[0] - 2 * arms - 2
+    lengths = len(start), len(numbers)
     if lengths != sizes[:2] or rates != sizes.states:
         raise InputError(
             f"plant = {name}: sizes({arms}) gives {sizes.states} states and {sizes.parameters} parameters, but start "
             f"has {lengths[0]}, terms has {rates} rates, and numbers has {lengths[1]}"
         )
+    for method, values in (("start", start), ("numbers", numbers)):
+        if not np.isfinite(values).all():
+            raise InputError(f"plant = {name}: {method}() gives {values}: all must be finite numbers")
 
 
 @cache

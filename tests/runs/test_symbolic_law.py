@@ -131,7 +131,7 @@ def test_another_expression_is_another_controller() -> None:
     [
         (lambda s, r, m, p: (s[9], m), "out of bounds"),
         (lambda s, r, m, p: (s, m), "it returned 7 by 1 numbers"),
-        (lambda s, r, m, p: s[0], "TypeError"),
+        (lambda s, r, m, p: s[0], "TypeError: it must return two values: the command, and the next memory"),
         (lambda s, r, m, p: (ca.erf(s[0]), m), "has no heyoka counterpart"),
         (lambda s, r, m, p: (ca.SX.sym("free"), m), "free"),
     ],

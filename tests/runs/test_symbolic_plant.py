@@ -12,7 +12,7 @@ from command_line import dpcontrol
 from scipy.integrate import solve_ivp
 
 import dpcontrol as dp
-from dpcontrol.dynamics.components import Belt, Cable, EncoderPlay, Stiction
+from dpcontrol.dynamics.components import Belt, Cable, ComponentFrame, EncoderPlay, Stiction
 from dpcontrol.dynamics.plant import PlantParameters
 from dpcontrol.loop.simulated import SimulatedPlant
 from dpcontrol.plans.model import load_model
@@ -131,6 +131,47 @@ def test_a_plant_of_expressions_flies_in_lockstep_as_alone_and_keeps_its_arms(tm
     assert kinds == ["Belt", "Stiction", "Spring"]
     done = dpcontrol("run", "hold-up-up", "--set", f"plant={file}:Spring", "--out", str(tmp_path / "run.mcap"))
     assert done.code == 0, done.stderr
+
+
+class _Raises(dp.SymbolicPlant):
+    @classmethod
+    def sizes(cls, arms: int) -> dp.Sizes:
+        raise ValueError("no sizes")
+
+
+@dataclass(frozen=True)
+class _Endless(dp.SymbolicPlant):
+    number: float = float("nan")
+
+    @classmethod
+    def sizes(cls, arms: int) -> dp.Sizes:
+        return dp.Sizes(parameters=1)
+
+
+class _Lost(dp.SymbolicPlant):
+    @classmethod
+    def sizes(cls, arms: int) -> dp.Sizes:
+        return dp.Sizes(states=1)
+
+    @classmethod
+    def terms(cls, frame: ComponentFrame) -> dp.Terms:
+        return dp.Terms(rates=ca.SX.zeros(1))
+
+    def start(self, state: np.ndarray) -> np.ndarray:
+        return np.array([np.nan])
+
+
+@pytest.mark.parametrize(
+    ("plant", "said"),
+    [
+        (_Raises(), r"_Raises: ValueError: no sizes"),
+        (_Endless(), r"_Endless: numbers\(\) gives \(nan,\): all must be finite"),
+        (_Lost(), r"_Lost: start\(\) gives \[nan\]: all must be finite"),
+    ],
+)
+def test_a_plant_without_usable_numbers_is_refused_by_name(plant: dp.SymbolicPlant, said: str) -> None:
+    with pytest.raises(dp.InputError, match=f"plant = {said}"):
+        dp.closed_loop("outer-turn", plant=plant)
 
 
 @pytest.mark.parametrize(
