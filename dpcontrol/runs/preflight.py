@@ -42,6 +42,7 @@ from dpcontrol.judge.campaign import plain_reason
 from dpcontrol.judge.preflight import Assumption, EndingShare, HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.loop.bench import MechanicsSettings
 from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.own import OwnPlant
 from dpcontrol.plans.itinerary import Itinerary, overridden, setting_of
 from dpcontrol.plans.overrides import canonical
 from dpcontrol.plans.plan import Plan
@@ -709,13 +710,14 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
     pushes = blows.pushes or 2
     # The loop's model of the bench stays unchanged.
     known = (("known_belt", loop.known_belt), ("known_play", rig.of_each("known_play", scene.model.arms.count)))
+    travel = loop.limits(plan.reference.limits).position
     further = [
         Hazard("cable torque", "cable_torque", "mN m", abs(rig.cable_torque), 0.05, 5.0, shown=1e3),
         Hazard("cable stiffness", "cable_stiffness", "mN m/rad", rig.cable_stiffness, 0.02, 2.0, shown=1e3),
         Hazard("first rates", "initial_rate", "rad/s", rig.initial_rate, 1.0, 30.0),
         Hazard("cart at first", "initial_cart", "mm", abs(rig.initial_cart), 0.1, 1.0, shown=1e3),
     ]
-    return [
+    found = [
         Hazard("delay", "delay", "ms", drive.delay, 0.01 * rate, max(min(0.04 * rate, most_delay), 2 * drive.delay, 2),
                shown=1e3 / rate, step=1.0),
         Hazard("lag", "lag", "ms", drive.lag, 0.02, 0.32, shown=1e3),
@@ -724,8 +726,9 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
                shown=1e3, besides=(("pushes", pushes),)),
         Hazard("zeros", "zero_error", "mrad", sensors.zero_error, 0.05, 0.8, shown=1e3),
         Hazard("counts", "counts", "a turn", sensors.counts or math.inf, 1000, 16, falling=True, step=1.0),
-        Hazard("travel", "travel", "mm", loop.limits(plan.reference.limits).position, math.inf,
-               plan.reference.max_cart_position, falling=True, shown=1e3),
+        # A reference whose cart stays at the centre needs some travel as well.
+        Hazard("travel", "travel", "mm", travel, math.inf, max(plan.reference.max_cart_position, 1e-3 * travel),
+               falling=True, shown=1e3),
         Hazard("belt", "belt", "Hz", rig.belt or math.inf, 40.0, 4.0, falling=True, besides=known),
         Hazard("play", "play", "mrad", max(rig.of_each("play", scene.model.arms.count)), 0.01, 0.8, shown=1e3,
                besides=known),
@@ -733,6 +736,12 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
                shown=1e3),
         *(one for one in further if one.set),
     ]  # fmt: skip
+    own = isinstance(loop.plant, OwnPlant) and not loop.plant.own.symbolic
+    return [one for one in found if not own or one.setting in _WITH_OWN_PLANT]
+
+
+_WITH_OWN_PLANT = ("delay", "push_impulse", "zero_error", "counts", "travel")
+"""Settings that remain if a user's plant replaces arms, cart and drive."""
 
 
 def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Trial]:

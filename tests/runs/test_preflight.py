@@ -215,3 +215,23 @@ def test_borders_of_belt_play_and_stiction_are_found_with_an_unchanged_model_of_
     assert worse.known_mechanics(2) == scene.loop.known_mechanics(2)
     # Of a belt less is worse.
     assert found["belt"].place(30.0) > found["belt"].place(60.0)
+
+
+class _Arms:
+    def step(self, state: np.ndarray, acceleration: float, seconds: float) -> np.ndarray:
+        return state
+
+
+def test_only_settings_that_remain_beside_a_users_plant_have_borders(turn: Plan) -> None:
+    scene = turn.followed().itinerary.with_run({"plant": _Arms()})
+    found = hazards(turn, scene, most_delay=10)
+    assert [one.setting for one in found] == ["delay", "push_impulse", "zero_error", "counts", "travel"]
+    for one in found:
+        scene.with_run(one.options(one.first if math.isfinite(one.first) else 1.0))
+
+
+def test_a_reference_with_its_cart_at_the_centre_has_a_border_of_travel() -> None:
+    plan = make_plan(load_itinerary("hold-up-up"))
+    (travel,) = (one for one in hazards(plan, plan.itinerary, most_delay=10) if one.setting == "travel")
+    assert plan.reference.max_cart_position == 0
+    assert 0 < travel.value(travel.place(travel.end)) < travel.set
