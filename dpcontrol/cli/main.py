@@ -6,6 +6,7 @@ Verbs are imported when they are called, which keeps --help fast.
 import difflib
 import errno
 import importlib
+import logging
 import os
 import shlex
 import shutil
@@ -202,6 +203,9 @@ def main(arguments: list[str] | None = None) -> None:
         # A terminal without arrows shows question marks instead of an error.
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
+    if debug:
+        logging.basicConfig()
+        logging.getLogger("dpcontrol").setLevel(logging.DEBUG)
     call = Call(debug=debug)
     try:
         if any("\0" in text for text in given):

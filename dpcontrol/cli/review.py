@@ -103,19 +103,24 @@ def score_text(verdict: "Score") -> Iterator[str]:
     if verdict.nis_means is not None:
         yield f"  NIS      {verdict.nis_means.sentence}"
     if verdict.completed is False:
-        yield f"{_WHY}`dpcontrol score LOG --why` prints options that complete this run, if there are any"
+        yield f"{_WHY}`dpcontrol score LOG --why` searches for options that complete a simulated run of built-in parts"
     if verdict.thinking is not None:
         median, most = 1e6 * verdict.thinking.median, 1e6 * verdict.thinking.within_99
         yield f"  thinking {median:.3g} µs a tick in the median, 99 % within {most:.3g} µs"
 
 
-def shortfall(verdict: "Score") -> str:
+def shortfall(verdict: "Score", *, failed: str = "", rig: bool = False) -> str:
     """Return the reason why a run is not completed, or "".
 
     Args:
         verdict: score of one log.
+        failed: reason why a run on a rig ended early, "" if it did not.
+        rig: True if the symbols decide where the true state is not known.
     """
-    return f"not completed: {verdict.reason}" if verdict.completed is False else ""
+    unfinished = verdict.completed is None and rig and verdict.symbols_completed != verdict.symbols_total
+    if failed or unfinished or verdict.completed is False:
+        return f"not completed: {failed or verdict.reason}"
+    return ""
 
 
 @verb("review", example="dpcontrol review logs/outer-turn-0.mcap --picture outer-turn.png")

@@ -208,7 +208,9 @@ def run_command(
         raise click.UsageError("--real-time applies to runs on a rig: add --rig udp")
     if address is None and (key_file or insecure):
         raise click.UsageError("--key-file and --insecure apply to runs on a rig: add --rig")
-    own = address if address is not None and ".py:" in address else None
+    from dpcontrol.loop.own import load_own, names_file
+
+    own = address if address is not None and names_file(address) else None
     if own is not None and (real_time or key_file or insecure or hours is not None):
         raise click.UsageError(
             "--real-time, --key-file, --insecure and --hours apply to benches at udp://: omit them with --rig "
@@ -228,7 +230,6 @@ def run_command(
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"--controller-program {program}: no such executable program; compile it first")
     from dpcontrol.logs import check_replaced
-    from dpcontrol.loop.own import load_own
     from dpcontrol.pages.picture import LIVE_REMEDY, check_viewer
     from dpcontrol.plans.itinerary import load_itinerary
     from dpcontrol.plans.plan import make_plan
@@ -274,9 +275,9 @@ def run_command(
             fly = partial(run_night, plan, out, night, link=link, resume=resume, force=force, live=shown)
             if link is None:
                 done = fly(progress=part_of(progress, 0.05, 1.0))
-                return Answer(done.document(), done.lines())
+                return Answer(done.document(), done.lines(), done.failure)
         done = fly()
-        return Answer(done.document(), done.lines())
+        return Answer(done.document(), done.lines(), done.failure)
     if out is None:
         named = None if link is None else link.address
         record = run_record(scene, rig=named if rig is None else rig.name, library=library)
@@ -293,7 +294,8 @@ def run_command(
         if link is None:
             flown = run_plan(plan, out, library=library, rig=rig, force=force, live=shown, progress=progress)
             verdict = flown.score()
-            return Answer(verdict.document(), score_text(verdict), shortfall(verdict))
+            reason = shortfall(verdict) if rig is None else shortfall(verdict, failed=flown.failure, rig=True)
+            return Answer(verdict.document(), score_text(verdict), reason)
     # Without a progress bar, because its thread would take time from the loop.
     if program is not None:
         run = run_with_program(plan, out, program, real_time=real_time, force=force)
@@ -302,16 +304,14 @@ def run_command(
     verdict, result = run.score, run.result
     kept = None if run.deadlines is None else asdict(run.deadlines)
     document = {**verdict.document(), "ending": result.ending.value, "deadlines": kept}
-    # Without the true state, the estimate decides.
-    done = verdict.symbols_completed == verdict.symbols_total if verdict.completed is None else verdict.completed
-    reason = "" if result.finished and done else verdict.reason if result.finished else result.reason
     lines = [*score_text(verdict)]
     if run.deadlines is not None:
         lines.append(f"  {run.deadlines.sentence}")
     if run.difference is not None:
         document["command_difference"] = run.difference
         lines.append(f"  the program's commands differ from the loop's own by {run.difference:.2g} m/s² at most")
-    return Answer(document, lines, reason and f"not completed: {reason}")
+    failed = "" if result.finished else result.reason
+    return Answer(document, lines, shortfall(verdict, failed=failed, rig=True))
 
 
 def _repeat(source: Path, out: Path | None, force: bool) -> Answer:

@@ -12,8 +12,9 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -33,11 +34,15 @@ OUTPUT, WORK = "Output", "Work"
 
 @dataclass
 class Call:
-    """Output options of one call of the program, and its files."""
+    """Output options of one call of the program, and its files.
+
+    `aside` is open while the verb works.
+    """
 
     as_json: bool = False
     debug: bool = False
     shown: bool = False
+    aside: ExitStack = field(default_factory=ExitStack)
     files: set[Path] = field(default_factory=set)
 
 
@@ -345,7 +350,8 @@ def verb(
         )
 
         def run(*, as_json: bool, **given: Any) -> None:
-            click.get_current_context().ensure_object(Call).as_json = as_json
+            call = click.get_current_context().ensure_object(Call)
+            call.as_json = as_json
             for param in params:
                 if isinstance(param, Option):
                     value = given.get(str(param.name))
@@ -354,7 +360,10 @@ def verb(
                         claim(value)
             for name, group in groups.items():
                 given[name] = group.make(**{str(one.name): given.pop(str(one.name)) for one in group.options})
-            answer = function(**given)
+            with call.aside:
+                if as_json:
+                    call.aside.enter_context(_prints_on_stderr())
+                answer = function(**given)
             if answer is not None:
                 show(answer)
 
@@ -378,6 +387,7 @@ def show(answer: Answer) -> None:
     """
     call = click.get_current_context().ensure_object(Call)
     call.shown = True
+    call.aside.close()
     if call.as_json:
         print_json(answer.document)
     else:
@@ -385,6 +395,22 @@ def show(answer: Answer) -> None:
             _print(item)
     if answer.missed:
         raise GoalMissed(answer.missed)
+
+
+@contextmanager
+def _prints_on_stderr() -> Iterator[None]:
+    """Move what users' objects and workers print from stdout to stderr.
+
+    So stdout holds only the document.
+    """
+    with redirect_stdout(sys.stderr), ExitStack() as stack:
+        # Either stream may be closed.
+        with suppress(OSError):
+            before = os.dup(1)
+            stack.callback(os.close, before)
+            os.dup2(2, 1)
+            stack.callback(os.dup2, before, 1)
+        yield
 
 
 def print_json(document: Mapping[str, Any]) -> None:

@@ -119,6 +119,12 @@ class Night(Shown):
         for name, value in (("spans", spans), ("falls", falls), ("endings", endings)):
             object.__setattr__(self, name, tuple(value))
 
+    @property
+    def failure(self) -> str:
+        """Reason why the night ended before its planned time, or ""."""
+        last = [text for time, text in self.endings if time >= self.digests[-1].first]
+        return f"ended early: {last[-1]}" if last else ""
+
     def _time(self, *kinds: str) -> float:
         return sum(span.end - span.first for span in self.spans if span.kind in kinds)
 

@@ -393,7 +393,8 @@ class Assembly:
                 arms.
             GoalMissed: no controller exists, or the loop does not stay on its reference.
         """
-        settings = replace(self.settings, travel=0.0)
+        # The plant has the parameters of the model, also instead of a user's plant.
+        settings = replace(self.settings, travel=0.0, plant=None)
         if isinstance(settings.controller, OwnLaw) or isinstance(settings.estimator, OwnEstimator):
             raise InputError("margins need symbolic equations, which Python objects do not provide; remove the object")
         if not isinstance(settings.estimator, EkfSettings):

@@ -11,6 +11,7 @@ A killed run loses no more than that.
 """
 
 import itertools
+import logging
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -55,6 +56,7 @@ from dpcontrol.loop.result import (
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 
+_LOG = logging.getLogger(__name__)
 _FLUSH_SECONDS = 0.02
 """Ticks between two transfers of rows to the sink, equal to a chunk of a log."""
 _PROGRESS_EVERY = 500
@@ -113,7 +115,7 @@ class ControlLoop:
     def run(self, rig: Rig) -> LoopResult:
         """Run to the last tick, or until the cart is stopped.
 
-        The supervisor stops the cart.
+        The supervisor stops the cart. If the run is interrupted or breaks, the cart is stopped as well.
 
         With a recovery, the run continues after falls. If it is interrupted, the sink receives the rows so far.
 
@@ -125,6 +127,9 @@ class ControlLoop:
         """
         try:
             return self._run(rig)
+        except BaseException:
+            rig.stop()
+            raise
         finally:
             self._flush(self._done)
 
@@ -157,10 +162,16 @@ class ControlLoop:
             called = clock()
             report = ticker(k, reading, None if noise is None else noise[k])
             thought(clock() - called)
-            rig.command(report.item(command, 0))
+            wrong = None
+            try:
+                rig.command(report.item(command, 0))
+            except ArithmeticError as failure:
+                wrong = failure
             take(k - self._first, reading, report, rig.truth, ticker.references[k - ticker.began])
             self._done = done = k + 1
-            if watched and (wrong := ticker.failure) is not None:
+            if watched and wrong is None:
+                wrong = ticker.failure
+            if wrong is not None:
                 self._fail(k, wrong)
                 break
             if report.item(notable, 0):
@@ -220,6 +231,7 @@ class ControlLoop:
         own = isinstance(failure, OwnFailure)
         self.ending = Ending.OBJECT_FAILED if own else Ending.PLANT_FAILED
         self.reason = f"{failure}, at t = {k * self._period:.3f} s" if own else str(failure)
+        _LOG.debug("%s", self.reason, exc_info=failure)
 
     def _next_block(self, k: int) -> tuple[Ticks, Callable[..., None]]:
         """Allocate rows from tick k on."""

@@ -48,6 +48,10 @@ NEEDED = {
 """The methods that an object needs in each role."""
 LONGEST = 5.0
 """Default time limit of a call, s."""
+LIMITS = 0.001, 86_400.0
+"""Least and largest time limit of a call, s."""
+_SOON = 1e-3
+"""s until an overdue timer expires."""
 LARGEST = 1e6
 """Upper bound of plausible accelerations and states, SI units."""
 _SHOWN = 60
@@ -68,7 +72,7 @@ class _TooLong(BaseException):
     """
 
 
-def _timed(function: Callable[..., Any], arguments: Sequence[Any], longest: float) -> Any:
+def _timed(function: Callable[[], Any], longest: float) -> Any:
     """Call a function and interrupt it at its time limit."""
     began = time.perf_counter()
 
@@ -80,14 +84,16 @@ def _timed(function: Callable[..., Any], arguments: Sequence[Any], longest: floa
 
     interrupts = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     before: Any = None
+    pending = 0.0
     if interrupts:
         before = signal.signal(signal.SIGALRM, check_time)
-        signal.setitimer(signal.ITIMER_REAL, longest, longest)
+        pending, _ = signal.setitimer(signal.ITIMER_REAL, longest, longest)
     try:
-        value = function(*arguments)
+        value = function()
     finally:
         if interrupts:
-            signal.setitimer(signal.ITIMER_REAL, 0)
+            # A timer that was set before, such as one that repeats an interrupt, is set again.
+            signal.setitimer(signal.ITIMER_REAL, pending and max(pending - (time.perf_counter() - began), _SOON))
             signal.signal(signal.SIGALRM, before)
     if time.perf_counter() - began > longest:
         raise _TooLong
@@ -103,7 +109,7 @@ class OwnObject:
         source: FILE.py:CLASS if the object comes from a file.
 
     Raises:
-        InputError: the object lacks a method, or is a class.
+        InputError: the object lacks a method, is a class, or has an invalid time limit.
     """
 
     def __init__(self, role: str, thing: Any, source: str = "") -> None:
@@ -115,6 +121,13 @@ class OwnObject:
         for usage in () if self.symbolic else NEEDED[role]:
             if not callable(self.attribute(usage.partition("(")[0])):
                 raise InputError(f"{role} = {self.name}: it has no method {usage}; see `dpcontrol guide extend`")
+        longest = self.attribute("longest")
+        self._longest = LONGEST if longest is None else _number(longest)
+        if not LIMITS[0] <= self._longest <= LIMITS[1]:
+            raise InputError(
+                f"{role} = {self.name}: longest = {_shown(longest)}: must be a number of seconds from {LIMITS[0]:g} to "
+                f"{LIMITS[1]:g}"
+            )
 
     def __str__(self) -> str:
         return self.source or self.name
@@ -151,8 +164,21 @@ class OwnObject:
         """
         try:
             return getattr(self.thing, name, None)
-        except Exception as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise InputError(f"{self.role} = {self.name}: {name} raised {_error_text(error)}") from error
+
+    def value(self, name: str) -> Any:
+        """Return an attribute during a run, or None if there is none.
+
+        Args:
+            name: name of the attribute.
+
+        Raises:
+            OwnFailure: reading it raised or exceeded the time limit.
+        """
+        return self._guarded(name, lambda: getattr(self.thing, name, None))
 
     def reset(self) -> None:
         """Call the object's `reset` method if it has one."""
@@ -169,13 +195,18 @@ class OwnObject:
         Raises:
             OwnFailure: the method raised or exceeded its time limit.
         """
-        longest = float(self.attribute("longest") or LONGEST)
+        return self._guarded(method, lambda: getattr(self.thing, method)(*arguments))
+
+    def _guarded(self, name: str, function: Callable[[], Any]) -> Any:
         try:
-            return _timed(getattr(self.thing, method), arguments, longest)
+            return _timed(function, self._longest)
         except _TooLong:
-            raise OwnFailure(f"{self.name}.{method} took longer than {longest:g} s") from None
-        except (Exception, SystemExit) as error:
-            raise OwnFailure(f"{self.name}.{method} raised {_error_text(error)}") from error
+            raise OwnFailure(f"{self.name}.{name} took longer than {self._longest:g} s") from None
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            # Also asyncio.CancelledError, GeneratorExit and the user's own.
+            raise OwnFailure(f"{self.name}.{name} raised {_error_text(error)}") from error
 
     def number(self, method: str, *arguments: Any) -> float:
         """Call a method and return its result, an acceleration in m/s².
@@ -188,10 +219,7 @@ class OwnObject:
             OwnFailure: the method failed, or did not return a finite number within bounds.
         """
         value = self.call(method, *arguments)
-        try:
-            number = math.nan if isinstance(value, str | bytes | bool) or np.ndim(value) else float(value)
-        except Exception:  # noqa: BLE001 - the value is the user's, and so is its __float__
-            number = math.nan
+        number = _number(value)
         if not abs(number) <= LARGEST:
             raise self.invalid_value(method, value, f"a number from -{LARGEST:g} to {LARGEST:g} m/s²")
         return number
@@ -208,7 +236,7 @@ class OwnObject:
             OwnFailure: the value has another shape, or entries that are not finite or out of bounds.
         """
         try:
-            array = np.array(value, dtype=float)
+            array = np.empty(0) if np.iscomplexobj(value) else np.array(value, dtype=float)
         except Exception:  # noqa: BLE001 - the value is the user's, and so is its __array__
             array = np.empty(0)
         if array.shape != (size,) or not np.abs(array).max() <= LARGEST:
@@ -223,12 +251,24 @@ class OwnObject:
             value: the returned value.
             needed: description of valid values.
         """
-        try:
-            text = " ".join(repr(value).split())
-        except Exception:  # noqa: BLE001 - the value is the user's, and so is its __repr__
-            text = f"a {type(value).__name__}"
-        text = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
-        return OwnFailure(f"{self.name}.{method} returned {text}: it must return {needed}")
+        return OwnFailure(f"{self.name}.{method} returned {_shown(value)}: it must return {needed}")
+
+
+def _shown(value: Any) -> str:
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # noqa: BLE001 - the value is the user's, and so is its __repr__
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
+
+
+def _number(value: Any) -> float:
+    """Return a real number, and NaN for any other value."""
+    try:
+        other = isinstance(value, str | bytes | bool | np.bool_) or np.ndim(value) or np.iscomplexobj(value)
+        return math.nan if other else float(value)
+    except Exception:  # noqa: BLE001 - the value is the user's, and so is its __float__
+        return math.nan
 
 
 def wrong_command(law: str, value: float) -> OwnFailure | None:
@@ -249,6 +289,15 @@ def _error_text(error: BaseException) -> str:
     except Exception:  # noqa: BLE001 - the error is the user's, and so is its __str__
         text = ""
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def names_file(value: str) -> bool:
+    """Return True if a value names a Python file.
+
+    Args:
+        value: name of a built-in part, an address, or FILE.py:CLASS.
+    """
+    return ".py:" in value or value.endswith(".py")
 
 
 def own_object(role: str, value: Any) -> OwnObject:
@@ -277,6 +326,8 @@ def load_own(role: str, source: str) -> OwnObject:
         InputError: the file or class does not exist, the constructor raised, or a method is missing.
     """
     path, _, name = source.rpartition(":")
+    if not path.endswith(".py") or not name:
+        raise InputError(f"{role} = {source}: the class is missing; give FILE.py:CLASS")
     file = Path(path)
     if not file.is_file():
         raise InputError(f"{role} = {source}: there is no file {path}; give FILE.py:CLASS")
@@ -285,13 +336,17 @@ def load_own(role: str, source: str) -> OwnObject:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    # Dataclasses look up their module there.
+    # Dataclasses look up their module there. Modules beside the file can be imported, as by a script.
     sys.modules[module_name] = module
+    if (folder := str(file.parent.resolve())) not in sys.path:
+        sys.path.append(folder)
     try:
         spec.loader.exec_module(module)
         kind = getattr(module, name, None)
         thing = kind() if isinstance(kind, type) else kind
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         raise InputError(f"{role} = {source}: {_error_text(error)}") from error
     if thing is None:
         raise InputError(f"{role} = {source}: {path} has no class {name}")
@@ -400,12 +455,9 @@ class OwnEstimates(Estimator):
     def __init__(self, own: OwnObject, model: SampledModel, *, noise: Array) -> None:
         self.own, self.kind, self._model, self._noise = own, own.name, model, noise
         self.failure: OwnFailure | None = None
+        self.judged = True
+        """True if the object provided standard deviations at the last update."""
         self.sent, self._count = 0.0, 0
-
-    @property
-    def judged(self) -> bool:
-        """True if the object provides standard deviations."""
-        return self.own.attribute("sigmas") is not None
 
     def first(self, state: Array) -> Estimate:
         """Return the estimate before any measurement.
@@ -446,12 +498,14 @@ class OwnEstimates(Estimator):
             if not self._count:
                 own.reset()
             state = own.numbers("update", own.call("update", reading, self.sent), size)
-            sigmas = own.numbers("sigmas", self.own.attribute("sigmas"), size) if self.judged else estimate.sigmas
+            given = own.value("sigmas")
+            sigmas = estimate.sigmas if given is None else own.numbers("sigmas", given, size)
         except OwnFailure as failure:
             self.failure = failure
             return estimate
         self._count += 1
         nis, rows = 0.0, np.flatnonzero(seen)
+        self.judged = given is not None
         if self.judged and len(rows):
             places = self._model.position_indices[rows]
             away = measured[rows] - expected[places]
@@ -557,7 +611,7 @@ class OwnArms:
 class OwnRig:
     """A user's rig in the loop.
 
-    If `command` fails, the run ends at the next reading.
+    After a `stop` that did not raise, the object receives no further calls of `stop` and `command`.
 
     Args:
         own: the user's object. Its optional attribute `truth` is the true state (2n+2,).
@@ -567,7 +621,7 @@ class OwnRig:
 
     def __init__(self, own: OwnObject, *, arms: int, period: float) -> None:
         self.own, self.period, self.fault = own, period, ""
-        self._arms, self._count, self._failure = arms, 0, list[OwnFailure]()
+        self._arms, self._count, self._stopped = arms, 0, False
         self.truth: Array | None = None if own.attribute("truth") is None else np.zeros(2 * arms + 2)
         """The true state (2n+2,) at the last reading, if the object provides it."""
 
@@ -577,35 +631,45 @@ class OwnRig:
         Raises:
             OwnFailure: the object failed.
         """
-        if self._failure:
-            raise self._failure[0]
         own, m = self.own, self._arms + 1
         value = own.call("read")
         given = getattr(value, "positions", value)
         positions, now = own.numbers("read", given, m), self._count * self.period
         self._count += 1
         if self.truth is not None:
-            self.truth = own.numbers("truth", own.attribute("truth"), 2 * self._arms + 2)
+            self.truth = own.numbers("truth", own.value("truth"), 2 * self._arms + 2)
         if not isinstance(value, Reading):
             return Reading(now, positions)
-        if value.present is not None and np.shape(value.present) != (m,):
-            raise own.invalid_value("read", value, f"a reading whose `present` has {m} entries")
-        return value._replace(time=now, positions=positions)
+        present = None if value.present is None else np.asarray(value.present)
+        if present is not None and (present.shape != (m,) or present.dtype != bool):
+            raise own.invalid_value("read", value.present, f"a reading whose `present` has {m} times True or False")
+        for name, needed, valid in (
+            ("switch", "-1, 0 or 1", abs(_number(value.switch)) in (0, 1)),
+            ("late", "seconds", abs(_number(value.late)) <= LARGEST),
+            ("age", "None or seconds of at least 0", value.age is None or 0 <= _number(value.age) <= LARGEST),
+        ):
+            if not valid:
+                raise own.invalid_value("read", getattr(value, name), f"a reading whose `{name}` is {needed}")
+        return value._replace(time=now, positions=positions, present=present)
 
     def command(self, acceleration: float) -> None:
         """Send a command to the object.
 
         Args:
             acceleration: demanded acceleration of the cart, m/s².
+
+        Raises:
+            OwnFailure: the object failed.
         """
-        try:
+        if not self._stopped:
             self.own.call("command", acceleration)
-        except OwnFailure as failure:
-            self._failure.append(failure)
 
     def stop(self) -> None:
         """Stop the cart through the object."""
+        if self._stopped:
+            return
         try:
             self.own.call("stop")
+            self._stopped = True
         except OwnFailure as failure:
             remark(f"{failure}; the cart may still be moving")

@@ -49,6 +49,7 @@ class Ticker:
     ) -> None:
         self.program, self.controller, self.estimator = program, controller, estimator
         self._own = estimator if isinstance(estimator, OwnEstimates) else None
+        self._judged = True
         self._has_own = self._own is not None or isinstance(controller, OwnController)
         self.watched = self._has_own or "own" in program.at
         """True if a user's law or estimator takes part, which may fail."""
@@ -200,7 +201,9 @@ class Ticker:
             self._estimate = self.estimator.restarted(self._estimate, reading.positions)
         if self._own is not None and not self._own.judged:
             program.report[self.at["nis"]] = math.nan
-            self.event = f"{self._own.kind} has no sigmas: NIS and the check of the estimate are off" * (k == 0)
+            if self._judged:
+                self.event = f"{self._own.kind} has no sigmas: NIS and the check of the estimate are off"
+            self._judged = False
         return program.report
 
     def _estimated(self, estimator: Estimator, k: int, reading: Reading) -> tuple[Array, Array, Array]:

@@ -26,7 +26,7 @@ from dpcontrol.foundation.shipped import find
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS, KEEPERS, estimators_of
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.own import OwnEstimator, OwnExpressions, OwnLaw, OwnPlant, own_object
+from dpcontrol.loop.own import OwnEstimator, OwnExpressions, OwnLaw, OwnPlant, names_file, own_object
 from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.plans.layout import BENCH, Header, HoldPart, OrbitPart, Part, RunTable, WalkPart
@@ -293,7 +293,7 @@ def _of_kind(role: str, value: Any, now: Any) -> Any:
         InputError: an unknown kind.
     """
     kinds: Mapping[str, Any] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}[role]
-    if not isinstance(value, str) or ".py:" in value:
+    if not isinstance(value, str) or names_file(value):
         made = own_object(role, value)
         law = OwnExpressions if made.symbolic else OwnLaw
         return law(made.name, made) if role == "controller" else OwnEstimator(kind=made.name, own=made)
@@ -402,7 +402,7 @@ class Itinerary:
         loop = self.loop
         plant = canonical(settings).get("plant")
         if plant is not None:
-            named = isinstance(plant, str) and ".py:" not in plant
+            named = isinstance(plant, str) and not names_file(plant)
             made = None if named else own_object("plant", plant)
             if made is not None and made.symbolic:
                 check_component(made.thing, self.model.arms.count)

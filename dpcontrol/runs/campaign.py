@@ -49,6 +49,7 @@ import math
 import shutil
 import threading
 import time
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -63,7 +64,7 @@ import dpcontrol
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.checked import is_list
 from dpcontrol.foundation.document import Documented, document_of
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file, write_whole
 from dpcontrol.foundation.parts import Later, part
 from dpcontrol.foundation.processes import in_processes, on_cluster, processors
@@ -886,25 +887,28 @@ STANDARD = (
 """Nine kinds; SI units, encoders in counts per turn."""
 
 
-def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[str]) -> tuple[Case, ...]:
+def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[Any]) -> tuple[Case, ...]:
     """Return the cases of every controller, kind and level.
 
     Args:
         itinerary: itinerary of all cases.
         fixed: settings of all cases, by path.
-        controllers: kinds of controllers.
+        controllers: kinds of controllers, or users' laws.
 
     Raises:
         InputError: an unknown controller.
     """
     cases = []
-    for controller in controllers:
+    for controller, shown in zip(controllers, _shown(controllers), strict=True):
         for kind in STANDARD:
             for k in range(LEVELS):
                 level = {"controller": controller, **kind.level(k, rate=itinerary.loop.rate)}
-                (case,) = cases_of(itinerary, fixed={**canonical(fixed), **canonical(level)}, over={})
-                label = f"{controller}, {kind.name} {k} of {LEVELS - 1}"
-                named = (("controller", controller), ("kind", kind.name), ("level", float(k)))
+                with warnings.catch_warnings():
+                    # The levels are far beyond usual values.
+                    warnings.simplefilter("ignore", Remark)
+                    (case,) = cases_of(itinerary, fixed={**canonical(fixed), **canonical(level)}, over={})
+                label = f"{shown}, {kind.name} {k} of {LEVELS - 1}"
+                named = (("controller", shown), ("kind", kind.name), ("level", float(k)))
                 cases.append(Case(label, named, case.loop))
     return tuple(cases)
 

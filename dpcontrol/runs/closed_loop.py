@@ -22,7 +22,7 @@ from dpcontrol.judge.night import Night
 from dpcontrol.judge.preflight import Preflight
 from dpcontrol.logs import read_log
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.own import own_object
+from dpcontrol.loop.own import OwnExpressions, OwnLaw, names_file, own_object
 from dpcontrol.loop.protocols import UserRig
 from dpcontrol.plans.plan import Plan, recoverable, with_kept_starts
 from dpcontrol.runs.campaign import (
@@ -259,7 +259,7 @@ class ClosedLoop(Timed):
     @checked
     def standard_score(
         self,
-        controllers: Sequence[str] = (),
+        controllers: Sequence[Any] = (),
         *,
         settings: CampaignSettings | None = None,
         out: Path | str | None = None,
@@ -272,7 +272,7 @@ class ClosedLoop(Timed):
         Shares of completed runs under nine kinds of trouble.
 
         Args:
-            controllers: kinds of laws to compare (default: this loop's).
+            controllers: kinds of laws, or own laws, to compare (default: this loop's).
             settings: runs at each of 21 levels (default 8), and workers.
             out: Parquet file to write.
             force: replace the table of another campaign there.
@@ -283,8 +283,9 @@ class ClosedLoop(Timed):
             InputError: an unknown controller, or the file cannot be written.
             GoalMissed: there is no reference to follow, or workers died repeatedly.
         """
-        chosen = controllers or [self.plan.itinerary.loop.controller.kind]
-        cases = standard_cases(self.planned.itinerary, fixed=self.options, controllers=chosen)
+        law = self.plan.itinerary.loop.controller
+        own = [law.own.source or law.own.thing] if isinstance(law, OwnLaw | OwnExpressions) else [law.kind]
+        cases = standard_cases(self.planned.itinerary, fixed=self.options, controllers=controllers or own)
         with reporting(progress, "campaign") as report:
             found = run_campaign(
                 self.planned, cases, place("out", out), settings=settings or STANDARD_CAMPAIGN, force=force, yes=yes,
@@ -375,6 +376,6 @@ def linked(rig: object) -> RigLink | None:
     Raises:
         InputError: the address is malformed.
     """
-    if isinstance(rig, str) and ".py:" not in rig:
+    if isinstance(rig, str) and not names_file(rig):
         return rig_link(rig, key_file=None, insecure=False, real_time=False)
     return rig if isinstance(rig, RigLink) else None

@@ -79,7 +79,7 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.controllers import CONTROLLERS, estimators_of, filter_of, law_of
 from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.own import OwnLaw, OwnObject, OwnRig
-from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
+from dpcontrol.loop.result import Ending, LogSink, LoopResult, LoopSink, Sinks, SupervisorSettings, Ticks
 from dpcontrol.plans.itinerary import Itinerary, itinerary_from, setting_of
 from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.model import model_from
@@ -138,6 +138,13 @@ class Run(Timed):
     def converged(self) -> bool:
         """True if the itinerary was completed, False if not or unknown."""
         return bool(self._judged and self._judged.completed)
+
+    @property
+    def failure(self) -> str:
+        """Reason why the run ended early, or ""."""
+        if self.log.metadata.get("ending", Ending.FINISHED.value) == Ending.FINISHED.value:
+            return ""
+        return next((event.text for event in reversed(self.log.events) if event.level == "error"), self.status)
 
     @property
     def status(self) -> str:

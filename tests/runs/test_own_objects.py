@@ -1,17 +1,21 @@
 """Users' own laws, estimators, plants and rigs: they fly, are logged and scored; a failure ends the run by name."""
 
+import asyncio
 import json
+import signal
 import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
-from command_line import dpcontrol
+from command_line import dpcontrol, dpcontrol_program
 from own_objects import Arms, Filter, Gains, Judged, Mute, Rig, Wrong
 
 import dpcontrol as dp
+from dpcontrol.loop.result import Reading
 
 SAME, STEPS = 1e-6, 1e-4
 """rad and rad/s: sums in another order; steps of another method. Later an encoder's count flips, and the runs part."""
@@ -191,3 +195,198 @@ def test_on_the_command_line_a_rig_is_a_file_and_a_class(tmp_path: Path) -> None
     refused = dpcontrol("run", "outer-turn", "--rig", f"{FILE}:Mute")
     assert refused.code == 2
     assert "rig = Mute: it has no method read()" in refused.stderr
+
+
+class _Interrupted(Rig):
+    def read(self):
+        if self.count == 30:
+            raise KeyboardInterrupt
+        return super().read()
+
+
+def test_an_interrupted_run_stops_the_rig() -> None:
+    rig = _Interrupted()
+    with pytest.raises(KeyboardInterrupt):
+        dp.closed_loop("outer-turn", controller="tvlqr").run(rig=rig)
+    assert rig.stopped == 1
+
+
+class _Blind(Rig):
+    """A rig that loses its readings, so that the supervisor stops the cart before the end."""
+
+    truth = None
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.commands: list[bool] = []
+
+    def read(self):
+        positions = super().read()
+        return Reading(0.0, positions, np.zeros(3, dtype=bool)) if self.count > 50 else positions
+
+    def command(self, acceleration: float) -> None:
+        self.commands.append(self.stopped > 0)
+        super().command(acceleration)
+
+
+def test_a_stopped_rig_receives_neither_commands_nor_a_second_stop() -> None:
+    rig = _Blind()
+    run = dp.closed_loop("outer-turn", controller="tvlqr").run(rig=rig)
+    assert "no measurement" in run.failure
+    assert rig.stopped == 1
+    assert not any(rig.commands)
+
+
+@pytest.mark.parametrize(
+    ("reading", "said"),
+    [
+        ({"present": ["a", "b", "c"]}, "`present` has 3 times True or False"),
+        ({"switch": "left"}, "returned 'left': it must return a reading whose `switch` is -1, 0 or 1"),
+        ({"switch": float("nan")}, "`switch` is -1, 0 or 1"),
+        ({"late": None}, "`late` is seconds"),
+        ({"age": "old"}, "`age` is None or seconds of at least 0"),
+    ],
+)
+def test_an_invalid_field_of_a_reading_ends_the_run_by_name(reading: dict[str, Any], said: str) -> None:
+    class Fields(Rig):
+        def read(self):
+            return Reading(0.0, super().read())._replace(**(reading if self.count == 30 else {}))
+
+    run = dp.closed_loop("outer-turn", controller="tvlqr").run(rig=Fields())
+    assert said in run.failure
+    assert len(run.log.time) == 29
+
+
+def test_a_command_and_an_attribute_that_raise_during_a_run_end_it() -> None:
+    class Jams(Rig):
+        def command(self, acceleration: float) -> None:
+            if self.count == 30:
+                raise OSError("bus off")
+            super().command(acceleration)
+
+    class Hides(Rig):
+        @property
+        def truth(self):
+            if self.count == 30:
+                raise ValueError("no truth")
+            return self.state
+
+    run = dp.closed_loop("outer-turn", controller="tvlqr").run(rig=Jams())
+    assert (run.failure, len(run.log.time)) == ("Jams.command raised OSError: bus off, at t = 0.029 s", 30)
+    run = dp.closed_loop("outer-turn", controller="tvlqr").run(rig=Hides())
+    assert (run.failure, len(run.log.time)) == ("Hides.truth raised ValueError: no truth, at t = 0.029 s", 29)
+
+
+def test_an_exception_of_any_class_ends_the_run_by_name() -> None:
+    class Law:
+        def control(self, time, state, reference):
+            raise asyncio.CancelledError
+
+    assert "Law.control raised CancelledError" in dp.closed_loop("outer-turn", controller=Law()).run().status
+
+
+@pytest.mark.parametrize("limit", ["abc", -1.0, 0.0, float("inf"), float("nan"), 1e-9, np.ones(2)])
+def test_an_invalid_time_limit_is_refused(limit: object) -> None:
+    law = Gains()
+    law.longest = limit
+    with pytest.raises(dp.InputError, match=r"Gains: longest = .*from 0.001 to 86400"):
+        dp.closed_loop("outer-turn", controller=law)
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no timers")
+def test_a_timer_that_was_set_before_a_call_expires_after_it() -> None:
+    expired: list[int] = []
+    before = signal.signal(signal.SIGALRM, lambda number, frame: expired.append(number))
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        dp.closed_loop("outer-turn", controller=Gains()).run()
+        assert expired
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_complex_numbers_are_refused_instead_of_losing_a_part() -> None:
+    class Law:
+        def control(self, time, state, reference):
+            return np.complex128(1 + 1j)
+
+    assert "Law.control returned" in dp.closed_loop("outer-turn", controller=Law()).run().status
+
+
+def test_margins_beside_a_python_plant_are_those_of_the_model() -> None:
+    own, built_in = (dp.closed_loop("hold-up-up", **more).margins() for more in ({"plant": Arms()}, {}))
+    assert own.simulated == built_in.simulated
+
+
+_PRINTING = """\
+import sys
+from gains_beside import GAIN
+class Prints:
+    def control(self, time, state, reference):
+        if time < 0.003:
+            print("from a law")
+        return reference.feedforward + GAIN
+class Rig:
+    def read(self):
+        raise OSError("gone")
+    def command(self, acceleration): ...
+    def stop(self): ...
+class Later(Rig):
+    count = 0
+    def read(self):
+        self.count += 1
+        if self.count > 20:
+            raise OSError("gone")
+        return [0.0, 0.0, 0.0]
+"""
+
+
+@pytest.fixture
+def own_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.syspath_prepend("")
+    monkeypatch.chdir(tmp_path)
+    Path("gains_beside.py").write_text("GAIN = 0.0\n")
+    Path("own.py").write_text(_PRINTING)
+    return "own.py"
+
+
+def test_a_law_that_prints_leaves_the_json_document_whole(own_file: str) -> None:
+    done = dpcontrol_program("run", "outer-turn", "--controller", f"{own_file}:Prints", "--json", folder=Path())
+    assert json.loads(done.stdout)["symbols_total"] == 1
+    assert "from a law" in done.stderr
+
+
+def test_a_rig_that_fails_gives_exit_code_1_and_its_traceback_with_debug(own_file: str) -> None:
+    done = dpcontrol_program("run", "outer-turn", "--rig", f"{own_file}:Later", "--debug", folder=Path())
+    assert done.code == 1
+    assert "not completed: Later.read raised OSError: gone, at t = 0.020 s" in done.stderr
+    assert 'raise OSError("gone")' in done.stderr
+
+
+def test_a_file_without_a_class_is_refused(own_file: str) -> None:
+    for option in ("--controller", "--rig"):
+        refused = dpcontrol("run", "outer-turn", option, own_file)
+        assert refused.code == 2
+        assert "own.py: the class is missing; give FILE.py:CLASS" in refused.stderr
+
+
+def test_a_night_with_a_failing_plant_gives_exit_code_1(tmp_path: Path) -> None:
+    file = tmp_path / "torn.py"
+    file.write_text("class Torn:\n    def step(self, state, acceleration, seconds):\n        return None\n")
+    done = dpcontrol(
+        "run", "outer-turn", "--set", f"plant={file}:Torn", "--hours=0.001", "--out", str(tmp_path / "n.mcap")
+    )
+    assert done.code == 1
+    assert "ended early: Torn.step returned None" in done.stderr
+
+
+@pytest.mark.slow
+def test_the_standard_score_is_that_of_the_loops_own_law() -> None:
+    loop = dp.closed_loop("hold-up-up", controller=dp.SymbolicLaw(_push))
+    (found,) = loop.standard_score(settings=dp.CampaignSettings(runs=1, replayed=0))
+    assert found.controller == "_push"
+
+
+def _push(state: ca.SX, reference: Any, memory: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX]:
+    return reference.feedforward, memory
