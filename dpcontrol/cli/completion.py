@@ -85,6 +85,8 @@ COMPLETERS: dict[tuple[str, str], Completer] = {
     ("bench", "names"): completing(_found("cli.charts", "ALL_CHARTS")),
     ("replay", "estimator"): completing(lambda _: ("ekf", "ukf")),
     ("orbit", "saddle"): completing(_saddles),
+    ("walk", "through"): completing(_saddles),
+    ("import", "repair"): completing(_found("recordings.checks", "REPAIRS")),
     **{
         (verb, name): completing(_saddles)
         for verb in ("connect", "bifurcations", "walk")

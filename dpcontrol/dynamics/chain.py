@@ -59,7 +59,7 @@ from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.foundation.units import Usual
+from dpcontrol.foundation.units import OTHER_UNITS, Usual
 
 LARGEST = 1e6
 """Largest mass, length, inertia or friction in SI units; products of larger ones overflow."""
@@ -658,6 +658,8 @@ def oddities(arms: ArmChainParameters) -> tuple[str, ...]:
         InputError: a parameter is beyond the bounds of any bench.
     """
     found = list(_GRAVITY.oddities("acceleration", [arms.gravity]))
+    if arms.coulomb or arms.quadratic:
+        found += _SMOOTHING.oddities("smoothing", [arms.smoothing])
     for arm in range(arms.count):
         slips = list(_slips(arms, arm))
         body = list(_body(arms, arm))
@@ -673,6 +675,9 @@ _BODY = {
     "length": Usual(5e-3, 4.0, "m"),
     "inertia": Usual(1e-9, 20.0, "kg m²"),
 }
+_SMOOTHING = Usual(1e-4, 20.0, "rad/s")
+_HOLLOWEST = 1e-3
+"""Least moment of inertia of a likely unit, over mass times length squared."""
 _HEAVY = 40.0
 """kg/m: a round bar of steel 8 cm thick."""
 
@@ -707,7 +712,12 @@ def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
             f"and the arm is {length:g} m long"
         )
         if inertia > _HEAVIEST * mass * farthest**2:
-            raise InputError(f"{text}; give it in kg m², about the centre of mass")
+            fitting = [
+                f"; is it given in {name} ({size:.3g} kg m²)?"
+                for name, factor in OTHER_UNITS["kg m²"].items()
+                if _HOLLOWEST < (size := factor * inertia) / (mass * farthest**2) < 1
+            ]
+            raise InputError(text + (fitting[0] if fitting else "; give it in kg m², about the centre of mass"))
         yield f"{text}; is that intended, about the centre of mass?"
     largest = mass * centre * (length - centre)
     if centre < _AT_THE_END * length and inertia < _HOLLOW * largest:

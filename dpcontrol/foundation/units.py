@@ -22,6 +22,8 @@ OTHER_UNITS: dict[str, dict[str, float]] = {
     "rad/h": {"degrees/h": 0.017453292519943295},
     "s": {"ms": 1e-3, "µs": 1e-6},
     "Hz": {"kHz": 1e3},
+    "N m": {"mN m": 1e-3},
+    "N m/rad": {"mN m/rad": 1e-3},
     "N m s": {"mN m s": 1e-3},
 }
 """Units that are often confused with the first one, and their sizes in it."""

@@ -11,7 +11,7 @@ times, plant names a model file for the plant's own arms, and zeros are the read
 [controller], [estimator] and [supervisor] have the rest of a run's settings.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -411,18 +411,22 @@ class Itinerary:
         loop = overridden(loop, settings)
         scene = replace(self, loop=loop if seed is None else replace(loop, seed=seed))
         _ = scene.uncertainty
-        scene.remark_on_rig()
+        scene.remark_on_rig([path.rpartition(".")[2] for path in canonical(settings)])
         return scene
 
-    def remark_on_rig(self) -> None:
+    def remark_on_rig(self, given: Collection[str] = ()) -> None:
         """Emit remarks on numbers of the rig in doubtful units.
+
+        Args:
+            given: keys of settings that override those of the file.
 
         Raises:
             InputError: an impossible number.
         """
         try:
             for sentence in rig_oddities(self.limits, self.loop, arms=self.model.arms.count, zeros=self.zeros):
-                remark(f"{self.path}: {sentence}")
+                _, key, *_ = sentence.split()
+                remark(f"setting {sentence.partition(' ')[2]}" if key in given else f"{self.path}: {sentence}")
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from error
 

@@ -6,6 +6,8 @@ Remarks report numbers of a rig that seem to be in another unit.
 import math
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.units import Usual
 from dpcontrol.loop.loop import LoopSettings
@@ -52,6 +54,27 @@ _DISTURBANCES = {
     "knocks_per_minute": Usual(0.0, 600.0, "1/min"),
     "tilt": Usual(0.0, 0.4, "rad"),
 }
+_MECHANICS = {
+    "belt": Usual(0.5, 1000.0, "Hz"),
+    "known_belt": Usual(0.5, 1000.0, "Hz"),
+    "play": Usual(0.0, 0.5, "rad"),
+    "known_play": Usual(0.0, 0.5, "rad"),
+    "cable_torque": Usual(0.0, 2.0, "N m"),
+    "cable_stiffness": Usual(0.0, 5.0, "N m/rad"),
+    "stiction": Usual(0.0, 1.0, "N m"),
+    "initial_rate": Usual(0.0, 50.0, "rad/s"),
+    "initial_cart": Usual(0.0, 5.0, "m"),
+}
+_SUPERVISOR = {
+    "lost_tracking": Usual(0.05, 4 * math.pi, "rad"),
+    "resynchronise": Usual(0.0, 4 * math.pi, "rad"),
+    "missing": Usual(1e-3, 5.0, "s"),
+}
+_ESTIMATOR = {
+    "first_angle": Usual(0.0, 1.0, "rad"),
+    "first_rate": Usual(0.0, 50.0, "rad/s"),
+    "zero_error": Usual(0.0, 0.6, "rad"),
+}
 _BLOW = {
     "impulse": Usual(0.0, 2.0, "N m s"),
     "rate": Usual(0.0, 100.0, "rad/s"),
@@ -88,6 +111,8 @@ def rig_oddities(limits: Limits, loop: LoopSettings, *, arms: int, zeros: Sequen
             raise InputError(f"[run] {str(error).removeprefix('mechanics: ')}") from error
     parts = [("[limits]", limits, _LIMITS), ("[run]", loop, _LOOP), ("[run]", loop.sensors, _SENSORS)]
     parts += [("[run]", loop.drive, _DRIVE), ("[run]", loop.disturbances, _DISTURBANCES)]
+    parts += [("[run]", loop.mechanics, _MECHANICS), ("[supervisor]", loop.supervisor, _SUPERVISOR)]
+    parts.append(("[estimator]", loop.estimator, _ESTIMATOR))
     parts += [("[[run.blows]]", blow, _BLOW) for blow in loop.disturbances.explicit]
     return (*_unusual(parts), *_ZEROS.oddities("[run] zeros", zeros))
 
@@ -95,6 +120,5 @@ def rig_oddities(limits: Limits, loop: LoopSettings, *, arms: int, zeros: Sequen
 def _unusual(parts: Sequence[tuple[str, object, dict[str, Usual]]]) -> Iterator[str]:
     for table, settings, usual in parts:
         for name, bounds in usual.items():
-            value = float(getattr(settings, name))
-            if math.isfinite(value):
-                yield from bounds.oddities(f"{table} {name}", [value])
+            values = np.atleast_1d(np.array(getattr(settings, name), dtype=float))
+            yield from bounds.oddities(f"{table} {name}", values[np.isfinite(values)].tolist())

@@ -11,6 +11,7 @@ from command_line import dpcontrol
 from dpcontrol.cli.main import VERBS, cli
 from dpcontrol.foundation.guide import GUIDE
 from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS
+from dpcontrol.recordings.checks import REPAIRS
 from dpcontrol.rig.bench import FAULTS
 
 ROOT = Path(__file__).parents[2]
@@ -41,6 +42,8 @@ def offered(line: str) -> list[str]:
         ("dpcontrol connect three-body --from ", {"L1", "L2", "L3"}),
         ("dpcontrol orbit triple --saddle down-up", {"down-up-down", "down-up-up"}),
         ("dpcontrol import x.csv --mapping multi-arm-raw-s", {"multi-arm-raw-single"}),
+        ("dpcontrol import x.csv --repair ", set(REPAIRS)),
+        ("dpcontrol walk lab --through down", {"down-down", "down-up"}),
         ("dpcontrol campaign outer-turn --over mism", {"mismatch="}),
         ("dpcontrol figures col", {"colour-wheels", "colour-wheels-up-down"}),
         ("dpcontrol bench propa", {"propagation"}),

@@ -62,6 +62,17 @@ def test_an_unrealistic_arm_is_refused(name: str, value: float, tmp_path: Path) 
     assert f"{name} = {value:g}" in ended.message
 
 
+def test_an_inertia_in_another_unit_is_refused_with_the_likely_unit(tmp_path: Path) -> None:
+    file = tmp_path / "slip.toml"
+    file.write_text(with_first("inertia", 6540.0))
+    assert "is it given in g cm² (0.000654 kg m²)?" in dpcontrol("model", file).message
+
+
+def test_a_smoothing_in_another_unit_has_a_remark() -> None:
+    (found,) = oddities(replace(LAB, coulomb=(1e-3, 1e-3), smoothing=50.0))
+    assert found == "smoothing = 50 rad/s is more than the usual 20 rad/s; is it given in degrees/s (0.873 rad/s)?"
+
+
 def test_friction_of_every_law_is_compared_with_gravity() -> None:
     for law in ("coulomb", "quadratic"):
         assert not oddities(replace(LAB, **{law: (1e-3, 1e-3)}))

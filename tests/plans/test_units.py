@@ -86,6 +86,15 @@ def test_arms_of_a_few_grams_are_recognised_by_what_their_length_weighs(tmp_path
         ("run", "tilt = 0.5", "degrees (0.00873 rad)"),
         ("run", "switch_margin = 10", "mm (0.01 m)"),
         ("[run.blows]", "time = 1.0\nimpulse = 20", "mN m s (0.02 N m s)"),
+        ("run", "cable_torque = 50", "mN m (0.05 N m)"),
+        ("run", "stiction = 5", "mN m (0.005 N m)"),
+        ("run", "play = [0.01, 0.6]", "degrees (0.0105 rad)"),
+        ("run", "initial_rate = 500", "degrees/s (8.73 rad/s)"),
+        ("run", "initial_cart = 50", "cm (0.5 m)"),
+        ("supervisor", "lost_tracking = 86", "degrees (1.5 rad)"),
+        ("supervisor", "resynchronise = 30", "degrees (0.524 rad)"),
+        ("supervisor", "missing = 50", "ms (0.05 s)"),
+        ("estimator", "first_angle = 2.0", "degrees (0.0349 rad)"),
     ],
 )
 def test_a_unit_slip_in_a_rig_is_remarked_on_with_the_key_and_the_likely_unit(
@@ -114,7 +123,7 @@ def test_settings_of_one_run_are_judged_as_those_of_the_file(tmp_path: Path) -> 
     scene = load_itinerary(str(tmp_path / "scene.toml"))
     with pytest.raises(InputError, match="stuck_sensor = 9: must be 0 to 2"):
         scene.with_run({"stuck_sensor": 9})
-    with pytest.warns(Remark, match=re.escape("[run] travel = 40 m")):
+    with pytest.warns(Remark, match=r"^setting travel = 40 m"):
         scene.with_run({"travel": 40.0})
 
 
