@@ -125,7 +125,7 @@ class Film:
         middle, level = (left + right) / 2, (low + high) / 2
         axes.set_xlim(middle - half * _INCHES, middle + half * _INCHES)
         axes.set_ylim(level - half * _SCENE, level + half * _SCENE)
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal")
         axes.axis("off")
         entries: list[tuple[str, str | dict[str, Any]]] = []
         if view.reference is not None:

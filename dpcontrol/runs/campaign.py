@@ -707,7 +707,7 @@ def check_table(file: Path, record: Mapping[str, Any]) -> None:
     if not file.is_file():
         return
     if (table := _read(file)) is None:
-        raise in_the_way(file, "is no table of a campaign")
+        raise in_the_way(file, "is no table of a campaign, or was changed after it was written")
     _check_same(file, record, json.loads((table.schema.metadata or {}).get(METADATA, b"{}")))
 
 
