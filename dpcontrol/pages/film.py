@@ -148,11 +148,12 @@ class Film:
         time, row = float(self.times[number]), int(self.rows[number])
         frame = still.copy()
         draw = ImageDraw.Draw(frame)
-        right, top = 0.98 * frame.width, _FINE * _PIXELS * (_HEAD - 0.1)
-        draw.text((right, top), f"{time:.2f} s", fill=style.INK, font=_font(), anchor="rt")
+        # The time stands beside the title, and the last symbol below the key.
+        right, inch = 0.98 * frame.width, _FINE * _PIXELS
+        draw.text((right, 0.07 * inch), f"{time:.2f} s", fill=style.INK, font=_font(), anchor="rt")
         past = [f"{k + 1}: {name}" for k, (name, at, done) in enumerate(view.symbols) if (done or at) <= time]
         if past:
-            draw.text((right, top + 1.4 * _font().size), past[-1], fill=style.NOTE, font=_font(), anchor="rt")
+            draw.text((right, (_HEAD + 0.12) * inch), past[-1], fill=style.NOTE, font=_font(), anchor="rt")
         if strip_axes is not None:
             draw.line(
                 _placed(frame, strip_axes, [time, time], strip_axes.get_ylim()), fill=style.LIMIT, width=2 * _FINE
