@@ -123,9 +123,7 @@ class Film:
         (left, right), (low, high) = self._extent()
         half = max((right - left) / _INCHES, (high - low) / _SCENE, 0.8 * reach / _SCENE) / 2
         middle, level = (left + right) / 2, (low + high) / 2
-        axes.set_xlim(middle - half * _INCHES, middle + half * _INCHES)
-        axes.set_ylim(level - half * _SCENE, level + half * _SCENE)
-        axes.set_aspect("equal")
+        axes.set_aspect("equal", adjustable="datalim")
         axes.axis("off")
         entries: list[tuple[str, str | dict[str, Any]]] = []
         if view.reference is not None:
@@ -140,6 +138,9 @@ class Film:
                 entries.append(("the cart's limit", {"color": style.LIMIT, "linewidth": 1.5}))
         if entries:
             key(axes, entries)
+        axes.set_xlim(middle - half * _INCHES, middle + half * _INCHES)
+        # The aspect may extend this range.
+        axes.set_ylim(level - half * _SCENE, level + half * _SCENE, auto=True)
 
     def frame(self, number: int) -> Image.Image:
         """Return a frame, counted from zero."""
