@@ -462,21 +462,27 @@ def open_verified(path: Path) -> VerifiedFile:
     Raises:
         InputError: the file is missing, empty, no MCAP file, cut off, damaged or not a log of this program.
     """
-    file = _open(path)
+    file = open_mcap(path)
     with file.decoding():
         # Evaluated once here, so that later uses cannot fail.
         _ = file.tick
     return file
 
 
-def _open(path: Path) -> VerifiedFile:
-    """Read `path`, of any contents, and compare its checksums.
+def open_mcap(path: Path) -> VerifiedFile:
+    """Read an MCAP file of any contents, and compare its checksums.
 
-    Errors as in `open_verified`.
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: the file is missing, empty, no MCAP file, cut off or damaged.
     """
     data = recorded_bytes(path)
     if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
-        raise InputError(f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`")
+        raise InputError(
+            f"{path} is not an MCAP file (it begins with {data[:8]!r}); give one, such as a log of `dpcontrol run`"
+        )
     records = _walk(path, data)
     view = memoryview(data)
     file = VerifiedFile(path, _check(path, data, records))
@@ -808,7 +814,7 @@ def read_log(path: Path | str) -> RunLog:
 
 def _read(path: Path, native: Callable[[VerifiedFile], _T], rewritten: Callable[[VerifiedFile, Rewritten], _T]) -> _T:
     """Read a log by the function for native or for rewritten ones."""
-    file = _open(path)
+    file = open_mcap(path)
     found = None if file.is_native else _rewritten(file)
     try:
         if found is None:
