@@ -224,7 +224,7 @@ def report_command(
 
 def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
     from dpcontrol.judge.of_log import run_view
-    from dpcontrol.judge.score import REFERENCE_ATTACHMENT, score
+    from dpcontrol.judge.score import lacking, score
     from dpcontrol.logs import read_log
     from dpcontrol.pages.layout import save_figure
     from dpcontrol.pages.page import draw
@@ -238,7 +238,7 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
 
         borne = Run(log).margins()
     save_figure(draw(view, [] if borne is None else [margins_chart(borne)]), picture)
-    if REFERENCE_ATTACHMENT in log.attachments and "reference" in log.states:
+    if not lacking(log):
         verdict = score(log)
         if borne is None:
             return Answer(verdict.document(), score_text(verdict))

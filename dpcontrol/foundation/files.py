@@ -448,8 +448,11 @@ def archive_format(path: Path | str) -> str:
     Raises:
         InputError: it is not a regular file.
     """
+    if not is_archive(path):
+        # A log whose last bytes are an attached archive opens as that archive.
+        return ""
     try:
-        with zipfile.ZipFile(checked_source(path)) as packed:
+        with zipfile.ZipFile(path) as packed:
             return str(json.loads(str(_member(packed, packed.getinfo("header.npy"))))["format"])
     except UNREADABLE:
         return ""

@@ -30,10 +30,10 @@ from dpcontrol.judge.score import (
     DRAWN_METADATA,
     MODEL_METADATA,
     PLANT_METADATA,
-    REFERENCE_ATTACHMENT,
     Flown,
     counted,
     flights_of,
+    lacking,
     plan_of,
     recovered_note,
     score,
@@ -158,7 +158,7 @@ def run_view(log: RunLog) -> RunView:
     view = replace(view, extra_truth=true_extras(log, view))
     if states is not None and system is not None:
         view = replace(view, energy=system.numeric.hamiltonian(states[:, : 2 * n]))
-    if states is None or REFERENCE_ATTACHMENT not in log.attachments or "reference" not in log.states:
+    if states is None or lacking(log):
         return replace(view, verdict=_without_plan(log))
     plan = plan_of(log)
     notes = plan_notes(plan)
@@ -287,8 +287,8 @@ def _without_plan(log: RunLog) -> str:
     """Return the text shown for a log in place of a verdict."""
     seconds = float(log.time[-1] - log.time[0])
     sentence = log.metadata.get(SUMMARY) or (
-        f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; the log has no plan, so the motion "
-        "is not judged"
+        f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; the log has no "
+        f"{', '.join(lacking(log))}, so the motion is not judged"
     )
     return f"{sentence}; {recovered_note(log)}" if log.recovered else sentence
 

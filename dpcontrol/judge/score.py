@@ -24,7 +24,9 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.judge.decoding import FOLLOWS, NEAR_LAST_ORBIT, Decoded, decode_run, last_gap
 from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
-from dpcontrol.loop.result import inside_95
+from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
+from dpcontrol.logs.rolling import NIGHT_METADATA
+from dpcontrol.loop.result import Ending, inside_95
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes
 
 Number = TypeVar("Number", int, float)
@@ -56,7 +58,7 @@ class Score(Documented):
     """Completion, tracking error, consistency and cart use of a run.
 
     Attributes:
-        completed: None if the true state is unknown.
+        completed: None if the true state is unknown, or if a rewritten log covers only a part of the run.
         wraps: at each interior stop reached, None beside a transfer.
         rms_tracking_error: over the angles, rad.
         max_cart_position: m.
@@ -124,6 +126,18 @@ def plan_of(log: RunLog) -> Reference:
     if not _whole(reference, log):
         raise InputError(f"{place} holds no plan; run the itinerary again")
     return reference
+
+
+def lacking(log: RunLog) -> tuple[str, ...]:
+    """Return the parts that a score needs and a log lacks.
+
+    Args:
+        log: log of a run or a recording.
+    """
+    if REFERENCE_ATTACHMENT not in log.attachments:
+        return ("plan",)
+    needed = {REFERENCE: {"reference"}, CONTROL: {"control"}, ESTIMATE: {"estimate", "truth"}}
+    return tuple(topic for topic, parts in needed.items() if not parts & log.parts)
 
 
 def _whole(reference: Reference, log: RunLog) -> bool:
@@ -295,6 +309,8 @@ def score(log: RunLog) -> Score:
     reason = verdict.problem or _done(verdict.wraps, plan_notes(plan))
     if not known:
         reason = f"the true state is not known, so completion cannot be judged; by the estimate: {reason}"
+    if part := _part(log, plan):
+        known, reason = False, part
     if log.recovered:
         reason += f"; {recovered_note(log)}"
     return Score(
@@ -315,7 +331,29 @@ def score(log: RunLog) -> Score:
         falls=falls,
         attempts=_attempts(log, verdict.symbols, len(plan_notes(plan)["symbols"])) if flown.flights else (),
         catches=sum(event.name == CATCH for event in log.events),
-        judged_by="truth" if known else "estimate",
+        judged_by="estimate" if log.truth is None else "truth",
+    )
+
+
+_ENDINGS = frozenset(ending.value for ending in Ending)
+
+
+def _part(log: RunLog, plan: Reference) -> str:
+    """Return a note on the part that a rewritten log covers.
+
+    The result is "" for a log of the whole run.
+    """
+    if not log.rewritten or NIGHT_METADATA in log.metadata:
+        return ""
+    first, last, slack = float(log.time[0]), float(log.time[-1]), 1.5 / log.rate_hz
+    noted = plan.duration if log.end_s is None else log.end_s
+    # A rig's clock differs from the nominal one, so the event counts first.
+    end = max((event.time for event in log.events if event.name in _ENDINGS), default=noted)
+    if first <= slack and last >= end - slack:
+        return ""
+    return (
+        f"the log covers only {first:.3f} to {last:.3f} s of the run's {max(end, last):.3f} s, so completion cannot be "
+        "judged"
     )
 
 

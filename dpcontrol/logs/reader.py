@@ -54,6 +54,9 @@ LARGEST_CHUNK, LARGEST_LOG = 1 << 28, 1 << 33
 _FOREIGN_CHUNKS = 20
 """Chunks of a foreign file that are searched for topics."""
 _SHOWN_TOPICS = 5
+_LONGEST_HEADER = 10_000
+_OWN = "dpcontrol "
+"""Beginning of the library's name in the header of this program's files."""
 _AGAIN = "make it again with `dpcontrol run`"
 MALFORMED = (
     McapError,
@@ -179,6 +182,8 @@ class VerifiedFile:
         """
         decompressor = zstandard.ZstdDecompressor()
         pending, size = [], 0
+        if not self.chunks and not self.is_native:
+            self._check_channels()
         for k, chunk in enumerate(self.chunks, start=1):
             try:
                 pending.append(unpacked(chunk, decompressor))
@@ -212,7 +217,7 @@ class VerifiedFile:
     @property
     def is_native(self) -> bool:
         """True if the header names this program as the writer."""
-        return self.library.startswith("dpcontrol ")
+        return self.library.startswith(_OWN)
 
     @property
     def _writer(self) -> str:
@@ -332,7 +337,7 @@ def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> N
         reason: what has changed.
         cause: exception that led to this error, None for none.
     """
-    raise InputError(f"{path} is damaged ({reason}); copy it again from its source, or {_recover(path)}") from cause
+    raise InputError(f"{path} is damaged ({reason}); {_remedy(path)}") from cause
 
 
 _PARSED: dict[int, type[Header | Metadata | Attachment | Schema | Channel]] = {
@@ -393,7 +398,7 @@ def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
     if closed and data[place:].startswith(MAGIC):
         extra = len(data) - place - len(MAGIC)
         what = "byte that does" if extra == 1 else "bytes that do"
-        raise InputError(f"{path} is followed by {extra} {what} not belong to it; {_recover(path)}")
+        raise InputError(f"{path} is followed by {extra} {what} not belong to it; {_remedy(path)}")
     if data.endswith(MAGIC) and len(data) > len(MAGIC):
         damaged(path, f"its records are not contiguous at byte {place}")
     ends = [
@@ -402,11 +407,33 @@ def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
         if opcode == Opcode.CHUNK and end - start >= 16
     ]
     moment = f"at {max(ends) / 1e9:.3f} s" if ends else "before its first tick"
-    raise InputError(f"{path} is cut off {moment}: the run was interrupted or the copy is incomplete; {_recover(path)}")
+    raise InputError(f"{path} is cut off {moment}: the run was interrupted or the copy is incomplete; {_remedy(path)}")
 
 
 def _recover(path: Path) -> str:
     return f"`dpcontrol recover {path}` rebuilds a log from the rest"
+
+
+def _remedy(path: Path) -> str:
+    writer = other_writer(path)
+    again = f"write it again with the program that wrote it ({writer})" if writer else _recover(path)
+    return f"copy it again from its source, or {again}"
+
+
+def other_writer(path: Path) -> str:
+    """Return the program that wrote a file.
+
+    The result is "" for this program, or if the header is not readable.
+
+    Args:
+        path: any file.
+    """
+    with suppress(OSError, *MALFORMED), path.open("rb") as stream:
+        opcode, length = struct.unpack("<BQ", stream.read(len(MAGIC) + layout.LENGTH_FROM)[len(MAGIC) :])
+        header = parsed(opcode, stream.read(min(length, _LONGEST_HEADER)))
+        if isinstance(header, Header) and not header.library.startswith(_OWN):
+            return header.library or "another program"
+    return ""
 
 
 def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool:
@@ -435,21 +462,27 @@ def open_verified(path: Path) -> VerifiedFile:
     Raises:
         InputError: the file is missing, empty, no MCAP file, cut off, damaged or not a log of this program.
     """
-    file = _open(path)
+    file = open_mcap(path)
     with file.decoding():
         # Evaluated once here, so that later uses cannot fail.
         _ = file.tick
     return file
 
 
-def _open(path: Path) -> VerifiedFile:
-    """Read `path`, of any contents, and compare its checksums.
+def open_mcap(path: Path) -> VerifiedFile:
+    """Read an MCAP file of any contents, and compare its checksums.
 
-    Errors as in `open_verified`.
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: the file is missing, empty, no MCAP file, cut off or damaged.
     """
     data = recorded_bytes(path)
     if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
-        raise InputError(f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`")
+        raise InputError(
+            f"{path} is not an MCAP file (it begins with {data[:8]!r}); give one, such as a log of `dpcontrol run`"
+        )
     records = _walk(path, data)
     view = memoryview(data)
     file = VerifiedFile(path, _check(path, data, records))
@@ -649,6 +682,7 @@ class RunLog(Shown):
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s², or None.
         recovered: losses that `dpcontrol recover` reported, a sentence. None without losses.
         rewritten: True if another program has rewritten it, so that integrity cannot be checked.
+        end_s: time of the run's last tick by its result record, s, or None.
     """
 
     path: Path
@@ -668,6 +702,7 @@ class RunLog(Shown):
     recovered: str | None = None
     extras: Extras | None = None
     rewritten: bool = False
+    end_s: float | None = None
 
     def __repr__(self) -> str:
         return f"<log {self.path}: {len(self.time):,} rows at {self.rate_hz:g} Hz>"
@@ -729,7 +764,11 @@ class RunLog(Shown):
         return self.states[part]
 
     def _lacks(self, topic: str) -> InputError:
-        return InputError(f"{self.path} has no {topic}: it is a recording, not a run; give a log of `dpcontrol run`")
+        if self.rewritten:
+            why, remedy = "or another program has left the topic out", "give the log as `dpcontrol run` wrote it"
+        else:
+            why, remedy = "not a run", "give a log of `dpcontrol run`"
+        return InputError(f"{self.path} has no {topic}: it is a recording, {why}; {remedy}")
 
     def frame(self) -> "DataFrame":
         """Return a pandas table with one row per tick.
@@ -775,7 +814,7 @@ def read_log(path: Path | str) -> RunLog:
 
 def _read(path: Path, native: Callable[[VerifiedFile], _T], rewritten: Callable[[VerifiedFile, Rewritten], _T]) -> _T:
     """Read a log by the function for native or for rewritten ones."""
-    file = _open(path)
+    file = open_mcap(path)
     found = None if file.is_native else _rewritten(file)
     try:
         if found is None:
@@ -795,14 +834,17 @@ def _rewritten(file: VerifiedFile) -> Rewritten | None:
     """
     try:
         topics = by_topic(file.messages(), file.channels, file.schemas)
-        found = found_in(topics, file.values(layout.LAYOUT_RECORD))
+        described = file.values(layout.LAYOUT_RECORD)
+        found = found_in(topics, described)
+        whole = described_layout(file.path, described) if described else found and found.tick
     except MALFORMED:
         # The caller reports a more specific error.
         return None
     if found is not None and (name := mixed(topics)):
         raise InputError(f"{file.path}: {name} has different messages at one time, as of two runs; give one run's log")
-    if found is not None:
-        left_out = ", ".join(topic for topic in found.tick.schemas if topic not in found.topics)
+    if found is not None and whole is not None:
+        there = found.tick.schemas.keys() & found.topics.keys()
+        left_out = ", ".join(topic for topic in whole.schemas if topic not in there)
         remark(
             f"{file.path} was rewritten by {file.library or 'another program'} and is read by its topics; its "
             f"integrity cannot be checked{f', and it lacks {left_out}' if left_out else ''}"
@@ -940,7 +982,7 @@ def _run_log(
     limits = tuple(float(text) for text in described["limits"].split())
     columns = _frozen(np.ascontiguousarray(rows.pop("control").T)) if "control" in rows else ()
     metadata = {**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)}
-    metadata.pop(layout.TICKS, None)
+    ticks, rate = metadata.pop(layout.TICKS, None), file.values(layout.LAYOUT_RECORD).get("rate_hz")
     lengths = tuple(float(text) for text in described["arm_lengths"].split())
     if not all(0 < length < np.inf for length in lengths):
         damaged(file.path, f"its arms are {described['arm_lengths']} m long")
@@ -964,6 +1006,7 @@ def _run_log(
         limits=(limits[0], limits[1], limits[2]) if limits else None,
         recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
         extras=extras,
+        end_s=(int(ticks) - 1) / float(rate) if ticks and rate else None,
     )
 
 

@@ -42,6 +42,7 @@ from dpcontrol.logs.reader import (
     check_replaced,
     described_layout,
     gathered,
+    other_writer,
     parsed,
     read_log,
     recorded_bytes,
@@ -238,13 +239,17 @@ def recover(
         progress: called with a label and the completed share.
 
     Raises:
-        InputError: the file is missing, holds nothing recoverable or pieces of several logs, or the new log cannot be
-            written or would replace another.
+        InputError: the file is missing, holds nothing recoverable or pieces of several logs, another program has
+            rewritten it, or the new log cannot be written or would replace another.
     """
     path = Path(path)
     data = recorded_bytes(path)
     if out is not None:
         checked_other_file(Path(out), path, what="the log to recover")
+    if writer := other_writer(path):
+        # An unreadable file raises the reason and the remedy.
+        read_log(path)
+        raise InputError(f"{path} needs no recovery: {writer} has rewritten it, and it is readable as it is")
     found = salvage(data, progress=part_of(progress, 0.0, 0.6))
     described = _single_record(path, found, layout.LAYOUT_RECORD)
     if described is None or not any(chunk.times for chunk in found.chunks):

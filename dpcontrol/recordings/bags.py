@@ -1,6 +1,6 @@
-"""Columns of ROS bags and of MCAP files with ROS messages.
+"""Columns of ROS bags and of MCAP files.
 
-Bags have version 1, or version 2 as a folder.
+Bags have version 1, or version 2 as a folder. MCAP files hold messages of ROS 2 (CDR) or JSON, with any profile.
 
 A column name starts with its topic.
 
@@ -11,10 +11,14 @@ A column name starts with its topic.
 The topic of the first column sets the sample times. Values of other topics are interpolated to these times.
 """
 
+import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,11 +28,14 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import UNREADABLE, checked_size
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.settings import suggest
+from dpcontrol.logs.reader import VerifiedFile, open_mcap
 
 LOG_TIME = "log_time"
 """Name of the column of recording times."""
 _FIELD = re.compile(r"\.(\w+)|\[(\d+)\]")
-_JOINT = re.compile(r"/([^/]+)/(position|velocity|effort)")
+_JOINT_FIELDS = ("position", "velocity", "effort")
+_JOINT = re.compile(rf"/([^/]+)/({'|'.join(_JOINT_FIELDS)})")
+_SHOWN_FIELDS = 30
 
 
 def is_bag(path: Path) -> bool:
@@ -42,7 +49,7 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in (".bag", ".mcap") or (path.is_dir() and (path / "metadata.yaml").is_file())
 
 
-def read_bag(path: Path, columns: Sequence[str]) -> dict[str, Array]:
+def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = ()) -> dict[str, Array]:
     """Return the named columns (K,) of a bag.
 
     A message without the number gives nan.
@@ -50,38 +57,111 @@ def read_bag(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     Args:
         path: the bag.
         columns: names of columns, each with its topic.
+        optional: columns that are left out if no message holds them.
 
     Raises:
         InputError: the file cannot be read, or lacks a topic, joint or field; lists the existing ones.
         PartMissing: rosbags is not installed.
     """
-    with _opened(path) as reader:
-        there = sorted({connection.topic for connection in reader.connections})
-        places = {name: _place(name, there, path) for name in columns if name != LOG_TIME}
+    with _opened(path, columns) as bag:
+        places = {name: _place(name, sorted(bag.counts), path) for name in columns if name != LOG_TIME}
         base = next(iter(places.values()))[0]
-        found = {topic: _of_topic(reader, topic, places) for topic, _ in places.values()}
+        found = {topic: _of_topic(bag, topic, places, path, optional) for topic, _ in places.values()}
     moments, out = found[base][LOG_TIME], {}
     for name in columns:
         topic = base if name == LOG_TIME else places[name][0]
-        values, at = found[topic][name], found[topic][LOG_TIME]
-        if not len(values) or np.isnan(values).all():
-            raise InputError(f"{path}: {name} holds no numbers in any message; check file and mapping")
-        out[name] = values if topic == base else np.interp(moments, at, values, left=np.nan, right=np.nan)
+        if name in found[topic]:
+            values, at = found[topic][name], found[topic][LOG_TIME]
+            out[name] = values if topic == base else np.interp(moments, at, values, left=np.nan, right=np.nan)
     return out
 
 
+@dataclass(frozen=True)
+class _Bag:
+    """The messages of a bag.
+
+    It holds their number by topic, the time of the first in ns, and a reader of one topic.
+    """
+
+    counts: dict[str, int]
+    start: int
+    messages: Callable[[str], Iterable[tuple[int, Any]]]
+
+
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path, columns: Sequence[str]) -> Iterator[_Bag]:
     """Open a bag; any fault in it becomes an InputError."""
-    rosbags, types = part("rosbags.highlevel"), part("rosbags.typesys")
-    wrong = (rosbags.AnyReaderError, types.TypesysError, *UNREADABLE)
     try:
+        if path.suffix.lower() == ".mcap" and path.is_file():
+            yield _of_mcap(open_mcap(path), columns)
+            return
+        rosbags, types = part("rosbags.highlevel"), part("rosbags.typesys")
         store = types.get_typestore(types.Stores.ROS2_HUMBLE)
         with rosbags.AnyReader([path], default_typestore=store) as reader:
-            yield reader
-    except wrong as error:
+            yield _of_rosbags(reader)
+    except Exception as error:
+        if not isinstance(error, UNREADABLE) and not type(error).__module__.startswith("rosbags."):
+            raise
         reason = next(iter(str(error).splitlines()), type(error).__name__)[:200]
         raise InputError(f"{path} is not a readable bag ({reason}); record or convert it again") from error
+
+
+def _of_rosbags(reader: Any) -> _Bag:
+    def messages(topic: str) -> Iterator[tuple[int, Any]]:
+        for connection, time, data in reader.messages([one for one in reader.connections if one.topic == topic]):
+            yield time, reader.deserialize(data, connection.msgtype)
+
+    counts: dict[str, int] = {}
+    for connection in reader.connections:
+        counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
+    return _Bag(counts, reader.start_time, messages)
+
+
+def _of_mcap(file: VerifiedFile, columns: Sequence[str]) -> _Bag:
+    """Return the messages of an MCAP file.
+
+    Only those of topics with a column are kept.
+    """
+    counts: dict[str, int] = {}
+    kept: dict[str, list[tuple[int, int, bytes]]] = {}
+    start = 1 << 64
+    with file.decoding():
+        for number, time, body in file.messages():
+            topic = file.channels[number].topic
+            counts[topic], start = counts.get(topic, 0) + 1, min(start, time)
+            if any(name.startswith(topic) for name in columns):
+                kept.setdefault(topic, []).append((time, number, body))
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+
+    def messages(topic: str) -> Iterator[tuple[int, Any]]:
+        for time, number, body in kept[topic]:
+            if number not in decoders:
+                decoders[number] = _decoder(file, number)
+            yield time, decoders[number](body)
+
+    return _Bag(counts, start, messages)
+
+
+def _decoder(file: VerifiedFile, number: int) -> Callable[[bytes], Any]:
+    """Return the decoder of a channel's messages."""
+    channel = file.channels[number]
+    schema, encoding = file.schemas.get(channel.schema_id), channel.message_encoding
+    if encoding == "json":
+        return lambda body: json.loads(body, object_hook=lambda values: SimpleNamespace(**values))
+    if encoding != "cdr" or schema is None or schema.encoding not in ("", "ros2msg", "ros2idl", "omgidl"):
+        by = f" described by {schema.encoding}" if schema and schema.encoding else ""
+        raise InputError(
+            f"{file.path}: {channel.topic} holds messages in {encoding or 'no encoding'}{by}; import reads json, "
+            "and cdr with definitions of ROS 2; convert the file to one of these"
+        )
+    types, text = part("rosbags.typesys"), schema.data.decode()
+    name = schema.name if schema.name.count("/") > 1 else schema.name.replace("/", "/msg/")
+    store = types.get_typestore(types.Stores.EMPTY if text else types.Stores.ROS2_HUMBLE)
+    if schema.encoding == "ros2msg":
+        store.register(types.get_types_from_msg(text, name))
+    for one in re.split(r"^=+\n(?:IDL: .*\n)?", text, flags=re.MULTILINE) if schema.encoding.endswith("idl") else ():
+        store.register(types.get_types_from_idl(one) if one.strip() else {})
+    return lambda body: store.deserialize_cdr(body, name)
 
 
 def _place(name: str, topics: Sequence[str], path: Path) -> tuple[str, str]:
@@ -96,22 +176,52 @@ def _place(name: str, topics: Sequence[str], path: Path) -> tuple[str, str]:
     return topic, name[len(topic) :]
 
 
-def _of_topic(reader: Any, topic: str, places: dict[str, tuple[str, str]]) -> dict[str, Array]:
+def _of_topic(
+    bag: _Bag, topic: str, places: dict[str, tuple[str, str]], path: Path, optional: Collection[str]
+) -> dict[str, Array]:
     """Return the columns of one topic in order of time.
 
     The recording times are in s.
     """
     wanted = {name: rest for name, (own, rest) in places.items() if own == topic}
-    connections = [connection for connection in reader.connections if connection.topic == topic]
-    checked_size(8.0 * sum(connection.msgcount for connection in connections) * (len(wanted) + 1))
-    rows = []
-    for connection, time, data in reader.messages(connections=connections):
-        message = reader.deserialize(data, connection.msgtype)
+    checked_size(8.0 * bag.counts[topic] * (len(wanted) + 1))
+    rows, there = [], dict[str, None]()
+    for time, message in bag.messages(topic):
         # In double precision today's clock times resolve 0.2 µs; times since the start resolve far less than 1 ns.
-        moment = (time - reader.start_time) / 1e9
-        rows.append([moment, *(_number(message, rest, reader.start_time) for rest in wanted.values())])
+        moment = (time - bag.start) / 1e9
+        rows.append([moment, *(_number(message, rest, bag.start) for rest in wanted.values())])
+        there = there or dict.fromkeys(islice(_numbers(message, topic), _SHOWN_FIELDS))
     values = np.array(sorted(rows, key=lambda row: row[0]), float).reshape(-1, len(wanted) + 1)
-    return dict(zip((LOG_TIME, *wanted), values.T, strict=True))
+    found = dict(zip((LOG_TIME, *wanted), values.T, strict=True))
+    for name in [name for name in wanted if np.isnan(found[name]).all()]:
+        if name not in optional:
+            raise InputError(
+                f"{path}: {name} holds no numbers in any message; {suggest(name, there)}; check file and mapping"
+            )
+        del found[name]
+    return found
+
+
+def _joints(message: Any) -> list[str]:
+    """Return the joints of a sensor_msgs/JointState, or no names."""
+    names = getattr(message, "name", None)
+    return list(names) if isinstance(names, list) and hasattr(message, "position") else []
+
+
+def _numbers(value: Any, name: str) -> Iterator[str]:
+    """Yield the columns in a message, or in a part of it."""
+    joints = _joints(value)
+    for kind in _JOINT_FIELDS if joints else ():
+        if len(getattr(value, kind, ())) == len(joints):
+            yield from (f"{name}/{joint}/{kind}" for joint in joints)
+    if isinstance(value, int | float | np.number) or hasattr(value, "nanosec"):
+        yield name
+    elif isinstance(value, list | np.ndarray):
+        for index, one in enumerate(value):
+            yield from _numbers(one, f"{name}[{index}]")
+    elif hasattr(value, "__dict__"):
+        for key, one in vars(value).items():
+            yield from _numbers(one, f"{name}.{key}")
 
 
 def _number(message: Any, rest: str, start: int) -> float:
@@ -121,14 +231,14 @@ def _number(message: Any, rest: str, start: int) -> float:
     """
     joint = _JOINT.fullmatch(rest)
     if joint is not None:
-        names, values = list(message.name), getattr(message, joint[2])
+        names, values = _joints(message), getattr(message, joint[2], ())
         return float(values[names.index(joint[1])]) if joint[1] in names and len(values) == len(names) else np.nan
     value: Any = message
     for name, index in _FIELD.findall(rest):
         if name:
             value = getattr(value, name, None)
         else:
-            value = value[int(index)] if isinstance(value, Sequence | np.ndarray) and int(index) < len(value) else None
+            value = value[int(index)] if isinstance(value, list | np.ndarray) and int(index) < len(value) else None
     if hasattr(value, "nanosec"):
         return (value.sec * 10**9 + value.nanosec - start) / 1e9
     return float(value) if isinstance(value, int | float | np.number) else np.nan

@@ -92,9 +92,12 @@ def import_recording(
         chosen = given or _fitting(variables, path)
         stretches, period = _matlab(path, chosen, variables)
     elif bag:
-        chosen = given or load_mapping("joint-states")
-        _check_columns(path, chosen, "a bag")
-        stretches, period = [_of_columns(path, chosen, read_bag(path, chosen.named), chosen.period)], chosen.period
+        if given is None or mapping == _JOINT_STATES:
+            chosen, columns = _joint_states(path)
+        else:
+            _check_columns(path, given, "a bag")
+            chosen, columns = given, read_bag(path, given.named)
+        stretches, period = [_of_columns(path, chosen, columns, chosen.period)], chosen.period
     else:
         chosen = given or _without_missing_rates(load_mapping("table"), path)
         stretches, period = _table(path, chosen), chosen.period
@@ -128,6 +131,33 @@ def _without_missing_rates(mapping: Mapping, path: Path) -> Mapping:
     if any(name in there for name in mapping.rates.columns):
         return mapping
     return replace(mapping, rates=replace(mapping.rates, columns=()))
+
+
+_JOINT_STATES = "joint-states"
+
+
+def _joint_states(path: Path) -> tuple[Mapping, dict[str, Array]]:
+    """Return the mapping of joint states, with the bag's own joints.
+
+    A log of a run has one arm or more, and velocities only if the rig measures them. The columns are returned too.
+    """
+    mapping = load_mapping(_JOINT_STATES)
+    first = mapping.angles.columns[0]
+    angles, rates = (
+        [name.replace("arm_1", f"arm_{arm + 1}") for arm in range(MOST_ARMS)]
+        for name in (first, mapping.rates.columns[0])
+    )
+    cart = mapping.cart.position
+    optional = (*angles[1:], *rates, cart)
+    columns = read_bag(path, (first, *optional, mapping.time.column), optional=optional)
+    angles, rates = (tuple(name for name in names if name in columns) for names in (angles, rates))
+    chosen = replace(
+        mapping,
+        angles=replace(mapping.angles, columns=angles),
+        rates=replace(mapping.rates, columns=rates),
+        cart=replace(mapping.cart, position=cart if cart in columns else ""),
+    )
+    return chosen, columns
 
 
 def _check_columns(path: Path, mapping: Mapping, what: str) -> None:

@@ -160,9 +160,11 @@ def why(
         progress: receiver of progress reports.
 
     Raises:
-        InputError: it would take too long.
+        InputError: it would take too long, or the completion of the run is unknown.
         GoalMissed: no controller can be made for the run, or workers died repeatedly.
     """
+    if failed.completed is None:
+        raise InputError(f"{failed.log}: {failed.reason}; give the log as `dpcontrol run` wrote it")
     if failed.completed:
         return Why(failed.log, failed.seed, failed.reason, ())
     scene, groups = plan.itinerary, [*changes(plan.itinerary)]

@@ -1,10 +1,12 @@
 """ROS bags of both versions and MCAP files are imported by a mapping of topics, joints and fields."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import dpcontrol
+from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
@@ -73,13 +75,118 @@ def test_a_bag_is_imported_by_a_mapping(tmp_path: Path, kind: str, time: str) ->
     assert np.allclose(found.cart, 0.1 * np.arange(SAMPLES), atol=1e-9)
 
 
-def log(path: Path) -> Path:
+def log(path: Path, *, has_rates: bool = True) -> Path:
     """Write the angles as a log of this program."""
     rates = np.gradient(ANGLES, PERIOD, axis=0)
     measured, velocity = (np.column_stack([part, np.zeros(SAMPLES)]) for part in (ANGLES, rates))
     with LogWriter(path, arm_lengths=(0.2, 0.3), rate_hz=1 / PERIOD, has_cart=True) as writer:
-        writer.ticks(TIME, measured=measured, rates=velocity)
+        writer.ticks(TIME, measured=measured, rates=velocity if has_rates else None)
     return path
+
+
+ENCODERS = "float64[] data\nbuiltin_interfaces/Time stamp\n"
+IDL = """module rig_msgs { module msg { struct Encoders {
+    sequence<double> data; builtin_interfaces::msg::Time stamp; }; }; };
+"""
+TIME_IDL = "module builtin_interfaces { module msg { struct Time { int32 sec; uint32 nanosec; }; }; };\n"
+PARTED = f"{'=' * 80}\nIDL: rig_msgs/msg/Encoders\n{IDL}{'=' * 80}\nIDL: builtin_interfaces/msg/Time\n{TIME_IDL}"
+TIME_PART = f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+SCHEMAS = {
+    "ros2msg": ("cdr", ENCODERS + TIME_PART), "ros2idl": ("cdr", PARTED), "omgidl": ("cdr", TIME_IDL + IDL),
+    "jsonschema": ("json", '{"type": "object"}'), "protobuf": ("protobuf", "x"), "flatbuffer": ("cdr", "x"),
+}  # fmt: skip
+
+
+def encoders(path: Path, language: str, *, profile: str = "") -> Path:
+    """Write the angles as messages of a rig's own type, beside a topic in another encoding."""
+    encoding, text = SCHEMAS[language]
+    with path.open("wb") as target:
+        writer = Writer(target)
+        writer.start(profile=profile, library="rig")
+        schema = writer.register_schema("rig_msgs/msg/Encoders", language, text.encode())
+        number = writer.register_channel("/encoders", encoding, schema)
+        chat = writer.register_channel("/chat", "text", 0)
+        for k, angles in enumerate(ANGLES):
+            moment = START * 10**9 + round(1e9 * PERIOD * k)
+            stamp = {"sec": moment // 10**9, "nanosec": moment % 10**9}
+            message = json.dumps({"data": angles.tolist(), "stamp": stamp, "name": "bench"}).encode()
+            if encoding == "cdr":
+                # A header, the length of the list, its padding, and the numbers.
+                head = b"\0\1\0\0" + len(angles).to_bytes(8, "little")
+                seconds = [value.to_bytes(4, "little") for value in stamp.values()]
+                message = b"".join([head, angles.tobytes(), *seconds])
+            writer.add_message(number, moment, message, moment)
+            writer.add_message(chat, moment, b"?", moment)
+        writer.finish()
+    return path
+
+
+def encoder_mapping(path: Path, *, time: str = "log_time", second: str = "/encoders.data[1]") -> str:
+    path.write_text(
+        f'arm_lengths = [0.2, 0.3]\n[time]\ncolumn = "{time}"\n[angles]\ncolumns = ["/encoders.data[0]", "{second}"]\n'
+    )
+    return str(path)
+
+
+@pytest.mark.parametrize("language", ["ros2msg", "ros2idl", "omgidl", "jsonschema"])
+@pytest.mark.parametrize("time", ["log_time", "/encoders.stamp"])
+def test_an_mcap_file_of_any_profile_and_language_is_imported(tmp_path: Path, language: str, time: str) -> None:
+    mapping = encoder_mapping(tmp_path / "bench.toml", time=time)
+    found = import_recording(encoders(tmp_path / "rig.mcap", language), mapping)
+    assert np.allclose(found.angles, ANGLES, atol=1e-12)
+    assert found.dt == pytest.approx(PERIOD)
+
+
+@pytest.mark.parametrize(
+    ("language", "said"),
+    [
+        ("protobuf", "/encoders holds messages in protobuf described by protobuf"),
+        ("flatbuffer", "/encoders holds messages in cdr described by flatbuffer"),
+    ],
+)
+def test_an_encoding_that_import_does_not_read_is_named(tmp_path: Path, language: str, said: str) -> None:
+    with pytest.raises(InputError, match=f"{said}; import reads json, and cdr with definitions of ROS 2"):
+        import_recording(encoders(tmp_path / "rig.mcap", language), encoder_mapping(tmp_path / "bench.toml"))
+
+
+@pytest.mark.parametrize("language", ["ros2msg", "jsonschema"])
+def test_the_fields_of_a_message_are_listed_beside_a_missing_one(tmp_path: Path, language: str) -> None:
+    mapping = encoder_mapping(tmp_path / "bench.toml", second="/encoders.dat[1]")
+    with pytest.raises(InputError) as refused:
+        import_recording(encoders(tmp_path / "rig.mcap", language), mapping)
+    assert (
+        "/encoders.dat[1] holds no numbers in any message; did you mean '/encoders.data[1]'? Allowed: "
+        "/encoders.data[0], /encoders.data[1], /encoders.stamp;"
+    ) in str(refused.value)
+
+
+def test_a_damaged_mcap_file_of_another_program_gives_one_sentence(tmp_path: Path) -> None:
+    data = bytearray(encoders(tmp_path / "rig.mcap", "ros2msg", profile="ros2").read_bytes())
+    data[len(data) // 3] ^= 4
+    (tmp_path / "rig.mcap").write_bytes(data)
+    ended = dpcontrol("import", tmp_path / "rig.mcap", "--mapping", encoder_mapping(tmp_path / "bench.toml"))
+    assert ended.code == 2
+    assert "is damaged (" in ended.message
+    assert "write it again with the program that wrote it (rig)" in ended.message
+
+
+@pytest.mark.parametrize("mapping", [None, "joint-states"])
+def test_a_log_without_velocities_is_imported_by_its_positions(tmp_path: Path, mapping: str | None) -> None:
+    found = import_recording(log(tmp_path / "run.mcap", has_rates=False), mapping)
+    assert np.allclose(found.angles, ANGLES, atol=1e-12)
+    assert found.rates is None
+    assert found.cart is not None
+
+
+@pytest.mark.parametrize("arms", [1, 3])
+def test_a_log_is_imported_with_all_its_arms(tmp_path: Path, arms: int) -> None:
+    angles = np.column_stack([ANGLES, ANGLES[:, :1]])[:, :arms]
+    lengths = (0.1, 0.2, 0.3)[:arms]
+    with LogWriter(tmp_path / "run.mcap", arm_lengths=lengths, rate_hz=1 / PERIOD, has_cart=False) as writer:
+        writer.ticks(TIME, measured=angles)
+    found = import_recording(tmp_path / "run.mcap")
+    assert np.allclose(found.angles, angles, atol=1e-12)
+    assert found.cart is None
 
 
 def test_an_mcap_file_of_joint_states_needs_no_mapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,7 +211,10 @@ def test_an_mcap_file_is_imported_by_a_mapping(tmp_path: Path) -> None:
     ("column", "said"),
     [
         ("/bench/jonts/elbow/position", "no topic holds the column '/bench/jonts/elbow/position'; did you mean"),
-        ("/bench/joints/knee/position", "/bench/joints/knee/position holds no numbers in any message"),
+        (
+            "/bench/joints/knee/position",
+            "Allowed: /bench/joints/wheel/position, /bench/joints/elbow/position, /bench/joints/shoulder/position",
+        ),
         ("/bench/rail.data[9]", "/bench/rail.data[9] holds no numbers in any message"),
     ],
 )
@@ -116,9 +226,12 @@ def test_a_column_that_is_not_in_the_bag_is_named(tmp_path: Path, column: str, s
     assert said in str(refused.value)
 
 
-@pytest.mark.parametrize("name", ["x.bag", "x.mcap"])
-def test_a_file_that_is_not_a_bag_gives_one_sentence(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("x.bag", "is not a readable bag"), ("x.mcap", "is not an MCAP file (it begins with b'no bag a'")],
+)
+def test_a_file_that_is_not_a_bag_gives_one_sentence(tmp_path: Path, name: str, said: str) -> None:
     (tmp_path / name).write_bytes(b"no bag at all" * 50)
     ended = dpcontrol("import", tmp_path / name)
     assert ended.code == 2
-    assert "is not a readable bag" in ended.message
+    assert said in ended.message
