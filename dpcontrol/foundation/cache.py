@@ -127,7 +127,7 @@ def unusable(reason: str) -> None:
         reason: cause in a few words, such as "Permission denied".
     """
     remark(
-        f"the cache {cache_root()} cannot be used ({reason}), so slow results are computed every time; "
+        f"the cache {cache_root()} cannot be used ({reason}), so slow results may be computed again in each call; "
         f"set {VARIABLE} to a writable folder, or free some space"
     )
 
