@@ -241,7 +241,16 @@ LANES = 8
 _MOST_STEPS = 50_000
 """Limit of Taylor steps between two crossings, a hundred times that of tubes.
 
-Near a singularity, steps would shrink without end.
+It also ends flights that never cross.
+"""
+
+_PACE = 1_000
+"""Taylor steps between measurements of a flight's pace; those of tubes rarely need as many."""
+
+_MOST_PACES = 1_000
+"""A flight ends if the rest of its time needs this many times `_PACE` steps.
+
+Near a singularity, steps shrink without end.
 """
 
 
@@ -307,12 +316,13 @@ class CrossingFinder:
         first_sheets = np.full(len(states), section.offset)
         if section.period is not None:
             first_sheets[waiting] += section.period * np.floor(section.height(states[waiting]) / section.period)
-        ends, success = np.zeros(LANES), hy.taylor_outcome.success
+        ends, still = np.zeros(LANES), (hy.taylor_outcome.success, hy.taylor_outcome.step_limit)
         flying: list[int | None] = [None] * LANES
-        seen = [0] * LANES
+        seen, taken, paced, marks = [0] * LANES, [0] * LANES, [0] * LANES, [0.0] * LANES
 
         def launch(lane: int) -> None:
-            seen[lane] = 0
+            seen[lane] = taken[lane] = paced[lane] = 0
+            marks[lane] = 0.0
             flying[lane] = k = waiting.pop() if waiting else None
             ends[lane] = 0.0 if k is None else longest
             self._place(lane, None if k is None else (states[k], float(first_sheets[k])), section)
@@ -320,20 +330,31 @@ class CrossingFinder:
         for lane in range(LANES):
             launch(lane)
         while any(k is not None for k in flying):
-            integrator.propagate_until(ends, max_steps=_MOST_STEPS)
-            for lane, (outcome, *_) in enumerate(integrator.propagate_res):
+            integrator.propagate_until(ends, max_steps=_PACE)
+            for lane, (outcome, _, _, steps) in enumerate(integrator.propagate_res):
                 k = flying[lane]
-                if k is None or outcome == success:
+                if k is None:
+                    continue
+                taken[lane] += steps
+                paced[lane] += steps
+                going = taken[lane] < _MOST_STEPS
+                if paced[lane] >= _PACE:
+                    time = float(integrator.time[lane])
+                    going = going and abs(time - marks[lane]) * _MOST_PACES > abs(longest - time)
+                    paced[lane], marks[lane] = 0, time
+                if going and outcome in still:
                     continue
                 # A stopping terminal event reports -1 - its index. Any other outcome ends the flight.
                 sheet = -1 - int(outcome)
                 if sheet in (0, 1):
                     state = integrator.state[:, lane].copy()
                     seen[lane] += section.admits(state)
-                    if seen[lane] < hit:
+                    if seen[lane] >= hit:
+                        found[k] = Crossing(state, float(integrator.time[lane]))
+                    elif going:
+                        taken[lane] = 0
                         self._pass(lane, sheet, section, np.sign(longest))
                         continue
-                    found[k] = Crossing(state, float(integrator.time[lane]))
                 launch(lane)
         return found
 
@@ -364,7 +385,8 @@ class CrossingFinder:
         """
         integrator = self._integrator
         # Clocks run in twice the precision; setting the leading half alone would touch the companions' last digits.
-        clocks = [half.copy() for half in integrator.dtime]
+        # The clocks of other lanes are undefined if their trajectories just became infinite.
+        clocks = [np.where(np.isfinite(integrator.time), half, 0.0) for half in integrator.dtime]
         for half in clocks:
             half[lane] = 0.0
         integrator.set_dtime(*clocks)
