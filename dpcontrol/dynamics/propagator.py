@@ -254,6 +254,10 @@ Near a singularity, steps shrink without end.
 """
 
 
+INTERVAL_STEPS = 2_000
+"""Limit of Taylor steps over a short interval, a hundred times that of fast motions."""
+
+
 class CrossingFinder:
     """Propagates trajectories of one set of equations to sections.
 
@@ -544,24 +548,42 @@ class Propagator:
         states, matrices = self.sample_with_stm(state, [duration])
         return states[0], matrices[0]
 
-    def sample(self, state: ArrayLike, times: ArrayLike) -> Array:
+    def sample(self, state: ArrayLike, times: ArrayLike, *, most_steps: int = 0) -> Array:
         """Return the states (K, N) at given times.
 
         Args:
             state: state (N,) at time zero.
             times: monotonic times (K,), s.
+            most_steps: limit of Taylor steps, 0 for none.
 
         Raises:
-            ArithmeticError: the state became infinite or undefined.
+            ArithmeticError: the state became infinite or undefined, or the limit was reached.
         """
         grid = np.asarray(times, dtype=float)
         if grid.size == 0:
             return np.empty((0, self.equations.dimension))
         before = int(grid[0] != 0.0)
         integrator = self._at_zero(np.asarray(state, dtype=float), stm=False)
-        result = integrator.propagate_grid(np.concatenate([[0.0] * before, grid]))
+        result = integrator.propagate_grid(np.concatenate([[0.0] * before, grid]), max_steps=most_steps)
         check_arrival(integrator, result[0])
         return np.array(result[-1])[before:]
+
+    def followed(self, state: ArrayLike, times: Array) -> Array:
+        """Return the states (M, N) at the first M of the times.
+
+        At later times the state is infinite or undefined, or absurdly fast.
+
+        Args:
+            state: state (N,) at time zero.
+            times: rising times (K,), s.
+        """
+        integrator = self._at_zero(np.asarray(state, dtype=float), stm=False)
+        reached = np.empty((len(times), self.equations.dimension))
+        for k, time in enumerate(times):
+            if integrator.propagate_until(float(time), max_steps=INTERVAL_STEPS)[0] != hy.taylor_outcome.time_limit:
+                return reached[:k]
+            reached[k] = integrator.state
+        return reached
 
     def sample_with_stm(self, state: ArrayLike, times: ArrayLike) -> tuple[Array, Array]:
         """Return states (K, N) and state-transition matrices (K, N, N).
@@ -669,10 +691,6 @@ class Propagator:
         return out
 
 
-_INTERVAL_STEPS = 2_000
-"""Limit of Taylor steps over the interval of a reference, a hundred times that of fast motions."""
-
-
 class PolynomialInputPropagator:
     """Propagates equations under inputs that are polynomials in time.
 
@@ -723,7 +741,7 @@ class PolynomialInputPropagator:
         """
         integrator, x, c = self._views
         integrator.time, x[:], c[:] = 0.0, state, coefficients
-        check_arrival(integrator, integrator.propagate_until(duration, max_steps=_INTERVAL_STEPS)[0])
+        check_arrival(integrator, integrator.propagate_until(duration, max_steps=INTERVAL_STEPS)[0])
         return x.copy()
 
     def sample(self, state: ArrayLike, coefficients: ArrayLike, times: ArrayLike) -> Array:
@@ -739,7 +757,7 @@ class PolynomialInputPropagator:
         """
         integrator, x, c = self._views
         integrator.time, x[:], c[:] = 0.0, state, coefficients
-        result = integrator.propagate_grid(np.asarray(times, dtype=float), max_steps=_INTERVAL_STEPS)
+        result = integrator.propagate_grid(np.asarray(times, dtype=float), max_steps=INTERVAL_STEPS)
         check_arrival(integrator, result[0])
         return np.array(result[-1])
 
