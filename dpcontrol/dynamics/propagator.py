@@ -241,8 +241,21 @@ LANES = 8
 _MOST_STEPS = 50_000
 """Limit of Taylor steps between two crossings, a hundred times that of tubes.
 
-Near a singularity, steps would shrink without end.
+It also ends flights that never cross.
 """
+
+_PACE = 1_000
+"""Taylor steps between measurements of a flight's pace; those of tubes rarely need as many."""
+
+_MOST_PACES = 1_000
+"""A flight ends if the rest of its time needs this many times `_PACE` steps.
+
+Near a singularity, steps shrink without end.
+"""
+
+
+INTERVAL_STEPS = 2_000
+"""Limit of Taylor steps over a short interval, a hundred times that of fast motions."""
 
 
 class CrossingFinder:
@@ -307,12 +320,13 @@ class CrossingFinder:
         first_sheets = np.full(len(states), section.offset)
         if section.period is not None:
             first_sheets[waiting] += section.period * np.floor(section.height(states[waiting]) / section.period)
-        ends, success = np.zeros(LANES), hy.taylor_outcome.success
+        ends, still = np.zeros(LANES), (hy.taylor_outcome.success, hy.taylor_outcome.step_limit)
         flying: list[int | None] = [None] * LANES
-        seen = [0] * LANES
+        seen, taken, paced, marks = [0] * LANES, [0] * LANES, [0] * LANES, [0.0] * LANES
 
         def launch(lane: int) -> None:
-            seen[lane] = 0
+            seen[lane] = taken[lane] = paced[lane] = 0
+            marks[lane] = 0.0
             flying[lane] = k = waiting.pop() if waiting else None
             ends[lane] = 0.0 if k is None else longest
             self._place(lane, None if k is None else (states[k], float(first_sheets[k])), section)
@@ -320,20 +334,31 @@ class CrossingFinder:
         for lane in range(LANES):
             launch(lane)
         while any(k is not None for k in flying):
-            integrator.propagate_until(ends, max_steps=_MOST_STEPS)
-            for lane, (outcome, *_) in enumerate(integrator.propagate_res):
+            integrator.propagate_until(ends, max_steps=_PACE)
+            for lane, (outcome, _, _, steps) in enumerate(integrator.propagate_res):
                 k = flying[lane]
-                if k is None or outcome == success:
+                if k is None:
+                    continue
+                taken[lane] += steps
+                paced[lane] += steps
+                going = taken[lane] < _MOST_STEPS
+                if paced[lane] >= _PACE:
+                    time = float(integrator.time[lane])
+                    going = going and abs(time - marks[lane]) * _MOST_PACES > abs(longest - time)
+                    paced[lane], marks[lane] = 0, time
+                if going and outcome in still:
                     continue
                 # A stopping terminal event reports -1 - its index. Any other outcome ends the flight.
                 sheet = -1 - int(outcome)
                 if sheet in (0, 1):
                     state = integrator.state[:, lane].copy()
                     seen[lane] += section.admits(state)
-                    if seen[lane] < hit:
+                    if seen[lane] >= hit:
+                        found[k] = Crossing(state, float(integrator.time[lane]))
+                    elif going:
+                        taken[lane] = 0
                         self._pass(lane, sheet, section, np.sign(longest))
                         continue
-                    found[k] = Crossing(state, float(integrator.time[lane]))
                 launch(lane)
         return found
 
@@ -364,7 +389,8 @@ class CrossingFinder:
         """
         integrator = self._integrator
         # Clocks run in twice the precision; setting the leading half alone would touch the companions' last digits.
-        clocks = [half.copy() for half in integrator.dtime]
+        # The clocks of other lanes are undefined if their trajectories just became infinite.
+        clocks = [np.where(np.isfinite(integrator.time), half, 0.0) for half in integrator.dtime]
         for half in clocks:
             half[lane] = 0.0
         integrator.set_dtime(*clocks)
@@ -522,24 +548,42 @@ class Propagator:
         states, matrices = self.sample_with_stm(state, [duration])
         return states[0], matrices[0]
 
-    def sample(self, state: ArrayLike, times: ArrayLike) -> Array:
+    def sample(self, state: ArrayLike, times: ArrayLike, *, most_steps: int = 0) -> Array:
         """Return the states (K, N) at given times.
 
         Args:
             state: state (N,) at time zero.
             times: monotonic times (K,), s.
+            most_steps: limit of Taylor steps, 0 for none.
 
         Raises:
-            ArithmeticError: the state became infinite or undefined.
+            ArithmeticError: the state became infinite or undefined, or the limit was reached.
         """
         grid = np.asarray(times, dtype=float)
         if grid.size == 0:
             return np.empty((0, self.equations.dimension))
         before = int(grid[0] != 0.0)
         integrator = self._at_zero(np.asarray(state, dtype=float), stm=False)
-        result = integrator.propagate_grid(np.concatenate([[0.0] * before, grid]))
+        result = integrator.propagate_grid(np.concatenate([[0.0] * before, grid]), max_steps=most_steps)
         check_arrival(integrator, result[0])
         return np.array(result[-1])[before:]
+
+    def followed(self, state: ArrayLike, times: Array) -> Array:
+        """Return the states (M, N) at the first M of the times.
+
+        At later times the state is infinite or undefined, or absurdly fast.
+
+        Args:
+            state: state (N,) at time zero.
+            times: rising times (K,), s.
+        """
+        integrator = self._at_zero(np.asarray(state, dtype=float), stm=False)
+        reached = np.empty((len(times), self.equations.dimension))
+        for k, time in enumerate(times):
+            if integrator.propagate_until(float(time), max_steps=INTERVAL_STEPS)[0] != hy.taylor_outcome.time_limit:
+                return reached[:k]
+            reached[k] = integrator.state
+        return reached
 
     def sample_with_stm(self, state: ArrayLike, times: ArrayLike) -> tuple[Array, Array]:
         """Return states (K, N) and state-transition matrices (K, N, N).
@@ -647,10 +691,6 @@ class Propagator:
         return out
 
 
-_INTERVAL_STEPS = 2_000
-"""Limit of Taylor steps over the interval of a reference, a hundred times that of fast motions."""
-
-
 class PolynomialInputPropagator:
     """Propagates equations under inputs that are polynomials in time.
 
@@ -701,7 +741,7 @@ class PolynomialInputPropagator:
         """
         integrator, x, c = self._views
         integrator.time, x[:], c[:] = 0.0, state, coefficients
-        check_arrival(integrator, integrator.propagate_until(duration, max_steps=_INTERVAL_STEPS)[0])
+        check_arrival(integrator, integrator.propagate_until(duration, max_steps=INTERVAL_STEPS)[0])
         return x.copy()
 
     def sample(self, state: ArrayLike, coefficients: ArrayLike, times: ArrayLike) -> Array:
@@ -717,7 +757,7 @@ class PolynomialInputPropagator:
         """
         integrator, x, c = self._views
         integrator.time, x[:], c[:] = 0.0, state, coefficients
-        result = integrator.propagate_grid(np.asarray(times, dtype=float), max_steps=_INTERVAL_STEPS)
+        result = integrator.propagate_grid(np.asarray(times, dtype=float), max_steps=INTERVAL_STEPS)
         check_arrival(integrator, result[0])
         return np.array(result[-1])
 

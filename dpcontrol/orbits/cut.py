@@ -211,27 +211,39 @@ class Sampler(Brief):
         Args:
             phases: phases (K,) of the orbit, 1 for a period.
         """
-        if self.settings.longest is None:
-            return False
         patience = 2 * max(self.longest, self.manifold.orbit.system.flight_periods)
         patient = replace(self, settings=replace(self.settings, longest=patience))
         return bool(patient.fly(_some(phases)).arrived.any())
 
-    def escapes(self, phases: Array) -> bool:
-        """Return True if all trajectories diverge within the flight time.
+    def departure(self, phases: Array) -> str:
+        """Return how all trajectories leave for ever, or "".
+
+        Within the flight time they diverge, or move away at a constant rate.
 
         Args:
             phases: phases (K,) of the orbit, 1 for a period.
         """
         propagator, duration = self.manifold.orbit.system.propagator, self.longest * self.manifold.orbit.period
+        times = np.linspace(0.0, duration, max(_FOLLOWED, int(np.ceil(self.longest))) + 1)[1:]
         seeds, _ = self.manifold.seeds(_some(phases), self.branch)
+        ways: set[str] = set()
         for seed in seeds:
-            try:
-                propagator.flow(seed, duration)
-                return False
-            except ArithmeticError:
-                continue
-        return True
+            states = propagator.followed(seed, times)
+            if len(states) == len(times) and not self._moves_away(states[len(times) // 2 :]):
+                return ""
+            ways.add("diverge" if len(states) < len(times) else "move away at a constant rate")
+        return " or ".join(sorted(ways))
+
+    def _moves_away(self, states: Array) -> bool:
+        """Return True if a coordinate that is no angle changes steadily.
+
+        Over states (K, N), it also changes by many times the size of the orbit.
+        """
+        system = self.manifold.orbit.system
+        rates, lines = system.numeric.rate(states), np.flatnonzero(~np.isfinite(system.periods))
+        steady = np.ptp(rates[:, lines], axis=0) <= _STEADY * np.abs(rates[-1, lines])
+        size = float((np.ptp(self.manifold.frame(np.arange(8) / 8).states, axis=0) / system.scale).max())
+        return bool((steady & (np.abs(states[-1] - states[0]) / system.scale > _AWAY * size)[lines]).any())
 
 
 def _some(phases: Array) -> Array:
@@ -240,6 +252,8 @@ def _some(phases: Array) -> Array:
 
 
 _TRIED = 8
+_FOLLOWED = 24  # smallest number of states at which a trajectory is examined
+_STEADY, _AWAY = 1e-3, 10.0  # largest change of a constant rate, relative; distance in sizes of the orbit
 
 
 def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress) -> tuple[CutSamples, str, bool]:
@@ -286,7 +300,7 @@ def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress)
         samples = samples[np.argsort(samples.phases, kind="stable")]
     left = f"branch {sampler.branch:+d}: {len(samples)} points leave wide chords"
     if budget.spent:
-        return samples, f"{left} after its limit of {budget.seconds:.0f} s of processor time", True
+        return samples, f"{left} after its share of the processor time", True
     return samples, f"{left}; allow less time", False
 
 
@@ -301,8 +315,8 @@ class OpenEnd(Brief):
     Attributes:
         hides: True if it may contain more of the same crossing. Grazing and escaping trajectories hide nothing, nor
             do those that exceed a requested flight time.
-        later: True if some arrive after that time.
-        escapes: True if they diverge.
+        later: True if some arrive after that time, or may arrive after the default one.
+        escapes: True if they leave for ever.
     """
 
     branch: int
@@ -343,12 +357,12 @@ class Cut(Shown, Documented):
         trajectories: number of trajectories.
         resolved: True if all chords are short except at open ends.
         stable: True for the image on the stable tube.
-        spent: True if time ran out during refinement.
+        spent: True if time ran out.
     """
 
     KEYS: ClassVar[str] = (
         "hit stable trajectories resolved status section=section.name pieces:branch,direction,closed,phases,points "
-        "open_ends:branch,phase_interval,reason"
+        "open_ends:branch,phase_interval,reason partial=spent"
     )
 
     section: Section
@@ -376,11 +390,12 @@ def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
         )
         if sampler.budget.spent:
             return OpenEnd(sampler.branch, interval, reason, hides=True)
-        if sampler.escapes(samples.phases):
-            reason = f"escapes: {len(samples)} phases diverge and never reach {sampler.section.name}"
+        requested, departure = sampler.settings.longest is not None, sampler.departure(samples.phases)
+        later = bool(requested or departure) and sampler.arrives_later(samples.phases)
+        if departure and not later:
+            reason = f"escapes: {len(samples)} phases {departure} and never reach {sampler.section.name}"
             return OpenEnd(sampler.branch, interval, reason, hides=False, escapes=True)
-        later = sampler.arrives_later(samples.phases)
-        return OpenEnd(sampler.branch, interval, reason, hides=sampler.settings.longest is None, later=later)
+        return OpenEnd(sampler.branch, interval, reason, hides=not requested, later=later or not requested)
     first, second = samples.rates
     slow = min(abs(first), abs(second))
     if slow > grazing:
@@ -478,6 +493,7 @@ def tube_cut(
         found, open_ends = _pieces(samples, sampler)
         pieces += found
         gaps += open_ends
+        late = late or (budget.spent and any(end.hides for end in open_ends))
         if manifold.branches_are_mirrored:
             pieces += [_mirrored(manifold, section, piece) for piece in found]
             gaps += [
@@ -489,7 +505,8 @@ def tube_cut(
     elif not pieces:
         status = (
             f"no trajectory of the tube reaches crossing {hit} of {section.name} within "
-            f"{longest_flight(manifold, settings):g} periods; allow more time or another energy"
+            f"{longest_flight(manifold, settings):g} periods"
+            f"{'; allow longer flights, or use another energy' if any(gap.later for gap in gaps) else ''}"
         )
     elif unresolved:
         status = f"not resolved by {flown} trajectories{unresolved}"

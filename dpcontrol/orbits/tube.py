@@ -11,11 +11,13 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.propagator import INTERVAL_STEPS, Section
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.checked import Count, Hit, checked
+from dpcontrol.foundation.budget import SECONDS, Budget
+from dpcontrol.foundation.checked import Count, Hit, Positive, checked
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import Reporting, reporting
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.cut import Cut, CutSettings, Piece, Sampler, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
@@ -84,12 +86,23 @@ class Tube(Shown, Documented):
         return self._placed(np.array(found))
 
     @checked
-    def cut(self, section: str | Section | None = None, *, hit: Hit = 1) -> Cut:
+    def cut(
+        self,
+        section: str | Section | None = None,
+        *,
+        hit: Hit = 1,
+        longest: Positive | None = None,
+        seconds: Positive = SECONDS,
+        progress: Reporting = None,
+    ) -> Cut:
         """Return the curves in which the tube meets a section.
 
         Args:
             section: section, or its name in the system; by default the one for connections of the orbit to itself.
             hit: number of the crossing.
+            longest: time to reach the section, in periods of the orbit (default: the system's).
+            seconds: processor time, s. A partial cut is marked as `spent`.
+            progress: reports, see `dpcontrol.api`.
 
         Raises:
             InputError: there is no such section, or the reverser does not preserve it.
@@ -104,11 +117,16 @@ class Tube(Shown, Documented):
             )
         if self.stable and not section.kept_by(orbit.reverser, orbit.centre):
             raise InputError(f"section {section.name}: not preserved by the reverser about {orbit.saddle}; use another")
-        cut = tube_cut(self.manifold, section, hit=hit)
+        settings = CutSettings(longest=longest)
+        with reporting(progress, "cut") as report:
+            cut = tube_cut(self.manifold, section, hit=hit, settings=settings, budget=Budget(seconds), progress=report)
         pieces = [piece for piece in cut.pieces if piece.branch in self.branches]
         ends = tuple(end for end in cut.open_ends if end.branch in self.branches)
         pieces = tuple(self.placed(piece, section) for piece in pieces)
-        return replace(cut, pieces=pieces, open_ends=ends, stable=self.stable)
+        status = cut.status
+        if cut.spent:
+            status += f"; partial: the cut reached its limit of {seconds:g} s of processor time: allow more seconds"
+        return replace(cut, pieces=pieces, open_ends=ends, stable=self.stable, status=status)
 
     def placed(self, piece: Piece, section: Section) -> Piece:
         """Return a piece of a cut as one of this tube.
@@ -129,10 +147,10 @@ class Tube(Shown, Documented):
 def _followed(propagator: Any, seed: Array, seconds: float) -> Array:
     """Return states (M, N) of a trajectory.
 
-    It ends after a time, or when it is no longer finite.
+    It ends after a time, or before it becomes infinite.
     """
     while True:
         try:
-            return propagator.sample(seed, np.linspace(0.0, seconds, _MOMENTS))
+            return propagator.sample(seed, np.linspace(0.0, seconds, _MOMENTS), most_steps=INTERVAL_STEPS)
         except ArithmeticError:
             seconds /= 2

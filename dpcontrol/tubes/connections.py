@@ -33,7 +33,7 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.shown import Brief, Shown, Timed, checked_times
-from dpcontrol.orbits.cut import Cut, OpenEnd, section_points, tube_cut
+from dpcontrol.orbits.cut import Cut, OpenEnd, longest_flight, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingOrbit, solve_shooting
@@ -603,7 +603,8 @@ def find_connections(
                 found.append(image)
     _sort(found)
     resolved = all(cut.resolved for cut in (unstable, backward))
-    hidden = [end for cut in (unstable, backward) for end in cut.open_ends if end.hides]
+    hidden = any(end.hides for cut in (unstable, backward) for end in cut.open_ends)
+    jumping = any(end.hides and not end.later for cut in (unstable, backward) for end in cut.open_ends)
     tangent = sum(uncertainty(c.transversality_angle, settings.same) > _TANGENT for c in found)
     later = any(end.later for cut in (unstable, backward) for end in cut.open_ends)
     complete = even and resolved and not (failed or left or hidden or tangent or later)
@@ -624,12 +625,17 @@ def find_connections(
         )
     if tangent:
         status += f"; the tubes are tangent to rounding at {tangent}, each of which may be several near a bifurcation"
-    if hidden:
+    if jumping:
         remedy = "try another energy" if settings.thorough else "search thoroughly"
-        status += f"; the cuts are open (see open_cuts) and may hide connections: allow more time, or {remedy}"
-    elif later:
-        status += "; longer flights exist beyond --longest and may include connections: allow more time"
-    elif unstable.open_ends or backward.open_ends:
+        remedy = "allow more seconds" if partial else remedy
+        status += f"; the cuts are open (see open_cuts) and may hide connections: {remedy}"
+    if later:
+        exist = "may exist" if settings.cut.longest is None else "exist"
+        status += (
+            f"; longer flights {exist} beyond --longest (longest in Python) and may include connections: raise it "
+            f"above {longest_flight(manifolds[0], settings.cut):g} periods of the orbit"
+        )
+    elif not jumping and any(not end.escapes for cut in (unstable, backward) for end in cut.open_ends):
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)
     return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status, partial)
@@ -762,11 +768,20 @@ def find_lap_connections(
     longest = lapping[0].system.flight_periods + crossing / each
     settings = replace(settings, cut=replace(settings.cut, longest=longest))
     hits = (crossing, 1) if lapping[0] is source else (1, crossing)
+    budget = Budget(settings.seconds)
     cuts = tuple(
-        tube_cut(local_manifold(orbit, settings.distance), section, hit=hit, settings=settings.cut)
-        for orbit, hit in zip((source, target), hits, strict=True)
+        tube_cut(
+            local_manifold(orbit, settings.distance),
+            section,
+            hit=hit,
+            settings=settings.cut,
+            budget=budget.until(share),
+        )
+        for orbit, hit, share in zip((source, target), hits, (0.4, 0.8), strict=True)
     )
-    search = find_connections(source, target, hits=hits, section=section, settings=settings, cuts=(cuts[0], cuts[1]))
+    search = find_connections(
+        source, target, hits=hits, section=section, settings=settings, cuts=(cuts[0], cuts[1]), budget=budget
+    )
     found: list[Connection] = []
     for connection in search.connections:
         canonical = _canonical(connection)
@@ -778,7 +793,9 @@ def find_lap_connections(
     status += "; other crossings may have more"
     if search.failed:
         status += f"; {search.failed} crossings of the cuts did not converge: try another energy"
-    if not cuts[0 if lapping[0] is source else 1].resolved:
+    if search.partial:
+        status += f"; partial: the search reached its limit of {budget.seconds:.3g} s of processor time"
+    elif not cuts[0 if lapping[0] is source else 1].resolved:
         status += "; not every cut is resolved: allow less time"
     return replace(search, connections=tuple(found), complete=False, status=status)
 

@@ -341,6 +341,8 @@ class _Pair:
 
 
 Meeting = TypeVar("Meeting", _Place, Intersection)
+Spent = Callable[[], float]
+"""Function that returns the elapsed share of the time after the cuts."""
 
 
 def intersect_cuts(
@@ -350,7 +352,7 @@ def intersect_cuts(
     cuts: tuple[Cut, Cut],
     settings: ConnectionSettings,
     *,
-    spent: Callable[[], float] = lambda: 0.0,
+    spent: Spent = lambda: 0.0,
 ) -> Crossings:
     """Return the distinct intersections of two cuts.
 
@@ -362,7 +364,7 @@ def intersect_cuts(
         manifolds: manifolds of both tubes.
         cuts: unstable cuts of both tubes.
         settings: settings of the search.
-        spent: function that returns the elapsed share of the time after the cuts.
+        spent: see `Spent`.
     """
     mirrored = all(m.branches_are_mirrored for m in manifolds)
     pairs: list[_Pair] = []
@@ -387,14 +389,14 @@ def intersect_cuts(
         if spent() > _SOLVED:
             left += len(part)
             continue
-        solutions, unsolved = _solved(system, part, settings)
-        failed += unsolved
+        solutions, unsolved = _solved(system, part, settings, spent)
+        failed, left = (failed, left + unsolved) if spent() >= 1 else (failed + unsolved, left)
         _add(system, solutions, found, settings)
     for part in _together(found):
         if spent() > _PAIRED:
             left += len(part)
             continue
-        _add(system, _partners(system, part, settings), found, settings)
+        _add(system, _partners(system, part, settings, spent), found, settings)
     return Crossings(sorted(found, key=lambda one: -one.scale), failed, left)
 
 
@@ -480,7 +482,9 @@ def _meetings(first: Array, second: Array) -> list[tuple[tuple[float, float], bo
     return [(place, True) for place in crossings] + [(place, False) for place in touches]
 
 
-def _solved(system: System, places: list[_Place], settings: ConnectionSettings) -> tuple[list[Intersection], int]:
+def _solved(
+    system: System, places: list[_Place], settings: ConnectionSettings, spent: Spent
+) -> tuple[list[Intersection], int]:
     """Solve for intersections near places of the same sides, and count failures.
 
     If Newton's method leaves the place, for example next to a fold thinner than a chord, the cuts are sampled more
@@ -488,7 +492,7 @@ def _solved(system: System, places: list[_Place], settings: ConnectionSettings) 
     """
     sides = places[0].sides
     solutions = _newton(
-        system, sides, np.array([p.phases for p in places]), settings, np.array([p.reach for p in places])
+        system, sides, np.array([p.phases for p in places]), settings, np.array([p.reach for p in places]), spent
     )
     found = [replace(one, scale=place.scale) for place, one in zip(places, solutions, strict=True) if one is not None]
     astray = [k for k, one in enumerate(solutions) if one is None or not places[k].holds(one.phases)]
@@ -511,7 +515,7 @@ def _solved(system: System, places: list[_Place], settings: ConnectionSettings) 
                 guesses.append([np.interp(j, np.arange(len(span)), span)
                                 for j, span in zip(closer, places[k].spans, strict=True)])  # fmt: skip
     again = _newton(
-        system, sides, np.array(guesses).reshape(-1, 2), settings, np.array([places[k].reach for k in owners])
+        system, sides, np.array(guesses).reshape(-1, 2), settings, np.array([places[k].reach for k in owners]), spent
     )
     for k, one in zip(owners, again, strict=True):
         if one is not None:
@@ -587,17 +591,22 @@ def _slopes(crossing: Intersection) -> Array:
 
 
 def _newton(
-    system: System, sides: tuple[TubeSide, TubeSide], guesses: Array, settings: ConnectionSettings, reach: Array
+    system: System,
+    sides: tuple[TubeSide, TubeSide],
+    guesses: Array,
+    settings: ConnectionSettings,
+    reach: Array,
+    spent: Spent,
 ) -> list[Intersection | None]:
     """Solve for phase pairs by Newton's method from guesses (K, 2).
 
-    The result is None if the method does not converge or leaves the range `reach` (K,).
+    The result is None if the method does not converge in time, or leaves the range `reach` (K,).
     """
     phases, resting = guesses.copy(), np.full(len(guesses), np.inf)
     found: list[Intersection | None] = [None] * len(guesses)
     going = np.arange(len(guesses))
     for _ in range(settings.newton_iterations):
-        if not going.size:
+        if not going.size or spent() >= 1:
             break
         on = []
         for k, one in zip(going, _approaches(system, sides, phases[going]), strict=True):
@@ -622,7 +631,9 @@ def _newton(
     return found
 
 
-def _partners(system: System, crossings: list[Intersection], settings: ConnectionSettings) -> list[Intersection]:
+def _partners(
+    system: System, crossings: list[Intersection], settings: ConnectionSettings, spent: Spent
+) -> list[Intersection]:
     """Return further intersections within about one chord of known ones.
 
     Polylines do not resolve them. Along the direction of least change, the gap is a s + ½ b s² + c s³/6, with a, b, c
@@ -648,7 +659,7 @@ def _partners(system: System, crossings: list[Intersection], settings: Connectio
         guesses += [crossing.phases + s * flat[k] for s in near]
         owners += [crossing] * len(near)
     start = np.array(guesses).reshape(-1, 2)
-    solved = _newton(system, sides, start, settings, np.full(len(start), _FARTHEST))
+    solved = _newton(system, sides, start, settings, np.full(len(start), _FARTHEST), spent)
     return [replace(one, scale=owner.scale) for owner, one in zip(owners, solved, strict=True) if one is not None]
 
 

@@ -252,6 +252,26 @@ def test_a_search_refines_coarse_intersections_first(monkeypatch):
     assert some.left > 0 == every.left
 
 
+def test_intersections_that_are_not_solved_in_time_are_left_and_no_failures():
+    orbits = orbits_between(load_model("lab").system, "down-up", "down-up", 0.2)
+    system, settings = orbits[0].system, ConnectionSettings()
+    manifold, section = local_manifold(orbits[0], settings.distance), system.sections["down-up", "down-up"]
+    cut, shares = tube_cut(manifold, section, settings=settings.cut), []
+
+    def spent():
+        """The time is up during Newton's method, after one iteration."""
+        shares.append(float(bool(starts) and len(shares) > starts[0] + 1))
+        return shares[-1]
+
+    starts, approach = [], intersections._approaches
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(intersections, "_approaches", lambda *each: starts.append(len(shares)) or approach(*each))
+        found = intersect_cuts(system, section, (manifold, manifold), (cut, cut), settings, spent=spent)
+    assert len(starts) < 4
+    assert found.left > 0
+    assert found.failed == 0
+
+
 def test_an_incomplete_thorough_search_reports_a_lower_bound_and_another_remedy():
     orbits = orbits_between(load_model("lab").system, "down-up", "down-up", -0.07)
     search = find_connections(*orbits, settings=ConnectionSettings(seconds=1e-9, thorough=True))

@@ -1,8 +1,10 @@
 """Searches with a short flight time report longer flights; escaping branches hide no connections."""
 
+import casadi as ca
 import pytest
 from command_line import dpcontrol
 
+import dpcontrol as dp
 from dpcontrol.dynamics.system import System
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.tubes.connections import find_connections
@@ -53,3 +55,67 @@ def test_an_escaping_branch_is_reported_and_keeps_the_search_complete() -> None:
     assert {end.branch for end in escaping} == {1}
     assert all("escapes: " in end.reason for end in escaping)
     assert "allow more time" not in search.status
+
+
+def barrier(potential, above=0.1):
+    """The orbit on top of a barrier, at an energy above it."""
+
+    def hamiltonian(q, p, _):
+        return (p[0] ** 2 + p[1] ** 2) / 2 + potential(*q)
+
+    system = dp.System.from_hamiltonian("barrier", hamiltonian, coordinates=("x", "y"), equilibria={"bar": (0.01, 0)})
+    energy = float(system.numeric.hamiltonian(system.equilibria["bar"])) + above
+    return dp.orbit(system, "bar", energy=energy)
+
+
+def gaussian(x, y):
+    return ca.exp(-(x**2)) + y**2 / 2 * (1 + 0.3 * ca.exp(-(x**2)))
+
+
+def test_branches_that_leave_at_a_constant_speed_escape() -> None:
+    orbit = barrier(gaussian)
+    search = dp.connections(orbit)
+    assert search.complete, search.status
+    assert search.connections == ()
+    assert {(end.branch, end.escapes) for _, end in search.open_ends} == {(1, True), (-1, True)}
+    assert all("move away at a constant rate" in end.reason for _, end in search.open_ends)
+    assert "allow" not in search.status
+    assert "escapes" in orbit.manifold(branch=1).cut().status
+
+
+def test_the_advice_for_branches_that_return_late_is_longer_flights() -> None:
+    """Both branches move freely for more than 12 periods, until they return from distant walls."""
+    orbit = barrier(lambda x, y: gaussian(x, y) + (x / 130) ** 40)
+    search = dp.connections(orbit)
+    assert not search.complete
+    assert not any(end.escapes for _, end in search.open_ends)
+    assert "raise it above 12 periods" in search.status
+    assert "--longest (longest in Python)" in search.status
+    assert "seconds" not in search.status
+    assert "thorough" not in search.status
+    longer = dp.connections(orbit, longest=20)
+    assert "beyond --longest" not in longer.status
+    assert len(longer.cuts[0].pieces) == 2
+    assert len(orbit.manifold().cut(longest=20).pieces) == 2
+
+
+def test_branches_that_become_infinite_are_searched() -> None:
+    """On one side, y grows faster than exponentially, and on the other, trajectories slow down."""
+    orbit = barrier(lambda x, y: 1 / ca.cosh(x) ** 2 + y**2 * (1 + 0.2 * x) / 2)
+    search = dp.connections(orbit)
+    assert {(end.branch, end.escapes) for _, end in search.open_ends} == {(1, False), (-1, True)}
+    assert "raise it above 12 periods" in search.status
+    for branch in (1, -1):
+        assert orbit.manifold(branch=branch).cut().pieces == ()
+
+
+@pytest.mark.slow
+def test_the_default_flights_of_three_bodies_are_extended_by_the_advised_option() -> None:
+    default = dpcontrol(*THREE_BODY, "--json")
+    assert default.code == 1
+    assert "raise it above 4 periods" in default.message
+    assert "thorough" not in default.message
+    assert "allow more" not in default.message
+    longer = dpcontrol(*THREE_BODY, "--longest", "4.3", "--json")
+    assert longer.document["count"] > default.document["count"]
+    assert "raise it above 4.3 periods" in longer.message

@@ -1,5 +1,6 @@
 """Searches end: sections respect angles, and searches at the time limit are partial and not cached."""
 
+import time
 from math import pi
 
 import casadi as ca
@@ -13,6 +14,7 @@ from dpcontrol.foundation.budget import Budget
 from dpcontrol.plans.atlas import AtlasSettings, make_atlas
 from dpcontrol.tubes.intersections import search_settings
 
+SOON = 10.0  # s of processor time, ten times the usual one
 LAB = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07")
 
 
@@ -103,6 +105,36 @@ def test_a_partial_atlas_is_not_cached(tmp_path, monkeypatch):
     again = [make_atlas(model, -0.07) for _ in range(2)]
     assert [one.cached for one in again] == [False, True]
     assert not any(kind.partial for one in again for kind in one.atlas.kinds)
+
+
+def test_branches_that_become_infinite_do_not_delay_a_search():
+    """Beyond the saddle, x becomes infinite in a finite time; on the other side, some trajectories return twice."""
+
+    def hamiltonian(q, p, _):
+        (x, y), (p_x, p_y) = q, p
+        return (p_x**2 + p_y**2) / 2 + x**2 / 2 - x**3 / 3 + y**2 / 2 * (1 + 0.3 * x**2) + 0.1 * x * y**2
+
+    system = dp.System.from_hamiltonian("cubic", hamiltonian, coordinates=("x", "y"), equilibria={"bar": (1.01, 0)})
+    orbit = dp.orbit(system, "bar", energy=float(system.numeric.hamiltonian(system.equilibria["bar"])) + 0.1)
+    began = time.process_time()
+    search = dp.connections(orbit)
+    assert (len(search.connections), search.complete, search.partial) == (4, True, False)
+    tubes = [orbit.manifold(branch=branch) for branch in (1, -1)]
+    assert [len(tube.cut().pieces) for tube in tubes] == [0, 1]
+    assert all(np.isfinite(tube.strands(8)).all() for tube in tubes)
+    assert time.process_time() - began < SOON
+
+
+def test_a_cut_at_its_time_limit_is_partial():
+    told = []
+    tube = dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07).manifold()
+    cut = tube.cut(seconds=0.001, progress=lambda what, done: told.append(what))
+    assert cut.document()["partial"] is True
+    assert not cut.resolved
+    assert "limit of 0.001 s of processor time: allow more seconds" in cut.status
+    assert "limit of 0 s" not in cut.status
+    assert "tube of down-up" in told
+    assert tube.cut().document()["partial"] is False
 
 
 def test_tubes_report_progress():
