@@ -119,7 +119,7 @@ def shortfall(verdict: "Score", *, failed: str = "", rig: bool = False) -> str:
     """
     unfinished = verdict.completed is None and rig and verdict.symbols_completed != verdict.symbols_total
     if failed or unfinished or verdict.completed is False:
-        return f"not completed: {failed or verdict.reason}"
+        return f"{'failed' if verdict.completed else 'not completed'}: {failed or verdict.reason}"
     return ""
 
 

@@ -294,8 +294,10 @@ def run_command(
         if link is None:
             flown = run_plan(plan, out, library=library, rig=rig, force=force, live=shown, progress=progress)
             verdict = flown.score()
-            reason = shortfall(verdict) if rig is None else shortfall(verdict, failed=flown.failure, rig=True)
-            return Answer(verdict.document(), score_text(verdict), reason)
+            failed = flown.failure if rig is not None or flown.object_failed else ""
+            return Answer(
+                verdict.document(), score_text(verdict), shortfall(verdict, failed=failed, rig=rig is not None)
+            )
     # Without a progress bar, because its thread would take time from the loop.
     if program is not None:
         run = run_with_program(plan, out, program, real_time=real_time, force=force)

@@ -364,8 +364,8 @@ def verb(
                 if as_json:
                     call.aside.enter_context(_prints_on_stderr())
                 answer = function(**given)
-            if answer is not None:
-                show(answer)
+                if answer is not None:
+                    show(answer)
 
         text = help or inspect.cleandoc(function.__doc__ or "")
         epilog = f"Example:  {example}" + (f"      {note}" if note else "")
@@ -390,6 +390,7 @@ def show(answer: Answer) -> None:
     call.aside.close()
     if call.as_json:
         print_json(answer.document)
+        call.aside.enter_context(_prints_on_stderr())
     else:
         for item in answer.text:
             _print(item)
@@ -410,6 +411,8 @@ def _prints_on_stderr() -> Iterator[None]:
             stack.callback(os.close, before)
             os.dup2(2, 1)
             stack.callback(os.dup2, before, 1)
+            if sys.__stdout__ is not None:
+                stack.callback(sys.__stdout__.flush)
         yield
 
 

@@ -248,7 +248,7 @@ _PACE = 1_000
 """Taylor steps between measurements of a flight's pace; those of tubes rarely need as many."""
 
 _MOST_PACES = 1_000
-"""A flight ends if the rest of its time needs this many times `_PACE` steps.
+"""A flight ends if the rest of its time, or the time so far, needs this many times `_PACE` steps.
 
 Near a singularity, steps shrink without end.
 """
@@ -344,7 +344,8 @@ class CrossingFinder:
                 going = taken[lane] < _MOST_STEPS
                 if paced[lane] >= _PACE:
                     time = float(integrator.time[lane])
-                    going = going and abs(time - marks[lane]) * _MOST_PACES > abs(longest - time)
+                    left = min(abs(longest - time), abs(time))
+                    going = going and abs(time - marks[lane]) * _MOST_PACES > left
                     paced[lane], marks[lane] = 0, time
                 if going and outcome in still:
                     continue

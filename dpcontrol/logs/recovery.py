@@ -16,7 +16,6 @@ import re
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from io import FileIO
 from itertools import count, pairwise
@@ -246,13 +245,15 @@ def recover(
     data = recorded_bytes(path)
     if out is not None:
         checked_other_file(Path(out), path, what="the log to recover")
-    if writer := other_writer(path):
-        # An unreadable file raises the reason and the remedy.
-        read_log(path)
+    writer = other_writer(path)
+    if writer and _readable(path):
         raise InputError(f"{path} needs no recovery: {writer} has rewritten it, and it is readable as it is")
     found = salvage(data, progress=part_of(progress, 0.0, 0.6))
     described = _single_record(path, found, layout.LAYOUT_RECORD)
     if described is None or not any(chunk.times for chunk in found.chunks):
+        if writer:
+            # This raises the reason and the remedy.
+            read_log(path)
         raise InputError(f"{path} cannot be recovered: {_nothing(found)}; make the log again with `dpcontrol run`")
     try:
         tick = described_layout(path, described)
@@ -261,13 +262,20 @@ def recover(
         done = _account(path, found, chunks, described=described, tick=tick)
     except MALFORMED as error:
         raise InputError(f"{path} cannot be recovered: its valid records contradict each other: {error}") from error
-    with suppress(InputError):
-        read_log(path)
+    if _readable(path):
         return replace(done, lost="")
     done = replace(done, log=_free_name(path) if out is None else Path(out))
     check_replaced(done.log, _single_record(path, found, layout.RUN_RECORD) or {}, recovers=path, force=force)
     _write(found, chunks, described=described, tick=tick, done=done, progress=part_of(progress, 0.6, 1.0))
     return done
+
+
+def _readable(path: Path) -> bool:
+    try:
+        read_log(path)
+    except InputError:
+        return False
+    return True
 
 
 def _check_declared(path: Path, tick: TickLayout, chunks: Sequence[SoundChunk]) -> None:

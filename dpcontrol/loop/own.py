@@ -26,6 +26,7 @@ from typing import Any
 from uuid import uuid4
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import FilterSettings
 from dpcontrol.control.interface import Action, Estimate, Estimator, Mode, Present, SampledModel, Session
@@ -84,17 +85,21 @@ def _timed(function: Callable[[], Any], longest: float) -> Any:
 
     interrupts = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     before: Any = None
-    pending = 0.0
+    pending = every = 0.0
     if interrupts:
         before = signal.signal(signal.SIGALRM, check_time)
-        pending, _ = signal.setitimer(signal.ITIMER_REAL, longest, longest)
+        pending, every = signal.setitimer(signal.ITIMER_REAL, longest, longest)
     try:
         value = function()
     finally:
         if interrupts:
-            # A timer that was set before, such as one that repeats an interrupt, is set again.
-            signal.setitimer(signal.ITIMER_REAL, pending and max(pending - (time.perf_counter() - began), _SOON))
+            # Other timers, such as one that repeats an interrupt, go on, whether set before or during the call.
+            left, again = signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
+            if not math.isclose(again, longest, abs_tol=1e-5):
+                signal.setitimer(signal.ITIMER_REAL, left, again)
+            elif pending:
+                signal.setitimer(signal.ITIMER_REAL, max(pending - (time.perf_counter() - began), _SOON), every)
     if time.perf_counter() - began > longest:
         raise _TooLong
     return value
@@ -269,6 +274,15 @@ def _number(value: Any) -> float:
         return math.nan if other else float(value)
     except Exception:  # noqa: BLE001 - the value is the user's, and so is its __float__
         return math.nan
+
+
+def _flags(value: Any) -> NDArray[np.bool_]:
+    """Return truth values, none for any other value."""
+    try:
+        array = np.asarray(value)
+        return array.astype(bool) if array.dtype == bool else np.empty(0, dtype=bool)
+    except Exception:  # noqa: BLE001 - the value is the user's, and so is its __array__
+        return np.empty(0, dtype=bool)
 
 
 def wrong_command(law: str, value: float) -> OwnFailure | None:
@@ -640,8 +654,8 @@ class OwnRig:
             self.truth = own.numbers("truth", own.value("truth"), 2 * self._arms + 2)
         if not isinstance(value, Reading):
             return Reading(now, positions)
-        present = None if value.present is None else np.asarray(value.present)
-        if present is not None and (present.shape != (m,) or present.dtype != bool):
+        present = None if value.present is None else _flags(value.present)
+        if present is not None and present.shape != (m,):
             raise own.invalid_value("read", value.present, f"a reading whose `present` has {m} times True or False")
         for name, needed, valid in (
             ("switch", "-1, 0 or 1", abs(_number(value.switch)) in (0, 1)),

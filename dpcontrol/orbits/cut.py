@@ -30,6 +30,10 @@ _NARROWEST = 1e-7
 """Smallest phase step of a thorough cut; tubes that scatter have ever narrower windows."""
 
 
+MOST_PERIODS = 1000.0
+"""Longest flight, in periods of the orbit."""
+
+
 @dataclass(frozen=True)
 class CutSettings:
     """Resolution and limits of tube cuts.
@@ -228,6 +232,8 @@ class Sampler(Brief):
         seeds, _ = self.manifold.seeds(_some(phases), self.branch)
         ways: set[str] = set()
         for seed in seeds:
+            if self.budget.spent:
+                return ""
             states = propagator.followed(seed, times)
             if len(states) == len(times) and not self._moves_away(states[len(times) // 2 :]):
                 return ""

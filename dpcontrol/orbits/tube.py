@@ -19,7 +19,7 @@ from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Reporting, reporting
 from dpcontrol.foundation.shown import Shown
-from dpcontrol.orbits.cut import Cut, CutSettings, Piece, Sampler, section_points, tube_cut
+from dpcontrol.orbits.cut import MOST_PERIODS, Cut, CutSettings, Piece, Sampler, section_points, tube_cut
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold, local_manifold
 
@@ -105,7 +105,7 @@ class Tube(Shown, Documented):
             progress: reports, see `dpcontrol.api`.
 
         Raises:
-            InputError: there is no such section, or the reverser does not preserve it.
+            InputError: there is no such section, the reverser does not preserve it, or the time is too long.
         """
         orbit = self.orbit
         if not isinstance(section, Section):
@@ -118,6 +118,8 @@ class Tube(Shown, Documented):
         if self.stable and not section.kept_by(orbit.reverser, orbit.centre):
             raise InputError(f"section {section.name}: not preserved by the reverser about {orbit.saddle}; use another")
         settings = CutSettings(longest=longest)
+        if longest is not None and longest > MOST_PERIODS:
+            raise InputError(f"longest = {longest:g}: must be at most {MOST_PERIODS:g} periods of the orbit")
         with reporting(progress, "cut") as report:
             cut = tube_cut(self.manifold, section, hit=hit, settings=settings, budget=Budget(seconds), progress=report)
         pieces = [piece for piece in cut.pieces if piece.branch in self.branches]

@@ -411,24 +411,29 @@ class Itinerary:
         loop = overridden(loop, settings)
         scene = replace(self, loop=loop if seed is None else replace(loop, seed=seed))
         _ = scene.uncertainty
-        scene.remark_on_rig([path.rpartition(".")[2] for path in canonical(settings)])
+        given = (path.rpartition(".") for path in canonical(settings))
+        scene.remark_on_rig([f"[{table if table in _TABLES else 'run'}] {key}" for table, _, key in given])
         return scene
 
     def remark_on_rig(self, given: Collection[str] = ()) -> None:
         """Emit remarks on numbers of the rig in doubtful units.
 
         Args:
-            given: keys of settings that override those of the file.
+            given: tables and keys of settings that override those of the file, as in "[run] lag".
 
         Raises:
             InputError: an impossible number.
         """
         try:
             for sentence in rig_oddities(self.limits, self.loop, arms=self.model.arms.count, zeros=self.zeros):
-                _, key, *_ = sentence.split()
-                remark(f"setting {sentence.partition(' ')[2]}" if key in given else f"{self.path}: {sentence}")
+                place = sentence.partition(" =")[0]
+                remark(f"setting {sentence.partition(' ')[2]}" if place in given else f"{self.path}: {sentence}")
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from error
+
+
+_TABLES = ("supervisor", "controller", "estimator")
+"""Tables of settings beside [run]."""
 
 
 def load_itinerary(name: str) -> Itinerary:

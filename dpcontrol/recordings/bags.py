@@ -208,11 +208,17 @@ def _joints(message: Any) -> list[str]:
     return list(names) if isinstance(names, list) and hasattr(message, "position") else []
 
 
+def _listed(message: Any, kind: str) -> list[Any]:
+    """Return the values of a field, none if it is no list."""
+    values = getattr(message, kind, None)
+    return list(values) if isinstance(values, list | np.ndarray) else []
+
+
 def _numbers(value: Any, name: str) -> Iterator[str]:
     """Yield the columns in a message, or in a part of it."""
     joints = _joints(value)
     for kind in _JOINT_FIELDS if joints else ():
-        if len(getattr(value, kind, ())) == len(joints):
+        if len(_listed(value, kind)) == len(joints):
             yield from (f"{name}/{joint}/{kind}" for joint in joints)
     if isinstance(value, int | float | np.number) or hasattr(value, "nanosec"):
         yield name
@@ -231,8 +237,9 @@ def _number(message: Any, rest: str, start: int) -> float:
     """
     joint = _JOINT.fullmatch(rest)
     if joint is not None:
-        names, values = _joints(message), getattr(message, joint[2], ())
-        return float(values[names.index(joint[1])]) if joint[1] in names and len(values) == len(names) else np.nan
+        names, values = _joints(message), _listed(message, joint[2])
+        found = joint[1] in names and len(values) == len(names)
+        return _real(values[names.index(joint[1])]) if found else np.nan
     value: Any = message
     for name, index in _FIELD.findall(rest):
         if name:
@@ -241,4 +248,8 @@ def _number(message: Any, rest: str, start: int) -> float:
             value = value[int(index)] if isinstance(value, list | np.ndarray) and int(index) < len(value) else None
     if hasattr(value, "nanosec"):
         return (value.sec * 10**9 + value.nanosec - start) / 1e9
+    return _real(value)
+
+
+def _real(value: Any) -> float:
     return float(value) if isinstance(value, int | float | np.number) else np.nan

@@ -740,7 +740,7 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
     return [one for one in found if not own or one.setting in _WITH_OWN_PLANT]
 
 
-_WITH_OWN_PLANT = ("delay", "push_impulse", "zero_error", "counts", "travel")
+_WITH_OWN_PLANT = ("delay", "push_impulse", "zero_error", "counts", "travel", "initial_rate", "initial_cart")
 """Settings that remain if a user's plant replaces arms, cart and drive."""
 
 

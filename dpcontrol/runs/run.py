@@ -59,6 +59,7 @@ from dpcontrol.judge.score import (
     REFERENCE_ATTACHMENT,
     THINKING_METADATA,
     Score,
+    lacking,
     score,
 )
 from dpcontrol.logs import (
@@ -140,6 +141,11 @@ class Run(Timed):
         return bool(self._judged and self._judged.completed)
 
     @property
+    def object_failed(self) -> bool:
+        """True if a user's object ended the run."""
+        return self.log.metadata.get("ending") == Ending.OBJECT_FAILED.value
+
+    @property
     def failure(self) -> str:
         """Reason why the run ended early, or ""."""
         if self.log.metadata.get("ending", Ending.FINISHED.value) == Ending.FINISHED.value:
@@ -186,7 +192,7 @@ class Run(Timed):
 
     @cached_property
     def _judged(self) -> Score | None:
-        return self._score if REFERENCE_ATTACHMENT in self.log.attachments else None
+        return None if lacking(self.log) else self._score
 
     def document(self) -> dict[str, Any]:
         """Return the JSON output of `dpcontrol run`.
@@ -560,10 +566,10 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
     """
     cannot = "be repeated" if repeats else "have margins"
     needed = (_SCENE, _MODEL, REFERENCE_ATTACHMENT)
-    lacking = [name for name in needed if name not in log.attachments]
-    lacking += [key for key in ("itinerary", "model", "run_settings") if key not in log.metadata]
-    if lacking:
-        raise InputError(f"{log.path} cannot {cannot}: it lacks {', '.join(lacking)}; give a log of `dpcontrol run`")
+    missing = [name for name in needed if name not in log.attachments]
+    missing += [key for key in ("itinerary", "model", "run_settings") if key not in log.metadata]
+    if missing:
+        raise InputError(f"{log.path} cannot {cannot}: it lacks {', '.join(missing)}; give a log of `dpcontrol run`")
     if repeats and (log.truth is None or "rig" in log.metadata):
         where = f"the rig at {log.metadata['rig']}" if "rig" in log.metadata else "a rig"
         raise InputError(

@@ -24,7 +24,7 @@ from dpcontrol.foundation.checked import number
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import MOST_SECONDS
 from dpcontrol.foundation.shown import Brief
-from dpcontrol.orbits.cut import Cut, CutSettings, Piece, arrivals, longest_flight, section_points
+from dpcontrol.orbits.cut import MOST_PERIODS, Cut, CutSettings, Piece, arrivals, longest_flight, section_points
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.tube import Tube
 
@@ -165,9 +165,6 @@ class ConnectionSettings:
     finest: float = 0.003
     seconds: float = SECONDS
     thorough: bool = False
-
-
-MOST_PERIODS = 1000.0
 
 
 def search_settings(

@@ -160,3 +160,20 @@ def test_flights_to_a_singularity_end_soon():
     began = time.process_time()
     assert system.propagator.crossings(states, section, longest=60.0) == [None] * len(states)
     assert time.process_time() - began < SOON
+
+
+def test_a_distant_limit_loses_no_crossing() -> None:
+    def hamiltonian(q, p, _):
+        (x, y), (px, py) = q, p
+        return (px**2 + py**2) / 2 + 1 / ca.cosh(x) ** 2 + 50 * y**2 * (1 + 0.2 / ca.cosh(x) ** 2) / 2
+
+    system = System.from_hamiltonian(
+        "barrier", hamiltonian, coordinates=("x", "y"), equilibria={"top": (0.01, 0.0)}
+    )  # fmt: skip
+    away = np.array([[3.0, 0.1, 0.02, 0.0]])
+    section = Section.plane("x = 60", (1, 0), offset=60.0)
+    near, far = (system.propagator.crossings(away, section, longest=longest)[0] for longest in (500.0, 1e6))
+    assert near is not None
+    assert far is not None
+    assert far.time == pytest.approx(near.time, rel=1e-12)
+    assert near.time > 400

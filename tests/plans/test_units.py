@@ -127,6 +127,13 @@ def test_settings_of_one_run_are_judged_as_those_of_the_file(tmp_path: Path) -> 
         scene.with_run({"travel": 40.0})
 
 
+def test_an_option_is_told_from_a_key_of_the_same_name_in_another_table(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(SCENE + "[estimator]\nzero_error = 1.0\n")
+    with pytest.warns(Remark, match=r"scene\.toml: \[estimator\] zero_error = 1 rad"):
+        load_itinerary(str(file)).with_run({"sensors.zero_error": 0.01})
+
+
 def test_nothing_is_remarked_on_in_what_is_shipped() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", Remark)

@@ -105,3 +105,10 @@ class Wrong(Gains):
 
     def control(self, time, state, reference) -> float:
         return float("nan") if time >= 0.1 else super().control(time, state, reference)
+
+
+class Last(Gains):
+    """A law that fails in its last call."""
+
+    def control(self, time, state, reference):
+        return None if time > 4.8755 else super().control(time, state, reference)

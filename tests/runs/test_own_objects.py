@@ -15,6 +15,8 @@ from command_line import dpcontrol, dpcontrol_program
 from own_objects import Arms, Filter, Gains, Judged, Mute, Rig, Wrong
 
 import dpcontrol as dp
+from dpcontrol.control.symbolic import Setpoint
+from dpcontrol.loop.own import OwnObject
 from dpcontrol.loop.result import Reading
 
 SAME, STEPS = 1e-6, 1e-4
@@ -241,6 +243,7 @@ def test_a_stopped_rig_receives_neither_commands_nor_a_second_stop() -> None:
     ("reading", "said"),
     [
         ({"present": ["a", "b", "c"]}, "`present` has 3 times True or False"),
+        ({"present": [True, [False], True]}, "`present` has 3 times True or False"),
         ({"switch": "left"}, "returned 'left': it must return a reading whose `switch` is -1, 0 or 1"),
         ({"switch": float("nan")}, "`switch` is -1, 0 or 1"),
         ({"late": None}, "`late` is seconds"),
@@ -294,13 +297,22 @@ def test_an_invalid_time_limit_is_refused(limit: object) -> None:
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no timers")
-def test_a_timer_that_was_set_before_a_call_expires_after_it() -> None:
-    expired: list[int] = []
-    before = signal.signal(signal.SIGALRM, lambda number, frame: expired.append(number))
+@pytest.mark.parametrize("during", [False, True])
+def test_timers_of_other_code_go_on(during: bool) -> None:
+    class Law:
+        def control(self, time, state, reference):
+            if during:
+                signal.setitimer(signal.ITIMER_REAL, 1000.0, 30.0)
+            return reference.feedforward
+
+    before = signal.signal(signal.SIGALRM, lambda number, frame: None)
     try:
-        signal.setitimer(signal.ITIMER_REAL, 0.05)
-        dp.closed_loop("outer-turn", controller=Gains()).run()
-        assert expired
+        signal.setitimer(signal.ITIMER_REAL, 0.0 if during else 1000.0, 0.0 if during else 30.0)
+        OwnObject("controller", Law()).number("control", 0.0, np.zeros(6), Setpoint(np.zeros(6), 0.0))
+        left, every = signal.getitimer(signal.ITIMER_REAL)
+        assert 900 < left <= 1000
+        assert every == 30.0
+        assert signal.getsignal(signal.SIGALRM).__name__ == "<lambda>"
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
@@ -320,12 +332,15 @@ def test_margins_beside_a_python_plant_are_those_of_the_model() -> None:
 
 
 _PRINTING = """\
+import os
 import sys
 from gains_beside import GAIN
 class Prints:
     def control(self, time, state, reference):
         if time < 0.003:
             print("from a law")
+            sys.__stdout__.write("around Python's stdout")
+            os.write(1, b"from compiled code")
         return reference.feedforward + GAIN
 class Rig:
     def read(self):
@@ -354,7 +369,15 @@ def own_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 def test_a_law_that_prints_leaves_the_json_document_whole(own_file: str) -> None:
     done = dpcontrol_program("run", "outer-turn", "--controller", f"{own_file}:Prints", "--json", folder=Path())
     assert json.loads(done.stdout)["symbols_total"] == 1
-    assert "from a law" in done.stderr
+    for text in ("from a law", "around Python's stdout", "from compiled code"):
+        assert text in done.stderr
+
+
+def test_a_law_that_fails_in_the_last_tick_gives_exit_code_1(tmp_path: Path) -> None:
+    done = dpcontrol("run", "outer-turn", "--controller", f"{FILE}:Last", "--out", str(tmp_path / "last.mcap"))
+    assert "  completed: 1 of 1 symbols" in done.stdout
+    assert done.code == 1
+    assert "dpcontrol: failed: Last.control returned None" in done.stderr
 
 
 def test_a_rig_that_fails_gives_exit_code_1_and_its_traceback_with_debug(own_file: str) -> None:

@@ -223,9 +223,9 @@ class _Arms:
 
 
 def test_only_settings_that_remain_beside_a_users_plant_have_borders(turn: Plan) -> None:
-    scene = turn.followed().itinerary.with_run({"plant": _Arms()})
+    scene = turn.followed().itinerary.with_run({"plant": _Arms(), "initial_rate": 0.1})
     found = hazards(turn, scene, most_delay=10)
-    assert [one.setting for one in found] == ["delay", "push_impulse", "zero_error", "counts", "travel"]
+    assert [one.setting for one in found] == ["delay", "push_impulse", "zero_error", "counts", "travel", "initial_rate"]
     for one in found:
         scene.with_run(one.options(one.first if math.isfinite(one.first) else 1.0))
 
