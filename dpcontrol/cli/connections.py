@@ -167,7 +167,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     if not orbits:
         raise GoalMissed(
             f"no symmetric orbit that turns the {arm} arm of {system.name} over was found at {energy:g} J; "
-            "try a higher energy"
+            "try another energy"
         )
     if energies is None:
         title = f"Orbits of {system.name} at {energy:g} J that turn the {arm} arm forward"
