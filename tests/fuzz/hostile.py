@@ -504,13 +504,22 @@ def _metadata_changed(draw: st.DrawFn, values: Mapping[str, str]) -> dict[str, s
     match draw(st.integers(0, 3)):
         case 0:
             changed.pop(key, None)
-        case 1 if changed.get(key, "")[:1] in ("{", "["):
+        case 1 if changed.get(key, "")[:1] in ("{", "[") and _is_json(changed[key]):
             changed[key] = json.dumps(json_changed(draw, json.loads(changed[key])))
         case _:
             long = "[" * 5000, "9" * 5000, "n" * 240
             worst = ("", "[/nope]", "\x1b[31m", "{", "1e400", "nan", "-1", "0", "null", *long)
             changed[key] = draw(st.sampled_from(worst))
     return changed
+
+
+def _is_json(text: str) -> bool:
+    """Return whether a text, which may have been replaced before, is JSON."""
+    try:
+        json.loads(text)
+    except (ValueError, RecursionError):
+        return False
+    return True
 
 
 def _payload_changed(draw: st.DrawFn, data: bytes) -> bytes:
