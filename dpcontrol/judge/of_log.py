@@ -302,7 +302,7 @@ def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
         values: dict[str, Any] = json.loads(log.metadata[name])
         plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
         return ArmChainParameters(**plain)
-    except (KeyError, TypeError, ValueError, AttributeError, InputError):
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, InputError):
         return None
 
 
@@ -332,7 +332,7 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
         return found
     try:
         zeros = np.cumsum(np.asarray(json.loads(log.metadata[DRAWN_METADATA])["zeros"], dtype=float))
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, RecursionError):
         zeros = np.zeros(0)
     found |= {f"zero_{i}": float(zero) for i, zero in enumerate(zeros, start=1)}
     model, plant = _arms(log, MODEL_METADATA), _arms(log, PLANT_METADATA)

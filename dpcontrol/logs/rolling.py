@@ -212,7 +212,7 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
     try:
         place = json.loads(log.metadata[NIGHT_METADATA])
         digest = Digest(int(place["number"]), int(place["session"]), on=bool(place["on"]))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(
             f"{log.path} is not a log of a long run; give a folder that `dpcontrol run --hours` made"
         ) from (error)

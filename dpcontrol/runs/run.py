@@ -214,7 +214,7 @@ class Run(Timed):
         text = self.log.metadata.get(PLANT_METADATA)
         try:
             return None if text is None else ArmChainParameters(**frozen(json.loads(text)))
-        except (TypeError, ValueError, AttributeError) as error:
+        except (TypeError, ValueError, AttributeError, RecursionError) as error:
             raise InputError(f"{self.log.path}: its {PLANT_METADATA} do not read: {error}; run it again") from error
 
     @property
@@ -622,7 +622,7 @@ def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinera
     text = log.metadata["run_settings"]
     try:
         return replace(itinerary, loop=stored_settings(json.loads(text), str(log.path)))
-    except (TypeError, ValueError, LookupError) as error:
+    except (TypeError, ValueError, LookupError, RecursionError) as error:
         raise InputError(f"{log.path} cannot {cannot}: its run settings are not readable: {error}") from error
     except InputError as error:
         raise InputError(
