@@ -20,7 +20,7 @@ from dpcontrol.control.estimator_settings import Augment, FilterSettings
 from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.plant import check_component
-from dpcontrol.foundation.errors import InputError, Mistakes, remark
+from dpcontrol.foundation.errors import InputError, InputErrors, Mistakes, mistakes_of, remark
 from dpcontrol.foundation.settings import Place, decode, nearest, parse_toml, read_toml, suggest
 from dpcontrol.foundation.shipped import find
 from dpcontrol.loop.bench import Push
@@ -649,7 +649,7 @@ def _named_model(name: str, *, where: str, beside: Path | None) -> Model:
     try:
         return load_model(str(own) if own is not None and name.endswith(".toml") and own.is_file() else name)
     except InputError as error:
-        raise InputError(f"{where} = {name!r}: {error}") from error
+        raise InputErrors([f"{where} = {name!r}: {mistake}" for mistake in mistakes_of(error)]) from error
 
 
 def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path | None = None) -> ArmChainParameters:

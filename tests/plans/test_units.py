@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.foundation.errors import InputError, InputErrors, Remark
 from dpcontrol.foundation.shipped import find, known
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.model import load_model
@@ -141,3 +141,12 @@ def test_nothing_is_remarked_on_in_what_is_shipped() -> None:
             load_model(name)
         for name in known("itineraries"):
             load_itinerary(name)
+
+
+def test_each_mistake_of_a_named_model_has_its_own_sentence(tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text("[arms]\nmass = [0.1]\n")
+    (tmp_path / "scene.toml").write_text(SCENE.replace('"lab"', '"bad.toml"'))
+    with pytest.raises(InputErrors) as caught:
+        load_itinerary(str(tmp_path / "scene.toml"))
+    assert len(caught.value.mistakes) > 2
+    assert all("model = 'bad.toml'" in mistake and "\n" not in mistake for mistake in caught.value.mistakes)
