@@ -114,8 +114,8 @@ def shortfall(verdict: "Score", *, failed: str = "", rig: bool = False) -> str:
 
     Args:
         verdict: score of one log.
-        failed: reason why a run on a rig ended early, "" if it did not.
-        rig: True if the symbols decide where the true state is not known.
+        failed: reason for an early end, or "".
+        rig: True if the symbols decide without the true state.
     """
     unfinished = verdict.completed is None and rig and verdict.symbols_completed != verdict.symbols_total
     if failed or unfinished or verdict.completed is False:

@@ -273,11 +273,9 @@ def run_command(
         with progress_bar("night") as progress:
             plan = night_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
             fly = partial(run_night, plan, out, night, link=link, resume=resume, force=force, live=shown)
-            if link is None:
-                done = fly(progress=part_of(progress, 0.05, 1.0))
-                return Answer(done.document(), done.lines(), done.failure)
-        done = fly()
-        return Answer(done.document(), done.lines(), done.failure)
+            simulated = fly(progress=part_of(progress, 0.05, 1.0)) if link is None else None
+        done = simulated or fly()
+        return Answer(done.document(), done.lines(), done.failure and f"ended early: {done.failure}")
     if out is None:
         named = None if link is None else link.address
         record = run_record(scene, rig=named if rig is None else rig.name, library=library)

@@ -123,7 +123,7 @@ class Night(Shown):
     def failure(self) -> str:
         """Reason why the night ended before its planned time, or ""."""
         last = [text for time, text in self.endings if time >= self.digests[-1].first]
-        return f"ended early: {last[-1]}" if last else ""
+        return last[-1] if last else ""
 
     def _time(self, *kinds: str) -> float:
         return sum(span.end - span.first for span in self.spans if span.kind in kinds)

@@ -49,7 +49,7 @@ NEEDED = {
 """The methods that an object needs in each role."""
 LONGEST = 5.0
 """Default time limit of a call, s."""
-LIMITS = 0.001, 86_400.0
+_BOUNDS = 0.001, 86_400.0
 """Least and largest time limit of a call, s."""
 _SOON = 1e-3
 """s until an overdue timer expires."""
@@ -128,10 +128,10 @@ class OwnObject:
                 raise InputError(f"{role} = {self.name}: it has no method {usage}; see `dpcontrol guide extend`")
         longest = self.attribute("longest")
         self._longest = LONGEST if longest is None else _number(longest)
-        if not LIMITS[0] <= self._longest <= LIMITS[1]:
+        if not _BOUNDS[0] <= self._longest <= _BOUNDS[1]:
             raise InputError(
-                f"{role} = {self.name}: longest = {_shown(longest)}: must be a number of seconds from {LIMITS[0]:g} to "
-                f"{LIMITS[1]:g}"
+                f"{role} = {self.name}: longest = {_shown(longest)}: must be a number of seconds from "
+                f"{_BOUNDS[0]:g} to {_BOUNDS[1]:g}"
             )
 
     def __str__(self) -> str:
