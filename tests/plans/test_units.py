@@ -145,7 +145,7 @@ def test_nothing_is_remarked_on_in_what_is_shipped() -> None:
 
 def test_each_mistake_of_a_named_model_has_its_own_sentence(tmp_path: Path) -> None:
     (tmp_path / "bad.toml").write_text("[arms]\nmass = [0.1]\n")
-    (tmp_path / "scene.toml").write_text(SCENE.replace('"lab"', '"bad.toml"'))
+    (tmp_path / "scene.toml").write_text('model = "bad.toml"\nstart = "rest"\nfinish = "rest"\nhold = "up-up"\n')
     with pytest.raises(InputErrors) as caught:
         load_itinerary(str(tmp_path / "scene.toml"))
     assert len(caught.value.mistakes) > 2
