@@ -244,7 +244,9 @@ def _words(hint: Any) -> str:
     if kind in (Sequence, Collection, tuple):
         count = "" if kind is not tuple or Ellipsis in inner else f"{len(inner)} values, each "
         each = " or ".join(filter(None, map(_words, _alternatives(inner[0]))))
-        return f"{count}{each}" if count else f"a list, each entry {each}"
+        if count:
+            return f"{count}{each}"
+        return f"a list, each entry {each}" if each else "a list"
     plain = {
         float: "a finite number",
         int: "a whole number",
@@ -252,6 +254,7 @@ def _words(hint: Any) -> str:
         str: "text",
         None: "",
         type(None): "",
+        Any: "",
     }
     if hint in plain:
         return plain[hint]

@@ -565,6 +565,7 @@ def _shown(values: Sequence[Any]) -> list[Any]:
         # Numbers of numpy are shown as Python's, and lists as the command line takes them.
         value = given.item() if isinstance(given, np.generic) else given
         value = f"[{','.join(map(str, value))}]" if is_list(value) else value
+        value = "as the scene" if value is None else value
         plain = isinstance(value, int | float | str)
         name = value if plain else getattr(value, "__name__", type(value).__name__)
         same = 0 if plain else sum(str(one).partition(" ")[0] == name for one in out)
@@ -896,8 +897,12 @@ def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controller
         controllers: kinds of controllers, or users' laws.
 
     Raises:
-        InputError: an unknown controller.
+        InputError: an unknown controller, or None.
     """
+    if any(one is None for one in controllers):
+        raise InputError(
+            "controllers: None is no law; give names of controllers or own laws, or no list for this loop's"
+        )
     cases = []
     for controller, shown in zip(controllers, _shown(controllers), strict=True):
         for kind in STANDARD:

@@ -285,7 +285,7 @@ class ClosedLoop(Timed):
         """
         law = self.plan.itinerary.loop.controller
         own = [law.own.source or law.own.thing] if isinstance(law, OwnLaw | OwnExpressions) else [law.kind]
-        cases = standard_cases(self.planned.itinerary, fixed=self.options, controllers=controllers or own)
+        cases = standard_cases(self.planned.itinerary, fixed=self.options, controllers=list(controllers) or own)
         with reporting(progress, "campaign") as report:
             found = run_campaign(
                 self.planned, cases, place("out", out), settings=settings or STANDARD_CAMPAIGN, force=force, yes=yes,
