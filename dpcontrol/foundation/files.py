@@ -461,6 +461,8 @@ def archive_format(path: Path | str) -> str:
 _LONGEST_HEADER = 1000
 _KINDS = "biufU"
 """Kinds of arrays in an archive: truth values, real numbers and text."""
+_LARGEST = 1e100
+"""Largest finite number of an archive; products of two such numbers are finite."""
 
 
 def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
@@ -484,7 +486,26 @@ def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     if math.prod(shape) > MOST_UNPACKED or dtype.itemsize * math.prod(shape) != there:
         raise ValueError(f"{info.filename} declares {' x '.join(map(str, shape))} values in {there} bytes")
     stream.seek(0)
-    return np.lib.format.read_array(stream, allow_pickle=False)
+    array = np.lib.format.read_array(stream, allow_pickle=False)
+    if dtype.kind == "f":
+        beyond = array[np.isfinite(array) & (np.abs(array) > _LARGEST)]
+        if beyond.size:
+            raise ValueError(f"{info.filename} holds {beyond[0]:g}, and no result exceeds {_LARGEST:g}")
+    return array
+
+
+def _stored_number(text: str) -> float | int:
+    """Return a number of a header.
+
+    Raises:
+        ValueError: it is larger than any result.
+    """
+    value = float(text)
+    if not abs(value) <= _LARGEST:
+        raise ValueError(
+            f"its header holds {text if len(text) < 25 else f'{text[:20]}...'}, and no result exceeds {_LARGEST:g}"
+        )
+    return int(text) if text.lstrip("-").isdigit() else value
 
 
 def is_archive(path: Path | str) -> bool:
@@ -534,7 +555,8 @@ def archive(
         with zipfile.ZipFile(path) as packed:
             checked_size(sum(info.file_size for info in packed.infolist()))
             arrays = {info.filename.removesuffix(".npy"): _member(packed, info) for info in packed.infolist()}
-        header = json.loads(str(arrays.pop("header")))
+        text = str(arrays.pop("header"))
+        header = json.loads(text, parse_float=_stored_number, parse_int=_stored_number)
         if header["format"] != format:
             raise ValueError(f"its format is {header['format']!r}")
         if header["version"] not in versions:

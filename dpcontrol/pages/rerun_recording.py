@@ -258,7 +258,8 @@ def reading_lines(
 ) -> None:
     """Draw grid lines with labels.
 
-    They are at round values across, and at multiples of π or round values along.
+    They are at round values across, and at multiples of π or round values along. Bounds of more than fifty turns, or
+    of a height without measure, get none.
 
     Args:
         recording: recording to extend.
@@ -270,11 +271,11 @@ def reading_lines(
     """
     left, right, top, bottom = box
     unit = np.pi if turning else 1.0
+    if right - left > 100 * np.pi or not bottom - top < 1e100 * scale:
+        return
     turns = max(_round_step((right - left) / unit, 6), 1.0 if turning else 0.0)
     spin = _round_step((bottom - top) / scale, 6)
     strips, places, labels = [], [], []
-    if (right - left) > 100 * np.pi:
-        return
     for k in np.arange(np.ceil(left / unit / turns), np.floor(right / unit / turns) + 1) * turns:
         strips.append([(k * unit, top), (k * unit, bottom)])
         places.append((k * unit, bottom - 0.04 * (bottom - top)))

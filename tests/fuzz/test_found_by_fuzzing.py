@@ -115,6 +115,23 @@ def test_an_atlas_with_header_values_of_wrong_types_is_refused(key: str, value: 
     assert dpcontrol("review", "other.npz", "--save", "out.rrd").code == 2
 
 
+@pytest.mark.parametrize("key", ["cut_0_piece_0_points", "energy"])
+def test_an_atlas_with_a_number_beyond_all_results_is_refused(key: str) -> None:
+    assert dpcontrol("atlas", "lab", "--energy=-0.07", "--out", "atlas.npz").code == 0
+    with np.load("atlas.npz") as file:
+        arrays = dict(file)
+    if key in arrays:
+        arrays[key][::2, 1] = 1e307
+    else:
+        header = json.loads(str(arrays["header"]))
+        arrays["header"] = np.array(json.dumps({**header, key: 1e307}))
+    np.savez("other.npz", **arrays)
+    ended = dpcontrol("review", "other.npz", "--save", "out.rrd")
+    assert ended.code == 2
+    assert "1e+307, and no result exceeds 1e+100" in ended.message
+    assert not Path("out.rrd").exists()
+
+
 def test_a_log_without_a_list_of_attachments_is_not_recovered(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("dpcontrol.logs.writer.json", SimpleNamespace(dumps=lambda names: "7"))
@@ -224,7 +241,7 @@ def test_a_picture_that_cannot_be_written_is_refused_before_the_model(picture: s
     assert f"cannot use {picture}" in ended.message
 
 
-@pytest.mark.parametrize(("part", "value"), [("mesh", np.inf), ("inputs", 1e300), ("states", np.nan)])
+@pytest.mark.parametrize(("part", "value"), [("mesh", np.inf), ("inputs", 1e99), ("states", np.nan)])
 def test_a_reference_with_huge_values_is_refused_without_a_warning(part: str, value: float) -> None:
     assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
     reference = load_reference(Path("reference.npz"))
@@ -298,15 +315,23 @@ def test_a_segment_of_one_sample_of_a_moving_cart_is_written() -> None:
     assert velocity[:, 1] == pytest.approx([1.0, 1.0, 1.0, 0.0])
 
 
-@pytest.mark.parametrize("value", ["small", [1e-9], 10**400])
-def test_a_reference_with_invalid_figures_is_refused(value: object) -> None:
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        ("small", "its max_error_between_nodes is not a number"),
+        ([1e-9], "its max_error_between_nodes is not a number"),
+        (10**400, "no result exceeds 1e+100"),
+    ],
+    ids=["text", "list", "huge"],
+)
+def test_a_reference_with_invalid_figures_is_refused(value: object, reason: str) -> None:
     assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
     reference = load_reference(Path("reference.npz"))
     save_reference(Path("odd.npz"), replace(reference, max_error_between_nodes=value))
     for call in ("reference odd.npz", "review odd.npz --save new.rrd"):
         ended = dpcontrol(*call.split())
         assert ended.code == 2
-        assert "its max_error_between_nodes is not a number" in ended.message
+        assert reason in ended.message
 
 
 def test_a_reference_with_invalid_limits_is_refused() -> None:

@@ -14,7 +14,7 @@ from dpcontrol.judge.run_view import ACTUAL, RunView, series_of
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
 from dpcontrol.pages.picture import open_viewer, viewer_program
 from dpcontrol.pages.ranges import ticked
-from dpcontrol.pages.rerun_recording import plane_view, write_recording
+from dpcontrol.pages.rerun_recording import plane_view, reading_lines, rr, write_recording
 
 ACCELERATION = 1e-9  # m/s²: velocities of 1 m/s differ by rounding, over 1 ms
 
@@ -143,6 +143,15 @@ def test_the_viewer_labels_two_values_of_every_axis(low: float, high: float) -> 
     assert len(labels) >= 2
     # Little room is given up for it.
     assert reach < 3 * (high - low)
+
+
+def test_bounds_whose_height_overflows_have_no_reading_lines() -> None:
+    recording = rr.RecordingStream("bounds")
+    messages = recording.memory_recording()
+    reading_lines(recording, "/section", (0.0, 1.0, 0.0, 1.0), scale=1.0)
+    few = messages.num_msgs()
+    reading_lines(recording, "/section", (0.0, 1.0, 0.0, 1e300), scale=1e-300)
+    assert messages.num_msgs() == few > 1
 
 
 def test_names_of_reading_lines_are_not_cut_at_the_edge_of_a_phase_plane() -> None:
