@@ -101,7 +101,7 @@ class ArmChainParameters(Settings):
     mass: tuple[float, ...] = setting(above=0, most=LARGEST, unit="kg")
     centre_of_mass: tuple[float, ...] = setting(above=0, most=LARGEST, unit="m")
     length: tuple[float, ...] = setting(above=0, most=LARGEST, unit="m")
-    inertia: tuple[float, ...] = setting(least=0, most=LARGEST, unit="kg m²")
+    inertia: tuple[float, ...] = setting(least=0, most=1e9, unit="kg m²")
     gravity: float = setting(above=0, most=LARGEST, unit="m/s²", key="acceleration")
     viscous: tuple[float, ...] = setting(least=0, most=LARGEST, unit="N m s/rad")
     coulomb: tuple[float, ...] = setting((), least=0, most=LARGEST, unit="N m")
@@ -673,11 +673,14 @@ _BODY = {
     "mass": Usual(5e-4, 20.0, "kg"),
     "centre_of_mass": Usual(1e-4, 4.0, "m"),
     "length": Usual(5e-3, 4.0, "m"),
-    "inertia": Usual(1e-9, 20.0, "kg m²"),
+    # A large inertia is judged by mass and length.
+    "inertia": Usual(1e-9, np.inf, "kg m²"),
 }
 _SMOOTHING = Usual(1e-4, 20.0, "rad/s")
 _HOLLOWEST = 1e-3
 """Least moment of inertia of a likely unit, over mass times length squared."""
+_LIKELY = 0.1
+"""Ratio of an arm's inertia to m l²; a uniform rod has 1/12, and an arm with a weight at its end more."""
 _HEAVY = 40.0
 """kg/m: a round bar of steel 8 cm thick."""
 
@@ -712,12 +715,15 @@ def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
             f"and the arm is {length:g} m long"
         )
         if inertia > _HEAVIEST * mass * farthest**2:
-            fitting = [
-                f"; is it given in {name} ({size:.3g} kg m²)?"
-                for name, factor in OTHER_UNITS["kg m²"].items()
-                if _HOLLOWEST < (size := factor * inertia) / (mass * farthest**2) < 1
-            ]
-            raise InputError(text + (fitting[0] if fitting else "; give it in kg m², about the centre of mass"))
+            sizes = {name: factor * inertia for name, factor in OTHER_UNITS["kg m²"].items()}
+            likely = min(sizes, key=lambda name: abs(np.log(sizes[name] / (_LIKELY * mass * farthest**2))))
+            fits = _HOLLOWEST < sizes[likely] / (mass * farthest**2) < 1
+            remedy = (
+                f"is it given in {likely} ({sizes[likely]:.3g} kg m²)?"
+                if fits
+                else "give it in kg m², about the centre of mass"
+            )
+            raise InputError(f"{text}; {remedy}")
         yield f"{text}; is that intended, about the centre of mass?"
     largest = mass * centre * (length - centre)
     if centre < _AT_THE_END * length and inertia < _HOLLOW * largest:

@@ -16,7 +16,7 @@ OTHER_UNITS: dict[str, dict[str, float]] = {
     "m/s²": {"cm/s²": 1e-2, "mm/s²": 1e-3},
     "m/s³": {"mm/s³": 1e-3},
     "kg": {"g": 1e-3},
-    "kg m²": {"kg cm²": 1e-4, "g cm²": 1e-7, "g mm²": 1e-9},
+    "kg m²": {"g m²": 1e-3, "kg cm²": 1e-4, "kg mm²": 1e-6, "g cm²": 1e-7, "g mm²": 1e-9},
     "rad": {"degrees": 0.017453292519943295},
     "rad/s": {"degrees/s": 0.017453292519943295},
     "rad/h": {"degrees/h": 0.017453292519943295},

@@ -300,14 +300,14 @@ def refined(sampler: Sampler, start: float, *, progress: Progress = no_progress)
         if np.count_nonzero(steps[wide] < settings.fine_phase_step) > settings.most_jumps:
             return samples, (
                 f"branch {sampler.branch:+d} scatters before crossing {sampler.hit}: more than {settings.most_jumps} "
-                f"jumps between phases {settings.fine_phase_step:g} apart; allow less time"
+                f"jumps between phases {settings.fine_phase_step:g} apart; shorten --longest (longest in Python)"
             ), False  # fmt: skip
         samples = CutSamples.joined([samples, flown(((phases[:-1] + phases[1:]) / 2)[wide])])
         samples = samples[np.argsort(samples.phases, kind="stable")]
     left = f"branch {sampler.branch:+d}: {len(samples)} points leave wide chords"
     if budget.spent:
         return samples, f"{left} after its share of the processor time", True
-    return samples, f"{left}; allow less time", False
+    return samples, f"{left}; shorten --longest (longest in Python)", False
 
 
 _AT_ONCE = 64

@@ -34,6 +34,8 @@ _SENSORS = {
     "cart_noise": Usual(0.0, 0.02, "m"),
     "jitter": Usual(0.0, 0.1, "s"),
     "rate_noise": Usual(0.0, 20.0, "rad/s"),
+    "stuck_at": Usual(0.0, 600.0, "s"),
+    "stuck_for": Usual(0.0, 60.0, "s"),
     "zero_drift": Usual(0.0, 20.0, "rad/h"),
 }
 _DRIVE = {
@@ -79,6 +81,7 @@ _BLOW = {
     "impulse": Usual(0.0, 2.0, "N m s"),
     "rate": Usual(0.0, 100.0, "rad/s"),
     "knock": Usual(0.0, 5.0, "m/s"),
+    "time": Usual(0.0, 600.0, "s"),
 }
 
 

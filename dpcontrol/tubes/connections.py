@@ -626,15 +626,15 @@ def find_connections(
     if tangent:
         status += f"; the tubes are tangent to rounding at {tangent}, each of which may be several near a bifurcation"
     if jumping:
-        remedy = "try another energy" if settings.thorough else "search thoroughly"
-        remedy = "allow more seconds" if partial else remedy
-        status += f"; the cuts are open (see open_cuts) and may hide connections: {remedy}"
+        status += "; the cuts are open (see open_cuts) and may hide connections"
+        if not partial:
+            status += ": try another energy" if settings.thorough else ": search thoroughly"
     if later:
         exist = "may exist" if settings.cut.longest is None else "exist"
-        status += (
-            f"; longer flights {exist} beyond --longest (longest in Python) and may include connections: raise it "
-            f"above {longest_flight(manifolds[0], settings.cut):g} periods of the orbit"
-        )
+        status += f"; longer flights {exist} beyond --longest (longest in Python) and may include connections"
+        # Longer tubes scatter even more.
+        if resolved:
+            status += f": raise it above {longest_flight(manifolds[0], settings.cut):g} periods of the orbit"
     elif not jumping and any(not end.escapes for cut in (unstable, backward) for end in cut.open_ends):
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)
@@ -796,7 +796,7 @@ def find_lap_connections(
     if search.partial:
         status += f"; partial: the search reached its limit of {budget.seconds:.3g} s of processor time"
     elif not cuts[0 if lapping[0] is source else 1].resolved:
-        status += "; not every cut is resolved: allow less time"
+        status += "; not every cut is resolved: take an earlier crossing"
     return replace(search, connections=tuple(found), complete=False, status=status)
 
 

@@ -62,10 +62,13 @@ def test_an_unrealistic_arm_is_refused(name: str, value: float, tmp_path: Path) 
     assert f"{name} = {value:g}" in ended.message
 
 
-def test_an_inertia_in_another_unit_is_refused_with_the_likely_unit(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("value", "unit"), [(0.44, "g m²"), (4.4, "kg cm²"), (440.0, "kg mm²"), (4400.0, "g cm²"), (440000.0, "g mm²")]
+)
+def test_an_inertia_in_another_unit_is_refused_with_the_likely_unit(value: float, unit: str, tmp_path: Path) -> None:
     file = tmp_path / "slip.toml"
-    file.write_text(with_first("inertia", 6540.0))
-    assert "is it given in g cm² (0.000654 kg m²)?" in dpcontrol("model", file).message
+    file.write_text(with_first("inertia", value))
+    assert f"is it given in {unit} (0.00044 kg m²)?" in dpcontrol("model", file).message
 
 
 def test_a_smoothing_in_another_unit_has_a_remark() -> None:

@@ -11,6 +11,8 @@ from dpcontrol.tubes.connections import find_connections
 
 THREE_BODY = ("connect", "three-body", "--from", "L1", "--to", "L1", "--energy", "-1.5185")
 
+LATE_CROSSING = ("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "0.2", "--hits", "4")
+
 
 def hamiltonian(q, p, _):
     """Hénon and Heiles (1964)."""
@@ -27,6 +29,17 @@ def test_a_search_that_excludes_longer_flights_misses_its_goal() -> None:
     assert short.document["status"].startswith("at least 4 connections")
     assert "longer flights exist beyond --longest" in short.message
     assert longer.document["count"] > short.document["count"]
+
+
+@pytest.mark.slow
+def test_the_advice_for_tubes_that_scatter_does_not_contradict_itself() -> None:
+    found = dpcontrol(*LATE_CROSSING, "--longest", "3", "--seconds", "6")
+    assert found.code == 1
+    assert "scatters before crossing 4" in found.message
+    assert "shorten --longest" in found.message
+    assert "longer flights exist beyond" in found.message
+    assert "raise it" not in found.message
+    assert found.message.count("allow more seconds") <= 1
 
 
 @pytest.mark.slow
