@@ -61,6 +61,7 @@ from dpcontrol.foundation.settings import Settings, bounds_of, setting
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.foundation.units import OTHER_UNITS, Usual
 
+MOST_ARMS = 8
 LARGEST = 1e6
 """Largest mass, length, inertia or friction in SI units; products of larger ones overflow."""
 _INERTIAL = {"mass": "m", "centre_of_mass": "a", "length": "l", "inertia": "J"}
@@ -112,6 +113,10 @@ class ArmChainParameters(Settings):
         """Check that each arm has its values."""
         if not self.mass:
             raise InputError("mass = []: a chain has at least one arm")
+        if self.count > MOST_ARMS:
+            raise InputError(
+                f"mass has {self.count} values: a chain has at most {MOST_ARMS} arms (each doubles its equilibria)"
+            )
         for name in ("centre_of_mass", "length", "inertia", "viscous", *self.friction):
             if len(values := getattr(self, name)) != self.count:
                 raise InputError(f"{name} has {len(values)} values but mass has {self.count}; give one for each arm")
@@ -707,17 +712,19 @@ def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
         if centre > _BEYOND * length:
             raise InputError(f"{text}; give both in metres, the centre from the arm's joint")
         yield f"{text}, beyond its end; is that intended?"
+    # The products of denormal numbers vanish.
     farthest = max(centre, length)
-    if inertia > mass * farthest**2:
-        away = np.sqrt(inertia / mass)
+    outermost = max(mass * farthest**2, np.finfo(float).tiny)
+    if inertia > outermost:
+        away = np.sqrt(inertia) / np.sqrt(mass)
         text = (
             f"inertia = {inertia:g} kg m² {of} puts its mass of {mass:g} kg {away:.3g} m from its centre in the mean, "
             f"and the arm is {length:g} m long"
         )
-        if inertia > _HEAVIEST * mass * farthest**2:
+        if inertia > _HEAVIEST * outermost:
             sizes = {name: factor * inertia for name, factor in OTHER_UNITS["kg m²"].items()}
-            likely = min(sizes, key=lambda name: abs(np.log(sizes[name] / (_LIKELY * mass * farthest**2))))
-            fits = _HOLLOWEST < sizes[likely] / (mass * farthest**2) < 1
+            likely = min(sizes, key=lambda name: abs(np.log(sizes[name] / (_LIKELY * outermost))))
+            fits = _HOLLOWEST < sizes[likely] / outermost < 1
             remedy = (
                 f"is it given in {likely} ({sizes[likely]:.3g} kg m²)?"
                 if fits

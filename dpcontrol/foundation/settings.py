@@ -93,6 +93,10 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     return parse_toml(text, str(path)), text
 
 
+_DEEPEST = 20
+"""Levels of tables and lists in a file; our own have four."""
+
+
 def parse_toml(text: str, file: str) -> dict[str, Any]:
     """Return the contents of TOML text.
 
@@ -104,7 +108,15 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
         InputError: the text is not TOML, with the line.
     """
     try:
-        return tomllib.loads(text)
+        found = tomllib.loads(text)
+        # Dotted keys nest without recursion of the parser.
+        level: list[Any] = [found]
+        for _ in range(_DEEPEST):
+            level = [one for part in level for one in (part.values() if isinstance(part, dict) else part)]
+            level = [one for one in level if isinstance(one, dict | list)]
+        if level:
+            raise RecursionError
+        return found
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{file} is not valid TOML: {error}") from error
     except (RecursionError, ValueError) as error:

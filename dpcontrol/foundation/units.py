@@ -29,6 +29,8 @@ OTHER_UNITS: dict[str, dict[str, float]] = {
 """Units that are often confused with the first one, and their sizes in it."""
 _IMPOSSIBLE = 1000.0
 """Multiple of the largest usual value beyond which a number is rejected."""
+_VANISHING = 1e-9
+"""Share of the least usual value below which a number is rejected."""
 
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
@@ -126,7 +128,7 @@ class Usual(NamedTuple):
             far = f"more than the usual {self.most:g}" if size > self.most else f"less than the usual {self.least:g}"
             unit = f" {self.unit}" if self.unit else ""
             text = f"{key} = {value:g}{unit} is {far}{unit}"
-            impossible = size > _IMPOSSIBLE * self.most
+            impossible = size > _IMPOSSIBLE * self.most or size < _VANISHING * self.least
             others = {name: size * factor for name, factor in OTHER_UNITS.get(self.unit, {}).items()}
             fitting = [f"{name} ({v:.3g}{unit})" for name, v in others.items() if self.least <= v <= self.most]
             if fitting:

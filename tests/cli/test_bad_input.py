@@ -25,6 +25,13 @@ REPLACED = {
         "acceleration = inf: must be positive",
     ),
     "nested too deeply": ("model", 'title = "', "x = " + 5000 * "[" + '\ntitle = "', "nested"),
+    "nested too deeply by dots": ("model", 'title = "', "x." * 3000 + 'y = 1\ntitle = "', "nested"),
+    "nested too deeply by tables": (
+        "model",
+        'title = "',
+        "x = " + 300 * "{a = " + "1" + 300 * "}" + '\ntitle = "',
+        "nested",
+    ),
     "a mass beyond any bench": (
         "model",
         "mass           = [0.0938439747983407",
@@ -180,7 +187,7 @@ def test_a_damaged_log_is_rejected_by_score_and_review(
         ("centre_of_mass", "{a = 1}", "must be a list of numbers"),
         ("length", "[0.1, 0.1, 0.1]", "length has 3 values but mass has 2"),
         ("length", "1979-05-27", "must be a list of numbers"),
-        ("inertia", "[-1e-4, 1e-4]", "must be 0 to 1e+06 kg m²"),
+        ("inertia", "[-1e-4, 1e-4]", "must be 0 to 1e+09 kg m²"),
         ("gravity.acceleration", "0", "acceleration = 0.0"),
         ("gravity.acceleration", "-9.8", "acceleration = -9.8"),
         ("gravity.acceleration", "'9.8'", "acceleration = '9.8': must be a number"),

@@ -51,7 +51,8 @@ def test_an_unusual_arm_has_a_remark_with_its_numbers(name: str, value: float, o
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("inertia", 4.4), ("inertia", -1e-9), ("centre_of_mass", 108.6), ("viscous", 1e6)]
+    ("name", "value"),
+    [("inertia", 4.4), ("inertia", -1e-9), ("centre_of_mass", 108.6), ("viscous", 1e6), ("mass", 5e-324)],
 )
 def test_an_unrealistic_arm_is_refused(name: str, value: float, tmp_path: Path) -> None:
     file = tmp_path / "impossible.toml"
@@ -60,6 +61,12 @@ def test_an_unrealistic_arm_is_refused(name: str, value: float, tmp_path: Path) 
     assert ended.code == 2
     assert str(file) in ended.message
     assert f"{name} = {value:g}" in ended.message
+
+
+def test_a_chain_of_too_many_arms_is_refused() -> None:
+    many = {name: getattr(LAB, name) * 5 for name in ("mass", "centre_of_mass", "length", "inertia", "viscous")}
+    with pytest.raises(InputError, match="mass has 10 values: a chain has at most 8 arms"):
+        replace(LAB, **many)
 
 
 @pytest.mark.parametrize(
