@@ -63,7 +63,6 @@ def import_command(
     `replay`.
     """
     from dpcontrol import api
-    from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.plans.model import load_model
     from dpcontrol.recordings.checks import constant_angles, contradiction
     from dpcontrol.recordings.importing import import_recording
@@ -71,8 +70,6 @@ def import_command(
 
     if (file is None) == (simulated is None):
         raise click.UsageError("give a FILE, or a model to swing with --simulated")
-    if file is not None and out is not None:
-        checked_other_file(out, file, what="the recording to import")
     repairs = [name.strip() for name in repair.split(",") if name.strip()]
     own = None if model is None else load_model(model)
     if file is None:
@@ -230,14 +227,11 @@ def replay_command(
     as in a log of `dpcontrol run`, its command or its recorded motion is the input of the model. The encoder zeros of
     the model file are subtracted.
     """
-    from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.identification.replay import ReplaySettings, filter_settings, replay_recording, write_replay
     from dpcontrol.plans.model import load_model
     from dpcontrol.recordings.checks import contradiction
     from dpcontrol.recordings.recording import load_recording
 
-    if out is not None:
-        checked_other_file(claim(out), log, what="the log to replay")
     settings = ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
     filters = filter_settings(estimator, model_error=model_error)
     loaded, recording = load_model(model), load_recording(log)

@@ -356,8 +356,10 @@ def verb(
                 if isinstance(param, Option):
                     value = given.get(str(param.name))
                     param.check(value)
-                    if param.group == OUTPUT and isinstance(value, Path) and param.type is not FOLDER:
-                        claim(value)
+                    if param.group == OUTPUT and isinstance(value, Path):
+                        _check_inputs(param.opts[0], value, params, given)
+                        if param.type is not FOLDER:
+                            claim(value)
             for name, group in groups.items():
                 given[name] = group.make(**{str(one.name): given.pop(str(one.name)) for one in group.options})
             with call.aside:
@@ -372,6 +374,21 @@ def verb(
         return Command(name, callback=run, params=params, help=text, epilog=epilog)
 
     return decorate
+
+
+def _check_inputs(option: str, out: Path, params: Iterable[click.Parameter], given: Mapping[str, Any]) -> None:
+    """Reject a file to write that the same call reads.
+
+    Raises:
+        InputError: names the option and the file that is read.
+    """
+    from dpcontrol.foundation.files import checked_other_file
+
+    for param in params:
+        value = None if getattr(param, "group", "") == OUTPUT else given.get(str(param.name))
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, str | Path) and os.path.isfile(one):
+                checked_other_file(out, one, what=f"the input {one}", option=option)
 
 
 def show(answer: Answer) -> None:

@@ -42,18 +42,22 @@ class InTheWay(InputError):
 def checked_target(path: Path) -> Path:
     """Return the place to write.
 
-    `path`, or the file that it links to. A rename would otherwise replace the link.
+    `path`, or the file that it links to. A rename would otherwise replace the link. A link to a file of another kind is
+    a mistake, because that file was not named.
 
     Args:
         path: file to write, which may be missing.
 
     Raises:
-        InputError: `path` is not a regular file, is a link to itself, or its folder is not accessible.
+        InputError: `path` is not a regular file, is a link to itself or to a file with another suffix, or its folder is
+            not accessible.
     """
     try:
         place = Path(os.path.realpath(path)) if path.is_symlink() else path
         if place.is_symlink():
             raise InputError(f"cannot write {path}: it is a link that leads to itself; choose another file name")
+        if place.suffix.lower() != path.suffix.lower():
+            raise InputError(f"cannot write {path}: it is a link to {place}; choose another file name")
         wrong = place.exists() and not place.is_file()
     except OSError as error:
         raise unwritable(path, error) from error
@@ -178,13 +182,14 @@ def checked_size(size: float, what: str = "it", *, most: int = MOST_UNPACKED) ->
         raise ValueError(f"{what} would unpack to {size / 1e9:.3g} GB, and {most / 1e9:.2g} GB are allowed")
 
 
-def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
+def checked_other_file(out: Path, source: Path | str, *, what: str, option: str = "--out") -> None:
     """Reject a target that is the file being read.
 
     Args:
         out: file to write.
         source: file that is read.
         what: role of the source, such as "the log to repeat".
+        option: option that names the target.
 
     Raises:
         InputError: `out` is the file `source`, perhaps by another name; what: its role, such as "the log to repeat".
@@ -194,7 +199,7 @@ def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
     with suppress(OSError):
         same = same or out.samefile(source)
     if same:
-        raise InputError(f"--out {out}: that is {what}; choose another name")
+        raise InputError(f"{option} {out}: that is {what}; choose another name")
 
 
 def in_the_way(path: Path | str, what: str) -> InTheWay:

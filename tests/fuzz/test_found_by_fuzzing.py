@@ -7,6 +7,7 @@ import subprocess
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 
@@ -491,6 +492,20 @@ def test_a_rewritten_log_with_an_event_in_600_years_is_refused() -> None:
     assert ended.code == 2
     assert "damaged (an event is at 1.84e+10 s)" in ended.message
     assert not Path("other.rrd").exists()
+
+
+def test_a_log_without_the_notes_of_its_plan_is_not_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was refused only after the run, which left its log."""
+    assert dpcontrol("run", "rest.toml", "--out", "rest.mcap").code == 0
+    log = read_log(Path("rest.mcap"))
+    reference = load_reference(BytesIO(log.attachments["reference.npz"]))
+    save_reference(Path("bare.npz"), replace(reference, notes={"title": "bare"}))
+    bare = {**log.attachments, "reference.npz": Path("bare.npz").read_bytes()}
+    monkeypatch.setattr("dpcontrol.runs.run.read_log", lambda path: replace(log, attachments=bare))
+    ended = dpcontrol("run", "--from", "rest.mcap", "--out", "again.mcap")
+    assert ended.code == 2
+    assert "holds no plan" in ended.message
+    assert not Path("again.mcap").exists()
 
 
 def test_a_log_with_deeply_nested_metadata_is_shown_without_its_model() -> None:
