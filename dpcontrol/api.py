@@ -282,7 +282,9 @@ def find_bifurcations(
     from dpcontrol.bifurcations.bifurcations import SweepSettings
     from dpcontrol.bifurcations.bifurcations import find_bifurcations as find
 
-    cost = Cost(f"{samples:,} energies", _SWEPT * samples * hits, _SWEPT_BYTES * samples, f"samples = {samples}")
+    cost = Cost(
+        f"{samples:,} energies", _SWEPT * samples * hits, _SWEPT_BYTES * samples, f"samples = {samples}, hits = {hits}"
+    )
     announce(cost, yes=yes)
     settings = SweepSettings(energies=samples)
     with reporting(progress, "bifurcations") as report:

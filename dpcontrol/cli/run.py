@@ -687,7 +687,7 @@ def preflight_command(
         type=click.IntRange(min=0),
         default=0,
         show_default=False,
-        help="Number of seeds for the rate [as many as two minutes allow].",
+        help="Number of seeds for the rate, 16 or more; 0 for as many as two minutes allow [0].",
     ),
     seed_from: int = option(type=click.IntRange(min=0), default=1_000_000, help="First seed."),
     workers: int = WORKERS,

@@ -410,7 +410,7 @@ def check_seal(data: bytes) -> None:
     if found is None and b"dpcontrol.sealed" not in data:
         return
     if found is None or _digest(data, found.start(1)) != found[1]:
-        raise ValueError("its checksum differs; remove its metadata if it was changed on purpose")
+        raise ValueError("its checksum differs (if it was changed on purpose, remove its metadata)")
 
 
 UNREADABLE = (

@@ -199,7 +199,7 @@ def on_cluster(function: Callable[[Job], Done], jobs: Sequence[Job], address: st
                 yield job, done
             return
     raise GoalMissed(
-        f"--scheduler {address}: the scheduler was lost {ATTEMPTS} times, with {len(left)} unfinished jobs; finished "
+        f"scheduler {address}: the scheduler was lost {ATTEMPTS} times, with {len(left)} unfinished jobs; finished "
         "jobs are kept, so find the cause and run the same command again"
     )
 
@@ -213,7 +213,7 @@ def _client(address: str, *, again: bool) -> "Client":
         from distributed import Client
     except ImportError as error:
         raise InputError(
-            f"--scheduler {address}: the package distributed is not installed; pip install 'dpcontrol[cluster]'"
+            f"scheduler {address}: the package distributed is not installed; pip install 'dpcontrol[cluster]'"
         ) from error
     try:
         client = Client(address, timeout=RETURN_TIME if again else RESPONSE_TIME)
@@ -222,15 +222,15 @@ def _client(address: str, *, again: bool) -> "Client":
     except (OSError, TimeoutError, ValueError) as error:
         if again:
             raise GoalMissed(
-                f"--scheduler {address}: the scheduler was lost and did not return with workers; finished jobs are "
+                f"scheduler {address}: the scheduler was lost and did not return with workers; finished jobs are "
                 "kept, so start it again and run the same command again"
             ) from error
         raise InputError(
-            f"--scheduler {address}: no Dask scheduler responds there; start one with `dask scheduler`"
+            f"scheduler {address}: no Dask scheduler responds there; start one with `dask scheduler`"
         ) from error
     if not client.scheduler_info()["workers"]:
         client.close()
-        raise InputError(f"--scheduler {address}: the cluster has no workers; start one with `dask worker {address}`")
+        raise InputError(f"scheduler {address}: the cluster has no workers; start one with `dask worker {address}`")
     return client
 
 

@@ -219,14 +219,8 @@ def compute_atlas(
     with _timed(seconds, "orbits"):
         families = {point.name: sum(v.imag > 1e-6 * abs(v) for v in point.eigenvalues) for point in saddles}
         orbits, absent = orbits_at(system, families, energy)
-    if not orbits and not system.reversers:
-        raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
     if not orbits:
-        births = ", ".join(f"{saddle.name} {saddle.energy:.6g} J" for saddle in saddles)
-        raise InputError(
-            system.worded(f"energy = {energy:g} J: no saddle of {model.name} has a Lyapunov orbit; ")
-            + system.worded(f"their families begin at {births}")
-        )
+        raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
     # Only the first of each saddle's families has sections to cut.
     first = {orbit.saddle: orbit for orbit in orbits if orbit.family == 0}
     pairs = [pair for pair in system.sections if pair[0] in first and pair[1] in first]

@@ -44,8 +44,8 @@ from dpcontrol.tubes.frames import orbit_nodes
 from dpcontrol.walks.shadowing import ShadowingOrbit, phase_gap
 
 _HELP = {
-    "orbit": "more precision or a smaller ball may help (--bits, --radius)",
-    "walk": "more precision, a smaller ball or other wraps may help (--bits, --radius, --wraps)",
+    "orbit": "more precision or another radius may help (--bits, --radius)",
+    "walk": "more precision, another radius or other wraps may help (--bits, --radius, --wraps)",
     "connection": "more precision or smaller boxes may help (--bits, --box)",
     "horseshoe": "more precision or smaller boxes may help (--bits, --box)",
 }
@@ -226,9 +226,11 @@ def proved_chain(
             found = newton(segments, radius)
             if found.proved:
                 return segments, found
+            beyond = bool(found.residual > radius)
             reason = NotClosed(
                 f"in balls of {radius:.0e} Newton–Kantorovich gives a contraction of {bound(found.contraction)} and "
                 f"a first step of {bound(found.residual)}, which do not prove a solution"
+                f"{': the radius must exceed the step' if beyond else ''}"
             )
         except NotClosed as error:
             reason = error

@@ -538,7 +538,7 @@ def find_connections(
         if not curve.orbit.laps and own_crossings(curve, section):
             raise InputError(
                 f"the orbit about {curve.orbit.saddle} itself crosses {section.name}: its tubes have no first crossing "
-                "there; choose another section"
+                "there; choose another section, or an energy nearer to the saddle's"
             )
     manifolds = (
         local_manifold(source, settings.distance),

@@ -320,7 +320,7 @@ def test_the_verb_prints_one_document_with_orbits_and_connections(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("lab", "--energy", "-0.3"), "their families begin at down-up -0.17543 J, up-down 0.17543 J"),
+        (("lab", "--energy", "-0.3"), "the Lyapunov orbits about down-up exist only above its energy of -0.1754"),
         (("lab", "--energy", "nan"), "must be a finite number"),
         (("lab", "--energy", "0.2", "--out", "atlas.txt"), "a name that ends in .npz"),
         (("labb", "--energy", "0.2"), "did you mean 'lab'"),

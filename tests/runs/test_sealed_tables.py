@@ -58,7 +58,7 @@ def test_a_table_of_an_earlier_version_has_no_seal_and_is_read(tmp_path: Path) -
 def test_a_table_that_was_changed_on_purpose_is_read_without_its_seal(tmp_path: Path) -> None:
     changed = pq.read_table(written(tmp_path)).slice(0, 30)
     pq.write_table(changed, tmp_path / "some.parquet")
-    with pytest.raises(InputError, match="remove its metadata if it was changed on purpose"):
+    with pytest.raises(InputError, match="if it was changed on purpose, remove its metadata"):
         campaign_summary(tmp_path / "some.parquet")
     pq.write_table(changed.replace_schema_metadata(None), tmp_path / "some.parquet")
     assert campaign_summary(tmp_path / "some.parquet").share.runs == 30
