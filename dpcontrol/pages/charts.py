@@ -92,8 +92,14 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
     for level in chart.levels:
         if level.kind == "limit":
             _limit(axes, scale * level.value)
-        elif level.kind == "named":
-            _named_level(axes, level)
+    low, high = axes.get_ylim()
+    named = [level for level in chart.levels if level.kind == "named" and low <= level.value <= high]
+    for level in named:
+        axes.axhline(level.value, color=level.colour, linewidth=1.0, linestyle=style.DASHED)
+        if len(named) <= MOST_IN_KEY:
+            _name_level(axes, level)
+    if len(named) > MOST_IN_KEY:
+        name_curves(axes, [(level.value, level.name, level.colour) for level in named])
     if span is not None:
         axes.set_xlim(*span)
         mark_times(axes, [at for at, _ in view.plan.symbols if span[0] <= at <= span[1]])
@@ -137,11 +143,7 @@ def _axis(axes: Axes, chart: Chart, *, scale: float) -> None:
         axes.set_ylim(scale * chart.shown[0], scale * chart.shown[1])
 
 
-def _named_level(axes: Axes, level: LevelLine) -> None:
-    low, high = axes.get_ylim()
-    if not low <= level.value <= high:
-        return
-    axes.axhline(level.value, color=level.colour, linewidth=1.0, linestyle=style.DASHED)
+def _name_level(axes: Axes, level: LevelLine) -> None:
     # Above the lower levels and below the upper, so that a name does not leave the panel.
     upper = axes.transData.transform((0, level.value))[1] > axes.transAxes.transform((0, 0.5))[1]
     axes.annotate(
