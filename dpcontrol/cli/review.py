@@ -207,11 +207,11 @@ def report_command(
     times to return, and drift. The page of a campaign has success rates by group with Wilson's intervals, and failures
     by symbol and reason.
     """
-    from dpcontrol.foundation.files import checked_source
+    from dpcontrol.foundation.files import checked_source, is_bag_folder
 
     # A folder may be named by "." alone.
     picture = claim(picture or file.parent / f"{file.stem or file.resolve().name}-report.png")
-    of_night, of_campaign = file.is_dir(), file.suffix.lower() == ".parquet"
+    of_night, of_campaign = file.is_dir() and not is_bag_folder(file), file.suffix.lower() == ".parquet"
     if not of_night:
         checked_source(file)
     if margins and (of_night or of_campaign):

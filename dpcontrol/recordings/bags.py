@@ -25,7 +25,7 @@ import numpy as np
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import UNREADABLE, checked_size
+from dpcontrol.foundation.files import UNREADABLE, checked_size, is_bag_folder
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.logs.reader import VerifiedFile, open_mcap
@@ -46,7 +46,7 @@ def is_bag(path: Path) -> bool:
     Args:
         path: file or folder.
     """
-    return path.suffix.lower() in (".bag", ".mcap") or (path.is_dir() and (path / "metadata.yaml").is_file())
+    return path.suffix.lower() in (".bag", ".mcap") or is_bag_folder(path)
 
 
 def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = ()) -> dict[str, Array]:

@@ -75,6 +75,27 @@ def test_a_bag_is_imported_by_a_mapping(tmp_path: Path, kind: str, time: str) ->
     assert np.allclose(found.cart, 0.1 * np.arange(SAMPLES), atol=1e-9)
 
 
+def test_a_bag_of_ros_2_is_imported_to_a_named_log(tmp_path: Path) -> None:
+    (tmp_path / "bench.toml").write_text(MAPPING.format(time="log_time"))
+    source, out = bag(tmp_path, "bag2"), tmp_path / "swing.mcap"
+    ended = dpcontrol("import", source, "--mapping", tmp_path / "bench.toml", "--out", out)
+    assert ended.code == 0, ended.stderr
+    assert dpcontrol("info", out).code == 0
+
+
+@pytest.mark.parametrize(
+    "command", [("info",), ("review", "--save", "x.rrd"), ("report",), ("replay",), ("identify",), ("recover",)]
+)
+def test_verbs_that_read_logs_send_a_bag_to_import(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    verb, *options = command
+    ended = dpcontrol(verb, bag(tmp_path, "bag2").name, *options)
+    assert ended.code == 2
+    assert ended.message.endswith("cannot read swing: it is a ROS bag; make a log of it with `dpcontrol import swing`")
+
+
 def log(path: Path, *, has_rates: bool = True) -> Path:
     """Write the angles as a log of this program."""
     rates = np.gradient(ANGLES, PERIOD, axis=0)
