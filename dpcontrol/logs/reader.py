@@ -58,6 +58,7 @@ _LONGEST_HEADER = 10_000
 _OWN = "dpcontrol "
 """Beginning of the library's name in the header of this program's files."""
 _AGAIN = "make it again with `dpcontrol run`"
+_AS_WRITTEN = "give the log as `dpcontrol run` wrote it"
 MALFORMED = (
     McapError,
     CRCValidationError,
@@ -70,6 +71,10 @@ MALFORMED = (
     LookupError,
 )
 """Exceptions raised when a malformed record is parsed (lz4 raises RuntimeError)."""
+
+
+class Renumbered(InputError):
+    """The channels have other numbers than the layout gives them."""
 
 
 @dataclass
@@ -281,20 +286,19 @@ def check_channels(
         InputError: a topic is missing, holds other messages or has another number.
     """
     by_topic = {channel.topic: channel for channel in channels.values()}
-    remedy = "give the log as `dpcontrol run` wrote it"
     if missing := [topic for topic in tick.schemas if topic not in by_topic]:
         raise InputError(
             f"{path}{writer} lacks {', '.join(missing)}, listed in its description: another program has removed "
-            f"topics; {remedy}"
+            f"topics; {_AS_WRITTEN}"
         )
     for topic, (name, definition) in tick.schemas.items():
         if found := _other_messages(by_topic[topic], schemas, name, definition):
-            raise InputError(f"{path}{writer}: topic {topic} holds {found}, not {name} in cdr; {remedy}")
+            raise InputError(f"{path}{writer}: topic {topic} holds {found}, not {name} in cdr; {_AS_WRITTEN}")
     for topic, due in tick.channels.items():
         if by_topic[topic].id != due:
-            raise InputError(
+            raise Renumbered(
                 f"{path}{writer}: another program has renumbered the channels ({topic} is channel "
-                f"{by_topic[topic].id} instead of {due}); {remedy}"
+                f"{by_topic[topic].id} instead of {due}); {_AS_WRITTEN}"
             )
 
 
@@ -765,7 +769,7 @@ class RunLog(Shown):
 
     def _lacks(self, topic: str) -> InputError:
         if self.rewritten:
-            why, remedy = "or another program has left the topic out", "give the log as `dpcontrol run` wrote it"
+            why, remedy = "or another program has left the topic out", _AS_WRITTEN
         else:
             why, remedy = "not a run", "give a log of `dpcontrol run`"
         return InputError(f"{self.path} has no {topic}: it is a recording, {why}; {remedy}")
@@ -820,24 +824,27 @@ def _read(path: Path, native: Callable[[VerifiedFile], _T], rewritten: Callable[
         if found is None:
             with file.decoding():
                 return native(file)
-    except InputError:
-        found = _rewritten(file) if file.is_native else None
+    except InputError as error:
+        found = _rewritten(file, error) if file.is_native or isinstance(error, Renumbered) else None
         if found is None:
             raise
     return rewritten(file, found)
 
 
-def _rewritten(file: VerifiedFile) -> Rewritten | None:
+def _rewritten(file: VerifiedFile, other: InputError | None = None) -> Rewritten | None:
     """Return a log that another program has rewritten, or None.
 
-    A warning is issued for such a log.
+    A warning is issued for such a log. `other` is the error of reading it as a native log.
     """
     try:
         topics = by_topic(file.messages(), file.channels, file.schemas)
         described = file.values(layout.LAYOUT_RECORD)
         found = found_in(topics, described)
         whole = described_layout(file.path, described) if described else found and found.tick
-    except MALFORMED:
+    except MALFORMED as error:
+        # A renumbered log is readable by its topics, so their messages are at fault.
+        if isinstance(other, Renumbered):
+            raise InputError(f"{file.path}{file._writer}: {error}; {_AS_WRITTEN}") from error
         # The caller reports a more specific error.
         return None
     if found is not None and (name := mixed(topics)):

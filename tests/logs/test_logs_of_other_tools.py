@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.score import score
-from dpcontrol.logs import RunLog, layout, read_log
+from dpcontrol.logs import RunLog, layout, read_log, summarise
 from dpcontrol.pages.picture import opened
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
@@ -45,13 +46,16 @@ def rewritten(
     encoding: str = "cdr",
     thinned: int = 1,
     bare: bool = False,
+    shifted: int = 0,
+    edit: Callable[[bytes], bytes] = bytes,
     library: str = "another program",
     **how: Any,
 ) -> Path:
     """Write a log again by Python's mcap package, with all of its checksums unless `how` says otherwise.
 
     only: times to keep, s; last: attachments follow the messages. thinned: of the state topics keep each n-th message;
-    bare: leave out metadata and attachments, as converters do.
+    bare: leave out metadata and attachments, as converters do. shifted: seconds between the clocks of run and recorder;
+    edit: changes each message of /joint_states.
     """
     seen: Counter[str] = Counter()
     with source.open("rb") as stream, out.open("wb") as target:
@@ -74,7 +78,8 @@ def rewritten(
             if channel.topic in TICKED and (seen[channel.topic] - 1) % thinned:
                 continue
             if channel.id in numbers and only[0] <= m.log_time / 1e9 <= only[1]:
-                writer.add_message(numbers[channel.id], m.log_time, m.data, m.publish_time, m.sequence)
+                time, data = m.log_time + shifted * 10**9, edit(m.data) if channel.topic == "/joint_states" else m.data
+                writer.add_message(numbers[channel.id], time, data, time, m.sequence)
         for record in attached if last else ():
             writer.add_attachment(0, 0, record.name, record.media_type, record.data)
         writer.finish()
@@ -135,6 +140,7 @@ def same_run(log: RunLog, first: RunLog, *, each: int = 1) -> None:
         {"backwards": True, "use_chunking": False},
         {"backwards": True, "compression": CompressionType.LZ4},
         {"backwards": True, "compression": CompressionType.NONE, "chunk_size": 2000},
+        {"shifted": 1_700_000_000},
     ],
 )
 def test_a_log_that_was_written_again_otherwise_holds_the_same_run(tmp_path: Path, how: dict[str, Any]) -> None:
@@ -243,13 +249,38 @@ def test_the_completion_of_a_run_is_unknown_from_a_part_of_its_log(
         Run(log).why()
 
 
-@pytest.mark.parametrize("how", [{}, {"thinned": 3}, {"without": "/rosout"}])
+@pytest.mark.parametrize(
+    "how", [{}, {"thinned": 3}, {"without": "/rosout"}, {"shifted": 1_700_000_000, "without": "/rosout"}]
+)
 def test_the_verdict_on_a_whole_run_survives_rewriting(
     tmp_path: Path, completed_run: Path, how: dict[str, Any]
 ) -> None:
     with pytest.warns(Remark, match="integrity cannot be checked"):
         log = read_log(rewritten(completed_run, tmp_path / "whole.mcap", backwards=True, **how))
     assert score(log).completed
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"edit": lambda data: data[:60]}, "its message of /joint_states at 0.000 s does not decode (it ends after 60"),
+        ({"edit": lambda data: bytes(len(data))}, "the joints of /joint_states are none, for 2 arms"),
+        ({"edit": lambda data: data[:-8] + b"\xff" * 8}, "its message of /joint_states at 0.000 s does not decode"),
+        ({"only": (0.0, 0.0005)}, "it has 1 tick, times with a message in every state topic, and two are needed"),
+    ],
+)
+@pytest.mark.parametrize("library", ["another program", "dpcontrol 0.2.0"])
+def test_messages_that_do_not_decode_are_not_blamed_on_their_channels(
+    tmp_path: Path, how: dict[str, Any], said: str, library: str
+) -> None:
+    """Whole logs with these channels are read."""
+    source = write_sample(tmp_path / "run.mcap", sample())
+    log = rewritten(source, tmp_path / "other.mcap", backwards=True, library=library, **how)
+    for read in (read_log, summarise):
+        with pytest.raises(InputError) as refused:
+            read(log)
+        assert said in str(refused.value)
+        assert "renumbered" not in str(refused.value)
 
 
 def test_a_run_that_ended_early_has_failed_in_a_rewritten_log_too(tmp_path: Path, completed_run: Path) -> None:
