@@ -41,6 +41,7 @@ def rewritten(
     *,
     without: str = "",
     only: tuple[float, float] = (0.0, np.inf),
+    hole: tuple[float, float] = (np.inf, np.inf),
     last: bool = False,
     backwards: bool = False,
     encoding: str = "cdr",
@@ -53,7 +54,7 @@ def rewritten(
 ) -> Path:
     """Write a log again by Python's mcap package, with all of its checksums unless `how` says otherwise.
 
-    only: times to keep, s; last: attachments follow the messages. thinned: of the state topics keep each n-th message;
+    only: times to keep, s; hole: times to leave out, s; last: attachments follow the messages. thinned: of the state topics keep each n-th message;
     bare: leave out metadata and attachments, as converters do. shifted: seconds between the clocks of run and recorder;
     edit: changes each message of /joint_states.
     """
@@ -77,7 +78,8 @@ def rewritten(
             seen[channel.topic] += 1
             if channel.topic in TICKED and (seen[channel.topic] - 1) % thinned:
                 continue
-            if channel.id in numbers and only[0] <= m.log_time / 1e9 <= only[1]:
+            moment = m.log_time / 1e9
+            if channel.id in numbers and only[0] <= moment <= only[1] and not hole[0] < moment < hole[1]:
                 time, data = m.log_time + shifted * 10**9, edit(m.data) if channel.topic == "/joint_states" else m.data
                 writer.add_message(numbers[channel.id], time, data, time, m.sequence)
         for record in attached if last else ():
@@ -247,6 +249,28 @@ def test_the_completion_of_a_run_is_unknown_from_a_part_of_its_log(
     assert run_view(log).good is None
     with pytest.raises(InputError, match="so completion cannot be judged; give the log as"):
         Run(log).why()
+
+
+def test_times_that_are_not_those_of_the_run_are_named(tmp_path: Path, completed_run: Path) -> None:
+    """No stamp keeps the time of the run here."""
+    with pytest.warns(Remark, match="integrity cannot be checked"):
+        log = read_log(rewritten(completed_run, tmp_path / "whole.mcap", without="/rosout"))
+    assert score(replace(log, time=log.time + 1.7e9)).reason == (
+        "the log's times, 1700000000.000 to 1700000004.876 s, are not those of the run, which lasted 4.876 s, so "
+        "completion cannot be judged"
+    )
+
+
+@pytest.mark.parametrize("how", [{"only": (0.0, 2.4)}, {"only": (1.0, 10.0)}, {"hole": (2.0, 3.0)}])
+def test_the_score_of_a_log_with_a_part_missing_ends_with_1(
+    tmp_path: Path, completed_run: Path, how: dict[str, Any]
+) -> None:
+    log = rewritten(completed_run, tmp_path / "part.mcap", **how)
+    ended = dpcontrol("score", log, completed_run)
+    assert ended.code == 1
+    assert "completion unknown: " in ended.stdout
+    assert "1 of 2 not known to be completed; " in ended.message
+    assert ended.message.endswith("so completion cannot be judged")
 
 
 @pytest.mark.parametrize(
