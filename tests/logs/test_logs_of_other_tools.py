@@ -288,6 +288,7 @@ def test_the_verdict_on_a_whole_run_survives_rewriting(
     ("how", "said"),
     [
         ({"edit": lambda data: data[:60]}, "its message of /joint_states at 0.000 s does not decode (it ends after 60"),
+        ({"edit": lambda data: data[:60], "without": "/tf"}, "its message of /joint_states at 0.000 s does not decode"),
         ({"edit": lambda data: bytes(len(data))}, "the joints of /joint_states are none, for 2 arms"),
         ({"edit": lambda data: data[:-8] + b"\xff" * 8}, "its message of /joint_states at 0.000 s does not decode"),
         ({"only": (0.0, 0.0005)}, "it has 1 tick, times with a message in every state topic, and two are needed"),
@@ -305,6 +306,29 @@ def test_messages_that_do_not_decode_are_not_blamed_on_their_channels(
             read(log)
         assert said in str(refused.value)
         assert "renumbered" not in str(refused.value)
+
+
+@pytest.mark.parametrize("how", [{"library": "dpcontrol 0.2.0"}, {"shifted": 1_700_000_000, "hole": (2.0, 3.0)}])
+def test_a_run_is_repeated_from_a_rewritten_log_and_compared_by_its_topics(
+    tmp_path: Path, completed_run: Path, how: dict[str, Any]
+) -> None:
+    log = rewritten(completed_run, tmp_path / "other.mcap", backwards=True, without="/tf", **how)
+    with log.open("rb") as stream:
+        count = make_reader(stream).get_summary().statistics.message_count
+    ended = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap", "--json")
+    assert ended.code == 0, ended.stderr
+    assert ended.document["repeated"] == {"of": str(log), "identical_messages": count, "difference": None}
+
+
+def test_a_repetition_names_the_first_message_that_another_program_changed(tmp_path: Path, completed_run: Path) -> None:
+    def nudged(data: bytes) -> bytes:
+        # The second arm's angle, before that of the cart and two empty lists.
+        return data[:-17] + bytes([data[-17] ^ 1]) + data[-16:]
+
+    log = rewritten(completed_run, tmp_path / "other.mcap", backwards=True, edit=nudged)
+    ended = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap")
+    assert ended.code == 1
+    assert "not the same run: the message of /joint_states at 0.000 s differs" in ended.message
 
 
 def test_a_run_that_ended_early_has_failed_in_a_rewritten_log_too(tmp_path: Path, completed_run: Path) -> None:
