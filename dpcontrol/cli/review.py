@@ -42,7 +42,8 @@ def score_command(
     For the folder of a long run, the score has uptime, falls with causes, times to return, repetitions, and drift of
     the estimates. With --why, it prints the options of `dpcontrol run` (more travel, half the lag, another law …) that
     complete a failed run more often than harmless changes. It works for simulated runs only. With --json, one log gives
-    one object, several give {"runs": [...]}. The exit code is 1 if a run is not completed.
+    one object, several give {"runs": [...]}. The exit code is 1 if a run is not completed, or if its log covers only a
+    part of it. On a rig, it is 1 if by the estimate a symbol was not done.
     """
     from dpcontrol.judge.score import score
     from dpcontrol.logs import read_log
@@ -63,11 +64,15 @@ def score_command(
             text[:] = [line for line in text if not line.startswith(_WHY)]
             text.append(f"{_WHY}{found.sentence}")
             text += [f"{' ' * len(_WHY)}{line}" for line in found.lines()]
-    failed = [verdict for verdict in verdicts if verdict.completed is False]
+    failed = [verdict for verdict in verdicts if shortfall(verdict)]
+    known = all(verdict.completed is False for verdict in failed)
     return Answer(
         documents[0] if len(documents) == 1 else {"runs": documents},
         (line for text in lines for line in text),
-        f"{len(failed)} of {len(verdicts)} not completed; {failed[0].log}: {failed[0].reason}" if failed else "",
+        f"{len(failed)} of {len(verdicts)} not {'' if known else 'known to be '}completed; {failed[0].log}: "
+        f"{failed[0].reason}"
+        if failed
+        else "",
     )
 
 
@@ -109,16 +114,17 @@ def score_text(verdict: "Score") -> Iterator[str]:
         yield f"  thinking {median:.3g} µs a tick in the median, 99 % within {most:.3g} µs"
 
 
-def shortfall(verdict: "Score", *, failed: str = "", rig: bool = False) -> str:
-    """Return the reason why a run is not completed, or "".
+def shortfall(verdict: "Score", *, failed: str = "") -> str:
+    """Return the reason why a run is not known to be completed, or "".
+
+    On a rig, the symbols decide without the true state.
 
     Args:
         verdict: score of one log.
         failed: reason for an early end, or "".
-        rig: True if the symbols decide without the true state.
     """
-    unfinished = verdict.completed is None and rig and verdict.symbols_completed != verdict.symbols_total
-    if failed or unfinished or verdict.completed is False:
+    unfinished = verdict.symbols_completed != verdict.symbols_total or not verdict.whole
+    if failed or verdict.completed is False or (verdict.completed is None and unfinished):
         return f"{'failed' if verdict.completed else 'not completed'}: {failed or verdict.reason}"
     return ""
 
@@ -207,11 +213,11 @@ def report_command(
     times to return, and drift. The page of a campaign has success rates by group with Wilson's intervals, and failures
     by symbol and reason.
     """
-    from dpcontrol.foundation.files import checked_source
+    from dpcontrol.foundation.files import checked_source, is_bag_folder
 
     # A folder may be named by "." alone.
     picture = claim(picture or file.parent / f"{file.stem or file.resolve().name}-report.png")
-    of_night, of_campaign = file.is_dir(), file.suffix.lower() == ".parquet"
+    of_night, of_campaign = file.is_dir() and not is_bag_folder(file), file.suffix.lower() == ".parquet"
     if not of_night:
         checked_source(file)
     if margins and (of_night or of_campaign):

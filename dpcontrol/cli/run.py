@@ -293,9 +293,7 @@ def run_command(
             flown = run_plan(plan, out, library=library, rig=rig, force=force, live=shown, progress=progress)
             verdict = flown.score()
             failed = flown.failure if rig is not None or flown.object_failed else ""
-            return Answer(
-                verdict.document(), score_text(verdict), shortfall(verdict, failed=failed, rig=rig is not None)
-            )
+            return Answer(verdict.document(), score_text(verdict), shortfall(verdict, failed=failed))
     # Without a progress bar, because its thread would take time from the loop.
     if program is not None:
         run = run_with_program(plan, out, program, real_time=real_time, force=force)
@@ -311,7 +309,7 @@ def run_command(
         document["command_difference"] = run.difference
         lines.append(f"  the program's commands differ from the loop's own by {run.difference:.2g} m/s² at most")
     failed = "" if result.finished else result.reason
-    return Answer(document, lines, shortfall(verdict, failed=failed, rig=True))
+    return Answer(document, lines, shortfall(verdict, failed=failed))
 
 
 def _repeat(source: Path, out: Path | None, force: bool) -> Answer:

@@ -159,8 +159,19 @@ def checked_source(path: Path | str) -> Path:
     if not stat.S_ISREG(mode):
         kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
         what = kinds.get(stat.S_IFMT(mode), "a device")
+        if is_bag_folder(path):
+            raise InputError(f"cannot read {path}: it is a ROS bag; make a log of it with `dpcontrol import {path}`")
         raise InputError(f"cannot read {path}: it is {what}; give a regular file")
     return path
+
+
+def is_bag_folder(path: Path) -> bool:
+    """True if the path is a bag of ROS 2, a folder with metadata.yaml.
+
+    Args:
+        path: file or folder.
+    """
+    return path.is_dir() and (path / "metadata.yaml").is_file()
 
 
 MOST_UNPACKED = 1 << 29
@@ -194,7 +205,6 @@ def checked_other_file(out: Path, source: Path | str, *, what: str, option: str 
     Raises:
         InputError: `out` is the file `source`, perhaps by another name; what: its role, such as "the log to repeat".
     """
-    checked_source(source)
     same = os.path.realpath(out) == os.path.realpath(source)
     with suppress(OSError):
         same = same or out.samefile(source)

@@ -445,6 +445,7 @@ _TYPES = {
     tuple[int, ...]: "must be a list of whole numbers",
     tuple[float, ...]: "must be a list of numbers",
     float | tuple[float, ...]: "must be a number or a list of numbers",
+    int | tuple[int, ...] | None: "must be a whole number or a list of whole numbers",
 }
 """Complaint about a value of another type."""
 

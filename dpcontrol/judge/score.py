@@ -58,7 +58,7 @@ class Score(Documented):
     """Completion, tracking error, consistency and cart use of a run.
 
     Attributes:
-        completed: None if the true state is unknown, or if a rewritten log covers only a part of the run.
+        completed: None if the true state is unknown, or if the log covers only a part of the run.
         wraps: at each interior stop reached, None beside a transfer.
         rms_tracking_error: over the angles, rad.
         max_cart_position: m.
@@ -72,6 +72,7 @@ class Score(Documented):
         attempts: of each symbol, if returns were possible; 0 for symbols not started.
         catches: number of times the run continued from an earlier place before it fell.
         judged_by: "truth" (plant states and drive acceleration, in simulation) or "estimate" (the loop's, on a rig).
+        whole: False if the log covers only a part of the run.
     """
 
     log: str
@@ -92,6 +93,7 @@ class Score(Documented):
     attempts: tuple[int, ...] = ()
     catches: int = 0
     judged_by: str = "truth"
+    whole: bool = True
 
     @property
     def sentence(self) -> str:
@@ -309,7 +311,7 @@ def score(log: RunLog) -> Score:
     reason = verdict.problem or _done(verdict.wraps, plan_notes(plan))
     if not known:
         reason = f"the true state is not known, so completion cannot be judged; by the estimate: {reason}"
-    if part := _part(log, plan):
+    if part := _part(log, flown, plan):
         known, reason = False, part
     if log.recovered:
         reason += f"; {recovered_note(log)}"
@@ -332,18 +334,23 @@ def score(log: RunLog) -> Score:
         attempts=_attempts(log, verdict.symbols, len(plan_notes(plan)["symbols"])) if flown.flights else (),
         catches=sum(event.name == CATCH for event in log.events),
         judged_by="estimate" if log.truth is None else "truth",
+        whole=not part,
     )
 
 
 _ENDINGS = frozenset(ending.value for ending in Ending)
 
 
-def _part(log: RunLog, plan: Reference) -> str:
-    """Return a note on the part that a rewritten log covers.
+def _part(log: RunLog, flown: Flown, plan: Reference) -> str:
+    """Return a note on the part that a log covers.
 
-    The result is "" for a log of the whole run.
+    The result is "" for a log of the whole run. On a rig, stamps that jump belong to the run itself.
     """
-    if not log.rewritten or NIGHT_METADATA in log.metadata:
+    if NIGHT_METADATA in log.metadata:
+        return ""
+    if (log.rewritten or log.truth is not None) and (unknown := _unobserved(flown)):
+        return f"{unknown}, so completion cannot be judged"
+    if not log.rewritten:
         return ""
     first, last, slack = float(log.time[0]), float(log.time[-1]), 1.5 / log.rate_hz
     noted = plan.duration if log.end_s is None else log.end_s
@@ -351,10 +358,10 @@ def _part(log: RunLog, plan: Reference) -> str:
     end = max((event.time for event in log.events if event.name in _ENDINGS), default=noted)
     if first <= slack and last >= end - slack:
         return ""
-    return (
-        f"the log covers only {first:.3f} to {last:.3f} s of the run's {max(end, last):.3f} s, so completion cannot be "
-        "judged"
-    )
+    covers = f"the log covers only {first:.3f} to {last:.3f} s of the run's {max(end, last):.3f} s"
+    if first > noted:
+        covers = f"the log's times, {first:.3f} to {last:.3f} s, are not those of the run, which lasted {noted:.3f} s"
+    return f"{covers}, so completion cannot be judged"
 
 
 def _hardest(log: RunLog) -> float | None:

@@ -58,6 +58,7 @@ _LONGEST_HEADER = 10_000
 _OWN = "dpcontrol "
 """Beginning of the library's name in the header of this program's files."""
 _AGAIN = "make it again with `dpcontrol run`"
+_AS_WRITTEN = "give the log as `dpcontrol run` wrote it"
 MALFORMED = (
     McapError,
     CRCValidationError,
@@ -70,6 +71,10 @@ MALFORMED = (
     LookupError,
 )
 """Exceptions raised when a malformed record is parsed (lz4 raises RuntimeError)."""
+
+
+class OtherChannels(InputError):
+    """Channels of the layout are missing or have other numbers."""
 
 
 @dataclass
@@ -281,20 +286,19 @@ def check_channels(
         InputError: a topic is missing, holds other messages or has another number.
     """
     by_topic = {channel.topic: channel for channel in channels.values()}
-    remedy = "give the log as `dpcontrol run` wrote it"
     if missing := [topic for topic in tick.schemas if topic not in by_topic]:
-        raise InputError(
+        raise OtherChannels(
             f"{path}{writer} lacks {', '.join(missing)}, listed in its description: another program has removed "
-            f"topics; {remedy}"
+            f"topics; {_AS_WRITTEN}"
         )
     for topic, (name, definition) in tick.schemas.items():
         if found := _other_messages(by_topic[topic], schemas, name, definition):
-            raise InputError(f"{path}{writer}: topic {topic} holds {found}, not {name} in cdr; {remedy}")
+            raise InputError(f"{path}{writer}: topic {topic} holds {found}, not {name} in cdr; {_AS_WRITTEN}")
     for topic, due in tick.channels.items():
         if by_topic[topic].id != due:
-            raise InputError(
+            raise OtherChannels(
                 f"{path}{writer}: another program has renumbered the channels ({topic} is channel "
-                f"{by_topic[topic].id} instead of {due}); {remedy}"
+                f"{by_topic[topic].id} instead of {due}); {_AS_WRITTEN}"
             )
 
 
@@ -765,7 +769,7 @@ class RunLog(Shown):
 
     def _lacks(self, topic: str) -> InputError:
         if self.rewritten:
-            why, remedy = "or another program has left the topic out", "give the log as `dpcontrol run` wrote it"
+            why, remedy = "or another program has left the topic out", _AS_WRITTEN
         else:
             why, remedy = "not a run", "give a log of `dpcontrol run`"
         return InputError(f"{self.path} has no {topic}: it is a recording, {why}; {remedy}")
@@ -820,24 +824,27 @@ def _read(path: Path, native: Callable[[VerifiedFile], _T], rewritten: Callable[
         if found is None:
             with file.decoding():
                 return native(file)
-    except InputError:
-        found = _rewritten(file) if file.is_native else None
+    except InputError as error:
+        found = _rewritten(file, error) if file.is_native or isinstance(error, OtherChannels) else None
         if found is None:
             raise
     return rewritten(file, found)
 
 
-def _rewritten(file: VerifiedFile) -> Rewritten | None:
+def _rewritten(file: VerifiedFile, other: InputError | None = None) -> Rewritten | None:
     """Return a log that another program has rewritten, or None.
 
-    A warning is issued for such a log.
+    A warning is issued for such a log. `other` is the error of reading it as a native log.
     """
     try:
         topics = by_topic(file.messages(), file.channels, file.schemas)
         described = file.values(layout.LAYOUT_RECORD)
         found = found_in(topics, described)
         whole = described_layout(file.path, described) if described else found and found.tick
-    except MALFORMED:
+    except MALFORMED as error:
+        # Such a log is readable by its topics, so their messages are at fault.
+        if isinstance(other, OtherChannels):
+            raise InputError(f"{file.path}{file._writer}: {error}; {_AS_WRITTEN}") from error
         # The caller reports a more specific error.
         return None
     if found is not None and (name := mixed(topics)):
@@ -1161,7 +1168,8 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
 
     Topics, order, times and every byte count; metadata may differ.
 
-    If `one` was recovered or ends early, the messages it lacks are skipped in `other`.
+    If `one` was recovered or ends early, the messages it lacks are skipped in `other`. Logs that another program has
+    rewritten are compared topic by topic, and the messages that `one` lacks are skipped too.
 
     Args:
         one: a log.
@@ -1174,6 +1182,32 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     tick = sides[0].tick
     if tick != sides[1].tick:
         return Comparison(0, f"{one} and {other} do not have the same topics")
+    with suppress(OtherChannels):
+        if all(side.is_native for side in sides):
+            return _compare_ticks(sides)
+    return _compare_topics(sides)
+
+
+def _compare_topics(sides: list[VerifiedFile]) -> Comparison:
+    """Compare the messages that the first log has in each topic."""
+    found = []
+    for side in sides:
+        with side.decoding():
+            topics = by_topic(side.messages(), side.channels, side.schemas)
+        found.append({name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in topics.items()})
+    same = 0
+    for name in sides[0].tick.schemas:
+        mine, there = (topics.get(name, set()) for topics in found)
+        same += len(mine & there)
+        if differing := mine - there:
+            return Comparison(same, f"the message of {name} at {min(differing)[0] / 1e9:.3f} s differs")
+    return Comparison(same, None)
+
+
+def _compare_ticks(sides: list[VerifiedFile]) -> Comparison:
+    """Compare two logs of this program piece by piece."""
+    one, other = (side.path for side in sides)
+    tick = sides[0].tick
     partial = bool(sides[0].metadata.get(layout.RECOVERY_RECORD, {}).get(layout.LOST))
     first, second = (_pieces(side) for side in sides)
     same = 0

@@ -10,10 +10,11 @@ Sources: OMG DDS-RTPS 2.3, section 10 (CDR); sensor_msgs/JointState, std_msgs/St
 
 import re
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -23,6 +24,7 @@ from dpcontrol.foundation.shown import Brief
 from dpcontrol.logs import layout
 from dpcontrol.logs.layout import TickLayout
 
+T = TypeVar("T")
 _LENGTH = re.compile(r'xyz="0 [-\d.e]+ (-[\d.e-]+)"')
 """Distance of a link's shape below its joint in the URDF. The last shape marks the link's far end."""
 _LINK = re.compile(r'<link name="arm_(\d+)_link">(.*?)</link>', re.DOTALL)
@@ -35,18 +37,39 @@ class Topic:
     Times are in ns, bodies in CDR.
     """
 
+    name: str
     schema: str
     definition: bytes
     times: list[int] = field(default_factory=list)
     bodies: list[bytes] = field(default_factory=list)
 
+    def decoded(self, read: Callable[[bytes], T]) -> dict[int, T]:
+        """Return the messages by time.
+
+        Args:
+            read: decodes a message.
+
+        Raises:
+            ValueError: a message does not decode; names topic and time.
+        """
+        found = {}
+        for time, body in zip(self.times, self.bodies, strict=True):
+            try:
+                found[time] = read(body)
+            except ValueError as error:
+                raise ValueError(
+                    f"its message of {self.name} at {time / 1e9:.3f} s does not decode ({error})"
+                ) from error
+        return found
+
 
 def by_topic(
     messages: Iterable[tuple[int, int, bytes]], channels: Mapping[int, Channel], schemas: Mapping[int, Schema]
 ) -> dict[str, Topic]:
-    """Return the CDR topics of messages.
+    """Return the CDR topics of messages, with the times of the run.
 
-    Channels may be added during iteration.
+    Recorders stamp messages with their own clock, but keep the stamp in the header of a joint state. Channels may be
+    added during iteration.
 
     Args:
         messages: channel, time in ns and body of each message.
@@ -59,10 +82,28 @@ def by_topic(
         schema = None if channel is None else schemas.get(channel.schema_id)
         if channel is None or schema is None or channel.message_encoding != "cdr":
             continue
-        topic = found.setdefault(channel.topic, Topic(schema.name, schema.data))
+        topic = found.setdefault(channel.topic, Topic(channel.topic, schema.name, schema.data))
         topic.times.append(time)
         topic.bodies.append(body)
+    shift = _clock(found.get(layout.MEASURED))
+    for topic in found.values() if shift else ():
+        topic.times = [time - shift for time in topic.times]
     return found
+
+
+def _clock(measured: Topic | None) -> int:
+    """Return how far the recording times are after the stamps, ns, 0 if that varies."""
+    if measured is None or measured.schema != layout.JOINT_STATE[0]:
+        return 0
+    with suppress(ValueError):
+        shifts = {time - stamp for stamp, time in zip(map(_stamp, measured.bodies), measured.times, strict=True)}
+        return shifts.pop() if len(shifts) == 1 else 0
+    return 0
+
+
+def _stamp(body: bytes) -> int:
+    seconds, nanoseconds = _Cursor(body).take("I", 4, 2)
+    return seconds * 10**9 + nanoseconds
 
 
 def mixed(topics: Mapping[str, Topic]) -> str:
@@ -94,6 +135,8 @@ class _Cursor:
     def take(self, form: str, size: int, count: int = 1) -> tuple[Any, ...]:
         """Return `count` numbers of `size` bytes, starting at the next aligned offset."""
         self.place += -(self.place - len(layout.ENCAPSULATION)) % size
+        if self.place + size * count > len(self.data):
+            raise ValueError(f"it ends after {len(self.data)} bytes")
         values = struct.unpack_from(f"{self._order}{count}{form}", self.data, self.place)
         self.place += size * count
         return values
@@ -105,8 +148,6 @@ class _Cursor:
 
     def doubles(self) -> tuple[float, ...]:
         (count,) = self.take("I", 4)
-        if count * 8 > len(self.data):
-            raise ValueError("a sequence runs over the message's end")
         return self.take("d", 8, count) if count else ()
 
 
@@ -116,8 +157,6 @@ def _joints(body: bytes) -> tuple[tuple[str, ...], tuple[float, ...], tuple[floa
     cursor.take("I", 4, 2)
     cursor.text()
     (count,) = cursor.take("I", 4)
-    if count * 4 > len(body):
-        raise ValueError("a sequence runs over the message's end")
     names = tuple(cursor.text() for _ in range(count))
     return names, cursor.doubles(), cursor.doubles()
 
@@ -147,19 +186,19 @@ def found_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> Rewri
         described: values of the layout record. If the file has none, arm lengths come from the robot description.
 
     Raises:
-        ValueError, struct.error: a message does not match its schema.
+        ValueError: a message does not match its schema, or the joints or the times do not fit together.
     """
     measured = topics.get(layout.MEASURED)
     if measured is None or measured.schema != layout.JOINT_STATE[0]:
         return None
-    names = _joints(measured.bodies[0])[0]
+    parts: dict[str, dict[int, Any]] = {}
+    decoded = measured.decoded(_joints)
+    names = decoded[measured.times[0]][0]
     has_cart = names[-1:] == ("cart",)
     arms = len(names) - has_cart
     lengths = [float(text) for text in described.get("arm_lengths", "").split()] or _drawn_lengths(topics)
     if not arms or names != layout.joint_names(arms, has_cart=has_cart) or len(lengths) != arms:
-        return None
-    parts: dict[str, dict[int, Any]] = {}
-    decoded = {time: _joints(body) for time, body in zip(measured.times, measured.bodies, strict=True)}
+        raise ValueError(f"the joints of {layout.MEASURED} are {', '.join(names) or 'none'}, for {len(lengths)} arms")
     parts["measured"] = {time: values[1] for time, values in decoded.items()}
     if all(len(values[2]) == len(names) for values in decoded.values()):
         parts["rates"] = {time: values[2] for time, values in decoded.items()}
@@ -173,7 +212,8 @@ def found_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> Rewri
         parts["control"] = _rows(control, len(fields))
     times = np.array(sorted(reduce(set.intersection, (set(rows) for rows in parts.values()))))
     if len(times) < 2:
-        return None
+        ticks = "1 tick" if len(times) == 1 else "no ticks"
+        raise ValueError(f"it has {ticks}, times with a message in every state topic, and two are needed")
     rows = {name: np.array([values[int(time)] for time in times], float) for name, values in parts.items()}
     names_of_extras = tuple(described.get(layout.EXTRAS_KEY, "").split())
     extras = topics.get(layout.EXTRAS) if names_of_extras else None
@@ -190,17 +230,18 @@ def found_in(topics: Mapping[str, Topic], described: Mapping[str, str]) -> Rewri
 
 def _states(topic: Topic, arms: int) -> dict[int, list[float]]:
     """Return the states of a topic by time, in state order."""
-    found = {}
-    for time, body in zip(topic.times, topic.bodies, strict=True):
+
+    def state(body: bytes) -> list[float]:
         _, at, rates = _joints(body)
         if len(at) != len(rates):
             raise ValueError("a state lacks rates")
-        found[time] = [*at[:arms], *rates[:arms], *at[arms:], *rates[arms:]]
-    return found
+        return [*at[:arms], *rates[:arms], *at[arms:], *rates[arms:]]
+
+    return topic.decoded(state)
 
 
 def _rows(topic: Topic, width: int) -> dict[int, tuple[float, ...]]:
-    return {time: _Cursor(body).take("d", 8, width) for time, body in zip(topic.times, topic.bodies, strict=True)}
+    return topic.decoded(lambda body: _Cursor(body).take("d", 8, width))
 
 
 def _with_times(rows: Mapping[int, tuple[float, ...]]) -> Array:

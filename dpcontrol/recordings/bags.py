@@ -8,7 +8,8 @@ A column name starts with its topic.
     /encoders.data[1]               of other messages: a field, one element of a list
     log_time, TOPIC.header.stamp    times in seconds, of recording or from the header
 
-The topic of the first column sets the sample times. Values of other topics are interpolated to these times.
+The topic of the first column sets the sample times. Values of other topics are interpolated to these times. Times that
+another topic does not cover are left out, and a remark gives their duration.
 """
 
 import json
@@ -22,12 +23,14 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import UNREADABLE, checked_size
+from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.files import UNREADABLE, checked_size, is_bag_folder
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.settings import suggest
+from dpcontrol.foundation.units import quantity
 from dpcontrol.logs.reader import VerifiedFile, open_mcap
 
 LOG_TIME = "log_time"
@@ -46,11 +49,13 @@ def is_bag(path: Path) -> bool:
     Args:
         path: file or folder.
     """
-    return path.suffix.lower() in (".bag", ".mcap") or (path.is_dir() and (path / "metadata.yaml").is_file())
+    return path.suffix.lower() in (".bag", ".mcap") or is_bag_folder(path)
 
 
-def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = ()) -> dict[str, Array]:
-    """Return the named columns (K,) of a bag.
+def read_bag(
+    path: Path, columns: Sequence[str], *, optional: Collection[str] = ()
+) -> tuple[dict[str, Array], NDArray[np.bool_]]:
+    """Return the named columns (K,) of a bag, and which samples all topics cover.
 
     A message without the number gives nan.
 
@@ -73,7 +78,23 @@ def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = 
         if name in found[topic]:
             values, at = found[topic][name], found[topic][LOG_TIME]
             out[name] = values if topic == base else np.interp(moments, at, values, left=np.nan, right=np.nan)
-    return out
+    return out, _covered(path, moments, {topic: values[LOG_TIME] for topic, values in found.items()})
+
+
+def _covered(path: Path, moments: Array, times: dict[str, Array]) -> NDArray[np.bool_]:
+    """Return which sample times lie within the times of all topics, and remark on the others."""
+    late, early = max(times, key=lambda topic: times[topic][0]), min(times, key=lambda topic: times[topic][-1])
+    begin, end = times[late][0], times[early][-1]
+    covered = (moments >= begin) & (moments <= end)
+    if not covered.any():
+        raise InputError(f"{path}: {late} begins when {early} has ended; map topics that were recorded together")
+    for what, left, reason in (
+        ("first", begin - moments[0], f"before {late} began"),
+        ("last", moments[-1] - end, f"after {early} ended"),
+    ):
+        if left > 0:
+            remark(f"{path}: left out the {what} {quantity(left, 's')}, {reason}")
+    return covered
 
 
 @dataclass(frozen=True)

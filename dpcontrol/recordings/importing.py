@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, PartMissing
@@ -93,11 +94,11 @@ def import_recording(
         stretches, period = _matlab(path, chosen, variables)
     elif bag:
         if given is None or mapping == _JOINT_STATES:
-            chosen, columns = _joint_states(path)
+            chosen, columns, covered = _joint_states(path)
         else:
             _check_columns(path, given, "a bag")
-            chosen, columns = given, read_bag(path, given.named)
-        stretches, period = [_of_columns(path, chosen, columns, chosen.period)], chosen.period
+            chosen, (columns, covered) = given, read_bag(path, given.named)
+        stretches, period = [_of_columns(path, chosen, columns, chosen.period).taken(covered)], chosen.period
     else:
         chosen = given or _without_missing_rates(load_mapping("table"), path)
         stretches, period = _table(path, chosen), chosen.period
@@ -136,10 +137,11 @@ def _without_missing_rates(mapping: Mapping, path: Path) -> Mapping:
 _JOINT_STATES = "joint-states"
 
 
-def _joint_states(path: Path) -> tuple[Mapping, dict[str, Array]]:
+def _joint_states(path: Path) -> tuple[Mapping, dict[str, Array], NDArray[np.bool_]]:
     """Return the mapping of joint states, with the bag's own joints.
 
-    A log of a run has one arm or more, and velocities only if the rig measures them. The columns are returned too.
+    A log of a run has one arm or more, and velocities only if the rig measures them. The results of `read_bag` are
+    returned too.
     """
     mapping = load_mapping(_JOINT_STATES)
     first = mapping.angles.columns[0]
@@ -149,7 +151,7 @@ def _joint_states(path: Path) -> tuple[Mapping, dict[str, Array]]:
     )
     cart = mapping.cart.position
     optional = (*angles[1:], *rates, cart)
-    columns = read_bag(path, (first, *optional, mapping.time.column), optional=optional)
+    columns, covered = read_bag(path, (first, *optional, mapping.time.column), optional=optional)
     angles, rates = (tuple(name for name in names if name in columns) for names in (angles, rates))
     chosen = replace(
         mapping,
@@ -157,7 +159,7 @@ def _joint_states(path: Path) -> tuple[Mapping, dict[str, Array]]:
         rates=replace(mapping.rates, columns=rates),
         cart=replace(mapping.cart, position=cart if cart in columns else ""),
     )
-    return chosen, columns
+    return chosen, columns, covered
 
 
 def _check_columns(path: Path, mapping: Mapping, what: str) -> None:
@@ -204,7 +206,7 @@ def _samples(
     count, arms = found[ANGLE].shape
     if arms > MOST_ARMS:
         raise InputError(f"{path}: {arms} angles; a recording has 1 to {MOST_ARMS} arms")
-    for key, given in (("sign", mapping.angles.signs), ("zero", mapping.angles.zeros)):
+    for key, given in mapping.angles.by_arm.items():
         if len(given) not in (1, arms):
             raise InputError(
                 f"{path}: the mapping's {key} has {len(given)} values for {arms} arms; give one or as many"

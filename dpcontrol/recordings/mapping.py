@@ -75,7 +75,7 @@ class _Angles(Settings, table="angles"):
 
     columns: tuple[str, ...] = setting((), help="Columns of the angles.")
     unit: str = setting("rad", choices=tuple(ANGLE_UNITS), help="Unit of the angles.")
-    counts_per_turn: int | None = setting(None, least=1, help="Counts of the encoder in a turn.")
+    counts_per_turn: int | tuple[int, ...] | None = setting(None, least=1, help="Counts of an encoder in a turn.")
     sign: float | tuple[float, ...] = setting(1.0, help="1 for counter-clockwise, -1 for clockwise.")
     zero: Any = "hanging"
     relative: bool = False
@@ -86,11 +86,21 @@ class _Angles(Settings, table="angles"):
         for one in self.zeros:
             if isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= _LARGEST_ZERO:
                 raise self.refusal("zero", "must be 'hanging', 'upright' or an angle in rad, or a list of these")
-        for key, values in (("sign", self.signs), ("zero", self.zeros)):
+        for key, values in self.by_arm.items():
             if len(values) not in ({1, len(self.columns)} if self.columns else range(1, 100)):
                 raise self.refusal(key, f"give one value, or one for each of {len(self.columns)} angles")
         if self.unit == "counts" and self.counts_per_turn is None:
             raise InputError("angles: the unit is counts but counts_per_turn is missing; add counts_per_turn")
+
+    @property
+    def by_arm(self) -> dict[str, tuple[Any, ...]]:
+        """Values of the keys that take one for all arms or one for each."""
+        return {"counts_per_turn": self.counts, "sign": self.signs, "zero": self.zeros}
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Counts in a turn, one for all arms or one for each, 1 if not given."""
+        return self.counts_per_turn if isinstance(self.counts_per_turn, tuple) else (self.counts_per_turn or 1,)
 
     @property
     def signs(self) -> tuple[float, ...]:
@@ -167,8 +177,8 @@ class Mapping:
         return self._turned(values, RATE_UNITS[self.rates.unit], (0.0,))
 
     def _turned(self, values: Array, unit: float, zeros: tuple[float, ...]) -> Array:
-        n, counts = values.shape[1], self.angles.counts_per_turn
-        scale = unit or 2 * np.pi / (counts or 1)
+        n = values.shape[1]
+        scale = unit or 2 * np.pi / _each(self.angles.counts, n)
         turned = values * scale * _each(self.angles.signs, n) - _each(zeros, n)
         return np.cumsum(turned, axis=1) if self.angles.relative else turned
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dpcontrol.cli.review import shortfall
 from dpcontrol.judge.score import HARDEST_METADATA, score
 from dpcontrol.logs import RunLog
 from dpcontrol.plans.itinerary import load_itinerary
@@ -56,9 +57,19 @@ def test_in_an_old_log_both_the_loop_and_the_true_cart_must_show_it(log: RunLog)
     assert "acceleration" in score(with_applied(pushed, 700, 45.0)).reason
 
 
+def test_stamps_of_a_rig_that_jump_belong_to_its_run(log: RunLog) -> None:
+    states = {k: v for k, v in log.states.items() if k != "truth"}
+    late = log.time + np.where(np.arange(len(log.time)) > len(log.time) // 2, 0.4, 0.0)
+    found = score(replace(log, states=states, time=late))
+    assert (found.completed, found.whole) == (None, True)
+    assert "by the estimate: its stamps jump by 0.401 s" in found.reason
+
+
 def test_without_the_true_state_the_verdict_uses_the_estimate_and_reports_this(log: RunLog) -> None:
     measured = replace(without_note(log), states={k: v for k, v in log.states.items() if k != "truth"})
     found = score(measured)
     assert (found.completed, found.judged_by) == (None, "estimate")
     assert "by the estimate: the symbol done" in found.sentence
+    assert not shortfall(found)
+    assert shortfall(replace(found, symbols_completed=0))
     assert "cart acceleration 98.300 passed its limit" in score(with_applied(measured, 700, 98.3)).reason

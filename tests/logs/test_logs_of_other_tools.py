@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.judge.of_log import run_view
 from dpcontrol.judge.score import score
-from dpcontrol.logs import RunLog, layout, read_log
+from dpcontrol.logs import RunLog, layout, read_log, summarise
 from dpcontrol.pages.picture import opened
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
@@ -40,18 +41,22 @@ def rewritten(
     *,
     without: str = "",
     only: tuple[float, float] = (0.0, np.inf),
+    hole: tuple[float, float] = (np.inf, np.inf),
     last: bool = False,
     backwards: bool = False,
     encoding: str = "cdr",
     thinned: int = 1,
     bare: bool = False,
+    shifted: int = 0,
+    edit: Callable[[bytes], bytes] = bytes,
     library: str = "another program",
     **how: Any,
 ) -> Path:
     """Write a log again by Python's mcap package, with all of its checksums unless `how` says otherwise.
 
-    only: times to keep, s; last: attachments follow the messages. thinned: of the state topics keep each n-th message;
-    bare: leave out metadata and attachments, as converters do.
+    only: times to keep, s; hole: times to leave out, s; last: attachments follow the messages. thinned: of the state
+    topics keep each n-th message; bare: leave out metadata and attachments, as converters do. shifted: seconds between
+    the clocks of run and recorder; edit: changes each message of /joint_states.
     """
     seen: Counter[str] = Counter()
     with source.open("rb") as stream, out.open("wb") as target:
@@ -73,8 +78,10 @@ def rewritten(
             seen[channel.topic] += 1
             if channel.topic in TICKED and (seen[channel.topic] - 1) % thinned:
                 continue
-            if channel.id in numbers and only[0] <= m.log_time / 1e9 <= only[1]:
-                writer.add_message(numbers[channel.id], m.log_time, m.data, m.publish_time, m.sequence)
+            moment = m.log_time / 1e9
+            if channel.id in numbers and only[0] <= moment <= only[1] and not hole[0] < moment < hole[1]:
+                time, data = m.log_time + shifted * 10**9, edit(m.data) if channel.topic == "/joint_states" else m.data
+                writer.add_message(numbers[channel.id], time, data, time, m.sequence)
         for record in attached if last else ():
             writer.add_attachment(0, 0, record.name, record.media_type, record.data)
         writer.finish()
@@ -135,6 +142,7 @@ def same_run(log: RunLog, first: RunLog, *, each: int = 1) -> None:
         {"backwards": True, "use_chunking": False},
         {"backwards": True, "compression": CompressionType.LZ4},
         {"backwards": True, "compression": CompressionType.NONE, "chunk_size": 2000},
+        {"shifted": 1_700_000_000},
     ],
 )
 def test_a_log_that_was_written_again_otherwise_holds_the_same_run(tmp_path: Path, how: dict[str, Any]) -> None:
@@ -243,13 +251,84 @@ def test_the_completion_of_a_run_is_unknown_from_a_part_of_its_log(
         Run(log).why()
 
 
-@pytest.mark.parametrize("how", [{}, {"thinned": 3}, {"without": "/rosout"}])
+def test_times_that_are_not_those_of_the_run_are_named(tmp_path: Path, completed_run: Path) -> None:
+    """No stamp keeps the time of the run here."""
+    with pytest.warns(Remark, match="integrity cannot be checked"):
+        log = read_log(rewritten(completed_run, tmp_path / "whole.mcap", without="/rosout"))
+    assert score(replace(log, time=log.time + 1.7e9)).reason == (
+        "the log's times, 1700000000.000 to 1700000004.876 s, are not those of the run, which lasted 4.876 s, so "
+        "completion cannot be judged"
+    )
+
+
+@pytest.mark.parametrize("how", [{"only": (0.0, 2.4)}, {"only": (1.0, 10.0)}, {"hole": (2.0, 3.0)}])
+def test_the_score_of_a_log_with_a_part_missing_ends_with_1(
+    tmp_path: Path, completed_run: Path, how: dict[str, Any]
+) -> None:
+    log = rewritten(completed_run, tmp_path / "part.mcap", **how)
+    ended = dpcontrol("score", log, completed_run)
+    assert ended.code == 1
+    assert "completion unknown: " in ended.stdout
+    assert "1 of 2 not known to be completed; " in ended.message
+    assert ended.message.endswith("so completion cannot be judged")
+
+
+@pytest.mark.parametrize(
+    "how", [{}, {"thinned": 3}, {"without": "/rosout"}, {"shifted": 1_700_000_000, "without": "/rosout"}]
+)
 def test_the_verdict_on_a_whole_run_survives_rewriting(
     tmp_path: Path, completed_run: Path, how: dict[str, Any]
 ) -> None:
     with pytest.warns(Remark, match="integrity cannot be checked"):
         log = read_log(rewritten(completed_run, tmp_path / "whole.mcap", backwards=True, **how))
     assert score(log).completed
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"edit": lambda data: data[:60]}, "its message of /joint_states at 0.000 s does not decode (it ends after 60"),
+        ({"edit": lambda data: data[:60], "without": "/tf"}, "its message of /joint_states at 0.000 s does not decode"),
+        ({"edit": lambda data: bytes(len(data))}, "the joints of /joint_states are none, for 2 arms"),
+        ({"edit": lambda data: data[:-8] + b"\xff" * 8}, "its message of /joint_states at 0.000 s does not decode"),
+        ({"only": (0.0, 0.0005)}, "it has 1 tick, times with a message in every state topic, and two are needed"),
+    ],
+)
+@pytest.mark.parametrize("library", ["another program", "dpcontrol 0.2.0"])
+def test_messages_that_do_not_decode_are_not_blamed_on_their_channels(
+    tmp_path: Path, how: dict[str, Any], said: str, library: str
+) -> None:
+    """Whole logs with these channels are read."""
+    source = write_sample(tmp_path / "run.mcap", sample())
+    log = rewritten(source, tmp_path / "other.mcap", backwards=True, library=library, **how)
+    for read in (read_log, summarise):
+        with pytest.raises(InputError) as refused:
+            read(log)
+        assert said in str(refused.value)
+        assert "renumbered" not in str(refused.value)
+
+
+@pytest.mark.parametrize("how", [{"library": "dpcontrol 0.2.0"}, {"shifted": 1_700_000_000, "hole": (2.0, 3.0)}])
+def test_a_run_is_repeated_from_a_rewritten_log_and_compared_by_its_topics(
+    tmp_path: Path, completed_run: Path, how: dict[str, Any]
+) -> None:
+    log = rewritten(completed_run, tmp_path / "other.mcap", backwards=True, without="/tf", **how)
+    with log.open("rb") as stream:
+        count = make_reader(stream).get_summary().statistics.message_count
+    ended = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap", "--json")
+    assert ended.code == 0, ended.stderr
+    assert ended.document["repeated"] == {"of": str(log), "identical_messages": count, "difference": None}
+
+
+def test_a_repetition_names_the_first_message_that_another_program_changed(tmp_path: Path, completed_run: Path) -> None:
+    def nudged(data: bytes) -> bytes:
+        # The second arm's angle, before that of the cart and two empty lists.
+        return data[:-17] + bytes([data[-17] ^ 1]) + data[-16:]
+
+    log = rewritten(completed_run, tmp_path / "other.mcap", backwards=True, edit=nudged)
+    ended = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap")
+    assert ended.code == 1
+    assert "not the same run: the message of /joint_states at 0.000 s differs" in ended.message
 
 
 def test_a_run_that_ended_early_has_failed_in_a_rewritten_log_too(tmp_path: Path, completed_run: Path) -> None:

@@ -11,7 +11,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.logs import LogWriter
 from dpcontrol.recordings.importing import import_recording
 
@@ -75,6 +75,27 @@ def test_a_bag_is_imported_by_a_mapping(tmp_path: Path, kind: str, time: str) ->
     assert np.allclose(found.cart, 0.1 * np.arange(SAMPLES), atol=1e-9)
 
 
+def test_a_bag_of_ros_2_is_imported_to_a_named_log(tmp_path: Path) -> None:
+    (tmp_path / "bench.toml").write_text(MAPPING.format(time="log_time"))
+    source, out = bag(tmp_path, "bag2"), tmp_path / "swing.mcap"
+    ended = dpcontrol("import", source, "--mapping", tmp_path / "bench.toml", "--out", out)
+    assert ended.code == 0, ended.stderr
+    assert dpcontrol("info", out).code == 0
+
+
+@pytest.mark.parametrize(
+    "command", [("info",), ("review", "--save", "x.rrd"), ("report",), ("replay",), ("identify",), ("recover",)]
+)
+def test_verbs_that_read_logs_send_a_bag_to_import(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    verb, *options = command
+    ended = dpcontrol(verb, bag(tmp_path, "bag2").name, *options)
+    assert ended.code == 2
+    assert ended.message.endswith("cannot read swing: it is a ROS bag; make a log of it with `dpcontrol import swing`")
+
+
 def log(path: Path, *, has_rates: bool = True) -> Path:
     """Write the angles as a log of this program."""
     rates = np.gradient(ANGLES, PERIOD, axis=0)
@@ -135,6 +156,56 @@ def test_an_mcap_file_of_any_profile_and_language_is_imported(tmp_path: Path, la
     found = import_recording(encoders(tmp_path / "rig.mcap", language), mapping)
     assert np.allclose(found.angles, ANGLES, atol=1e-12)
     assert found.dt == pytest.approx(PERIOD)
+
+
+def two_topics(path: Path, rail: slice, *, late: float = 0.0002, lost: int = -1) -> str:
+    """Write encoders, and a rail that begins late and covers a part of their samples; return the mapping.
+
+    lost: sample without the second encoder.
+    """
+    with path.open("wb") as target:
+        writer = Writer(target)
+        writer.start(library="rig")
+        encoders, cart = writer.register_channel("/encoders", "json", 0), writer.register_channel("/rail", "json", 0)
+        for k, angles in enumerate(ANGLES):
+            moment = START * 10**9 + round(1e9 * PERIOD * k)
+            writer.add_message(encoders, moment, json.dumps({"data": angles[: 1 + (k != lost)].tolist()}).encode(), 0)
+            if k in range(SAMPLES)[rail]:
+                writer.add_message(cart, moment + round(1e9 * late), json.dumps({"x": 0.1 * k}).encode(), 0)
+        writer.finish()
+    mapping = path.with_suffix(".toml")
+    encoder_mapping(mapping)
+    mapping.write_text(f'{mapping.read_text()}[cart]\nposition = "/rail.x"\n')
+    return str(mapping)
+
+
+def test_a_bag_is_imported_where_all_its_topics_have_values(tmp_path: Path) -> None:
+    mapping = two_topics(tmp_path / "rig.mcap", slice(0, 200))
+    with pytest.warns(Remark) as made:
+        found = import_recording(tmp_path / "rig.mcap", mapping)
+    assert [str(one.message).partition(": ")[2] for one in made] == [
+        "left out the first 200 µs, before /rail began", "left out the last 200 ms, after /rail ended",
+    ]  # fmt: skip
+    # The last message of the rail is 0.2 ms after sample 199.
+    assert np.allclose(found.angles, ANGLES[1:200], atol=1e-12)
+    assert found.cart is not None
+    assert np.allclose(found.cart, 0.1 * (np.arange(1, 200) - 0.1), atol=1e-9)
+    assert not found.notes
+
+
+def test_a_fault_in_the_shared_span_is_reported_by_its_row_in_the_bag(tmp_path: Path) -> None:
+    mapping = two_topics(tmp_path / "rig.mcap", slice(30, None), lost=100)
+    with (
+        pytest.warns(Remark, match="left out the first 60.2 ms"),
+        pytest.raises(InputError, match=r"row 101 \(t = 0.2 s\): angle 2 is not finite \(1 such rows\)"),
+    ):
+        import_recording(tmp_path / "rig.mcap", mapping)
+
+
+def test_topics_that_share_no_time_are_refused(tmp_path: Path) -> None:
+    mapping = two_topics(tmp_path / "rig.mcap", slice(0, 200), late=2.0)
+    with pytest.raises(InputError, match="/rail begins when /encoders has ended; map topics that were recorded tog"):
+        import_recording(tmp_path / "rig.mcap", mapping)
 
 
 @pytest.mark.parametrize(

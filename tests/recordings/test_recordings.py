@@ -151,14 +151,30 @@ def test_degrees_clockwise_from_upright_are_the_same_motion(tmp_path: Path) -> N
     assert recording.dt == PERIOD
 
 
-def test_counts_of_relative_encoders_are_summed_to_absolute_angles(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("given", "turns"), [("40000", (40_000, 40_000)), ("[40000, 8192]", (40_000, 8192))])
+def test_counts_of_relative_encoders_are_summed_to_absolute_angles(
+    tmp_path: Path, given: str, turns: tuple[int, int]
+) -> None:
     _, states = free_swing(300)
     relative = np.column_stack([states[:, 0], states[:, 1] - states[:, 0]])
-    counts = np.rint(relative * 40_000 / (2 * np.pi))
-    recording = _written(counts, tmp_path, 'unit = "counts"\ncounts_per_turn = 40000\nrelative = true')
-    half_a_count = np.pi / 40_000
-    assert np.abs(recording.angles[:, 0] - states[:, 0]).max() <= half_a_count + EXACT
-    assert np.abs(recording.angles[:, 1] - states[:, 1]).max() <= 2 * half_a_count + EXACT
+    counts = np.rint(relative * turns / (2 * np.pi))
+    recording = _written(counts, tmp_path, f'unit = "counts"\ncounts_per_turn = {given}\nrelative = true')
+    half_counts = np.cumsum(np.pi / np.array(turns))
+    assert np.all(np.abs(recording.angles - states[:, :2]).max(axis=0) <= half_counts + EXACT)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("[4, 5, 6]", "counts_per_turn = (4, 5, 6): give one value, or one for each of 2 angles"),
+        ("[4096, 0]", "counts_per_turn = 0: must be at least 1"),
+        ("4096.5", "counts_per_turn = 4096.5: must be a whole number or a list of whole numbers"),
+    ],
+)
+def test_counts_that_no_pair_of_encoders_has_are_refused(tmp_path: Path, given: str, said: str) -> None:
+    with pytest.raises(InputError) as refused:
+        _written(np.zeros((300, 2)), tmp_path, f'unit = "counts"\ncounts_per_turn = {given}')
+    assert said in str(refused.value)
 
 
 def test_parquet_reads_as_csv(tmp_path: Path) -> None:
