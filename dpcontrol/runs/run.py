@@ -60,6 +60,7 @@ from dpcontrol.judge.score import (
     THINKING_METADATA,
     Score,
     lacking,
+    plan_of,
     score,
 )
 from dpcontrol.logs import (
@@ -86,7 +87,6 @@ from dpcontrol.plans.layout import BENCH
 from dpcontrol.plans.model import model_from
 from dpcontrol.plans.overrides import canonical, paths
 from dpcontrol.plans.plan import Plan, plan_key, recoverable
-from dpcontrol.references.reference import load_reference
 from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, RecordedRig, checked_faults
 from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
 from dpcontrol.rig.packets import shared_key
@@ -589,7 +589,7 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
     itinerary = itinerary_from(scene_text, log.metadata["itinerary"], model)
     file = folder / REFERENCE_ATTACHMENT
     file.write_bytes(log.attachments[REFERENCE_ATTACHMENT])
-    return Plan(_with_settings(itinerary, log, cannot=cannot), load_reference(file), file, cached=True)
+    return Plan(_with_settings(itinerary, log, cannot=cannot), plan_of(log), file, cached=True)
 
 
 def _with_options(plan: Plan, scene: Itinerary, change: Mapping[str, Any]) -> Plan:
