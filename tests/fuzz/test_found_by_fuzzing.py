@@ -267,8 +267,8 @@ def test_a_reference_with_a_mesh_of_infinities_is_refused_without_a_warning() ->
 @pytest.mark.parametrize("option", ["", "--debug"])
 def test_numpys_warnings_are_printed_for_debugging_only(option: str) -> None:
     """The difference of two huge angles overflows."""
-    rows = [f"{k / 100},{angle}" for k, angle in enumerate([0.1] * 30 + ["1e308", "-1e308"] + [0.1] * 30)]
-    Path("jump.csv").write_text("\n".join(["time,angle_1", *rows]))
+    rows = [f"{k / 100},{angle},0.1" for k, angle in enumerate([0.1] * 30 + ["1e308", "-1e308"] + [0.1] * 30)]
+    Path("jump.csv").write_text("\n".join(["time,angle_1,angle_2", *rows]))
     ended = dpcontrol_program("import", "jump.csv", *option.split(), folder=Path())
     assert ended.code == 2
     assert ("RuntimeWarning" in ended.stderr) == bool(option)
