@@ -178,13 +178,13 @@ def _defaults() -> dict[str, dict[str, Any]]:
     Raises:
         InputError: a mistake in the configuration.
     """
-    from dpcontrol.foundation.config import configured
+    from dpcontrol.foundation.config import configured, log_folder
 
     own = {one.name: one.value for one in configured() if one.source != "default"}
     if own.get("colour", "auto") != "auto":
         os.environ["FORCE_COLOR" if own["colour"] == "always" else "NO_COLOR"] = "1"
     everywhere = {name: own[name] for name in ("workers", "scheduler") if name in own}
-    folder = {"folder": own["logs"]} if "logs" in own else {}
+    folder = {"folder": str(log_folder())} if "logs" in own else {}
     return {verb: everywhere | (folder if verb == "demo" else {}) for verb in VERBS}
 
 
