@@ -10,6 +10,7 @@ import logging
 import os
 import shlex
 import shutil
+import signal
 import sys
 import tempfile
 import traceback
@@ -25,7 +26,7 @@ from click.shell_completion import CompletionItem
 import dpcontrol
 from dpcontrol.cli.verbs import Call, print_json, print_message
 from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark
-from dpcontrol.foundation.interrupts import interrupts, terminated
+from dpcontrol.foundation.interrupts import ended_by, interrupts
 
 GROUPS = {
     "Start": {
@@ -164,7 +165,7 @@ def cli(ctx: click.Context) -> None:
     the command that made it, or with --force. Pictures and plans are always replaced.
 
     Exit codes: 0 done, 1 goal missed (with the reason), 2 bad input, 70 internal error (with a file for the report),
-    130 interrupted, 143 ended by SIGTERM, 137 killed because a computation did not stop.
+    129 ended by SIGHUP, 130 interrupted, 143 ended by SIGTERM, 137 killed because a computation did not stop.
     """
     if ctx.invoked_subcommand in VERBS:
         # Help is shown whatever the configuration contains.
@@ -225,10 +226,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _interrupted(error: BaseException) -> int:
-    how, code = ("ended by SIGTERM", 143) if terminated() else ("interrupted", 130)
+    number = ended_by()
+    how = "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
     print_message(f"dpcontrol: {how}; finished results are kept")
     _echo_notes(error)
-    return code
+    return 128 + number
 
 
 def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
@@ -266,7 +268,7 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
 def _full(error: OSError) -> str:
     """Return the message on a full disk.
 
-    It is that of the output or of temporary files.
+    It is that of the output, of stdout or of temporary files.
     """
     folder = tempfile.gettempdir()
     with suppress(OSError):
@@ -274,6 +276,8 @@ def _full(error: OSError) -> str:
             return (
                 f"no space left in the folder of temporary files, {folder}; free space, or set TMPDIR to another folder"
             )
+    if error.filename is None:
+        return "no space left on standard output; free space, or redirect it elsewhere"
     return "no space left in the output folder; nothing more was written"
 
 

@@ -246,7 +246,8 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     Rename it to `path` when the block ends without an error.
 
     The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file and the folders
-    made for it are removed if the block raises. Files of killed processes are removed by the next process that writes the same file.
+    made for it are removed if the block raises. Files of killed processes are removed by the next process that writes
+    the same file.
 
     Args:
         path: file to write; missing folders are made.
