@@ -3,7 +3,6 @@
 Verbs are imported when they are called, which keeps --help fast.
 """
 
-import difflib
 import errno
 import importlib
 import logging
@@ -113,8 +112,11 @@ class _Verbs(click.Group):
             print_json({name: number or None for name, number in versions().items()})
             ctx.exit()
         if args[:1] == ["help"]:
-            # `help VERB` is `VERB --help`.
-            args = [*args[1:2], "--help"]
+            # `help VERB` is `VERB --help`, and `help help` is `help`.
+            verbs = [text for text in args if text != "help" and not text.startswith("-")]
+            if verbs[1:]:
+                ctx.fail(f"help shows one verb; remove {shlex.join(verbs[1:])!r}")
+            args = [*verbs, "--help"]
         ctx.meta["help"] = bool({"-h", "--help"}.intersection(args))
         return super().parse_args(ctx, args)
 
@@ -134,9 +136,11 @@ class _Verbs(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        close = difflib.get_close_matches(args[0], VERBS, n=1) if args else []
-        if close and args[0] not in VERBS:
-            ctx.fail(f"there is no verb {args[0]!r}; did you mean {close[0]!r}?")
+        if args and args[0] not in VERBS:
+            from dpcontrol.foundation.settings import nearest
+
+            if close := nearest(args[0], VERBS):
+                ctx.fail(f"there is no verb {args[0]!r}; did you mean {close!r}?")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -61,7 +61,7 @@ def _parts(
         return ()
     found: list[Part | None] = []
     for number, one in enumerate(listed, start=1):
-        place, part = replace(top, table=f"parts {number}"), None
+        place, part = replace(top, table="parts", number=number), None
         with mistakes:
             if "orbit" in one:
                 raise InputError(f"{place} orbit: an itinerary that keeps an orbit has no [[parts]]")
@@ -175,6 +175,12 @@ def read_run_settings(
     places = {name: replace(top, table=name) for name in ("run", "controller", "estimator", "supervisor")}
     run, law_keys = dict(tables.get("run", {})), dict(tables.get("controller", {}))
     mistakes, parts, blows, keep = Mistakes(), dict[str, Any](), list[Push](), law_keys.pop("keep", "none")
+    for part in (*BENCH, *_TABLES):
+        if isinstance(run.get(part), dict):
+            for key, value in run.pop(part).items():
+                with mistakes:
+                    there = part if part in _TABLES else "run"
+                    raise replace(top, table=f"run.{part}").error(key, value, f"write this key in [{there}]")
     law: Any = None
     struck = run.pop("blows", ())
     with mistakes:
@@ -182,7 +188,7 @@ def read_run_settings(
             raise places["run"].error("blows", struck, "must be a list of tables, [[run.blows]]")
         for number, one in enumerate(struck, start=1):
             with mistakes:
-                blows.append(decode(Push, one, replace(top, table=f"blows {number}")))
+                blows.append(decode(Push, one, replace(top, table="run.blows", number=number)))
     given = RunTable()
     with mistakes:
         given = decode(RunTable, run, places["run"], also=["blows"])
@@ -432,10 +438,6 @@ class Itinerary:
             raise InputError(f"{self.path}: {error}") from error
 
 
-_TABLES = ("supervisor", "controller", "estimator")
-"""Tables of settings beside [run]."""
-
-
 def load_itinerary(name: str) -> Itinerary:
     """Load an itinerary, and its model, by name or path.
 
@@ -559,7 +561,7 @@ def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model 
         for key in rest if listed is not None else ():
             if key in _SAME_IN_PARTS:
                 raise InputError(f"{top} {key}: the file lists [[parts]]; move the key into one of them")
-    header = Header()
+    header = unread = Header()
     with mistakes:
         more = {key: one for key, one in rest.items() if key not in _SAME_IN_PARTS} if listed is not None else {}
         header = decode(Header, {**head, **more}, top, also=[*_TABLES, *_SAME_IN_PARTS, "parts"])
@@ -581,7 +583,7 @@ def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model 
             raise InputError(f"{top} [run] zeros has {len(zeros)} values; give one for each of {model.arms.count} arms")
     known = tuple(part for part in parts if part is not None)
     start, finish = header.start, head.get("finish", header.start if header.start == "hold" else "orbit")
-    if known and len(known) == len(parts):
+    if known and len(known) == len(parts) and header is not unread:
         with mistakes:
             _check_ends(known, start, finish, top)
         with mistakes:

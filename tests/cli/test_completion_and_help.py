@@ -127,7 +127,13 @@ def test_help_verb_equals_verb_help(verb: str) -> None:
 
 
 def test_help_alone_shows_the_help_of_the_program() -> None:
-    assert dpcontrol("help").stdout == dpcontrol("--help").stdout
+    for call in (("help",), ("help", "help"), ("help", "--help")):
+        assert dpcontrol(*call).stdout == dpcontrol("--help").stdout
+
+
+def test_help_refuses_a_second_verb_and_names_verbs_in_capitals() -> None:
+    assert "help shows one verb; remove 'plan run'" in dpcontrol("help", "orbit", "plan", "run").message
+    assert "did you mean 'orbit'?" in dpcontrol("help", "ORBIT").message
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def test_a_command_without_stderr_does_its_work(tmp_path: Path, streams: str) ->
 @pytest.mark.parametrize(
     ("blow", "said"),
     [
-        ("arm = 1\nimpulse = 0.01", "[blows 1] the key 'time' is missing"),
+        ("arm = 1\nimpulse = 0.01", "[[run.blows]] 1, the key 'time' is missing"),
         ("tiem = 1.0", "is 'tiem' a misspelling of it?"),
     ],
 )
@@ -94,11 +94,18 @@ def test_a_blow_without_a_time_gives_one_sentence(tmp_path: Path, blow: str, sai
 
 
 @pytest.mark.parametrize(
-    ("text", "meant"), [("Down-Up +", "down-up +"), ("DOWN-UP > up-down", "down-up > up-down"), ("l1 -", "L1 -")]
-)
+    ("text", "meant"),
+    [
+        ("Down-Up +", "down-up +"), ("DOWN-UP > up-down", "down-up > up-down"), ("l1 -", "L1 -"),
+        ("DOWN-UP > Up-down -", "down-up > up-down -"), ("Down-Up > DOWN-UP +", "down-up > down-up +"),
+    ],
+)  # fmt: skip
 def test_symbols_in_other_letters_are_named_as_they_should_be_written(text: str, meant: str) -> None:
     with pytest.raises(InputError, match=f"the case of letters matters; write '{meant}'".replace("+", r"\+")):
         parse_symbol(text, ["down-up", "up-down", "L1"])
+    assert parse_symbol(meant, ["down-up", "up-down", "L1"]).text == meant
+    with pytest.raises(InputError, match="'Up-dwn' has no tubes"):
+        parse_symbol("DOWN-UP > Up-dwn", ["down-up", "up-down"])
 
 
 def test_names_in_capitals_are_recognised() -> None:
