@@ -11,7 +11,7 @@ times, plant names a model file for the plant's own arms, and zeros are the read
 [controller], [estimator] and [supervisor] have the rest of a run's settings.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -175,12 +175,7 @@ def read_run_settings(
     places = {name: replace(top, table=name) for name in ("run", "controller", "estimator", "supervisor")}
     run, law_keys = dict(tables.get("run", {})), dict(tables.get("controller", {}))
     mistakes, parts, blows, keep = Mistakes(), dict[str, Any](), list[Push](), law_keys.pop("keep", "none")
-    for part in (*BENCH, *_TABLES):
-        if isinstance(run.get(part), dict):
-            for key, value in run.pop(part).items():
-                with mistakes:
-                    there = part if part in _TABLES else "run"
-                    raise replace(top, table=f"run.{part}").error(key, value, f"write this key in [{there}]")
+    _take_misplaced(run, (*BENCH, *_TABLES), replace(top, table="run."), mistakes)
     law: Any = None
     struck = run.pop("blows", ())
     with mistakes:
@@ -218,6 +213,16 @@ def read_run_settings(
         return LoopSettings(seed=0, keep=keep, controller=law, **parts), given.zeros
     except InputError as error:
         raise InputError(f"{places['run']} {str(error).removeprefix('run: ')}") from error
+
+
+def _take_misplaced(found: dict[str, Any], names: Iterable[str], place: Place, mistakes: Mistakes) -> None:
+    """Remove tables from `found` that belong elsewhere, and report each of their keys."""
+    for name in names:
+        if isinstance(found.get(name), dict):
+            for key, value in found.pop(name).items():
+                with mistakes:
+                    there = name if name in _TABLES else "run"
+                    raise replace(place, table=f"{place.table}{name}").error(key, value, f"write this key in [{there}]")
 
 
 def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, place: Place) -> Any:
@@ -550,6 +555,7 @@ def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model 
             if not isinstance(table, dict):
                 tables[name] = {}
                 raise top.error(name, table, f"must be a table, [{name}]")
+    _take_misplaced(rest, BENCH, top, mistakes)
     listed, head = rest.pop("parts", None), {name: rest.pop(name) for name in _names(Header) if name in rest}
     if listed is None:
         kind: type = HoldPart if "hold" in rest else OrbitPart if "orbit" in rest else WalkPart

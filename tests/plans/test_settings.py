@@ -244,6 +244,7 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("wrong kind", f"{TURN}[estimator]\nkind = 'efk'\n", "[estimator] kind = 'efk': did you mean 'ekf'?"),
     ("another kind's key", f"{TURN}[controller]\nkind = 'lqr'\ntrust = 1\n", "[controller] the key 'trust' is unknown"),
     ("table within [run]", f"{TURN}[run.sensors]\ncounts = 3\n", "[run.sensors] counts = 3: write this key in [run]"),
+    ("table instead of [run]", f"{TURN}[drive]\nlag = 0.1\n", "[drive] lag = 0.1: write this key in [run]"),
     (
         "table beside [run]",
         f"{TURN}[run.supervisor]\non_fall = 'stop'\n",
