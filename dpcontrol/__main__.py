@@ -10,7 +10,8 @@ import sys
 from contextlib import suppress
 from types import FrameType
 
-INTERRUPTED, TERMINATED = 130, 143
+INTERRUPTED = (129, 130, 143)
+"""Exit codes after SIGHUP, Ctrl-C and SIGTERM."""
 
 
 def main() -> None:
@@ -22,9 +23,11 @@ def main() -> None:
     # Notebooks set a backend that may be missing here. The command line writes pictures as files and needs none.
     os.environ["MPLBACKEND"] = "agg"
     # The imports of the command line take a while. An interrupt before their end needs no cleaning up.
-    for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(signal.SIGINT, _ended_at_once)
+    from dpcontrol.foundation.interrupts import confirm_interrupt, endings, kill_if_unresponsive
+
+    for number in (ends := endings()):
         signal.signal(number, _ended_at_once)
-    from dpcontrol.foundation.interrupts import confirm_interrupt, kill_if_unresponsive
 
     kill_if_unresponsive()
     from dpcontrol.cli.main import main as run
@@ -32,14 +35,15 @@ def main() -> None:
     try:
         run()
     except SystemExit as ended:
-        if ended.code in (INTERRUPTED, TERMINATED):
+        if ended.code in INTERRUPTED:
             _end_quickly(ended.code)
         raise
     finally:
         _discard_unwritable_output()
         # The work is done and its exit code is known. The end of the interpreter must not change it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        for number in ends:
+            signal.signal(number, signal.SIG_DFL)
         confirm_interrupt()
         # Python treats an interrupt inside executed text, such as that of a dataclass, as uncaught until it executes
         # another text.
@@ -54,20 +58,22 @@ def _open_streams() -> None:
 
 
 def _discard_unwritable_output() -> None:
-    """Empty the buffer of a full or closed stdout.
+    """Empty the buffers of full or closed streams.
 
     Python's own attempt at exit would replace the exit code by 120.
     """
-    try:
-        sys.stdout.flush()
-    except OSError:
-        with suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            with suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _ended_at_once(number: int, frame: FrameType | None) -> None:
-    how = b"interrupted" if number == signal.SIGINT else b"ended by SIGTERM"
-    os.write(2, b"dpcontrol: " + how + b"; nothing was begun\n")
+    how = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
+    with suppress(OSError):
+        os.write(2, f"dpcontrol: {how}; nothing was begun\n".encode())
     os._exit(128 + number)
 
 

@@ -1,37 +1,48 @@
 """Shell completion of values.
 
-The values are names of models, itineraries and pages, laws, estimators, faults, saddles and figures.
+The values are names of models, itineraries and pages, laws, estimators, faults, saddles, sections and figures.
 
 Click itself completes verbs, options and choices, and the shell completes files. Names that need a heavy import are
 read on demand.
 """
 
 import importlib
-import tomllib
+import warnings
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from itertools import product
-from typing import Any
+from itertools import permutations
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import CompletionItem
 
 from dpcontrol.foundation.errors import InputError
 
-Values = Callable[[click.Context], Iterable[str]]
+if TYPE_CHECKING:
+    from dpcontrol.dynamics.system import System
+
+Values = Callable[[click.Context, str], Iterable[str]]
+"""Function of the context, and of the part of the word before the value."""
 Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
 
-def completing(values: Values, *, files: bool = False) -> Completer:
+def completing(values: Values, *, files: bool = False, listed: bool = False) -> Completer:
     """Return a completer from values.
 
     Args:
-        values: function of the context that returns the values.
+        values: function that returns the values.
         files: True if the shell offers files when no value matches.
+        listed: True if a value can follow a comma or an equals sign.
     """
 
     def complete(context: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        found = [CompletionItem(value) for value in values(context) if value.startswith(incomplete)]
+        before = incomplete[: max(map(incomplete.rfind, ",=")) + 1] if listed else ""
+        found: list[CompletionItem] = []
+        # Unknown names have no values, and messages would garble the command line.
+        with suppress(InputError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            words = (before + value for value in values(context, before))
+            found = [CompletionItem(word) for word in words if word.startswith(incomplete)]
         return found or ([CompletionItem(incomplete, type="file")] if files else [])
 
     return complete
@@ -43,29 +54,47 @@ def _found(module: str, name: str, *given: str) -> Values:
     An object of a module lists them, or its function returns them for `given`.
     """
 
-    def values(_: click.Context) -> Any:
+    def values(*_: Any) -> Any:
         there = getattr(importlib.import_module(f"dpcontrol.{module}"), name)
         return there(*given) if callable(there) else there
 
     return values
 
 
-def _saddles(context: click.Context) -> list[str]:
-    """Return the equilibria of the model on the command line.
+def _settings(_: click.Context, given: str) -> Iterable[str]:
+    from dpcontrol.plans.overrides import settings_to_vary
 
-    Without a model, they are those of two arms.
+    return settings_to_vary(given)
+
+
+def _system(context: click.Context) -> "System":
+    """Return the system of the model on the command line.
+
+    Without a model, it is that of the lab.
     """
-    from dpcontrol.foundation.shipped import find
+    from dpcontrol.plans.model import load_model
 
-    arms = 2
     # For an unfinished line, click keeps the arguments separately.
-    name = context.params.get("model") or next(iter(context.args), "lab")
-    with suppress(InputError, OSError, ValueError, LookupError, TypeError):
-        model = tomllib.loads(find("models", str(name)).read_text(encoding="utf-8"))
-        if model.get("system") == "three-body":
-            return ["L1", "L2", "L3"]
-        arms = len(model["arms"]["mass"])
-    return ["-".join(names) for names in product(("down", "up"), repeat=arms)]
+    for name in (context.params.get("model"), *context.args):
+        with suppress(InputError):
+            return load_model(str(name)).system
+    return load_model("lab").system
+
+
+def _saddles(context: click.Context, _: str) -> Iterable[str]:
+    return _system(context).saddles
+
+
+def _sections(context: click.Context, _: str) -> Iterable[str]:
+    return _system(context).named_sections
+
+
+def _symbols(context: click.Context, _: str) -> Iterable[str]:
+    saddles = _system(context).saddles
+    return [
+        *(f"{saddle} {sense}" for saddle in saddles for sense in "+-"),
+        *(f"{source} > {target}" for source, target in permutations(saddles, 2)),
+    ]
 
 
 COMPLETERS: dict[tuple[str, str], Completer] = {
@@ -80,16 +109,19 @@ COMPLETERS: dict[tuple[str, str], Completer] = {
     ("", "controller"): completing(_found("loop.controllers", "CONTROLLERS")),
     ("", "estimator"): completing(_found("loop.controllers", "ESTIMATORS")),
     ("", "on_fall"): completing(_found("loop.result", "ON_FALL")),
-    ("", "over"): completing(_found("plans.overrides", "settings_to_vary")),
+    ("", "over"): completing(_settings, listed=True),
+    ("", "address"): completing(lambda *_: ("udp",), files=True),
+    ("", "section"): completing(_sections),
+    ("", "saddle"): completing(_saddles),
+    ("", "symbols"): completing(_symbols),
     ("figures", "names"): completing(_found("cli.charts", "FIGURES")),
     ("bench", "names"): completing(_found("cli.charts", "ALL_CHARTS")),
-    ("replay", "estimator"): completing(lambda _: ("ekf", "ukf")),
-    ("orbit", "saddle"): completing(_saddles),
+    ("replay", "estimator"): completing(lambda *_: ("ekf", "ukf")),
     ("walk", "through"): completing(_saddles),
-    ("import", "repair"): completing(_found("recordings.checks", "REPAIRS")),
+    ("import", "repair"): completing(_found("recordings.checks", "REPAIRS"), listed=True),
     **{
         (verb, name): completing(_saddles)
-        for verb in ("connect", "bifurcations", "walk")
+        for verb in ("connect", "bifurcations", "walk", "prove")
         for name in ("source", "target")
     },
 }

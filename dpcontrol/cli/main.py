@@ -3,13 +3,13 @@
 Verbs are imported when they are called, which keeps --help fast.
 """
 
-import difflib
 import errno
 import importlib
 import logging
 import os
 import shlex
 import shutil
+import signal
 import sys
 import tempfile
 import traceback
@@ -25,7 +25,7 @@ from click.shell_completion import CompletionItem
 import dpcontrol
 from dpcontrol.cli.verbs import Call, print_json, print_message
 from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark
-from dpcontrol.foundation.interrupts import interrupts, terminated
+from dpcontrol.foundation.interrupts import ended_by, interrupts
 
 GROUPS = {
     "Start": {
@@ -112,8 +112,11 @@ class _Verbs(click.Group):
             print_json({name: number or None for name, number in versions().items()})
             ctx.exit()
         if args[:1] == ["help"]:
-            # `help VERB` is `VERB --help`.
-            args = [*args[1:2], "--help"]
+            # `help VERB` is `VERB --help`, and `help help` is `help`.
+            verbs = [text for text in args if text != "help" and not text.startswith("-")]
+            if verbs[1:]:
+                ctx.fail(f"help shows one verb; remove {shlex.join(verbs[1:])!r}")
+            args = [*verbs, "--help"]
         ctx.meta["help"] = bool({"-h", "--help"}.intersection(args))
         return super().parse_args(ctx, args)
 
@@ -133,9 +136,11 @@ class _Verbs(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        close = difflib.get_close_matches(args[0], VERBS, n=1) if args else []
-        if close and args[0] not in VERBS:
-            ctx.fail(f"there is no verb {args[0]!r}; did you mean {close[0]!r}?")
+        if args and args[0] not in VERBS:
+            from dpcontrol.foundation.settings import nearest
+
+            if close := nearest(args[0], VERBS):
+                ctx.fail(f"there is no verb {args[0]!r}; did you mean {close!r}?")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -164,7 +169,7 @@ def cli(ctx: click.Context) -> None:
     the command that made it, or with --force. Pictures and plans are always replaced.
 
     Exit codes: 0 done, 1 goal missed (with the reason), 2 bad input, 70 internal error (with a file for the report),
-    130 interrupted, 143 ended by SIGTERM, 137 killed because a computation did not stop.
+    129 ended by SIGHUP, 130 interrupted, 143 ended by SIGTERM, 137 killed because a computation did not stop.
     """
     if ctx.invoked_subcommand in VERBS:
         # Help is shown whatever the configuration contains.
@@ -178,13 +183,13 @@ def _defaults() -> dict[str, dict[str, Any]]:
     Raises:
         InputError: a mistake in the configuration.
     """
-    from dpcontrol.foundation.config import configured
+    from dpcontrol.foundation.config import configured, log_folder
 
     own = {one.name: one.value for one in configured() if one.source != "default"}
     if own.get("colour", "auto") != "auto":
         os.environ["FORCE_COLOR" if own["colour"] == "always" else "NO_COLOR"] = "1"
     everywhere = {name: own[name] for name in ("workers", "scheduler") if name in own}
-    folder = {"folder": own["logs"]} if "logs" in own else {}
+    folder = {"folder": str(log_folder())} if "logs" in own else {}
     return {verb: everywhere | (folder if verb == "demo" else {}) for verb in VERBS}
 
 
@@ -225,10 +230,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _interrupted(error: BaseException) -> int:
-    how, code = ("ended by SIGTERM", 143) if terminated() else ("interrupted", 130)
+    number = ended_by()
+    how = "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
     print_message(f"dpcontrol: {how}; finished results are kept")
     _echo_notes(error)
-    return code
+    return 128 + number
 
 
 def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
@@ -266,7 +272,7 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
 def _full(error: OSError) -> str:
     """Return the message on a full disk.
 
-    It is that of the output or of temporary files.
+    It is that of the output, of stdout or of temporary files.
     """
     folder = tempfile.gettempdir()
     with suppress(OSError):
@@ -274,6 +280,8 @@ def _full(error: OSError) -> str:
             return (
                 f"no space left in the folder of temporary files, {folder}; free space, or set TMPDIR to another folder"
             )
+    if error.filename is None:
+        return "no space left on standard output; free space, or redirect it elsewhere"
     return "no space left in the output folder; nothing more was written"
 
 

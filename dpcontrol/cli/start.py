@@ -179,7 +179,7 @@ def config_command() -> Answer:
     An option overrides the environment variable, which overrides the file, which overrides the default. The file is
     $XDG_CONFIG_HOME/dpcontrol/config.toml, such as: logs = "~/runs".
     """
-    from dpcontrol.foundation.config import config_file, configured, variable
+    from dpcontrol.foundation.config import config_file, configured, is_there, variable
 
     found = list(configured())
     document = {
@@ -190,7 +190,7 @@ def config_command() -> Answer:
         "setting": "{.name}", "value": lambda one: str(one.value) or "none", "from": "{.source}",
         "variable": lambda one: variable(one.name), "meaning": "{.help}",
     })  # fmt: skip
-    return Answer(document, [f"file  {config_file()}{'' if config_file().is_file() else ' (does not exist)'}", shown])
+    return Answer(document, [f"file  {config_file()}{'' if is_there(config_file()) else ' (not found)'}", shown])
 
 
 @verb("schema", example="dpcontrol schema itinerary")

@@ -450,7 +450,9 @@ def print_message(text: str) -> None:
     Args:
         text: one line.
     """
-    click.echo(printable(text), err=True)
+    # The exit code remains if stderr is full, or its terminal is closed.
+    with suppress(OSError):
+        click.echo(printable(text), err=True)
 
 
 def _print(item: str | TextTable | Markdown) -> None:

@@ -411,7 +411,7 @@ class NisMeans:
 _CAUTIOUS, _BOLD = 0.25, 1.25
 """Shares of the expected mean. The adaptive law's filter gives 0.9. Filters without parameters allow for bad drives and
 give 0.6 at 1 kHz, 0.34 at 100 Hz. Below a quarter, the settings of the sensors are wrong."""
-_LESS = "set counts and noise under [sensors] to those of the encoders, or lower rate_noise and cart_noise"
+_LESS = "set counts and noise in [run] to those of the encoders, or lower rate_noise and cart_noise"
 
 
 def nis_means(values: Array, freedom: int) -> NisMeans | None:

@@ -26,6 +26,7 @@ from tempfile import TemporaryFile
 from typing import ClassVar
 
 import dpcontrol
+from dpcontrol.foundation.config import at_home
 from dpcontrol.foundation.document import Documented
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import content_hash, write_whole
@@ -41,6 +42,8 @@ COMPILER = "heyoka"
 """Folder of heyoka's database."""
 _COMPILER_FILES = re.compile(r"^cache\.db(-wal|-shm|-journal)?$")
 """Names that heyoka and SQLite give to its files."""
+_MACHINE_CODE = 1 << 20
+"""Space that heyoka's machine code needs at least, bytes."""
 _OURS = re.compile(rf"-[0-9a-f]{{16}}({'|'.join(map(re.escape, sorted(set(KINDS.values()))))})(\..+)?$")
 """Suffixes of the cache's files; partly written files have further characters."""
 _SEAL = b"\nsha256:"
@@ -56,7 +59,7 @@ def cache_root() -> Path:
     """Return the cache's folder, which may not exist yet."""
     chosen, base = os.environ.get(VARIABLE), os.environ.get("XDG_CACHE_HOME")
     folder = chosen or str(Path(base or "~/.cache") / "dpcontrol")
-    # A shell does not expand "~" within quotes. Without a home folder, the name is used unchanged.
+    # Without a home folder, the name is unchanged, and its users reject it.
     return Path(os.path.expanduser(folder))
 
 
@@ -98,9 +101,9 @@ def keep(file: Path, content: bytes) -> None:
         content: bytes to store; a digest is added.
     """
     try:
-        write_whole(file, content + _seal(file, content))
+        write_whole(at_home(file), content + _seal(file, content))
     except InputError as error:
-        unusable(getattr(error.__cause__, "strerror", None) or str(error))
+        unusable(file.parent, getattr(error.__cause__, "strerror", None) or str(error))
 
 
 def compiler_folder() -> Path | None:
@@ -109,27 +112,33 @@ def compiler_folder() -> Path | None:
     If the folder is not writable, issue a remark and return None.
     """
     folder = cache_root() / COMPILER
-    there = folder
     try:
+        there = at_home(folder)
         while not there.exists():
             there = there.parent
-        with TemporaryFile(dir=there):
-            return folder
-    except OSError as error:
-        unusable(error.strerror or str(error))
+        with TemporaryFile(dir=there) as probe:
+            # heyoka does not report a full disk.
+            probe.write(bytes(_MACHINE_CODE))
+            probe.flush()
+        return folder
+    except (OSError, InputError) as error:
+        unusable(folder, getattr(error, "strerror", None) or str(error))
         return None
 
 
-def unusable(reason: str) -> None:
+def unusable(folder: Path, reason: str) -> None:
     """Issue a remark that results cannot be cached, with the reason.
 
     Args:
+        folder: folder of one kind of results.
         reason: cause in a few words, such as "Permission denied".
     """
-    remark(
-        f"the cache {cache_root()} cannot be used ({reason}), so slow results may be computed again in each call; "
-        f"set {VARIABLE} to a writable folder, or free some space"
-    )
+    what = f"the cache {cache_root()} cannot be used ({reason})"
+    remedy = f"set {VARIABLE} to a writable folder, or free some space"
+    with suppress(OSError):
+        if folder.is_file():
+            what, remedy = f"{folder} is a file instead of a folder of the cache", "remove it"
+    remark(f"{what}, so slow results may be computed again in each call; {remedy}")
 
 
 def _seal(file: Path, content: bytes) -> bytes:
@@ -187,12 +196,14 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
     root = cache_root()
     kinds: dict[str, tuple[int, int]] = {}
     try:
+        at_home(root)
         for kind, names in {**dict.fromkeys(KINDS, _OURS), COMPILER: _COMPILER_FILES}.items():
             files = _files(root / kind, names)
             sizes = [size for file in files if (size := _size(file, clear=clear)) is not None]
             kinds[kind] = (len(sizes), sum(sizes))
-    except OSError as error:
-        what = f"cannot {'empty' if clear else 'read'} the cache: {error.filename}: {error.strerror}"
+    except (OSError, InputError) as error:
+        reason = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else error
+        what = f"cannot {'empty' if clear else 'read'} the cache: {reason}"
         raise InputError(f"{what}; check its permissions, or set {VARIABLE} to another folder") from error
     return CacheContents(root, kinds, clear)
 

@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.settings import Place, Settings, decode, help_of, read_toml, setting
 
 
@@ -37,10 +37,47 @@ class Configured(NamedTuple):
     help: str
 
 
+def at_home(path: Path | str) -> Path:
+    """Return a path with "~" replaced by the home folder.
+
+    Args:
+        path: path from a setting; shells do not expand "~" within quotes.
+
+    Raises:
+        InputError: there is no such home folder.
+    """
+    expanded = os.path.expanduser(path)
+    if expanded.startswith("~"):
+        raise InputError(f"there is no home folder {expanded.partition('/')[0]!r}")
+    return Path(expanded)
+
+
 def config_file() -> Path:
     """Return the place of the configuration file; it need not exist."""
     folder = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(os.path.expanduser(folder)) / "dpcontrol" / "config.toml"
+
+
+def is_there(file: Path) -> bool:
+    """True if the configuration file exists.
+
+    If its folder is not accessible, issue a remark and return False.
+
+    Args:
+        file: place of the file, from `config_file`.
+    """
+    try:
+        at_home(file).stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except (OSError, InputError) as error:
+        reason = getattr(error, "strerror", None) or error
+        remark(
+            f"the configuration file {file} cannot be used ({reason}), so built-in defaults apply; "
+            "set XDG_CONFIG_HOME to another folder"
+        )
+        return False
+    return file.is_file()
 
 
 def variable(name: str) -> str:
@@ -55,7 +92,7 @@ def variable(name: str) -> str:
 @cache
 def _read(path: Path, given: tuple[tuple[str, str], ...]) -> tuple[Config, frozenset[str]]:
     """Return the configuration, and the names that the file gives."""
-    values = read_toml(path)[0] if path.is_file() else {}
+    values = read_toml(path)[0] if is_there(path) else {}
     if values:
         decode(Config, values, Place(str(path)))
     own: dict[str, Any] = {}
@@ -104,6 +141,10 @@ def log_folder() -> Path:
     """Return the folder of logs, tables and pages.
 
     Raises:
-        InputError: a mistake in the configuration.
+        InputError: a mistake in the configuration, or a home folder that does not exist.
     """
-    return Path(os.path.expanduser(configuration().logs))
+    logs = configuration().logs
+    try:
+        return at_home(logs)
+    except InputError as error:
+        raise InputError(f"logs = {logs!r}: {error}; set {variable('logs')} to another folder") from error

@@ -21,7 +21,7 @@ import struct
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from io import BytesIO
 from pathlib import Path
@@ -234,14 +234,35 @@ def unwritable(path: Path, error: OSError) -> InputError:
     return InputError(f"cannot write {path}: {error.strerror or error}; choose another file or folder")
 
 
+def missing_folders(folder: Path) -> list[Path]:
+    """Return the folders to make for a folder, the deepest first.
+
+    Args:
+        folder: folder to make.
+    """
+    return [place for place in (folder, *folder.parents) if not os.path.exists(place)]
+
+
+def remove_empty(folders: Sequence[Path]) -> None:
+    """Remove folders, up to the first that is not empty.
+
+    Args:
+        folders: folders that this program made, the deepest first.
+    """
+    with suppress(OSError):
+        for folder in folders:
+            folder.rmdir()
+
+
 @contextmanager
 def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     """Yield a temporary path beside `path`.
 
     Rename it to `path` when the block ends without an error.
 
-    The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file is removed if the
-    block raises. Files of killed processes are removed by the next process that writes the same file.
+    The temporary name ends with `suffix`, for writers that choose a format by it. The temporary file and the folders
+    made for it are removed if the block raises. Files of killed processes are removed by the next process that writes
+    the same file.
 
     Args:
         path: file to write; missing folders are made.
@@ -253,11 +274,13 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     path = checked_target(Path(path))
     # A name of any length leaves room for additions.
     prefix, suffix = f".{path.name[:40]}.", suffix or ".partial"
+    made = missing_folders(path.parent)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path.parent, prefix, suffix)
         handle, temporary = _temporary(path.parent, prefix, suffix)
     except OSError as error:
+        remove_empty(made)
         raise unwritable(path, error) from error
     try:
         yield temporary
@@ -270,6 +293,7 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     finally:
         os.close(handle)
         temporary.unlink(missing_ok=True)
+        remove_empty(made)
 
 
 def _temporary(folder: Path, prefix: str, suffix: str) -> tuple[int, Path]:
@@ -345,6 +369,7 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
     path = Path(os.path.realpath(path)) if Path(path).is_symlink() else Path(path)
     if path.exists() and not path.is_dir():
         raise InputError(f"cannot write {path}: it is a file; choose another folder")
+    made = missing_folders(path.absolute().parent)
     try:
         there = path.is_dir() and any(path.iterdir())
         if there and not force:
@@ -366,6 +391,8 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
                 whole.replace(path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}; choose another") from error
+    finally:
+        remove_empty(made)
 
 
 def content_hash(*parts: str | bytes) -> str:

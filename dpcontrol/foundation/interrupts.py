@@ -1,4 +1,4 @@
-"""Reliable KeyboardInterrupt for Ctrl-C and SIGTERM, even if other code suppresses it.
+"""Reliable KeyboardInterrupt for Ctrl-C, SIGTERM and SIGHUP, even if other code suppresses it.
 
 Other code may catch an interrupt, turn it into another error, or return as if it had merely failed. The program would
 then continue. A timer therefore checks until the command line has caught the interrupt. If no code on the stack is
@@ -23,12 +23,21 @@ from typing import Any
 
 _AGAIN = 0.2  # s; clean-up in progress is not disturbed, however long it takes
 _raised: list[int] = []
-"""Signals for which KeyboardInterrupt was raised and not yet handled: SIGINT, SIGTERM, and the timer's."""
+"""Signals for which KeyboardInterrupt was raised and not yet handled: SIGINT, those of `endings`, and the timer's."""
 _PATIENCE = 0.7  # s; time limit for the interpreter to handle an interrupt before the program is killed
 _CONFIRMED = b"\0"
 _BY_FORCE = b"dpcontrol: interrupted, by force, in a computation that could not stop; finished results are kept\n"
 _watcher: list[int] = []
 """Pipes to the watching process for confirmations; empty without one."""
+
+
+def endings() -> list[signal.Signals]:
+    """Return the signals other than Ctrl-C that end a program.
+
+    A terminal sends SIGHUP when it is closed, and `nohup` ignores it.
+    """
+    there = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+    return [one for one in there if one == signal.SIGTERM or signal.getsignal(one) != signal.SIG_IGN]
 
 
 def kill_if_unresponsive() -> None:
@@ -63,16 +72,19 @@ def kill_if_unresponsive() -> None:
 
 def _watch(received: int, program: int) -> None:
     """Kill a program that does not handle interrupts in time."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    interrupting = (signal.SIGINT, *endings(), signal.SIGALRM)
+    for number in interrupting:
         signal.signal(number, signal.SIG_IGN)
     # A reader of the program's output must not have to wait for this process.
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
     while last := os.read(received, 4096):
-        while last[-1] in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
+        while last[-1] in interrupting:
             if not select.select([received], [], [], _PATIENCE)[0]:
-                os.write(2, _BY_FORCE)
+                # The terminal may be closed.
+                with suppress(OSError):
+                    os.write(2, _BY_FORCE)
                 os.kill(program, signal.SIGKILL)
                 return
             if not (last := os.read(received, 4096)):
@@ -88,7 +100,7 @@ def confirm_interrupt() -> None:
 
 @contextmanager
 def interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt for Ctrl-C and SIGTERM in the block.
+    """Raise KeyboardInterrupt for Ctrl-C and `endings` in the block.
 
     This holds however the block ends. Only the main thread can set handlers; in others, those of Python remain.
     """
@@ -121,7 +133,7 @@ def interrupts() -> Iterator[None]:
     _raised.clear()
     show_others, sys.unraisablehook = sys.unraisablehook, unraisable
     signal.signal(signal.SIGINT, interrupted)
-    on_terminate = signal.signal(signal.SIGTERM, interrupted)
+    others = {number: signal.signal(number, interrupted) for number in endings()}
     before = signal.signal(signal.SIGALRM, check_again) if insists else None
     try:
         # Imports turn an interrupt into another error, and searches into a failure to converge.
@@ -129,7 +141,8 @@ def interrupts() -> Iterator[None]:
             yield
     finally:
         sys.unraisablehook = show_others
-        signal.signal(signal.SIGTERM, on_terminate)
+        for number, handler in others.items():
+            signal.signal(number, handler)
         if insists:
             # Further signals must not set the timer, which would end the program without a handler.
             insists = False
@@ -162,9 +175,9 @@ def catching_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def terminated() -> bool:
-    """True if a SIGTERM interrupted the block of `interrupts`."""
-    return signal.SIGTERM in _raised
+def ended_by() -> signal.Signals:
+    """Return the signal that interrupted the block of `interrupts`."""
+    return next((one for one in endings() if one in _raised), signal.SIGINT)
 
 
 def forget_interrupts() -> None:

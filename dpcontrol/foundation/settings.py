@@ -340,13 +340,18 @@ def _digits(value: float) -> str:
 
 @dataclass(frozen=True)
 class Place:
-    """The place of a table in a file, for messages."""
+    """The place of a table in a file, for messages.
+
+    Tables of a list are numbered from 1.
+    """
 
     file: str
     table: str = ""
+    number: int = 0
 
     def __str__(self) -> str:
-        return f"{self.file}:{f' [{self.table}]' if self.table else ''}"
+        table = f"[[{self.table}]] {self.number}," if self.number else f"[{self.table}]"
+        return f"{self.file}:{f' {table}' if self.table else ''}"
 
     def error(self, key: str, value: Any, complaint: str) -> InputError:
         """Return the error of a key's value.

@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import dpcontrol
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import checked_target, unwritable
+from dpcontrol.foundation.files import checked_target, missing_folders, remove_empty, unwritable
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import ChunkMessages, McapFile, moved_away, open_partial, sealed, sync_folder
 from dpcontrol.logs.layout import TickLayout
@@ -495,12 +495,12 @@ class LogWriter:
         self._file: McapFile | None = None
         self._stream: FileIO | None = None
         self._torn = False
-        self._made = False
+        self._made: list[Path] = []
 
     def __enter__(self) -> "LogWriter":
         try:
             self.path = checked_target(self.path)
-            self._made = not self.path.parent.exists()
+            self._made = missing_folders(self.path.parent)
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.partial, self._stream = open_partial(self.path)
             self._file = McapFile(self._stream, library=f"dpcontrol {dpcontrol.__version__}")
@@ -513,6 +513,7 @@ class LogWriter:
                 self._stream.close()
                 self.partial.unlink(missing_ok=True)
                 self._stream = self._file = None
+            remove_empty(self._made)
             raise unwritable(self.path, error) from error
         return self
 
@@ -552,9 +553,7 @@ class LogWriter:
         if self._encoder is None and not self._buffer.filled:
             # A run that failed before its first tick leaves nothing to keep.
             self.partial.unlink(missing_ok=True)
-            if self._made:
-                with suppress(OSError):
-                    self.path.parent.rmdir()
+            remove_empty(self._made)
             return
         if not self._torn:
             # If this also fails, the current exception already reports the first error.

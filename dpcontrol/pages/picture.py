@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from glob import glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -180,9 +181,10 @@ def missing_renderer() -> str | None:
     if named:
         found = any(Path(name).is_file() for name in named.split(os.pathsep))
     else:
-        home = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
-        folders = [Path("/usr/share"), Path("/usr/local/share"), Path("/etc"), home]
-        found = any(any((folder / "vulkan" / "icd.d").glob("*.json")) for folder in folders)
+        home = os.environ.get("XDG_DATA_HOME") or os.path.expanduser("~/.local/share")
+        folders = ["/usr/share", "/usr/local/share", "/etc", home]
+        # Unlike Path.glob, this finds nothing in a folder that is not accessible.
+        found = any(glob("*.json", root_dir=f"{folder}/vulkan/icd.d") for folder in folders)
     return None if found else f"no Vulkan driver is installed (on Debian or Ubuntu: {_PACKAGES})"
 
 

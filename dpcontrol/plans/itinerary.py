@@ -11,7 +11,7 @@ times, plant names a model file for the plant's own arms, and zeros are the read
 [controller], [estimator] and [supervisor] have the rest of a run's settings.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -61,7 +61,7 @@ def _parts(
         return ()
     found: list[Part | None] = []
     for number, one in enumerate(listed, start=1):
-        place, part = replace(top, table=f"parts {number}"), None
+        place, part = replace(top, table="parts", number=number), None
         with mistakes:
             if "orbit" in one:
                 raise InputError(f"{place} orbit: an itinerary that keeps an orbit has no [[parts]]")
@@ -175,6 +175,7 @@ def read_run_settings(
     places = {name: replace(top, table=name) for name in ("run", "controller", "estimator", "supervisor")}
     run, law_keys = dict(tables.get("run", {})), dict(tables.get("controller", {}))
     mistakes, parts, blows, keep = Mistakes(), dict[str, Any](), list[Push](), law_keys.pop("keep", "none")
+    _take_misplaced(run, (*BENCH, *_TABLES), replace(top, table="run."), mistakes)
     law: Any = None
     struck = run.pop("blows", ())
     with mistakes:
@@ -182,7 +183,7 @@ def read_run_settings(
             raise places["run"].error("blows", struck, "must be a list of tables, [[run.blows]]")
         for number, one in enumerate(struck, start=1):
             with mistakes:
-                blows.append(decode(Push, one, replace(top, table=f"blows {number}")))
+                blows.append(decode(Push, one, replace(top, table="run.blows", number=number)))
     given = RunTable()
     with mistakes:
         given = decode(RunTable, run, places["run"], also=["blows"])
@@ -212,6 +213,16 @@ def read_run_settings(
         return LoopSettings(seed=0, keep=keep, controller=law, **parts), given.zeros
     except InputError as error:
         raise InputError(f"{places['run']} {str(error).removeprefix('run: ')}") from error
+
+
+def _take_misplaced(found: dict[str, Any], names: Iterable[str], place: Place, mistakes: Mistakes) -> None:
+    """Remove tables from `found` that belong elsewhere, and report each of their keys."""
+    for name in names:
+        if isinstance(found.get(name), dict):
+            for key, value in found.pop(name).items():
+                with mistakes:
+                    there = name if name in _TABLES else "run"
+                    raise replace(place, table=f"{place.table}{name}").error(key, value, f"write this key in [{there}]")
 
 
 def _kind(values: Mapping[str, Any], kinds: Mapping[str, type], default: str, place: Place) -> Any:
@@ -432,10 +443,6 @@ class Itinerary:
             raise InputError(f"{self.path}: {error}") from error
 
 
-_TABLES = ("supervisor", "controller", "estimator")
-"""Tables of settings beside [run]."""
-
-
 def load_itinerary(name: str) -> Itinerary:
     """Load an itinerary, and its model, by name or path.
 
@@ -548,6 +555,7 @@ def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model 
             if not isinstance(table, dict):
                 tables[name] = {}
                 raise top.error(name, table, f"must be a table, [{name}]")
+    _take_misplaced(rest, BENCH, top, mistakes)
     listed, head = rest.pop("parts", None), {name: rest.pop(name) for name in _names(Header) if name in rest}
     if listed is None:
         kind: type = HoldPart if "hold" in rest else OrbitPart if "orbit" in rest else WalkPart
@@ -559,7 +567,7 @@ def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model 
         for key in rest if listed is not None else ():
             if key in _SAME_IN_PARTS:
                 raise InputError(f"{top} {key}: the file lists [[parts]]; move the key into one of them")
-    header = Header()
+    header = unread = Header()
     with mistakes:
         more = {key: one for key, one in rest.items() if key not in _SAME_IN_PARTS} if listed is not None else {}
         header = decode(Header, {**head, **more}, top, also=[*_TABLES, *_SAME_IN_PARTS, "parts"])
@@ -581,7 +589,7 @@ def _itinerary(document: Mapping[str, Any], text: str, path: Path, model: Model 
             raise InputError(f"{top} [run] zeros has {len(zeros)} values; give one for each of {model.arms.count} arms")
     known = tuple(part for part in parts if part is not None)
     start, finish = header.start, head.get("finish", header.start if header.start == "hold" else "orbit")
-    if known and len(known) == len(parts):
+    if known and len(known) == len(parts) and header is not unread:
         with mistakes:
             _check_ends(known, start, finish, top)
         with mistakes:

@@ -9,7 +9,7 @@ Paths follow the fields of `LoopSettings`, such as `mismatch`, `drive.lag` and `
 import re
 import shlex
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields
 from functools import cache
@@ -212,9 +212,13 @@ def option_of(path: str) -> str:
     return f"--{path.rpartition('.')[2].replace('_', '-')}"
 
 
-def settings_to_vary() -> list[str]:
-    """Return the completions of `--set` and `--over`."""
-    return [f"{path}=" for path in paths()]
+def settings_to_vary(given: str = "") -> Sequence[str]:
+    """Return the completions of `--set` and `--over`.
+
+    Args:
+        given: the setting with the values before the one to complete, such as "controller=lqr,".
+    """
+    return paths()[resolved(given.partition("=")[0])].bounds.choices if given else [f"{path}=" for path in paths()]
 
 
 class RunOptions(dict[str, Any]):

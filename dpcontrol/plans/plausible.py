@@ -106,7 +106,7 @@ def rig_oddities(limits: Limits, loop: LoopSettings, *, arms: int, zeros: Sequen
         )
     for number, blow in enumerate(loop.disturbances.explicit, start=1):
         if blow.arm >= arms:
-            raise InputError(f"[blows {number}] arm = {blow.arm}: must be 0 to {arms - 1}, 0 for the inner arm")
+            raise InputError(f"[[run.blows]] {number}, arm = {blow.arm}: must be 0 to {arms - 1}, 0 for the inner arm")
     for name in ("play", "known_play", "stiction"):
         try:
             loop.mechanics.of_each(name, arms)

@@ -151,12 +151,14 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     parts = match.groupdict()
     source = parts["source"]
     target = parts.get("target") or source
-    for saddle in (source, target):
-        if _NUMBERED.sub(r"\1", saddle) not in saddles:
-            same = {one.casefold(): one for one in saddles}.get(saddle.casefold())
-            if same is not None:
-                raise InputError(f"{text!r}: the case of letters matters; write {text.replace(saddle, same)!r}")
+    unknown = [one for one in (source, target) if _NUMBERED.sub(r"\1", one) not in saddles]
+    spelt, meant = {one.casefold(): one for one in saddles}, text
+    for saddle in unknown:
+        if saddle.casefold() not in spelt:
             raise InputError(f"{text!r}: {saddle!r} has no tubes; choose from {', '.join(saddles)}")
+        meant = meant.replace(saddle, spelt[saddle.casefold()])
+    if unknown:
+        raise InputError(f"{text!r}: the case of letters matters; write {meant!r}")
     sense = {"+": 1, "-": -1, None: None}[parts.get("sense")]
     if not named and source == target and sense is None:
         raise InputError(f'{text!r} has no direction of rotation; write "{source} +" or "{source} -"')

@@ -38,13 +38,23 @@ def offered(line: str) -> list[str]:
         ("dpcontrol campaign outer-turn --estimator ", set(ESTIMATORS)),
         ("dpcontrol run outer-turn --on-fall re", {"resume", "restart"}),
         ("dpcontrol commission outer-turn --fault ", set(FAULTS)),
-        ("dpcontrol orbit lab --saddle up", {"up-down", "up-up"}),
+        ("dpcontrol orbit lab --saddle up", {"up-down"}),
         ("dpcontrol connect three-body --from ", {"L1", "L2", "L3"}),
-        ("dpcontrol orbit triple --saddle down-up", {"down-up-down", "down-up-up"}),
+        ("dpcontrol orbit triple --saddle down-up", {"down-up-down"}),
+        ("dpcontrol prove orbit triple --saddle down-down", {"down-down-up"}),
+        ("dpcontrol connect lab --from down", {"down-up"}),
+        ("dpcontrol connect lab --section a", {"aligned"}),
+        ("dpcontrol connect three-body --section ", {"opposite", "between"}),
+        ("dpcontrol run outer-turn --rig u", {"udp"}),
+        ("dpcontrol run outer-turn --rig ./my", {""}),
         ("dpcontrol import x.csv --mapping multi-arm-raw-s", {"multi-arm-raw-single"}),
         ("dpcontrol import x.csv --repair ", set(REPAIRS)),
-        ("dpcontrol walk lab --through down", {"down-down", "down-up"}),
+        ("dpcontrol import x.csv --repair nan,g", {"nan,gaps"}),
+        ("dpcontrol walk lab --through down", {"down-up"}),
         ("dpcontrol campaign outer-turn --over mism", {"mismatch="}),
+        ("dpcontrol campaign outer-turn --over controller=o", {"controller=ogy", "controller=ogy-classic"}),
+        ("dpcontrol campaign outer-turn --over controller=lqr,a", {"controller=lqr,adaptive"}),
+        ("dpcontrol campaign outer-turn --over nosuch=", set()),
         ("dpcontrol figures col", {"colour-wheels", "colour-wheels-up-down"}),
         ("dpcontrol bench propa", {"propagation"}),
         ("dpcontrol he", {"help"}),
@@ -55,6 +65,11 @@ def offered(line: str) -> list[str]:
 )
 def test_values_are_completed(line: str, wanted: set[str]) -> None:
     assert set(offered(line)) == wanted
+
+
+def test_symbols_of_a_walk_are_completed() -> None:
+    found = ShellComplete(cli, {}, "dpcontrol", VARIABLE).get_completions(["walk", "lab", "-s"], "down-up")
+    assert [item.value for item in found] == ["down-up +", "down-up -", "down-up > up-down"]
 
 
 @pytest.mark.parametrize("shell", list(PREFIX))
@@ -127,7 +142,13 @@ def test_help_verb_equals_verb_help(verb: str) -> None:
 
 
 def test_help_alone_shows_the_help_of_the_program() -> None:
-    assert dpcontrol("help").stdout == dpcontrol("--help").stdout
+    for call in (("help",), ("help", "help"), ("help", "--help")):
+        assert dpcontrol(*call).stdout == dpcontrol("--help").stdout
+
+
+def test_help_refuses_a_second_verb_and_names_verbs_in_capitals() -> None:
+    assert "help shows one verb; remove 'plan run'" in dpcontrol("help", "orbit", "plan", "run").message
+    assert "did you mean 'orbit'?" in dpcontrol("help", "ORBIT").message
 
 
 @pytest.mark.parametrize(

@@ -31,17 +31,38 @@ import os, signal, sys, time
 from dpcontrol.__main__ import main
 from dpcontrol.cli import main as program
 def works(*_, **__):
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(60)
+    os.kill(os.getpid(), {number})
+    time.sleep({seconds})
 program.cli.main = works
 main()
 """
 
 
-def test_sigterm_ends_a_command_with_a_sentence() -> None:
-    done = subprocess.run([sys.executable, "-c", ENDED], capture_output=True, text=True, check=False, timeout=50)
-    assert done.returncode == 128 + signal.SIGTERM
-    assert done.stderr == "dpcontrol: ended by SIGTERM; finished results are kept\n"
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="SIGHUP is POSIX's")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_signal_ends_a_command_with_a_sentence(name: str) -> None:
+    number = signal.Signals[name]
+    code = ENDED.format(number=int(number), seconds=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=50)
+    assert done.returncode == 128 + number
+    assert done.stderr == f"dpcontrol: ended by {name}; finished results are kept\n"
+
+
+@pytest.mark.skipif(shutil.which("nohup") is None, reason="nohup is POSIX's")
+def test_a_command_under_nohup_survives_the_end_of_its_terminal() -> None:
+    command = ["nohup", sys.executable, "-c", ENDED.format(number=1, seconds=0)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=50)
+    assert (done.returncode, "ended" in done.stderr) == (0, False)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="/dev/full is Linux's")
+def test_full_streams_are_named_and_keep_the_exit_code() -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([PROGRAM, "cache"], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        assert (done.returncode, done.stderr) == (
+            1, "dpcontrol: no space left on standard output; free space, or redirect it elsewhere\n",
+        )  # fmt: skip
+        assert subprocess.run([PROGRAM, "model", "nosuch"], stderr=full, check=False).returncode == 2
 
 
 @pytest.mark.slow
@@ -60,7 +81,7 @@ def test_a_command_without_stderr_does_its_work(tmp_path: Path, streams: str) ->
 @pytest.mark.parametrize(
     ("blow", "said"),
     [
-        ("arm = 1\nimpulse = 0.01", "[blows 1] the key 'time' is missing"),
+        ("arm = 1\nimpulse = 0.01", "[[run.blows]] 1, the key 'time' is missing"),
         ("tiem = 1.0", "is 'tiem' a misspelling of it?"),
     ],
 )
@@ -73,11 +94,18 @@ def test_a_blow_without_a_time_gives_one_sentence(tmp_path: Path, blow: str, sai
 
 
 @pytest.mark.parametrize(
-    ("text", "meant"), [("Down-Up +", "down-up +"), ("DOWN-UP > up-down", "down-up > up-down"), ("l1 -", "L1 -")]
-)
+    ("text", "meant"),
+    [
+        ("Down-Up +", "down-up +"), ("DOWN-UP > up-down", "down-up > up-down"), ("l1 -", "L1 -"),
+        ("DOWN-UP > Up-down -", "down-up > up-down -"), ("Down-Up > DOWN-UP +", "down-up > down-up +"),
+    ],
+)  # fmt: skip
 def test_symbols_in_other_letters_are_named_as_they_should_be_written(text: str, meant: str) -> None:
     with pytest.raises(InputError, match=f"the case of letters matters; write '{meant}'".replace("+", r"\+")):
         parse_symbol(text, ["down-up", "up-down", "L1"])
+    assert parse_symbol(meant, ["down-up", "up-down", "L1"]).text == meant
+    with pytest.raises(InputError, match="'Up-dwn' has no tubes"):
+        parse_symbol("DOWN-UP > Up-dwn", ["down-up", "up-down"])
 
 
 def test_names_in_capitals_are_recognised() -> None:

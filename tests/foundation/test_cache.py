@@ -1,6 +1,7 @@
 """The cache returns only what was stored, and its failures are never fatal."""
 
 import errno
+import io
 import os
 import re
 import subprocess
@@ -12,7 +13,7 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.foundation import cache as store
-from dpcontrol.foundation.cache import KINDS, cache_contents, cache_file, keep, kept
+from dpcontrol.foundation.cache import KINDS, cache_contents, cache_file, compiler_folder, keep, kept
 from dpcontrol.foundation.errors import Remark
 
 KEY = "0123456789abcdef"
@@ -159,6 +160,39 @@ def test_a_tilde_in_the_variable_is_the_home_folder(tmp_path: Path, monkeypatch:
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("DPCONTROL_CACHE", "~/kept")
     assert cache_file("plans", "turn", KEY).parent == tmp_path / "kept" / "plans"
+
+
+def test_a_home_folder_of_nobody_counts_as_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DPCONTROL_CACHE", "~nobody-here/kept")
+    with pytest.warns(Remark, match="there is no home folder '~nobody-here'"):
+        keep(cache_file("plans", "turn", KEY), b"content")
+    with pytest.warns(Remark, match="there is no home folder '~nobody-here'"):
+        assert compiler_folder() is None
+    assert "there is no home folder '~nobody-here'" in dpcontrol("cache").message
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_in_place_of_a_folder_of_the_cache_is_named(root: Path) -> None:
+    root.mkdir()
+    for kind in ("plans", COMPILER):
+        (root / kind).write_text("in the way")
+    with pytest.warns(Remark, match=f"{root}/plans is a file instead of a folder of the cache.*; remove it"):
+        keep(cache_file("plans", "turn", KEY), b"content")
+    with pytest.warns(Remark, match=f"{root}/{COMPILER} is a file instead of a folder of the cache.*; remove it"):
+        assert compiler_folder() is None
+
+
+def test_a_full_disk_of_heyokas_cache_gives_a_remark(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """heyoka itself is silent when its database cannot grow."""
+
+    class Full(io.BytesIO):
+        def write(self, data: object) -> int:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(store, "TemporaryFile", lambda **_: Full())
+    with pytest.warns(Remark, match=f"{os.strerror(errno.ENOSPC)}.*free some space"):
+        assert compiler_folder() is None
 
 
 COMPILES = "from dpcontrol.dynamics.compiled import hy; x = hy.make_vars('x'); hy.cfunc([x * x], [x]); print('{}')"

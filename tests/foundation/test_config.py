@@ -78,3 +78,38 @@ def test_a_folder_does_not_take_the_name_of_a_log() -> None:
     Path("still.toml").write_text(STILL)
     Path("logs/still-0.mcap").mkdir(parents=True)
     assert dpcontrol("run", "still.toml").stdout.splitlines()[0] == "logs/still-0.2.mcap"
+
+
+@pytest.mark.parametrize(
+    ("name", "folder", "reason"),
+    [
+        ("HOME", f"/tmp/{'x' * 300}", "File name too long"),
+        ("XDG_CONFIG_HOME", f"/tmp/{'x' * 300}", "File name too long"),
+        ("XDG_CONFIG_HOME", "~nobody-here/config", "there is no home folder '~nobody-here'"),
+    ],
+)
+def test_a_file_that_cannot_be_looked_at_counts_as_none_with_one_remark(
+    monkeypatch: pytest.MonkeyPatch, name: str, folder: str, reason: str
+) -> None:
+    monkeypatch.delenv("XDG_CONFIG_HOME")
+    monkeypatch.setenv(name, folder)
+    ended = dpcontrol("config")
+    assert ended.code == 0
+    assert "(not found)" in ended.stdout
+    assert ended.stderr.count("\n") == 1
+    assert f"({reason}), so built-in defaults apply; set XDG_CONFIG_HOME" in ended.stderr
+    assert dpcontrol("help", "plan").stdout.startswith("Usage: dpcontrol plan")
+
+
+def test_a_tilde_in_the_folder_of_logs_is_the_home_folder_for_every_verb(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/someone")
+    monkeypatch.setenv("DPCONTROL_LOGS", "~/runs")
+    assert log_folder() == Path("/home/someone/runs")
+    assert "[default: /home/someone/runs]" in " ".join(dpcontrol("demo", "--help").stdout.split())
+
+
+def test_a_home_folder_of_nobody_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DPCONTROL_LOGS", "~nobody-here/runs")
+    ended = dpcontrol("model", "lab")
+    assert ended.code == 2
+    assert "logs = '~nobody-here/runs': there is no home folder '~nobody-here'; set DPCONTROL_LOGS" in ended.message

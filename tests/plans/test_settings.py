@@ -243,6 +243,14 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("wrong choice", f"{TURN}[reference]\nsolver = 'ipot'\n", "[reference] solver = 'ipot': did you mean 'ipopt'?"),
     ("wrong kind", f"{TURN}[estimator]\nkind = 'efk'\n", "[estimator] kind = 'efk': did you mean 'ekf'?"),
     ("another kind's key", f"{TURN}[controller]\nkind = 'lqr'\ntrust = 1\n", "[controller] the key 'trust' is unknown"),
+    ("table within [run]", f"{TURN}[run.sensors]\ncounts = 3\n", "[run.sensors] counts = 3: write this key in [run]"),
+    ("table instead of [run]", f"{TURN}[drive]\nlag = 0.1\n", "[drive] lag = 0.1: write this key in [run]"),
+    (
+        "table beside [run]",
+        f"{TURN}[run.supervisor]\non_fall = 'stop'\n",
+        "[run.supervisor] on_fall = 'stop': write this key in [supervisor]",
+    ),
+    ("unknown key of a hold", 'start = "hold"\nhold = "down-up"\nsensor = 1\n', "the key 'sensor' is unknown"),
     ("any key of no feedback", f"{TURN}[controller]\nkind = 'feedforward'\nrate = 1\n", "the key 'rate' is unknown"),
     ("text in a list", f"{TURN}[run]\nplay = [0.1, 'x']\n", "[run] play holds 'x': must be"),
     ("value for a table", f"run = 3\n{TURN}", "run = 3: must be a table, [run]"),
@@ -253,7 +261,7 @@ MISTAKES: list[tuple[str, str, str]] = [
         "wraps = [1]: a walk of 1 symbol has 0",
     ),
     ("energy below the saddle", 'energy = -9\nwalk = ["down-up +"]\n', "energy = -9.0 J: down-up has Lyapunov orbits"),
-    ("error of a blow", f"{TURN}[[run.blows]]\ntime = -1\n", "[blows 1] time = -1.0: must be zero or positive"),
+    ("error of a blow", f"{TURN}[[run.blows]]\ntime = -1\n", "[[run.blows]] 1, time = -1.0: must be zero or positive"),
 ]
 
 
@@ -290,7 +298,7 @@ def test_lists_are_varied_if_they_are_in_brackets() -> None:
 
 def test_a_blow_on_an_arm_that_does_not_exist_is_refused_with_its_table() -> None:
     blow = f"{TURN}[[run.blows]]\ntime = 0.1\n[[run.blows]]\ntime = 0.1\narm = 2\n"
-    with pytest.raises(InputError, match=r"scene.toml: \[blows 2\] arm = 2: must be 0 to 1"):
+    with pytest.raises(InputError, match=r"scene.toml: \[\[run.blows\]\] 2, arm = 2: must be 0 to 1"):
         itinerary_from(blow, "scene", load_model("lab")).remark_on_rig()
 
 
