@@ -134,6 +134,42 @@ def test_a_recovered_log_takes_no_other_logs_place(folder: Path) -> None:
     assert (folder / "whole.mcap").read_bytes() != content
 
 
+@pytest.mark.parametrize(
+    ("line", "link"),
+    [
+        (f"review {LOG} --save o.rrd", "o.rrd"),
+        (f"report {LOG} --picture o.png", "o.png"),
+        (f"plan {STILL} --out a.npz", "a.npz"),
+        (f"run {STILL} --out o.mcap --force", "o.mcap"),
+    ],
+)
+@pytest.mark.parametrize("hard", [False, True])
+def test_no_verb_replaces_its_input_through_a_link(line: str, link: str, hard: bool) -> None:
+    written(LOG)
+    read = Path(line.split()[1])
+    content = read.read_bytes()
+    Path(link).hardlink_to(read) if hard else Path(link).symlink_to(read)
+    ended = dpcontrol(*line.split())
+    assert ended.code == 2, ended.stdout
+    assert ended.message.endswith(f"{link}: that is the input {read}; choose another name")
+    assert read.read_bytes() == content
+
+
+@pytest.mark.parametrize("line", [f"plan {STILL} --out link.npz", f"run {STILL} --out link.mcap --force"])
+def test_a_link_to_a_file_of_another_kind_is_not_followed(line: str) -> None:
+    Path("notes.txt").write_text("mine")
+    link = Path(line.split()[3])
+    link.symlink_to("notes.txt")
+    ended = dpcontrol(*line.split())
+    assert ended.code == 2, ended.stdout
+    assert f"cannot write {link}: it is a link to {Path('notes.txt').resolve()}; " in ended.message
+    assert Path("notes.txt").read_text() == "mine"
+    link.unlink()
+    link.symlink_to(f"own{link.suffix}")
+    assert dpcontrol(*line.split()).code == 0
+    assert Path(f"own{link.suffix}").is_file()
+
+
 def named(line: str) -> str:
     """Return the file or folder that a command wrote, as it printed it."""
     ended = dpcontrol(*line.split(), "--json")
