@@ -52,7 +52,7 @@ def prove_command(
     name: tuple[str, ...] = option(
         group=STATEMENT, help="For connection: name from the list of `dpcontrol connect`. [default: all]"
     ),
-    hits: tuple[int, int] = hits_option("1", group=STATEMENT),
+    hits: tuple[int, int] | None = hits_option("1", group=STATEMENT),
     bits: int = option(type=click.IntRange(64, 1024), default=128, group=ENCLOSURES, help="Working precision, bits."),
     radius: float = option(
         type=click.FloatRange(1e-20, 1e-3),

@@ -270,7 +270,9 @@ def option(*names: str, help: str, default: Any = None, **settings: Any) -> Any:
         default: default value.
         settings: `group` of the help, and further arguments of `Option`.
     """
-    return _Declared(Option, names, {"help": help, "default": default, **settings})
+    # click counts an option with a default as given, even if the default is None.
+    given = {} if default is None else {"default": default}
+    return _Declared(Option, names, {"help": help, **given, **settings})
 
 
 FILE, FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(file_okay=False, path_type=Path)
