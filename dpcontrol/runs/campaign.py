@@ -65,7 +65,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.checked import is_list
 from dpcontrol.foundation.document import Documented, document_of
 from dpcontrol.foundation.errors import InputError, Remark
-from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file, write_whole
+from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, write_whole
 from dpcontrol.foundation.parts import Later, part
 from dpcontrol.foundation.processes import in_processes, on_cluster, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
@@ -286,9 +286,10 @@ def _write(path: Path, table: "pa.Table") -> None:
         InputError: the file cannot be written.
     """
     sealed = table.replace_schema_metadata({**(table.schema.metadata or {}), **SEAL})
-    with whole_file(path, suffix=".parquet") as temporary:
-        pq.write_table(sealed, temporary, compression="zstd")
-        temporary.write_bytes(sealed_table(temporary.read_bytes()))
+    # A name such as s3:table.parquet would be an address for pyarrow.
+    data = io.BytesIO()
+    pq.write_table(sealed, data, compression="zstd")
+    write_whole(path, sealed_table(data.getvalue()))
 
 
 def _read(path: Path) -> "pa.Table | None":
@@ -297,8 +298,9 @@ def _read(path: Path) -> "pa.Table | None":
     The result is None if the file is absent, damaged or of another kind.
     """
     try:
-        check_seal(path.read_bytes())
-        table = pq.read_table(path)
+        data = path.read_bytes()
+        check_seal(data)
+        table = pq.read_table(io.BytesIO(data))
     except (pa.ArrowException, OSError, ValueError):
         return None
     return table if set(COLUMNS) <= set(table.column_names) else None

@@ -2,6 +2,8 @@
 free names.
 """
 
+import os
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -203,6 +205,18 @@ def test_a_campaign_with_other_settings_gets_a_table_of_the_next_name() -> None:
     assert [named(f"{line} {k}") for k in ("1", "2", "1", "2 --mismatch 0.07")] == [
         "logs/still.parquet", "logs/still.parquet", "logs/still.2.parquet", "logs/still.3.parquet",
     ]  # fmt: skip
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="names of macOS are UTF-8")
+def test_a_campaign_runs_in_a_folder_of_any_name_and_its_table_is_never_an_address(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (folder := Path(os.fsdecode(b"a\xff"))).mkdir()
+    monkeypatch.chdir(folder)
+    for table in ("logs/still.parquet", "s3:folder/still.parquet"):
+        line = f"campaign ../{STILL} --workers 1 --runs 1" + f" --out {table}" * table.startswith("s3:")
+        assert [named(line), named(line)] == [table, table]
+        assert dpcontrol("report", table).code == 0
 
 
 def test_an_interrupted_campaign_continues_its_own_table(monkeypatch: pytest.MonkeyPatch) -> None:
