@@ -210,7 +210,9 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         for text in given:
             if printable(text) != text or "\n" in text:
-                raise InputError(f"{text}: must be one line of UTF-8 without control characters; rename it or use another name")
+                raise InputError(
+                    f"{text}: must be one line of UTF-8 without control characters; rename it or use another name"
+                )
         with interrupts():
             cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
         code = 0

@@ -77,16 +77,13 @@ def prove_command(
     The answer is "proved", or "not proved" with the enclosure that does not close. The latter is not a disproof.
     Separate code checks certificates.
     """
-    from dpcontrol.foundation.files import checked_target
     from dpcontrol.foundation.parts import part
 
     part("flint")
     from dpcontrol.proofs.prove import ProofSettings
 
-    if out is not None:
-        if what not in ("orbit", "walk"):
-            raise InputError(f"--out {out}: only orbits and walks have certificates; omit it")
-        checked_target(out)
+    if out is not None and what not in ("orbit", "walk"):
+        raise InputError(f"--out {out}: only orbits and walks have certificates; omit it")
     if what == "check":
         return _check(Path(model))
     if energy is None:

@@ -65,7 +65,16 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.checked import is_list
 from dpcontrol.foundation.document import Documented, document_of
 from dpcontrol.foundation.errors import InputError, Remark
-from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, write_whole
+from dpcontrol.foundation.files import (
+    SEAL,
+    check_seal,
+    checked_folder,
+    checked_target,
+    content_hash,
+    in_the_way,
+    sealed_table,
+    write_whole,
+)
 from dpcontrol.foundation.parts import Later, part
 from dpcontrol.foundation.processes import in_processes, on_cluster, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
@@ -646,6 +655,9 @@ def run_campaign(
         GoalMissed: the plan did not converge, or workers died repeatedly.
     """
     part("pyarrow")
+    if file is not None:
+        checked_target(file)
+        checked_folder(parts_of(file))
     began = time.perf_counter()
     itinerary = plan.itinerary
     plans = transitions_of(plan) if transitions else (plan.followed(),)

@@ -219,6 +219,43 @@ def test_a_campaign_runs_in_a_folder_of_any_name_and_its_table_is_never_an_addre
         assert dpcontrol("report", table).code == 0
 
 
+@pytest.mark.parametrize(
+    ("line", "naming"),
+    [
+        ("campaign still.toml --out pipe.parquet --force", "pipe.parquet: it is not a regular file"),
+        ("campaign still.toml --out loop.parquet", "loop.parquet: it is a link that leads to itself"),
+        ("campaign still.toml --out full.parquet", "full.parquet.parts: it is not a folder"),
+        ("campaign still.toml --out /proc/x.parquet", "/proc/x.parquet: No such file or directory"),
+        ("export still.toml --out full.parquet.parts", "full.parquet.parts: it is not a folder"),
+        ("export still.toml --out /proc/x", "/proc/x: No such file or directory"),
+        ("figures graph --out /dev/null", "/dev/null: it is not a folder"),
+        ("bench propagation --out /proc/x", "/proc/x: No such file or directory"),
+        ("demo --folder /dev/null", "/dev/null: it is not a folder"),
+        ("walk lab --energy -0.07 --length 2 --solve --out /dev/null", "/dev/null: it is not a folder"),
+        ("run still.toml", "logs/still-0.mcap: it is not a regular file"),
+    ],
+)
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="/proc is Linux's")
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(
+    line: str, naming: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo("pipe.parquet")
+    os.mkfifo(LOG)
+    Path("loop.parquet").symlink_to("loop.parquet")
+    Path("full.parquet.parts").touch()
+    before = sorted(Path().rglob("*"))
+    for work in (
+        "runs.campaign.run_locally", "runs.run._exported", "api.draw_figures", "bench.run.draw_charts", "api.plan",
+        "plans.model.load_model", "runs.run.run_plan",
+    ):  # fmt: skip
+        monkeypatch.setattr(f"dpcontrol.{work}", None)
+    ended = dpcontrol(*line.split())
+    assert ended.code == 2, ended.stderr
+    assert f"cannot write {naming}; choose another " in ended.message
+    assert ended.message.endswith((" file or folder", " file name", " folder"))
+    assert sorted(Path().rglob("*")) == before
+
+
 def test_an_interrupted_campaign_continues_its_own_table(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[dict[str, object]]]]:
         yield jobs[0], run_job(jobs[0])
