@@ -195,15 +195,20 @@ def run_job(job: Job) -> list[Row]:
         return _rows(job)
 
 
-def _rows(job: Job) -> list[Row]:
-    arms, loop = job.arms, job.case.loop
+def _assembled(job: Job) -> Assembly:
+    """Return the parts of a job's runs."""
+    loop = job.case.loop
     # By the inputs of a controller: cases that differ only in the bench share one.
     decisive = LoopSettings(
         seed=0, rate=loop.rate, drive_lag=loop.known_lag, keep=loop.keep, controller=loop.controller,
         estimator=loop.estimator,
         supervisor=loop.supervisor,
     )  # fmt: skip
-    assembly = replace(_prepared(job.reference, arms, decisive).under(loop), uncertainty=job.uncertainty)
+    return replace(_prepared(job.reference, job.arms, decisive).under(loop), uncertainty=job.uncertainty)
+
+
+def _rows(job: Job) -> list[Row]:
+    loop, assembly = job.case.loop, _assembled(job)
     reference = assembly.reference
     mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
 
@@ -679,6 +684,10 @@ def run_campaign(
     if parts is not None:
         kept = {job.key: rows for job in jobs if (rows := _kept(parts / f"{job.key}.parquet", extra)) is not None}
     if left := [job for job in jobs if job.key not in kept]:
+        laws = {job.case.loop.controller.kind: job for job in reversed(left)}
+        # If one of several laws does not fit the plan, no run begins.
+        for job in laws.values() if len(laws) > 1 else ():
+            _assembled(job)
         local = not settings.scheduler
         # Objects of a script or a notebook cannot be sent to other processes.
         workers = 1 if any(case.loop.own for case in cases) else settings.workers or processors()

@@ -219,6 +219,13 @@ def test_a_campaign_runs_in_a_folder_of_any_name_and_its_table_is_never_an_addre
         assert dpcontrol("report", table).code == 0
 
 
+def test_a_law_that_does_not_fit_the_plan_is_refused_before_the_runs_of_others() -> None:
+    ended = dpcontrol("campaign", STILL, "--runs", "1", "--workers", "1", "--over", "controller=lqr,ogy")
+    assert ended.code == 2
+    assert 'kind = "ogy" keeps an orbit' in ended.message
+    assert not list(Path("logs").iterdir())
+
+
 @pytest.mark.parametrize(
     ("line", "naming"),
     [
