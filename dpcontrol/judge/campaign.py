@@ -217,6 +217,9 @@ def _columns(path: Path) -> dict[str, list[Any]]:
         check_seal(data)
         file = part("pyarrow.parquet").ParquetFile(BytesIO(data))
         checked_size(8.0 * file.metadata.num_rows * file.metadata.num_columns)
+        for column in file.schema_arrow:
+            if arrow.types.is_nested(column.type):
+                raise ValueError(f"the column {column.name!r} holds {column.type} instead of numbers or text")
         return file.read().to_pydict()
     except (arrow.ArrowException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
