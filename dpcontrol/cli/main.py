@@ -24,7 +24,7 @@ from click.shell_completion import CompletionItem
 
 import dpcontrol
 from dpcontrol.cli.verbs import Call, print_json, print_message
-from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark
+from dpcontrol.foundation.errors import GoalMissed, InputError, InputErrors, PartMissing, Remark, printable
 from dpcontrol.foundation.interrupts import ended_by, interrupts
 
 GROUPS = {
@@ -213,8 +213,11 @@ def main(arguments: list[str] | None = None) -> None:
         logging.getLogger("dpcontrol").setLevel(logging.DEBUG)
     call = Call(debug=debug)
     try:
-        if any("\0" in text for text in given):
-            raise InputError("an argument contains a NUL character; remove it")
+        for text in given:
+            if printable(text) != text or "\n" in text:
+                raise InputError(
+                    f"{text}: must be one line of UTF-8 without control characters; rename it or use another name"
+                )
         with interrupts():
             cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
         code = 0

@@ -52,7 +52,7 @@ def prove_command(
     name: tuple[str, ...] = option(
         group=STATEMENT, help="For connection: name from the list of `dpcontrol connect`. [default: all]"
     ),
-    hits: tuple[int, int] = hits_option("1", group=STATEMENT),
+    hits: tuple[int, int] | None = hits_option("1", group=STATEMENT),
     bits: int = option(type=click.IntRange(64, 1024), default=128, group=ENCLOSURES, help="Working precision, bits."),
     radius: float = option(
         type=click.FloatRange(1e-20, 1e-3),
@@ -77,16 +77,13 @@ def prove_command(
     The answer is "proved", or "not proved" with the enclosure that does not close. The latter is not a disproof.
     Separate code checks certificates.
     """
-    from dpcontrol.foundation.files import checked_target
     from dpcontrol.foundation.parts import part
 
     part("flint")
     from dpcontrol.proofs.prove import ProofSettings
 
-    if out is not None:
-        if what not in ("orbit", "walk"):
-            raise InputError(f"--out {out}: only orbits and walks have certificates; omit it")
-        checked_target(out)
+    if out is not None and what not in ("orbit", "walk"):
+        raise InputError(f"--out {out}: only orbits and walks have certificates; omit it")
     if what == "check":
         return _check(Path(model))
     if energy is None:

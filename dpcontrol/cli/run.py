@@ -368,6 +368,7 @@ def export_command(
         raise click.UsageError(f"--out {out}: a co-simulation unit needs a name that ends in .fmu")
     if unit and clock is not None:
         raise click.UsageError("--clock applies to C for a target: omit it with --fmu")
+    claim(out, folder=not unit)
     scene = load_itinerary(itinerary).with_run(settings)
     check_exportable(scene)
     with progress_bar("export") as progress:
@@ -707,7 +708,7 @@ def preflight_command(
     settings = PreflightSettings(runs=runs, first_seed=seed_from, workers=workers)
     scene.with_run(fixed)
     named = log_folder() / f"{scene.name}-preflight.pdf"
-    page = claim_free(named, checked_target) if picture is None else checked_target(claim(picture))
+    page = claim_free(named, checked_target) if picture is None else claim(picture)
     with progress_bar("preflight") as progress:
         plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
         found = preflight(plan, fixed, settings=settings, progress=part_of(progress, 0.05, 1.0), yes=yes)

@@ -46,19 +46,21 @@ class Call:
     files: set[Path] = field(default_factory=set)
 
 
-def claim(file: Path) -> Path:
+def claim(file: Path, *, folder: bool = False) -> Path:
     """Prevent other commands from writing a file until the end.
 
     The lock ends with this command. The file is returned.
 
     Args:
         file: file to write.
+        folder: True for a folder, default False.
 
     Raises:
-        InputError: another command is writing it.
+        InputError: another command is writing it, or it cannot be written.
     """
-    from dpcontrol.foundation.files import claimed
+    from dpcontrol.foundation.files import checked_folder, checked_target, claimed
 
+    (checked_folder if folder else checked_target)(file)
     context = click.get_current_context()
     files, place = context.ensure_object(Call).files, Path(os.path.realpath(file))
     if place not in files:
@@ -270,7 +272,9 @@ def option(*names: str, help: str, default: Any = None, **settings: Any) -> Any:
         default: default value.
         settings: `group` of the help, and further arguments of `Option`.
     """
-    return _Declared(Option, names, {"help": help, "default": default, **settings})
+    # click counts an option with a default as given, even if the default is None.
+    given = {} if default is None else {"default": default}
+    return _Declared(Option, names, {"help": help, **given, **settings})
 
 
 FILE, FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(file_okay=False, path_type=Path)
@@ -357,9 +361,7 @@ def verb(
                     value = given.get(str(param.name))
                     param.check(value)
                     if param.group == OUTPUT and isinstance(value, Path):
-                        _check_inputs(param.opts[0], value, params, given)
-                        if param.type is not FOLDER:
-                            claim(value)
+                        _check_output(param, value, params, given)
             for name, group in groups.items():
                 given[name] = group.make(**{str(one.name): given.pop(str(one.name)) for one in group.options})
             with call.aside:
@@ -376,19 +378,23 @@ def verb(
     return decorate
 
 
-def _check_inputs(option: str, out: Path, params: Iterable[click.Parameter], given: Mapping[str, Any]) -> None:
-    """Reject a file to write that the same call reads.
+def _check_output(option: Option, out: Path, params: Iterable[click.Parameter], given: Mapping[str, Any]) -> None:
+    """Claim a file to write, or check a folder.
 
     Raises:
-        InputError: names the option and the file that is read.
+        InputError: it cannot be written, or the same call reads it.
     """
-    from dpcontrol.foundation.files import checked_other_file
+    from dpcontrol.foundation.files import checked_folder, checked_other_file
 
     for param in params:
         value = None if getattr(param, "group", "") == OUTPUT else given.get(str(param.name))
         for one in value if isinstance(value, tuple) else (value,):
             if isinstance(one, str | Path) and os.path.isfile(one):
-                checked_other_file(out, one, what=f"the input {one}", option=option)
+                checked_other_file(out, one, what=f"the input {one}", option=option.opts[0])
+    if option.type is FILE:
+        claim(out)
+    elif option.type is FOLDER:
+        checked_folder(out)
 
 
 def show(answer: Answer) -> None:

@@ -92,12 +92,14 @@ def remark(text: str) -> None:
         warnings.warn(text, Remark, stacklevel=2)
 
 
-_CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
-"""Control characters except tab and newline, and characters that reorder a line."""
+_CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Control characters except tab and newline, characters that reorder a line, and surrogates."""
 
 
 def printable(text: str, *, json: bool = False) -> str:
     """Return text with control characters escaped, as in \\x1b.
+
+    Bytes that are not UTF-8, which names of files can have, are escaped too.
 
     Args:
         text: text from any source.
@@ -105,6 +107,10 @@ def printable(text: str, *, json: bool = False) -> str:
     """
 
     def written_out(found: re.Match[str]) -> str:
-        return f"\\u{ord(found[0]):04x}" if json else found[0].encode("unicode_escape").decode()
+        code = ord(found[0])
+        if json:
+            return f"\\u{code:04x}"
+        # Python holds such a byte as a surrogate.
+        return chr(code - 0xDC00 if 0xDC80 <= code <= 0xDCFF else code).encode("unicode_escape").decode()
 
     return _CONTROLS.sub(written_out, text)

@@ -26,11 +26,12 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO, Any, TypeVar
-
-import numpy as np
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 from dpcontrol.foundation.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 T = TypeVar("T")
 
@@ -49,8 +50,8 @@ def checked_target(path: Path) -> Path:
         path: file to write, which may be missing.
 
     Raises:
-        InputError: `path` is not a regular file, is a link to itself or to a file with another suffix, or its folder is
-            not accessible.
+        InputError: `path` is not a regular file, is a link to itself or to a file with another suffix, or its folder
+            cannot be made or written to.
     """
     try:
         place = Path(os.path.realpath(path)) if path.is_symlink() else path
@@ -64,7 +65,32 @@ def checked_target(path: Path) -> Path:
     if wrong:
         what = "a folder" if place.is_dir() else "not a regular file"
         raise InputError(f"cannot write {path}: it is {what}; choose another file name")
+    checked_folder(place.parent, path)
     return place
+
+
+def checked_folder(folder: Path, path: Path | None = None) -> None:
+    """Reject a folder that cannot be made or written to.
+
+    Nothing is left in it.
+
+    Args:
+        folder: folder, which may be missing.
+        path: file to write in it, for the message; the folder by default.
+
+    Raises:
+        InputError: the folder is a file, or the system forbids it.
+    """
+    path = path or folder
+    try:
+        there = next(one for one in (folder, *folder.parents, Path()) if os.path.lexists(one))
+        if not there.is_dir():
+            what = "it" if there == path else there
+            raise InputError(f"cannot write {path}: {what} is not a folder; choose another folder")
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as error:
+        raise unwritable(path, error) from error
 
 
 @contextmanager
@@ -123,12 +149,13 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
         make: makes or checks the file of a name; raises `InTheWay` if another command made it.
 
     Raises:
-        InputError: see `make`, except `InTheWay`.
+        InputError: see `checked_target` and `make`, except `InTheWay`.
     """
     for number in itertools.count(1):
         place = path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
         if place.is_dir():
             continue
+        checked_target(place)
         with ExitStack() as stack:
             try:
                 stack.enter_context(claimed(place))
@@ -367,14 +394,13 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
         InputError: the folder is there and holds something else, or cannot be written.
     """
     path = Path(os.path.realpath(path)) if Path(path).is_symlink() else Path(path)
-    if path.exists() and not path.is_dir():
-        raise InputError(f"cannot write {path}: it is a file; choose another folder")
+    checked_folder(path)
     made = missing_folders(path.absolute().parent)
     try:
         there = path.is_dir() and any(path.iterdir())
         if there and not force:
-            places = {path / name: text for name, text in files.items()}
-            if all(file.is_file() and file.read_text(encoding="utf-8") == text for file, text in places.items()):
+            places = {path / name: text.encode() for name, text in files.items()}
+            if all(file.is_file() and file.read_bytes() == data for file, data in places.items()):
                 return
             raise in_the_way(path, "holds something else")
         beside = path if there else path.absolute().parent
@@ -383,14 +409,14 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
             whole = Path(name) / "whole"
             whole.mkdir()
             for file, text in files.items():
-                (whole / file).write_text(text, encoding="utf-8")
+                (whole / file).write_bytes(text.encode())
             if there:
                 for file in files:
                     (whole / file).replace(path / file)
             else:
                 whole.replace(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}; choose another") from error
+    except OSError as error:
+        raise unwritable(path, error) from error
     finally:
         remove_empty(made)
 
@@ -471,6 +497,9 @@ def write_archive(
     Raises:
         InputError: the file cannot be written, or the header is not plain JSON.
     """
+    # Verbs check their output before they import anything heavy.
+    import numpy as np
+
     try:
         text = json.dumps(header, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -507,12 +536,14 @@ _LARGEST = 1e100
 """Largest finite number of an archive; products of two such numbers are finite."""
 
 
-def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> "np.ndarray":
     """Return an array of an archive.
 
     Raises:
         ValueError: its unpacked size is too large, or its header contradicts its size.
     """
+    import numpy as np
+
     checked_size(info.file_size, info.filename)
     stream = BytesIO(packed.read(info))
     # This module only writes header version 1; later ones are for thousands of named fields.

@@ -10,6 +10,7 @@ distinguished by `case`. Other columns are ignored.
 import re
 from collections import Counter
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -212,9 +213,13 @@ def _columns(path: Path) -> dict[str, list[Any]]:
     if not checked_source(path).is_file():
         raise InputError(f"there is no campaign {path}")
     try:
-        check_seal(path.read_bytes())
-        file = part("pyarrow.parquet").ParquetFile(path)
+        data = path.read_bytes()
+        check_seal(data)
+        file = part("pyarrow.parquet").ParquetFile(BytesIO(data))
         checked_size(8.0 * file.metadata.num_rows * file.metadata.num_columns)
+        for column in file.schema_arrow:
+            if arrow.types.is_nested(column.type):
+                raise ValueError(f"the column {column.name!r} holds {column.type} instead of numbers or text")
         return file.read().to_pydict()
     except (arrow.ArrowException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0]

@@ -12,7 +12,7 @@ Symbols and wraps are decoded from the angles, see `dpcontrol.judge.decoding`.
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
 from dpcontrol.logs.layout import CONTROL, ESTIMATE, REFERENCE
 from dpcontrol.logs.rolling import NIGHT_METADATA
 from dpcontrol.loop.result import Ending, inside_95
-from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes
+from dpcontrol.references.reference import PlanNotes, Reference, holds_plan, load_reference, plan_notes
 
 Number = TypeVar("Number", int, float)
 
@@ -125,7 +125,8 @@ def plan_of(log: RunLog) -> Reference:
         reference = load_reference(io.BytesIO(data))
     except InputError as error:
         raise InputError(f"{place} is damaged; run the itinerary again") from error
-    if not _whole(reference, log):
+    fits = reference.states.shape[-1] == 2 * len(log.arm_lengths) + 2
+    if not (reference.converged and fits and holds_plan(reference)):
         raise InputError(f"{place} holds no plan; run the itinerary again")
     return reference
 
@@ -140,42 +141,6 @@ def lacking(log: RunLog) -> tuple[str, ...]:
         return ("plan",)
     needed = {REFERENCE: {"reference"}, CONTROL: {"control"}, ESTIMATE: {"estimate", "truth"}}
     return tuple(topic for topic, parts in needed.items() if not parts & log.parts)
-
-
-def _whole(reference: Reference, log: RunLog) -> bool:
-    """True if a reference has all notes of a plan.
-
-    The plan must be for the arms of this log.
-    """
-    notes: Any = dict(reference.notes)
-    n = len(log.arm_lengths)
-    try:
-        stops, symbols, orbits, saddles = (notes[key] for key in ("stops", "symbols", "orbits", "saddles"))
-        homes = {stop["saddle"] for stop in stops} <= set(saddles) and len(stops) == len(symbols) + 1 >= 1
-        angles = [entry["angles"] for entry in (*stops, *saddles.values())]
-        curves = [reference.extra[f"orbit_{k}"] for k in range(len(orbits))]
-        flown = [s for s in symbols if s["section"] is not None]
-        numbers = [s[key] for s in flown for key in ("time_in", "time_out", "phase_in", "phase_out")]
-        numbers += [s["time"] for s in symbols] + [t for pair in notes.get("transfers", []) for t in pair]
-        numbers += [s["section"]["value"] for s in flown] + [saddle["energy"] for saddle in saddles.values()]
-        known = {orbit["saddle"] for orbit in orbits} >= {stop["saddle"] for stop in stops}
-        texts = [notes["title"], notes["itinerary"], *(s["text"] for s in symbols)]
-        return bool(
-            reference.converged
-            and reference.states.shape[-1] == 2 * n + 2
-            and homes
-            and known
-            and all(len(a) == n for a in angles)
-            and all(c.ndim == 2 and c.shape[1] == 2 * n and len(c) > 1 for c in curves)
-            and all(0 <= stop.get("orbit", 0) < len(orbits) for stop in stops)
-            and all(o["period"] > 0 and np.isfinite(o["energy"]) for o in orbits)
-            and np.isfinite(np.array(numbers, dtype=float)).all()
-            and all(len(s["section"]["normal"]) == 2 * n for s in flown)
-            and len(notes["wraps"]) == max(len(symbols) - 1, 0)
-            and all(isinstance(text, str) for text in texts)
-        )
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError):
-        return False
 
 
 @dataclass(frozen=True, eq=False)

@@ -408,7 +408,9 @@ def _parquet_file(path: Path) -> Iterator[Any]:
     """Open a Parquet file; any fault becomes an OSError or a ValueError."""
     arrow = package("pyarrow")
     try:
-        yield package("pyarrow.parquet").ParquetFile(path)
+        # pyarrow takes a name such as s3:table.parquet for an address.
+        with path.open("rb") as stream:
+            yield package("pyarrow.parquet").ParquetFile(stream)
     except arrow.ArrowException as error:
         raise ValueError(_reason(error)) from error
 

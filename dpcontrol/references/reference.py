@@ -696,6 +696,41 @@ def transitions_in(notes: PlanNotes) -> list[tuple[int, int]]:
     return list(found.values())
 
 
+def holds_plan(reference: Reference) -> bool:
+    """True if a reference has all notes of a plan, and they agree.
+
+    Args:
+        reference: reference from a file.
+    """
+    notes: Any = dict(reference.notes)
+    n = reference.states.shape[-1] // 2 - 1
+    try:
+        stops, symbols, orbits, saddles = (notes[key] for key in ("stops", "symbols", "orbits", "saddles"))
+        homes = {stop["saddle"] for stop in stops} <= set(saddles) and len(stops) == len(symbols) + 1 >= 1
+        angles = [entry["angles"] for entry in (*stops, *saddles.values())]
+        curves = [reference.extra[f"orbit_{k}"] for k in range(len(orbits))]
+        flown = [s for s in symbols if s["section"] is not None]
+        numbers = [s[key] for s in flown for key in ("time_in", "time_out", "phase_in", "phase_out")]
+        numbers += [s["time"] for s in symbols] + [t for pair in notes.get("transfers", []) for t in pair]
+        numbers += [s["section"]["value"] for s in flown] + [saddle["energy"] for saddle in saddles.values()]
+        known = {orbit["saddle"] for orbit in orbits} >= {stop["saddle"] for stop in stops}
+        texts = [notes["title"], notes["itinerary"], *(s["text"] for s in symbols)]
+        return bool(
+            homes
+            and known
+            and all(len(a) == n for a in angles)
+            and all(c.ndim == 2 and c.shape[1] == 2 * n and len(c) > 1 for c in curves)
+            and all(0 <= stop.get("orbit", 0) < len(orbits) for stop in stops)
+            and all(o["period"] > 0 and np.isfinite(o["energy"]) for o in orbits)
+            and np.isfinite(np.array(numbers, dtype=float)).all()
+            and all(len(s["section"]["normal"]) == 2 * n for s in flown)
+            and len(notes["wraps"]) == max(len(symbols) - 1, 0)
+            and all(isinstance(text, str) for text in texts)
+        )
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError):
+        return False
+
+
 def plan_notes(reference: Reference) -> PlanNotes:
     """Return the notes of a reference that a plan made.
 

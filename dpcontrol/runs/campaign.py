@@ -65,7 +65,16 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.checked import is_list
 from dpcontrol.foundation.document import Documented, document_of
 from dpcontrol.foundation.errors import InputError, Remark
-from dpcontrol.foundation.files import SEAL, check_seal, content_hash, in_the_way, sealed_table, whole_file, write_whole
+from dpcontrol.foundation.files import (
+    SEAL,
+    check_seal,
+    checked_folder,
+    checked_target,
+    content_hash,
+    in_the_way,
+    sealed_table,
+    write_whole,
+)
 from dpcontrol.foundation.parts import Later, part
 from dpcontrol.foundation.processes import in_processes, on_cluster, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
@@ -186,15 +195,20 @@ def run_job(job: Job) -> list[Row]:
         return _rows(job)
 
 
-def _rows(job: Job) -> list[Row]:
-    arms, loop = job.arms, job.case.loop
+def _assembled(job: Job) -> Assembly:
+    """Return the parts of a job's runs."""
+    loop = job.case.loop
     # By the inputs of a controller: cases that differ only in the bench share one.
     decisive = LoopSettings(
         seed=0, rate=loop.rate, drive_lag=loop.known_lag, keep=loop.keep, controller=loop.controller,
         estimator=loop.estimator,
         supervisor=loop.supervisor,
     )  # fmt: skip
-    assembly = replace(_prepared(job.reference, arms, decisive).under(loop), uncertainty=job.uncertainty)
+    return replace(_prepared(job.reference, job.arms, decisive).under(loop), uncertainty=job.uncertainty)
+
+
+def _rows(job: Job) -> list[Row]:
+    loop, assembly = job.case.loop, _assembled(job)
     reference = assembly.reference
     mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
 
@@ -286,9 +300,10 @@ def _write(path: Path, table: "pa.Table") -> None:
         InputError: the file cannot be written.
     """
     sealed = table.replace_schema_metadata({**(table.schema.metadata or {}), **SEAL})
-    with whole_file(path, suffix=".parquet") as temporary:
-        pq.write_table(sealed, temporary, compression="zstd")
-        temporary.write_bytes(sealed_table(temporary.read_bytes()))
+    # A name such as s3:table.parquet would be an address for pyarrow.
+    data = io.BytesIO()
+    pq.write_table(sealed, data, compression="zstd")
+    write_whole(path, sealed_table(data.getvalue()))
 
 
 def _read(path: Path) -> "pa.Table | None":
@@ -297,8 +312,9 @@ def _read(path: Path) -> "pa.Table | None":
     The result is None if the file is absent, damaged or of another kind.
     """
     try:
-        check_seal(path.read_bytes())
-        table = pq.read_table(path)
+        data = path.read_bytes()
+        check_seal(data)
+        table = pq.read_table(io.BytesIO(data))
     except (pa.ArrowException, OSError, ValueError):
         return None
     return table if set(COLUMNS) <= set(table.column_names) else None
@@ -644,6 +660,9 @@ def run_campaign(
         GoalMissed: the plan did not converge, or workers died repeatedly.
     """
     part("pyarrow")
+    if file is not None:
+        checked_target(file)
+        checked_folder(parts_of(file))
     began = time.perf_counter()
     itinerary = plan.itinerary
     plans = transitions_of(plan) if transitions else (plan.followed(),)
@@ -665,6 +684,10 @@ def run_campaign(
     if parts is not None:
         kept = {job.key: rows for job in jobs if (rows := _kept(parts / f"{job.key}.parquet", extra)) is not None}
     if left := [job for job in jobs if job.key not in kept]:
+        laws = {job.case.loop.controller.kind: job for job in reversed(left)}
+        # If one of several laws does not fit the plan, no run begins.
+        for job in laws.values() if len(laws) > 1 else ():
+            _assembled(job)
         local = not settings.scheduler
         # Objects of a script or a notebook cannot be sent to other processes.
         workers = 1 if any(case.loop.own for case in cases) else settings.workers or processors()

@@ -128,6 +128,15 @@ def test_help_fits_80_columns_and_shows_the_whole_text_of_each_option(verb: str)
             assert record[1].endswith((".", "]")), record
 
 
+def test_an_option_that_help_calls_required_is_required() -> None:
+    required = {verb: one for verb, one in reversed(options()) if one.required}
+    assert "export" in required
+    for verb, one in required.items():
+        ended = dpcontrol(verb, "lab")
+        assert ended.code == 2, ended.stdout
+        assert f"Missing option '{one.opts[0]}'" in ended.message
+
+
 def test_settings_of_a_run_have_the_itinerary_as_their_default() -> None:
     (one,) = (one for verb, one in options() if (verb, one.name) == ("run", "mismatch"))
     record = one.get_help_record(click.Context(click.Command("run")))

@@ -2,6 +2,8 @@
 free names.
 """
 
+import os
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -134,6 +136,42 @@ def test_a_recovered_log_takes_no_other_logs_place(folder: Path) -> None:
     assert (folder / "whole.mcap").read_bytes() != content
 
 
+@pytest.mark.parametrize(
+    ("line", "link"),
+    [
+        (f"review {LOG} --save o.rrd", "o.rrd"),
+        (f"report {LOG} --picture o.png", "o.png"),
+        (f"plan {STILL} --out a.npz", "a.npz"),
+        (f"run {STILL} --out o.mcap --force", "o.mcap"),
+    ],
+)
+@pytest.mark.parametrize("hard", [False, True])
+def test_no_verb_replaces_its_input_through_a_link(line: str, link: str, hard: bool) -> None:
+    written(LOG)
+    read = Path(line.split()[1])
+    content = read.read_bytes()
+    Path(link).hardlink_to(read) if hard else Path(link).symlink_to(read)
+    ended = dpcontrol(*line.split())
+    assert ended.code == 2, ended.stdout
+    assert ended.message.endswith(f"{link}: that is the input {read}; choose another name")
+    assert read.read_bytes() == content
+
+
+@pytest.mark.parametrize("line", [f"plan {STILL} --out link.npz", f"run {STILL} --out link.mcap --force"])
+def test_a_link_to_a_file_of_another_kind_is_not_followed(line: str) -> None:
+    Path("notes.txt").write_text("mine")
+    link = Path(line.split()[3])
+    link.symlink_to("notes.txt")
+    ended = dpcontrol(*line.split())
+    assert ended.code == 2, ended.stdout
+    assert f"cannot write {link}: it is a link to {Path('notes.txt').resolve()}; " in ended.message
+    assert Path("notes.txt").read_text() == "mine"
+    link.unlink()
+    link.symlink_to(f"own{link.suffix}")
+    assert dpcontrol(*line.split()).code == 0
+    assert Path(f"own{link.suffix}").is_file()
+
+
 def named(line: str) -> str:
     """Return the file or folder that a command wrote, as it printed it."""
     ended = dpcontrol(*line.split(), "--json")
@@ -167,6 +205,62 @@ def test_a_campaign_with_other_settings_gets_a_table_of_the_next_name() -> None:
     assert [named(f"{line} {k}") for k in ("1", "2", "1", "2 --mismatch 0.07")] == [
         "logs/still.parquet", "logs/still.parquet", "logs/still.2.parquet", "logs/still.3.parquet",
     ]  # fmt: skip
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="names of macOS are UTF-8")
+def test_a_campaign_runs_in_a_folder_of_any_name_and_its_table_is_never_an_address(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (folder := Path(os.fsdecode(b"a\xff"))).mkdir()
+    monkeypatch.chdir(folder)
+    for table in ("logs/still.parquet", "s3:folder/still.parquet"):
+        line = f"campaign ../{STILL} --workers 1 --runs 1" + f" --out {table}" * table.startswith("s3:")
+        assert [named(line), named(line)] == [table, table]
+        assert dpcontrol("report", table).code == 0
+
+
+def test_a_law_that_does_not_fit_the_plan_is_refused_before_the_runs_of_others() -> None:
+    ended = dpcontrol("campaign", STILL, "--runs", "1", "--workers", "1", "--over", "controller=lqr,ogy")
+    assert ended.code == 2
+    assert 'kind = "ogy" keeps an orbit' in ended.message
+    assert not list(Path("logs").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("line", "naming"),
+    [
+        ("campaign still.toml --out pipe.parquet --force", "pipe.parquet: it is not a regular file"),
+        ("campaign still.toml --out loop.parquet", "loop.parquet: it is a link that leads to itself"),
+        ("campaign still.toml --out full.parquet", "full.parquet.parts: it is not a folder"),
+        ("campaign still.toml --out /proc/x.parquet", "/proc/x.parquet: No such file or directory"),
+        ("export still.toml --out full.parquet.parts", "full.parquet.parts: it is not a folder"),
+        ("export still.toml --out /proc/x", "/proc/x: No such file or directory"),
+        ("figures graph --out /dev/null", "/dev/null: it is not a folder"),
+        ("bench propagation --out /proc/x", "/proc/x: No such file or directory"),
+        ("demo --folder /dev/null", "/dev/null: it is not a folder"),
+        ("walk lab --energy -0.07 --length 2 --solve --out /dev/null", "/dev/null: it is not a folder"),
+        ("run still.toml", "logs/still-0.mcap: it is not a regular file"),
+    ],
+)
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="/proc is Linux's")
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(
+    line: str, naming: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo("pipe.parquet")
+    os.mkfifo(LOG)
+    Path("loop.parquet").symlink_to("loop.parquet")
+    Path("full.parquet.parts").touch()
+    before = sorted(Path().rglob("*"))
+    for work in (
+        "runs.campaign.run_locally", "runs.run._exported", "api.draw_figures", "bench.run.draw_charts", "api.plan",
+        "plans.model.load_model", "runs.run.run_plan",
+    ):  # fmt: skip
+        monkeypatch.setattr(f"dpcontrol.{work}", None)
+    ended = dpcontrol(*line.split())
+    assert ended.code == 2, ended.stderr
+    assert f"cannot write {naming}; choose another " in ended.message
+    assert ended.message.endswith((" file or folder", " file name", " folder"))
+    assert sorted(Path().rglob("*")) == before
 
 
 def test_an_interrupted_campaign_continues_its_own_table(monkeypatch: pytest.MonkeyPatch) -> None:

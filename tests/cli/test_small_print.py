@@ -17,19 +17,20 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_a_table_without_rates_needs_no_mapping(kind: str, folder: Path) -> None:
+@pytest.mark.parametrize("name", ["swing.csv", "swing.parquet", "s3:swing.parquet", "file:swing.parquet"])
+def test_a_table_without_rates_needs_no_mapping(name: str, folder: Path) -> None:
     time = np.arange(400) / 200
     columns = {"time": time, "angle_1": np.sin(time), "angle_2": np.cos(time)}
-    file = folder / f"swing.{kind}"
-    if kind == "csv":
+    file = folder / name
+    if file.suffix == ".csv":
         np.savetxt(file, np.stack(list(columns.values()), 1), delimiter=",", header=",".join(columns), comments="")
     else:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        pq.write_table(pa.table(columns), file)
-    ended = dpcontrol("import", file)
+        with file.open("wb") as stream:
+            pq.write_table(pa.table(columns), stream)
+    ended = dpcontrol("import", name)
     assert ended.code == 0, ended.stderr
     assert "rates    none" in ended.stdout
 

@@ -165,6 +165,14 @@ def test_a_file_that_is_not_a_campaign_is_rejected_in_one_sentence(tmp_path: Pat
         campaign_summary(table(tmp_path / "empty.parquet", [{"completed": None}]))
 
 
+@pytest.mark.parametrize("value", [{"a": 1.0}, [1.0]])
+@pytest.mark.parametrize("column", ["case", "completed", "reason"])
+def test_a_table_with_columns_of_structs_or_lists_is_rejected(tmp_path: Path, column: str, value: object) -> None:
+    file = table(tmp_path / "nested.parquet", [{**row, column: value} for row in rows()])
+    with pytest.raises(InputError, match=rf"nested\.parquet .* the column '{column}' holds (struct|list).*; run the"):
+        campaign_summary(file)
+
+
 def test_cases_that_a_campaign_compares_are_never_merged(tmp_path: Path) -> None:
     content = [
         {**row, "case": f"controller={row['controller']}, lag={lag}", "max_cart_position": lag + 0.01}

@@ -170,3 +170,16 @@ def test_a_log_whose_plan_is_of_other_arms_is_refused(flown: RunLog, tmp_path: P
     fewer = replace(reference, states=np.ascontiguousarray(reference.states[..., :3]))
     with pytest.raises(InputError, match="holds no plan"):
         score(with_plan(flown, fewer, tmp_path))
+
+
+@pytest.mark.parametrize(("note", "value"), [("itinerary", {"a": [None]}), ("title", 3), ("stops", None), ("wraps", 0)])
+def test_a_plan_with_damaged_notes_is_refused_when_it_is_read(
+    note: str, value: object, flown: RunLog, tmp_path: Path
+) -> None:
+    """Its run would end with an error that blames the new log."""
+    reference = load_reference(io.BytesIO(flown.attachments["reference.npz"]))
+    save_reference(file := tmp_path / "plan.npz", replace(reference, notes={**reference.notes, note: value}))
+    with pytest.raises(InputError, match=r"plan\.npz: the notes of its plan are damaged; plan the itinerary again"):
+        load_itinerary(str(file))
+    save_reference(file, reference)
+    assert load_itinerary(str(file)).name == "outer-turn"
