@@ -1,4 +1,4 @@
-"""Reliable KeyboardInterrupt for Ctrl-C, SIGTERM and SIGHUP, even if other code suppresses it.
+"""Reliable KeyboardInterrupt for Ctrl-C, SIGTERM and SIGHUP, even if it is suppressed.
 
 Other code may catch an interrupt, turn it into another error, or return as if it had merely failed. The program would
 then continue. A timer therefore checks until the command line has caught the interrupt. If no code on the stack is

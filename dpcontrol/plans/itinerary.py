@@ -216,7 +216,7 @@ def read_run_settings(
 
 
 def _take_misplaced(found: dict[str, Any], names: Iterable[str], place: Place, mistakes: Mistakes) -> None:
-    """Remove tables from `found` that belong elsewhere, and report each of their keys."""
+    """Report each key of misplaced tables, and remove these tables."""
     for name in names:
         if isinstance(found.get(name), dict):
             for key, value in found.pop(name).items():

@@ -250,7 +250,7 @@ MISTAKES: list[tuple[str, str, str]] = [
         f"{TURN}[run.supervisor]\non_fall = 'stop'\n",
         "[run.supervisor] on_fall = 'stop': write this key in [supervisor]",
     ),
-    ("unknown key of a hold", 'start = "hold"\nhold = "down-up"\nsensor = 1\n', "the key 'sensor' is unknown"),
+    ("unknown key of a hold", 'start = "hold"\nhold = "down-up"\nnosuch = 1\n', "the key 'nosuch' is unknown"),
     ("any key of no feedback", f"{TURN}[controller]\nkind = 'feedforward'\nrate = 1\n", "the key 'rate' is unknown"),
     ("text in a list", f"{TURN}[run]\nplay = [0.1, 'x']\n", "[run] play holds 'x': must be"),
     ("value for a table", f"run = 3\n{TURN}", "run = 3: must be a table, [run]"),
