@@ -193,12 +193,14 @@ def checked_source(path: Path | str) -> Path:
 
 
 def is_bag_folder(path: Path) -> bool:
-    """True if the path is a bag of ROS 2, a folder with metadata.yaml.
+    """True if the path is a bag of ROS 2.
+
+    Such a bag is a folder with metadata.yaml.
 
     Args:
         path: file or folder.
     """
-    return path.is_dir() and (path / "metadata.yaml").is_file()
+    return os.path.isfile(path / "metadata.yaml")
 
 
 MOST_UNPACKED = 1 << 29

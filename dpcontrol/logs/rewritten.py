@@ -92,7 +92,7 @@ def by_topic(
 
 
 def _clock(measured: Topic | None) -> int:
-    """Return how far the recording times are after the stamps, ns, 0 if that varies."""
+    """Return the recording time of stamp 0, ns, or 0."""
     if measured is None or measured.schema != layout.JOINT_STATE[0]:
         return 0
     with suppress(ValueError):

@@ -55,9 +55,9 @@ def is_bag(path: Path) -> bool:
 def read_bag(
     path: Path, columns: Sequence[str], *, optional: Collection[str] = ()
 ) -> tuple[dict[str, Array], NDArray[np.bool_]]:
-    """Return the named columns (K,) of a bag, and which samples all topics cover.
+    """Return the named columns (K,) of a bag.
 
-    A message without the number gives nan.
+    The samples that all topics cover are returned too. A message without the number gives nan.
 
     Args:
         path: the bag.
@@ -82,7 +82,7 @@ def read_bag(
 
 
 def _covered(path: Path, moments: Array, times: dict[str, Array]) -> NDArray[np.bool_]:
-    """Return which sample times lie within the times of all topics, and remark on the others."""
+    """Mark the samples that all topics cover, and remark on others."""
     late, early = max(times, key=lambda topic: times[topic][0]), min(times, key=lambda topic: times[topic][-1])
     begin, end = times[late][0], times[early][-1]
     covered = (moments >= begin) & (moments <= end)

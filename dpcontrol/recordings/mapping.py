@@ -94,12 +94,12 @@ class _Angles(Settings, table="angles"):
 
     @property
     def by_arm(self) -> dict[str, tuple[Any, ...]]:
-        """Values of the keys that take one for all arms or one for each."""
+        """Values of the keys that can be lists."""
         return {"counts_per_turn": self.counts, "sign": self.signs, "zero": self.zeros}
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Counts in a turn, one for all arms or one for each, 1 if not given."""
+        """Counts in a turn, for all arms or for each."""
         return self.counts_per_turn if isinstance(self.counts_per_turn, tuple) else (self.counts_per_turn or 1,)
 
     @property
