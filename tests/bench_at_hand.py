@@ -2,6 +2,7 @@
 
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -137,6 +138,8 @@ def next_reading(client: Raw) -> packets.ReadingPacket:
 
 
 def until_tick(toy: Toy, tick: int) -> None:
-    """Wait until the bench reaches a tick of its run."""
+    """Wait until the bench reaches a tick of its run, which may end early on a busy computer."""
+    end = time.monotonic() + 60
     while toy.tick < tick:
+        assert time.monotonic() < end, f"the run stays at tick {toy.tick}"
         threading.Event().wait(0.002)
