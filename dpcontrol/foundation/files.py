@@ -85,8 +85,7 @@ def checked_folder(folder: Path, path: Path | None = None) -> None:
     try:
         there = next(one for one in (folder, *folder.parents, Path()) if os.path.lexists(one))
         if not there.is_dir():
-            what = "it" if there == path else there
-            raise InputError(f"cannot write {path}: {what} is not a folder; choose another folder")
+            raise NotADirectoryError(errno.ENOTDIR, f"{there} is not a folder")
         with tempfile.TemporaryFile(dir=there):
             pass
     except OSError as error:

@@ -7,7 +7,7 @@ confirms it.
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Literal
 
@@ -60,7 +60,7 @@ def progress_bar(label: str) -> Iterator[Progress]:
     """
     if not sys.stderr.isatty():
         yield lines(label)
-        sys.stderr.write(f"{printable(label)}: done\n")
+        _write_line(f"{printable(label)}: done")
         return
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
@@ -95,10 +95,16 @@ def lines(label: str) -> Progress:
         nonlocal last
         if (now := time.monotonic()) - last >= _LINE:
             last = now
-            sys.stderr.write(f"{printable(label)}: {printable(what)}, {done:.0%} after {now - began:.0f} s\n")
-            sys.stderr.flush()
+            _write_line(f"{printable(label)}: {printable(what)}, {done:.0%} after {now - began:.0f} s")
 
     return report
+
+
+def _write_line(text: str) -> None:
+    """Write a line to stderr; a full disk or a closed reader does not stop the work."""
+    with suppress(OSError):
+        sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
 
 
 MOST_SECONDS, MOST_BYTES = 3600.0, 4e9

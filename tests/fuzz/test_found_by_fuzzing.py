@@ -408,6 +408,15 @@ def test_a_full_output_gives_one_sentence_and_the_exit_code(call: str, code: int
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is Linux's")
+@pytest.mark.parametrize(("call", "code"), [("run rest.toml --json", 0), ("score none.mcap --json", 2)])
+def test_a_full_stderr_changes_neither_the_answer_nor_the_exit_code(call: str, code: int) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([PROGRAM, *call.split()], stdout=subprocess.PIPE, stderr=full, text=True, check=False)
+    assert done.returncode == code
+    assert json.loads(done.stdout).get("completed") is (True if code == 0 else None)
+
+
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
