@@ -393,8 +393,8 @@ def test_a_log_of_fewer_ticks_than_a_mean_of_the_drives_error_is_shown() -> None
     ("call", "code", "said"),
     [
         ("model none --json", 2, "there is no model named 'none'"),
-        ("model lab --json", 1, "no space left in the output folder"),
-        ("model lab", 1, "no space left in the output folder"),
+        ("model lab --json", 1, "no space left on standard output"),
+        ("model lab", 1, "no space left on standard output"),
     ],
 )
 def test_a_full_output_gives_one_sentence_and_the_exit_code(call: str, code: int, said: str, unbuffered: str) -> None:
