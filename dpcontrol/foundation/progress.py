@@ -101,7 +101,10 @@ def lines(label: str) -> Progress:
 
 
 def _write_line(text: str) -> None:
-    """Write a line to stderr; a full disk or a closed reader does not stop the work."""
+    """Write a line to stderr.
+
+    A full disk or a closed reader does not stop the work.
+    """
     with suppress(OSError):
         sys.stderr.write(f"{text}\n")
         sys.stderr.flush()

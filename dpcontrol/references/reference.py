@@ -697,7 +697,7 @@ def transitions_in(notes: PlanNotes) -> list[tuple[int, int]]:
 
 
 def holds_plan(reference: Reference) -> bool:
-    """True if a reference has all notes of a plan, and they agree.
+    """True if a reference has consistent notes of a plan.
 
     Args:
         reference: reference from a file.

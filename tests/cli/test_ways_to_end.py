@@ -42,7 +42,9 @@ main()
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_signal_ends_a_command_with_a_sentence(name: str) -> None:
     number = signal.Signals[name]
-    code = ENDED.format(number=int(number), seconds=60)
+    # The tests may run under nohup.
+    default = f"import signal; signal.signal({int(number)}, signal.SIG_DFL)\n"
+    code = default + ENDED.format(number=int(number), seconds=60)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=50)
     assert done.returncode == 128 + number
     assert done.stderr == f"dpcontrol: ended by {name}; finished results are kept\n"

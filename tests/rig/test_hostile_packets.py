@@ -318,7 +318,7 @@ def test_readings_that_do_not_fit_the_welcome_are_rejected_and_invalid_numbers_a
     assert rig.deadlines.refused == 2
 
 
-@pytest.mark.parametrize("host", ["a" * 64, "a" * 300, "a..b", "x" * 100_000, "\ud800", "ü" * 70], ids=range(6))
+@pytest.mark.parametrize("host", ["a" * 64, "a" * 300, "a..b", "x" * 100_000, "ü" * 70], ids=range(5))
 def test_an_absurd_host_is_one_sentence(host: str) -> None:
     ended = dpcontrol("run", "outer-turn", "--rig", f"udp://{host}:47000")
     assert (ended.code, len(ended.message) < 300) == (2, True)
@@ -326,6 +326,14 @@ def test_an_absurd_host_is_one_sentence(host: str) -> None:
     assert "must be udp://HOST:PORT" in ended.message
     with pytest.raises(InputError, match="check the address"):
         UdpRig((host, 47000))
+
+
+def test_a_host_that_is_no_text_is_one_sentence() -> None:
+    ended = dpcontrol("run", "outer-turn", "--rig", "udp://\ud800:47000")
+    assert ended.code == 2
+    assert "must be one line of UTF-8" in ended.message
+    with pytest.raises(InputError, match="check the address"):
+        UdpRig(("\ud800", 47000))
 
 
 def test_an_empty_address_does_not_mean_a_simulated_run() -> None:
