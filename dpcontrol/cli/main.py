@@ -249,7 +249,9 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
     elif isinstance(error, click.ClickException):
         context = getattr(error, "ctx", None)
         more = f"; see `{context.command_path} --help`" if context is not None else ""
-        sentence, code = f"{error.format_message().rstrip('.')}{more}", error.exit_code
+        # click lists choices in lines of their own.
+        text = " ".join(line.strip() for line in error.format_message().splitlines())
+        sentence, code = f"{text.rstrip('.')}{more}", error.exit_code
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         sentence, code = _full(error), 1
     elif isinstance(error, MemoryError):

@@ -88,3 +88,11 @@ def test_a_cart_at_its_stop_reports_the_angle_of_the_arms() -> None:
     ended = dpcontrol("run", "outer-turn", "--controller", "tvlqr", *troubles)
     assert ended.code == 1
     assert re.search(r"must brake now to stay on the track, with an angle 0\.\d+ rad from the reference", ended.message)
+
+
+def test_the_choices_of_a_missing_argument_are_in_its_sentence() -> None:
+    ended = dpcontrol("schema")
+    assert ended.code == 2
+    assert ended.message.startswith(
+        "dpcontrol: Missing argument '{itinerary|model}'. Choose from: itinerary, model; see"
+    )
