@@ -62,6 +62,7 @@ from dpcontrol.foundation.shown import Brief
 from dpcontrol.foundation.units import OTHER_UNITS, Usual
 
 MOST_ARMS = 8
+"""Largest number of arms; `model` shows 256 equilibria of eight."""
 LARGEST = 1e6
 """Largest mass, length, inertia or friction in SI units; products of larger ones overflow."""
 _INERTIAL = {"mass": "m", "centre_of_mass": "a", "length": "l", "inertia": "J"}
@@ -712,11 +713,10 @@ def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
         if centre > _BEYOND * length:
             raise InputError(f"{text}; give both in metres, the centre from the arm's joint")
         yield f"{text}, beyond its end; is that intended?"
-    # The products of denormal numbers vanish.
     farthest = max(centre, length)
-    outermost = max(mass * farthest**2, np.finfo(float).tiny)
+    outermost = mass * farthest**2
     if inertia > outermost:
-        away = np.sqrt(inertia) / np.sqrt(mass)
+        away = np.sqrt(inertia / mass)
         text = (
             f"inertia = {inertia:g} kg m² {of} puts its mass of {mass:g} kg {away:.3g} m from its centre in the mean, "
             f"and the arm is {length:g} m long"

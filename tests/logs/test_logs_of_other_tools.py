@@ -54,9 +54,14 @@ def rewritten(
 ) -> Path:
     """Write a log again by Python's mcap package, with all of its checksums unless `how` says otherwise.
 
-    only: times to keep, s; hole: times to leave out, s; last: attachments follow the messages. thinned: of the state
-    topics keep each n-th message; bare: leave out metadata and attachments, as converters do. shifted: seconds between
-    the clocks of run and recorder; edit: changes each message of /joint_states.
+    Args:
+        only: times to keep, s.
+        hole: times to leave out, s.
+        last: attachments follow the messages.
+        thinned: keep each n-th message of the state topics.
+        bare: leave out metadata and attachments, as converters do.
+        shifted: seconds between the clocks of run and recorder.
+        edit: changes each message of /joint_states.
     """
     seen: Counter[str] = Counter()
     with source.open("rb") as stream, out.open("wb") as target:
