@@ -1,0 +1,111 @@
+"""The size of the package, which only falls: what exceeds a limit today is listed in `size.toml` by name."""
+
+import ast
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import networkx as nx
+import pytest
+
+ROOT = Path(__file__).parent.parent / "dpcontrol"
+MODULES = {
+    path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+    for path in sorted(ROOT.rglob("*.py"))
+    if path.relative_to(ROOT).parts[0] != "examples"
+}
+RECORD = tomllib.loads((Path(__file__).parent / "size.toml").read_text(encoding="utf-8"))
+
+LINES, EXPRESSION_LINES = 60, 80  # of a function without its docstring; the second if its body is one statement
+PARAMETERS = 6  # without self and cls: a function with more misses an object
+
+
+def _is_docstring(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
+def _statements(tree: ast.Module) -> int:
+    return sum(isinstance(node, ast.stmt) and not _is_docstring(node) for node in ast.walk(tree))
+
+
+def _functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    for name, tree in MODULES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield f"{name}:{node.name}", node
+
+
+def _is_long(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    body = function.body[_is_docstring(function.body[0]) :]
+    if not body:
+        return False
+    first, last = body[0].lineno, body[-1].end_lineno or body[-1].lineno
+    signature = function.body[0].lineno - function.lineno
+    return signature + last - first + 1 > (EXPRESSION_LINES if len(body) == 1 else LINES)
+
+
+def _parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    arguments = function.args
+    named = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
+    return sum(argument.arg not in ("self", "cls") for argument in named)
+
+
+def _imported(name: str, tree: ast.Module) -> Iterator[str]:
+    """The modules of the package that a module imports anywhere, functions and type checking included."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("dpcontrol"):
+            folder = "/".join((node.module or "").split(".")[1:])
+            for alias in node.names:
+                inner = f"{folder}/{alias.name}.py".lstrip("/")
+                yield inner if inner in MODULES else f"{folder}.py"
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                yield "/".join(alias.name.split(".")[1:]) + ".py"
+
+
+def _circles() -> list[list[str]]:
+    graph = nx.DiGraph(
+        (name, other) for name, tree in MODULES.items() for other in _imported(name, tree) if other in MODULES
+    )
+    return sorted(sorted(circle) for circle in nx.strongly_connected_components(graph) if len(circle) > 1)
+
+
+def test_the_package_has_no_more_statements_than_recorded() -> None:
+    assert sum(map(_statements, MODULES.values())) <= RECORD["statements"]
+
+
+def test_each_package_has_a_forecast_and_the_forecasts_add_up_to_the_goal() -> None:
+    packages = {name.split("/")[0] for name in MODULES if "/" in name}
+    assert packages <= set(RECORD["forecast"]) | {"cli"}
+    assert sum(RECORD["forecast"].values()) <= RECORD["goal"]
+
+
+@pytest.mark.parametrize(
+    ("limit", "offenders"),
+    [
+        ("long", lambda: [name for name, function in _functions() if _is_long(function)]),
+        ("parameters", lambda: [name for name, function in _functions() if _parameters(function) > PARAMETERS]),
+        ("circles", lambda: [" ".join(circle) for circle in _circles()]),
+        (
+            "names",
+            lambda: [
+                name
+                for name, count in Counter(path.split("/")[-1] for path in MODULES).items()
+                if count > 1 and name != "__init__.py"
+            ],
+        ),
+        (
+            "unformatted",
+            lambda: [
+                f"{name}: {count}"
+                for name in MODULES
+                if (count := (ROOT / name).read_text(encoding="utf-8").count("# fmt: skip"))
+            ],
+        ),
+    ],
+    ids=["length of functions", "parameters", "import circles", "unique names of modules", "formatting"],
+)
+def test_only_listed_places_exceed_a_limit_and_each_listed_place_still_does(limit: str, offenders: object) -> None:
+    assert callable(offenders)
+    assert sorted(offenders()) == sorted(RECORD["exceptions"][limit])
