@@ -487,88 +487,22 @@ class EdgeMap(Documented):
 
 
 @dataclass(frozen=True)
-class Search:
-    """All tries of one way to search, over several tasks.
-
-    Attributes:
-        method: its name.
-        tries: number of tries.
-        found: tries that found a solution.
-        good: tries whose solution is as cheap as the default's.
-        seconds: processor time of all tries, s.
-        default: True for the package's choice.
-    """
-
-    method: str
-    tries: int
-    found: int
-    good: int
-    seconds: float
-    default: bool = False
-
-    @property
-    def seconds_to_good(self) -> float:
-        """Processor time to one good solution, s; infinite if there was none."""
-        return self.seconds / self.good if self.good else math.inf
-
-
-@dataclass(frozen=True)
-class Searches(Documented):
-    """A diagram of success rates and costs.
-
-    For each way to search, it has the share of tries that find a solution.
-
-    Attributes:
-        good: description of a good solution.
-    """
-
-    title: str
-    searches: tuple[Search, ...]
-    good: str
-
-    def finding(self) -> str:
-        """Return the result in one sentence.
-
-        It compares the default with the best other search.
-        """
-        ours = next(s for s in self.searches if s.default)
-        other = min((s for s in self.searches if not s.default), key=lambda s: (s.seconds_to_good, -s.found))
-        rate, cost = f"{ours.good / ours.tries:.0%}", quantity(ours.seconds_to_good, "s")
-        best = f"the best other search, {other.method},"
-        ending = (
-            f"takes {quantity(other.seconds_to_good, 's')} for one as cheap" if other.good else "finds none as cheap"
-        )
-        return f"{ours.method.capitalize()}, {rate} of tries find the flight, in {cost} each; {best} {ending}"
-
-    def table(self) -> ChartTable:
-        """Return a table of each search's tries, success rates and times."""
-        rows = tuple(
-            (s.method, str(s.tries), f"{s.found / s.tries:.0%}", f"{s.good / s.tries:.0%}",
-             quantity(s.seconds_to_good, "s") if s.good else "-")
-            for s in self.searches
-        )  # fmt: skip
-        return ChartTable(self.title, ("search", "tries", "find a flight", self.good, "time to one of these"), rows)
-
-
-@dataclass(frozen=True)
 class ChartPage(Documented):
     """A page of `dpcontrol bench`.
 
-    It has a name for command line and files, a title, three reading hints, the choice and its diagrams. If it has a
-    lead, its first picture shows the lead alone.
+    It has a name for command line and files, a title, three reading hints, the choice and its diagrams.
 
     Raises:
         ValueError: the reading does not have three lines.
     """
 
-    KEYS: ClassVar[str] = "name title headline reading chosen complaints findings **leads"
+    KEYS: ClassVar[str] = "name title headline reading chosen complaints findings"
 
     name: str
     title: str
     reading: tuple[str, str, str]
     chosen: str
     parts: tuple[Any, ...]
-    lead: Searches | None = None
 
     def __post_init__(self) -> None:
         if len(self.reading) != READING_LINES:
@@ -580,17 +514,12 @@ class ChartPage(Documented):
         return self.title
 
     @property
-    def diagrams(self) -> tuple[Any, ...]:
-        """All diagrams, the leading one first."""
-        return self.parts if self.lead is None else (self.lead, *self.parts)
-
-    @property
     def pages(self) -> dict[str, tuple[Any, ...]]:
         """The diagrams of each picture.
 
-        They are by the end of its file's name: the leading ones, then the appendix.
+        They are by the end of its file's name: the first ones, then the appendix.
         """
-        first, rest = (self.parts[:LEADING], self.parts[LEADING:]) if self.lead is None else ((self.lead,), self.parts)
+        first, rest = self.parts[:LEADING], self.parts[LEADING:]
         sheets = [rest[k : k + LEADING] for k in range(0, len(rest), LEADING)]
         return {"": first, **{f"-more{f'-{k + 1}' if k else ''}": sheet for k, sheet in enumerate(sheets)}}
 
@@ -602,12 +531,7 @@ class ChartPage(Documented):
     @property
     def findings(self) -> list[str]:
         """The result of each diagram."""
-        return [f"{part.title}: {part.finding()}" for part in self.diagrams]
-
-    @property
-    def leads(self) -> dict[str, Searches]:
-        """The leading diagram by its name in JSON, if there is one."""
-        return {} if self.lead is None else {"lead": self.lead}
+        return [f"{part.title}: {part.finding()}" for part in self.parts]
 
 
 @dataclass(frozen=True)
@@ -686,13 +610,10 @@ CHARTS: dict[str, Drawer] = {
     "propagation": _of("propagation"),
     **{name: _of("design", f"{name}_chart") for name in ("connections", "transcription")},
     **{name: _of("control", f"{name}_chart") for name in ("estimation", "control")},
-    "payoff": _of("payoff"),
     **{f"edges-{name}": _of("edges", f"{name}_chart") for name in _EDGES},
 }
 GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
 """Names for groups of charts."""
-SPREAD, AT_ONCE = ("payoff",), 8
-"""Charts that use several cores, in seconds of one processor, and the largest number of cores."""
 
 
 def check_names(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -18,12 +18,12 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
 
-from dpcontrol.bench.chart import LEADING, ChartPage, Diagram, EdgeMap, Point, Searches, name_of, unit_of
+from dpcontrol.bench.chart import LEADING, ChartPage, Diagram, EdgeMap, Point, name_of, unit_of
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.units import quantity
-from dpcontrol.pages.layout import Page, Panel, key, save_figure
+from dpcontrol.pages.layout import Page, key, save_figure
 from dpcontrol.pages.panels import quiet
-from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, PAPER, SERIES, SMALL, TEXT
+from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, PAPER, SERIES, SMALL
 
 MARKS = "osD^v<>Pph*X8d"
 _DEFAULT: dict[str, Any] = {
@@ -45,22 +45,21 @@ _FEW, _LONG, _MANY = 6.0, 50.0, 100.0
 from the third on powers are enough."""
 
 
-def save_chart(page: ChartPage, picture: Path, parts: Sequence[Any] | None = None, *, dark: bool = False) -> None:
+def save_chart(page: ChartPage, picture: Path, parts: Sequence[Any] | None = None) -> None:
     """Draw some of a chart's diagrams to a PNG.
 
     Args:
         page: page of the chart.
         picture: file to write.
         parts: diagrams, by default all.
-        dark: variant for dark web pages.
 
     Raises:
         InputError: the file cannot be written.
     """
-    save_figure(figure(page, page.parts if parts is None else parts, dark=dark), picture)
+    save_figure(figure(page, page.parts if parts is None else parts), picture)
 
 
-def figure(page: ChartPage, parts: Sequence[Any], *, dark: bool = False) -> Figure:
+def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
     """Return a picture of some of a chart's diagrams, side by side.
 
     Each method has one colour and mark throughout.
@@ -68,17 +67,14 @@ def figure(page: ChartPage, parts: Sequence[Any], *, dark: bool = False) -> Figu
     Args:
         page: page of the chart.
         parts: diagrams of one kind.
-        dark: variant for dark web pages.
     """
-    if isinstance(parts[0], Searches):
-        return _searches_page(parts[0]).figure(dark=dark)
     panels = [part for part in parts if isinstance(part, Diagram)]
     methods = list(dict.fromkeys(p.method for panel in panels for p in panel.points))
     looks = {m: (MARKS[k % len(MARKS)], SERIES[k % len(SERIES)]) for k, m in enumerate(methods)}
     drawn, columns = Page(page.headline, page.chosen), 2 if panels else LEADING
     for row in (parts[k : k + columns] for k in range(0, len(parts), columns)):
         drawn.row(*(partial(_draw, part=part, looks=looks, first=part is row[0]) for part in row), height=_TALL)
-    picture = drawn.text("\n".join(page.reading)).figure(dark=dark)
+    picture = drawn.text("\n".join(page.reading)).figure()
     for axes, panel in zip(picture.axes, panels, strict=False):
         # The space for labels is known once the axes have their positions.
         _label_settings(axes, panel, looks, named=len(methods) > IN_KEY)
@@ -96,45 +92,6 @@ def _draw(axes: Axes, part: Any, looks: dict[str, tuple[str, str]], *, first: bo
         _draw_panel(axes, part, looks)
     else:
         _draw_map(axes, part, first=first)
-
-
-def _searches_page(lead: Searches) -> Page:
-    """Return a page of success rates and times.
-
-    Success rates are on the left, times to a good solution on the right.
-    """
-    names = [s.method[:1].upper() + s.method[1:] for s in lead.searches]
-
-    def rates(axes: Axes) -> None:
-        quiet(axes, f"Tries that find a flight; first part of a bar: {lead.good}")
-        for k, s in enumerate(lead.searches):
-            axes.barh(k, s.found / s.tries, color=FAINT, height=0.62)
-            axes.barh(k, s.good / s.tries, color=SERIES[0] if s.default else MARK, height=0.62)
-            axes.text(1.01, k, f"{s.good / s.tries:.0%} of {s.tries}", va="center", fontsize=TEXT, color=INK)
-        axes.set_yticks(range(len(names)), names, fontsize=TEXT, color=INK)
-        axes.set_ylim(len(names) - 0.5, -0.5)
-        axes.grid(visible=False, axis="y")
-        axes.set_xlim(0, 1.18)
-        axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0])
-        axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-
-    def times(axes: Axes) -> None:
-        quiet(axes, "Time of one core to a flight as cheap")
-        for k, s in enumerate(lead.searches):
-            if s.good:
-                axes.barh(k, s.seconds_to_good, color=SERIES[0] if s.default else MARK, height=0.62)
-            place, text = (
-                (s.seconds_to_good * 1.1, quantity(s.seconds_to_good, "s")) if s.good else (0.02, "none found")
-            )
-            look: dict[str, Any] = {} if s.good else {"transform": axes.get_yaxis_transform()}
-            axes.text(place, k, text, va="center", fontsize=TEXT, color=INK, **look)
-        axes.set_yticks([])
-        axes.set_ylim(len(names) - 0.5, -0.5)
-        axes.set_xscale("log")
-        axes.margins(x=0.25)
-        _readable_ticks(axes.xaxis, "s")
-
-    return Page(lead.finding()).row(Panel(rates, share=3), Panel(times, share=2), height=0.8 + _LINE * len(names))
 
 
 def _draw_map(axes: Axes, one: EdgeMap, *, first: bool) -> None:

@@ -16,7 +16,6 @@ import os
 import platform
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import combinations
@@ -25,10 +24,8 @@ from typing import Any
 
 from dpcontrol.bench.chart import (
     ALLOWED,
-    AT_ONCE,
     CHARTS,
     GROUPS,
-    SPREAD,
     ChartPage,
     Diagram,
     Point,
@@ -54,8 +51,8 @@ class DrawnChart:
     seconds: float
 
 
-_SECONDS = {False: (90.0, 1400.0), True: (10.0, 90.0)}
-"""Cost of a chart on one processor and on several, s, for full and quick charts."""
+_SECONDS = {False: 90.0, True: 10.0}
+"""Cost of a chart, s of one processor, for full and quick charts."""
 _LONGER = {"edges-margins": 2.8}
 """Charts whose full cost is a multiple of the others', and the multiple."""
 _MEMORY = 4e8
@@ -71,12 +68,10 @@ def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
     """
     mapped = sum(1.0 if quick else _LONGER.get(name, 1.0) for name in names if name in GROUPS["edges"])
     at_once = max(min(processors(), sum(name in GROUPS["edges"] for name in names)), 1)
-    spread, many = sum(name in SPREAD for name in names), min(processors(), AT_ONCE)
-    timed = sum(name not in GROUPS["edges"] for name in names) - spread
-    turns, (one, several) = timed + mapped / at_once, _SECONDS[quick]
-    seconds = turns * one + spread * several / many
+    timed = sum(name not in GROUPS["edges"] for name in names)
+    seconds = (timed + mapped / at_once) * _SECONDS[quick]
     work = f"{len(names)} chart{'s' if len(names) > 1 else ''}"
-    return Cost(work, seconds, (many if spread else at_once) * _MEMORY, "bench")
+    return Cost(work, seconds, at_once * _MEMORY, "bench")
 
 
 def draw_charts(
@@ -111,7 +106,7 @@ def draw_charts(
         if name not in maps:
             begin, end = len(drawn) / len(chosen), (len(drawn) + 1) / len(chosen)
             progress(name, begin)
-            with nullcontext() if name in SPREAD else one_core():
+            with one_core():
                 drawn[name] = draw(name, progress=part_of(_named(name, progress), begin, end))
     if maps:
         progress(f"{len(maps)} maps of failure", len(drawn) / len(chosen))
@@ -145,8 +140,6 @@ def draw_chart(
     pictures = {Path(folder) / f"{chart.name}{end}.png": parts for end, parts in chart.pages.items()}
     for picture, parts in pictures.items():
         save_chart(chart, picture, parts)
-    if chart.lead is not None:
-        save_chart(chart, Path(folder) / f"{chart.name}-dark.png", (chart.lead,), dark=True)
     data = Path(folder) / f"{chart.name}.json"
     document = {**chart.document(), "seconds": seconds, **made_with}
     write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")

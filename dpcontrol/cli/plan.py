@@ -16,7 +16,6 @@ from dpcontrol.cli.verbs import (
     drawn_to,
     file_option,
     option,
-    print_message,
     table,
     verb,
 )
@@ -64,7 +63,6 @@ def plan_command(
     """
     from dpcontrol import api
     from dpcontrol.foundation.files import write_whole
-    from dpcontrol.runs.off_tubes import off_tubes_remarks
 
     if explore_energy is not None:
         from dpcontrol.bench.energies import only_walk
@@ -81,8 +79,6 @@ def plan_command(
     if out is not None and wanted.converged:
         write_whole(out, wanted.archive)
         (document if polished is None else document["polish"]["plan"])["file"] = out
-    for line in off_tubes_remarks(plan.itinerary):
-        print_message(line)
     found = api.closed_loop(plan).margins() if margins and plan.converged else None
     if found is not None:
         document["margins"] = found.document()

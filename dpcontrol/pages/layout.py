@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
@@ -41,7 +40,6 @@ _LINE = 1.35
 """Distance of two lines, in heights of their text."""
 _EDGE = 0.12
 """Free edge of a page and gap between panels, inches."""
-_COLOURED = ("color", "facecolor", "edgecolor", "markerfacecolor", "markeredgecolor")
 _KEY = "key of the engine"
 
 
@@ -152,12 +150,8 @@ class Page:
             self._rows.append((height, write))
         return self
 
-    def figure(self, *, dark: bool = False) -> Figure:
-        """Return the page as a figure.
-
-        Args:
-            dark: True for the dark variant, False by default.
-        """
+    def figure(self) -> Figure:
+        """Return the page as a figure."""
         # Bold letters are wider than those that are measured.
         head = Page("", width=self.width / 1.12).text(self.title, colour=style.INK, size=style.TITLE)
         result = Page("", width=self.width)
@@ -178,8 +172,6 @@ class Page:
             if used < self.width:
                 parts[0].text(1 - _EDGE / self.width, 0.5, self.about, ha="right", va="center", **look)
         settle(figure)
-        if dark:
-            darken(figure)
         return figure
 
 
@@ -494,21 +486,3 @@ def _spread(axes: Axes, labels: list[Any]) -> None:
             places[before] = min(places[before], places[after] - step)
     for label, place in zip(labels, places, strict=True):
         label.xycoords, label.xy = "axes fraction", (1.0, (place - low) / (high - low))
-
-
-def darken(figure: Figure) -> None:
-    """Turn a page into its dark variant for README pictures.
-
-    Neutral and dark colours are replaced.
-    """
-    for artist in figure.findobj():
-        for name in _COLOURED:
-            get, put = getattr(artist, f"get_{name}", None), getattr(artist, f"set_{name}", None)
-            if get is None or put is None:
-                continue
-            try:
-                replaced = style.DARK.get(to_hex(get()))
-            except (TypeError, ValueError):
-                continue
-            if replaced:
-                put(replaced)

@@ -70,11 +70,6 @@ SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#40
 CONNECTIONS, RUNS = SERIES, SERIES[:6]
 DOTTED, DASHED = (0, (2, 2)), (0, (5, 3))
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-DARK = {
-    PAPER: "#0d1117", INK: "#e6edf3", NOTE: "#b1bac4", MARK: "#8b949e", FAINT: "#484f58", GRID: "#21262d",
-    UNSTABLE: "#e0566a", SADDLES["down-up"]: "#2f9bb5", SADDLES["up-down"]: "#a371f7", CART: "#8b949e",
-}  # fmt: skip
-"""Colours of the dark variant of a page; the others serve both."""
 
 
 def saddle_colour(saddle: str) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Annotation
 
-from dpcontrol.bench.chart import Diagram, Point, PrecisionChart, Search, Searches
+from dpcontrol.bench.chart import Diagram, Point, PrecisionChart
 from dpcontrol.bench.drawing import figure
 
 LEAST = 8.0
@@ -70,19 +70,6 @@ def test_a_long_appendix_has_several_sheets_that_fit_on_paper() -> None:
     page = PrecisionChart("x", "title", ("1", "2", "3"), "", panels)
     assert page.pages == {"": panels[:3], "-more": panels[3:6], "-more-2": panels[6:9], "-more-3": panels[9:]}
     assert figure(page, page.pages["-more"]).get_figheight() < 16.5
-
-
-def test_a_leading_diagram_is_alone_on_its_page_and_names_the_best_search() -> None:
-    searches = (Search("ours", 5, 5, 5, 5.0, default=True), Search("a", 10, 9, 1, 50.0), Search("b", 10, 2, 2, 60.0))
-    lead = Searches("flights", searches, "as cheap as ours")
-    panels = (Diagram("0", "s", "error", (Point("m", "", 1.0, 1.0, default=True),)),)
-    page = PrecisionChart("x", "title", ("1", "2", "3"), "", panels, lead)
-    assert page.pages == {"": (lead,), "-more": panels}
-    assert "the best other search, b, takes 30 s for one as cheap" in lead.finding()
-    rates, times = figure(page, page.pages[""]).axes
-    assert [t.get_text() for t in rates.get_yticklabels()] == ["Ours", "A", "B"]
-    assert "20% of 10" in [t.get_text() for t in rates.texts]
-    assert "30 s" in [t.get_text() for t in times.texts]
 
 
 @pytest.mark.parametrize("shares", [(0.0, 0.0), (0.0, 0.4), (0.0, 0.12)])

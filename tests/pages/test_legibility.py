@@ -11,14 +11,13 @@ import pyarrow.parquet as pq
 import pytest
 from legible import PAPER, problems, texts_of
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from synthetic_run import synthetic_run, view_of
 from test_campaign_report import rows
 from test_night import night
 from test_walk_figure import found as walk
 
 import dpcontrol.pages
-from dpcontrol.bench.chart import Border, Diagram, EdgeChart, EdgeMap, Point, PrecisionChart, Search, Searches, Trial
+from dpcontrol.bench.chart import Border, Diagram, EdgeChart, EdgeMap, Point, PrecisionChart, Trial
 from dpcontrol.bench.drawing import figure as figure_of_chart
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.identification.fit import DesignSettings, design_experiments
@@ -31,7 +30,6 @@ from dpcontrol.orbits.cut import CutSettings, tube_cut
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.pages import style
 from dpcontrol.pages.atlas import draw_atlas
 from dpcontrol.pages.campaign import draw_campaign
 from dpcontrol.pages.comparison import draw_comparison
@@ -182,14 +180,6 @@ def chart_of_maps(_: Path) -> Figure:
     return figure_of_chart(EdgeChart("x", "A chart of maps", READING, "margins", tuple(maps)), maps)
 
 
-def chart_of_searches(_: Path) -> Figure:
-    ours = Search("along tubes", 5, 5, 5, 4.0, default=True)
-    others = [Search(f"search {k} from a curve", 80, 60 - 9 * k, 4 - k, 50.0) for k in range(5)]
-    lead = Searches("flights", (ours, *others), "within a tenth of the tubes' effort")
-    panel = Diagram("0", "s", "error", (Point("m", "", 1.0, 1.0, default=True),))
-    return figure_of_chart(PrecisionChart("x", "A chart of searches", READING, "", (panel,), lead), [lead])
-
-
 READING = ("What is shown.", "How to read it.", "What it leaves out.")
 TRIED = (0.01, 0.02, 0.024, 0.1)
 QUICK = (
@@ -198,7 +188,6 @@ QUICK = (
     campaign,
     campaign_of_mismatches,
     long_run,
-    chart_of_searches,
 )
 LONGER = (comparison, preflight, walk_page, tube, chart_of_methods, chart_of_maps)
 """Pages that take seconds to draw."""
@@ -277,18 +266,3 @@ def test_named_rows_have_the_first_name_at_the_top() -> None:
     name_rows(axes, ["first", "second"])
     labels = {label.get_text(): axes.transData.transform((0, k))[1] for k, label in enumerate(axes.get_yticklabels())}
     assert labels["first"] > labels["second"]
-
-
-def test_a_dark_page_has_pale_text_on_a_dark_background() -> None:
-    page = Page("A title", "a verdict").row(lambda axes: axes.plot([0, 1], color=style.INK), height=2.0)
-    figure = page.figure(dark=True)
-    brightness = {text.get_text(): sum(style.rgb(_hex(text.get_color()))) for text in figure.findobj(Text)}
-    assert sum(style.rgb(_hex(figure.get_facecolor()))) < 150
-    assert brightness["A title"] > 600
-    assert sum(style.rgb(_hex(figure.axes[0].lines[0].get_color()))) > 600
-
-
-def _hex(colour) -> str:
-    from matplotlib.colors import to_hex
-
-    return to_hex(colour)
